@@ -1,0 +1,95 @@
+"""Table 1 of Savage 2020 as data: the 17 rotation sequences for which a closed form exists.
+
+The 2017 paper's table starts sequences 2 and 2a with y along the outer axis and the inner angle 0, from where no
+rotation about x is possible; the 2020 table (x along outer, inner +90°) is the right one.
+
+Fixture: outer axis horizontal, along table y; inner axis along IMU z. Nominal attitude, IMU to fixture base:
+``C_nom(inner, outer) = R_y(outer) R_z(inner)``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+AXES: Final = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """One rotation sequence.
+
+    Attributes
+    ----------
+    id : str
+        Name in Table 1.
+    down : str
+        IMU axis that is vertical, positive down, at the start.
+    along_outer : str
+        IMU axis along the outer rotation axis at the start.
+    inner_rad, outer_rad : float
+        Initial fixture angles, rad.
+    rotations : tuple of (axis, angle)
+        Sequential rotations about IMU axes; angle in rad, signed.
+    """
+
+    id: str
+    down: str
+    along_outer: str
+    inner_rad: float
+    outer_rad: float
+    rotations: tuple[tuple[str, float], ...]
+
+    @property
+    def axes(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+        """Unit vectors of the rotation axes in IMU axes, shape (m, 3)."""
+        return np.eye(3)[[AXES.index(axis) for axis, _ in self.rotations]]
+
+    @property
+    def angles_rad(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """Signed rotation angles, shape (m,), rad."""
+        return np.array([angle for _, angle in self.rotations])
+
+
+_START_DEG = {  # (down, along outer) -> initial (inner, outer)
+    ("z", "y"): (0.0, 0.0),
+    ("z", "x"): (90.0, 0.0),
+    ("x", "y"): (0.0, -90.0),
+    ("y", "x"): (90.0, 90.0),
+}
+
+_ROWS = (
+    ("1", "z", "y", ((360, "y"),)),
+    ("2", "z", "x", ((360, "x"),)),
+    ("3", "x", "y", ((360, "z"),)),
+    ("1a", "z", "y", ((-360, "y"),)),
+    ("2a", "z", "x", ((-360, "x"),)),
+    ("3a", "x", "y", ((-360, "z"),)),
+    ("4", "z", "y", ((180, "y"), (180, "z")) * 2),
+    ("5", "z", "x", ((180, "x"), (180, "z")) * 2),
+    ("6", "x", "y", ((180, "y"), (90, "z"), (180, "x"), (90, "z")) * 2),
+    ("7", "y", "x", ((180, "x"),)),
+    ("8", "z", "x", ((180, "x"),)),
+    ("9", "x", "y", ((180, "z"),)),
+    ("10", "y", "x", ((180, "z"),)),
+    ("11", "z", "y", ((180, "y"),)),
+    ("12", "x", "y", ((180, "y"),)),
+    ("13", "z", "y", ((180, "z"), (180, "y"))),
+    ("14", "z", "x", ((180, "z"), (180, "x"))),
+)
+
+SEQUENCES: Final = {
+    name: Sequence(
+        name,
+        down,
+        along_outer,
+        math.radians(_START_DEG[down, along_outer][0]),
+        math.radians(_START_DEG[down, along_outer][1]),
+        tuple((axis, math.radians(angle)) for angle, axis in rotations),
+    )
+    for name, down, along_outer, rotations in _ROWS
+}
+"""The 17 sequences by id, in the order of Table 1."""

@@ -1,0 +1,183 @@
+"""The 27 sensor errors: names, order, units, and the value type that everything else passes around.
+
+Reading model of a triad in the MARS frame B (``ω`` the true angular rate, ``f`` the true specific force)::
+
+    ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias + noise      Mg = I + κ_LinScal + κ_Mis,  κ_ij = κ_ji = υ_ij / 2
+    f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias + noise      Ma = I + λ_LinScal + λ_Mis,  λ_ij = μ_ij
+
+Savage 2020, eqs. 6-11. Biases are in rad/s and m/s², everything else is dimensionless or rad.
+This module holds names and values only; the arithmetic of compensation is in :mod:`srt.compensation`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterGroup:
+    """A block of like parameters in the state.
+
+    Attributes
+    ----------
+    name : str
+        Common stem of the parameter names.
+    suffixes : tuple of str
+        One per parameter; the full name is ``name_suffix``.
+    symbols : tuple of str
+        The papers' symbols.
+    unit : str
+        SI unit.
+    display_unit, display_factor : str, float
+        The unit people expect in a table, and how many of it make one SI unit.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    symbols: tuple[str, ...]
+    unit: str
+    display_unit: str
+    display_factor: float
+
+
+_AXES = ("x", "y", "z")
+_UG = 1e6 / 9.80665
+_DEG_H = 206264.80624709636  # rad/s to °/h
+
+GROUPS: Final = (
+    ParameterGroup("gyro_scale", _AXES, ("κxx", "κyy", "κzz"), "1", "ppm", 1e6),
+    ParameterGroup("gyro_asymmetry", _AXES, ("κxxx", "κyyy", "κzzz"), "1", "ppm", 1e6),
+    ParameterGroup("gyro_orthogonality", ("xy", "yz", "zx"), ("υxy", "υyz", "υzx"), "rad", "µrad", 1e6),
+    ParameterGroup("accel_bias", _AXES, ("λx", "λy", "λz"), "m/s^2", "µg", _UG),
+    ParameterGroup("accel_scale", _AXES, ("λxx", "λyy", "λzz"), "1", "ppm", 1e6),
+    ParameterGroup("accel_asymmetry", _AXES, ("λxxx", "λyyy", "λzzz"), "1", "ppm", 1e6),
+    ParameterGroup(
+        "accel_misalignment",
+        ("xy", "xz", "yx", "yz", "zx", "zy"),
+        ("μxy", "μxz", "μyx", "μyz", "μzx", "μzy"),
+        "rad",
+        "µrad",
+        1e6,
+    ),
+    ParameterGroup("gyro_bias", _AXES, ("κx", "κy", "κz"), "rad/s", "°/h", _DEG_H),
+)
+"""The groups in state order (fixed by the file format)."""
+
+NAMES: Final = tuple(f"{g.name}_{s}" for g in GROUPS for s in g.suffixes)
+SYMBOLS: Final = tuple(s for g in GROUPS for s in g.symbols)
+UNITS: Final = tuple(g.unit for g in GROUPS for _ in g.suffixes)
+DISPLAY_UNITS: Final = tuple(g.display_unit for g in GROUPS for _ in g.suffixes)
+DISPLAY_FACTORS: Final = tuple(g.display_factor for g in GROUPS for _ in g.suffixes)
+N_PARAMETERS: Final = len(NAMES)
+INDEX: Final = {name: i for i, name in enumerate(NAMES)}
+"""Position of every parameter name in the state."""
+
+
+def _group_slices() -> dict[str, slice]:
+    slices, start = {}, 0
+    for group in GROUPS:
+        slices[group.name] = slice(start, start + len(group.suffixes))
+        start += len(group.suffixes)
+    return slices
+
+
+GROUP_SLICES: Final = _group_slices()
+"""Position of every group in the state: ``x[GROUP_SLICES["gyro_scale"]]``."""
+
+
+def expand_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Resolve parameter and group names to parameter names in state order.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Parameter names ("gyro_scale_x") or group names ("gyro_scale").
+
+    Raises
+    ------
+    InputError
+        If a name is neither.
+    """
+    wanted: set[str] = set()
+    for name in names:
+        if name in GROUP_SLICES:
+            wanted.update(NAMES[GROUP_SLICES[name]])
+        elif name in INDEX:
+            wanted.add(name)
+        else:
+            known = ", ".join(GROUP_SLICES)
+            raise InputError(
+                f"There is no sensor error named {name!r}: use one of the groups {known}, "
+                "or a single parameter such as gyro_scale_x."
+            )
+    return tuple(n for n in NAMES if n in wanted)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorErrors:
+    """The 27 sensor errors of one IMU, immutable.
+
+    Attributes
+    ----------
+    vector : ndarray, shape (27,)
+        Values in the order of :data:`NAMES`, SI units; read-only.
+
+    Raises
+    ------
+    InputError
+        If the vector has another shape or holds a value that is not finite.
+    """
+
+    vector: NDArray[np.float64] = field(default_factory=lambda: np.zeros(N_PARAMETERS))
+
+    def __post_init__(self) -> None:
+        vector = np.array(self.vector, dtype=np.float64)
+        if vector.shape != (N_PARAMETERS,):
+            raise InputError(f"Sensor errors are a vector of {N_PARAMETERS} numbers, not of shape {vector.shape}.")
+        if not np.all(np.isfinite(vector)):
+            bad = ", ".join(n for n, v in zip(NAMES, vector, strict=True) if not np.isfinite(v))
+            raise InputError(f"Sensor errors must be finite numbers; these are not: {bad}.")
+        vector.flags.writeable = False
+        object.__setattr__(self, "vector", vector)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, float]) -> SensorErrors:
+        """Build from names; parameters not named are zero. Raises InputError for an unknown name."""
+        unknown = sorted(set(values) - set(NAMES))
+        if unknown:
+            raise InputError(f"Unknown sensor error {unknown[0]!r}; the names are {', '.join(NAMES)}.")
+        vector = np.zeros(N_PARAMETERS)
+        for name, value in values.items():
+            vector[INDEX[name]] = value
+        return cls(vector)
+
+    def as_dict(self) -> dict[str, float]:
+        """Values by name, in state order."""
+        return dict(zip(NAMES, self.vector.tolist(), strict=True))
+
+    def group(self, name: str) -> NDArray[np.float64]:
+        """Values of one group, in the order of its suffixes (read-only)."""
+        return self.vector[GROUP_SLICES[name]]
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.vector[INDEX[name]])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SensorErrors) and np.array_equal(self.vector, other.vector)
+
+    def __hash__(self) -> int:
+        return hash(self.vector.tobytes())
+
+    def plus(self, delta: ArrayLike) -> SensorErrors:
+        """Add a correction of shape (27,)."""
+        return SensorErrors(self.vector + np.asarray(delta, dtype=np.float64))
