@@ -1,22 +1,40 @@
 """A recording in memory: samples in SI units, and what is known of site, fixture, unit and sequences.
 
-Conventions: a *rate* sample is the mean over the interval that ends at its time stamp, an *increment* sample the
-integral over that interval. Specific force at rest points up.
+Conventions: a *rate* sample is the mean over the interval that ends at its time stamp, an *increment* sample
+the integral over that interval. Specific force at rest points up.
+
+Everything is checked once, when it is built, so that what computes with a recording need not ask again. The
+arrays become read-only views, copied only if they are not contiguous float64 already.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 
-
+from srt.catalogue import AXES, SEQUENCES
+from srt.constants import DEG
+from srt.exceptions import InputError
+from srt.sample_arrays import as_samples, require_finite, require_increasing
+from srt.sample_timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Kind = Literal["rate", "increment"]
+
+GRAVITY_RANGE_M_S2: Final = (9.5, 10.1)
+"""Gravity outside this is not on the Earth's surface (9.76 to 9.84 m/s²)."""
+
+WINDOW_TOLERANCE: Final = 1e-6
+"""Rounding of stamps and window limits that a window's edge forgives, in intervals."""
+
+_MAY_BE_ZERO = frozenset(
+    {"gyro_quantization", "accel_quantization", "gyro_bias_instability", "accel_bias_instability"}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +49,38 @@ class Site:
         Its one-sigma uncertainty, a common error of the accelerometer scales.
     latitude_rad : float or None
         None: unknown; the Earth's rate is then a bounded unknown in the gyro-bias sigma.
+
+    Raises
+    ------
+    InputError
+        Gravity or latitude that the Earth's surface does not have, a sigma that is not positive.
     """
 
     gravity_m_s2: float
     gravity_sigma_m_s2: float = 5e-6
     latitude_rad: float | None = None
 
+    def __post_init__(self) -> None:
+        low, high = GRAVITY_RANGE_M_S2
+        if not low <= self.gravity_m_s2 <= high:
+            raise InputError(
+                f"Gravity is {self.gravity_m_s2:g} m/s², but between {low} and {high} is expected "
+                "(the Earth's surface has 9.76 to 9.84): give it in m/s², positive."
+            )
+        _require_positive("The gravity sigma", self.gravity_sigma_m_s2, "m/s²")
+        # The tolerance lets ±90° through whatever way it was converted.
+        if self.latitude_rad is not None and not abs(self.latitude_rad) <= (90.0 + 1e-9) * DEG:
+            raise InputError(
+                f"The latitude is {self.latitude_rad / DEG:g}°, but -90° to 90° is expected: "
+                "check it, and its unit."
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """The two-axis fixture and its accuracy (one sigma). Heading is that of the table x axis, clockwise from north.
+    """The two-axis fixture and its accuracy (one sigma).
+
+    Heading is that of the table x axis, clockwise from north.
 
     Attributes
     ----------
@@ -50,11 +90,25 @@ class Fixture:
         One draw per recording of each of: base level x, y, north; mounting x, y, z.
     rotation_sigma_rad : float
         One draw per executed rotation, the move to a start attitude included.
+
+    Raises
+    ------
+    InputError
+        A heading beyond ±360° or not finite, a sigma that is not positive.
     """
 
     heading_rad: float | None = 0.0
     alignment_sigma_rad: float = 1e-3
     rotation_sigma_rad: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.heading_rad is not None and not abs(self.heading_rad) <= (360.0 + 1e-9) * DEG:
+            raise InputError(
+                f"The fixture's heading is {self.heading_rad / DEG:g}°, but -360° to 360° is expected: "
+                "check it, and its unit."
+            )
+        _require_positive("The fixture's alignment sigma", self.alignment_sigma_rad, "rad")
+        _require_positive("The fixture's rotation sigma", self.rotation_sigma_rad, "rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +129,11 @@ class ImuNoise:
         rad/s, m/s².
     gyro_range, accel_range : float or None
         Saturation, rad/s, m/s².
+
+    Raises
+    ------
+    InputError
+        A figure that is not positive; quantisation and bias instability may be zero.
     """
 
     gyro_noise: float | None = None
@@ -85,6 +144,12 @@ class ImuNoise:
     accel_bias_instability: float | None = None
     gyro_range: float | None = None
     accel_range: float | None = None
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value is not None and not (value == 0.0 and item.name in _MAY_BE_ZERO):
+                _require_positive(f"The unit's {item.name}", value, "(SI)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +163,16 @@ class SequenceLabel:
     id : str or None
         Name in Table 1 of Savage 2020 ("1" ... "14", "1a" ...); None for a free turn.
     down, along_outer : str or None
-        For an id outside Table 1: the IMU axis ("x", "y", "z") that is down, and the one along the outer axis.
+        For an id outside Table 1: the IMU axis ("x", "y", "z") that is down, and the one along the outer
+        axis.
     rotations : tuple of (axis, angle in rad)
         For an id outside Table 1.
+
+    Raises
+    ------
+    InputError
+        Windows that end before they start or overlap, axes that are not x, y or z, an id outside Table 1
+        without its definition, or one of Table 1 with another definition.
     """
 
     start_static_s: tuple[float, float]
@@ -109,6 +181,60 @@ class SequenceLabel:
     down: str | None = None
     along_outer: str | None = None
     rotations: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("start_static_s", "end_static_s"):
+            a, b = (float(limit) for limit in getattr(self, name))
+            if not (math.isfinite(a) and math.isfinite(b) and a < b):
+                raise InputError(
+                    f"{self.title}: {name} is [{a:g}, {b:g}], but a window starts before it ends: "
+                    "correct its limits."
+                )
+            object.__setattr__(self, name, (a, b))
+        if not self.start_static_s[1] < self.end_static_s[0]:
+            raise InputError(
+                f"{self.title}: the start window ends at {self.start_static_s[1]:g} s, not before the end "
+                f"window starts ({self.end_static_s[0]:g} s), but the rotation lies between them: "
+                "correct the windows."
+            )
+        rotations = tuple((axis, float(angle)) for axis, angle in self.rotations)
+        object.__setattr__(self, "rotations", rotations)
+        for axis in (self.down, self.along_outer, *(axis for axis, _ in rotations)):
+            if axis is not None and axis not in AXES:
+                raise InputError(f"{self.title}: {axis!r} is no IMU axis: use x, y or z.")
+        if self.down is not None and self.down == self.along_outer:
+            raise InputError(
+                f"{self.title}: axis {self.down} cannot be both down and along the outer axis: name two axes."
+            )
+        if not all(math.isfinite(angle) for _, angle in rotations):
+            raise InputError(f"{self.title}: a rotation angle is not a finite number: correct it.")
+        if self.id is not None:
+            self._check_definition(self.id)
+
+    def _check_definition(self, name: str) -> None:
+        given = (self.down is not None, self.along_outer is not None, bool(self.rotations))
+        known = SEQUENCES.get(name)
+        if known is None:
+            if not all(given):
+                raise InputError(
+                    f"{self.title} is not in Table 1 ({', '.join(SEQUENCES)}): give down, along_outer and "
+                    "rotations with it, or leave the id out for a free turn."
+                )
+            return
+        same = (
+            self.down in (None, known.down)
+            and self.along_outer in (None, known.along_outer)
+            and (not self.rotations or _same_rotations(self.rotations, known.rotations))
+        )
+        if not same:
+            raise InputError(f"{self.title} is defined by Table 1 in another way: give a different id to it.")
+
+    @property
+    def title(self) -> str:
+        """What messages call it."""
+        if self.id is None:
+            return f"The free turn at {self.start_static_s[0]:g} s"
+        return f"Sequence {self.id!r} at {self.start_static_s[0]:g} s"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +259,7 @@ class Recording:
     sample_rate_hz : float or None
         Overrides the time stamps' spacing where given.
     temperature : ndarray, shape (n,), °C, or None
+        One value broadcast to n samples stands for a temperature stated, not recorded.
     serial, date, source : str or None
     data_sha256 : str or None
         Hash of the samples file.
@@ -140,7 +267,8 @@ class Recording:
     Raises
     ------
     InputError
-        Shapes that disagree, values that are not finite, time that does not increase.
+        Shapes that disagree, values that are not finite, time that does not increase, labels outside the
+        samples.
     """
 
     time: NDArray[np.float64]
@@ -157,7 +285,112 @@ class Recording:
     date: str | None = None
     source: str | None = None
     data_sha256: str | None = None
+    _timing: SampleTiming | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise InputError(
+                f"The kind of a recording is {self.kind!r}, but 'rate' or 'increment' is expected."
+            )
+        rate = self.sample_rate_hz
+        if rate is not None:
+            _require_positive("sample_rate_hz", rate, "Hz")
+        time = as_samples("time", self.time, 1)
+        if time.size < 2:
+            raise InputError(
+                f"The recording holds {time.size} samples, but at least 2 are needed: check its file."
+            )
+        require_finite("time", time, None)
+        object.__setattr__(self, "time", time)
+        for name, dimensions in (("gyro", 2), ("accel", 2), ("temperature", 1)):
+            given = getattr(self, name)
+            if given is None and name == "temperature":
+                continue
+            values = as_samples(name, given, dimensions)
+            if len(values) != time.size:
+                raise InputError(
+                    f"{name} holds {len(values)} samples, but time {time.size}: they must agree."
+                )
+            require_finite(name, values, time)
+            object.__setattr__(self, name, values)
+        require_increasing(time)
+        object.__setattr__(self, "sequences", tuple(self.sequences))
+        for label in self.sequences:
+            self._check_label(label)
+
+    def _check_label(self, label: SequenceLabel) -> None:
+        first, last, interval = float(self.time[0]), float(self.time[-1]), self.nominal_interval_s
+        # One interval to spare on each side: some loggers stamp the start of a sample.
+        low, high = first - 2.001 * interval, last + 1.001 * interval
+        for name in ("start_static_s", "end_static_s"):
+            a, b = getattr(label, name)
+            if a < low or b > high:
+                raise InputError(
+                    f"{label.title}: {name} is [{a:g}, {b:g}], but the samples run from "
+                    f"{first - interval:g} to {last:g} s: correct the window, or the time unit."
+                )
+            window = self.window_indices(a, b)
+            if window.stop <= window.start:
+                raise InputError(
+                    f"{label.title}: {name} [{a:g}, {b:g}] holds no sample (the interval is {interval:g} s): "
+                    "widen the window, or label a part that was recorded."
+                )
+
+    @property
+    def timing(self) -> SampleTiming:
+        """Intervals and gaps, found when first asked for."""
+        if self._timing is None:
+            object.__setattr__(self, "_timing", sample_timing(self.time, self.sample_rate_hz))
+        assert self._timing is not None
+        return self._timing
+
+    @property
+    def interval_s(self) -> float | NDArray[np.float64]:
+        """Duration that each sample covers, s: a number where uniform, else shape (n,)."""
+        return self.timing.interval_s
+
+    @property
+    def nominal_interval_s(self) -> float:
+        """The typical duration of a sample, s."""
+        return self.timing.nominal_interval_s
+
+    @property
+    def gaps(self) -> NDArray[np.intp]:
+        """Indices of the samples that start a new contiguous piece; empty without interruptions."""
+        return self.timing.gaps
+
+    def window_indices(self, a: float, b: float) -> slice:
+        """Find the samples of the window [a, b], those with a + dt/2 < t <= b + dt/2.
+
+        Adjoining windows share no sample and lose none, whichever way stamps and limits are rounded.
+
+        Parameters
+        ----------
+        a, b : float
+            Limits, s.
+
+        Returns
+        -------
+        slice
+            Into the samples; empty where there are none.
+        """
+        edge = (0.5 + WINDOW_TOLERANCE) * self.nominal_interval_s
+        start, stop = np.searchsorted(self.time, (a + edge, b + edge), side="right")
+        return slice(int(start), max(int(start), int(stop)))
 
     def with_sequences(self, sequences: tuple[SequenceLabel, ...]) -> Recording:
-        """The same samples with other sequence labels."""
+        """Label the same samples otherwise."""
         return replace(self, sequences=sequences)
+
+
+def _require_positive(what: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(
+            f"{what} is {value:g} {unit}, but a positive number is expected: correct it or leave it out."
+        )
+
+
+def _same_rotations(first: tuple[tuple[str, float], ...], second: tuple[tuple[str, float], ...]) -> bool:
+    return len(first) == len(second) and all(
+        a == b and abs(x - y) < 1e-6 for (a, x), (b, y) in zip(first, second, strict=True)
+    )

@@ -1,0 +1,247 @@
+"""Exact compensation of sensor readings, composition of errors, and the MARS gauge.
+
+The reading of a triad is ``y = M v + s ∘ |v| + b`` (``v`` the true rate or specific force). It is piecewise linear:
+within one octant of ``v`` it reads ``y = (M + diag(s ∘ sign v)) v + b``. Compensation solves it exactly by finding
+the octant; nothing is linearised, so errors of 50 % are a legal input. The solution is unique while
+``M + diag(s ∘ σ)`` keeps the sign of its determinant for every sign vector σ.
+
+Gauge. A gyro matrix ``Mg`` stated in any frame T is ``Mg = P U`` with P symmetric positive definite and U a rotation
+(polar decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix is P; the accelerometer matrix
+becomes ``Ma Uᵀ``. Savage 2020, eq. 8, holds to first order; P is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import polar
+
+from srt.exceptions import DataError
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+# Which entry of the 3x3 error matrix each parameter fills, and with what weight.
+_ORTHOGONALITY_PAIRS: Final = ((0, 1), (1, 2), (2, 0))
+_MISALIGNMENT_PAIRS: Final = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+
+
+def _gyro_basis() -> Array:
+    basis = np.zeros((6, 3, 3))
+    for i in range(3):
+        basis[i, i, i] = 1.0
+    for k, (i, j) in enumerate(_ORTHOGONALITY_PAIRS):
+        basis[3 + k, i, j] = basis[3 + k, j, i] = 0.5
+    return basis
+
+
+def _accel_basis() -> Array:
+    basis = np.zeros((9, 3, 3))
+    for i in range(3):
+        basis[i, i, i] = 1.0
+    for k, (i, j) in enumerate(_MISALIGNMENT_PAIRS):
+        basis[3 + k, i, j] = 1.0
+    return basis
+
+
+GYRO_BASIS: Final = _gyro_basis()
+"""dMg / d(gyro_scale, gyro_orthogonality), shape (6, 3, 3)."""
+ACCEL_BASIS: Final = _accel_basis()
+"""dMa / d(accel_scale, accel_misalignment), shape (9, 3, 3)."""
+
+# Octant o has the signs SIGNS[o]; bit c of o is set where component c is negative.
+SIGNS: Final = 1.0 - 2.0 * ((np.arange(8)[:, None] >> np.arange(3)) & 1)
+
+MIN_SINGULAR_VALUE: Final = 0.15
+"""Below this a triad is taken to be no IMU (axes nearly coplanar, or a dead sensor)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triad:
+    """One triad's reading model ``y = M v + s ∘ |v| + b``.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (3, 3)
+        M: scale factor and misalignment, identity for a perfect triad.
+    asymmetry : ndarray, shape (3,)
+        s, dimensionless.
+    bias : ndarray, shape (3,)
+        b, rad/s or m/s².
+    """
+
+    matrix: Array
+    asymmetry: Array
+    bias: Array
+
+    @property
+    def inverses(self) -> Array:
+        """``(M + diag(s ∘ sign))⁻¹`` by octant, shape (8, 3, 3)."""
+        return np.linalg.inv(self.matrix + SIGNS[:, :, None] * np.diag(self.asymmetry))
+
+    def read(self, true: ArrayLike) -> Array:
+        """Noise-free readings of true values of shape (..., 3)."""
+        v = np.asarray(true, dtype=np.float64)
+        return v @ self.matrix.T + self.asymmetry * np.abs(v) + self.bias
+
+    def compensate(self, reading: ArrayLike) -> Array:
+        """Invert :meth:`read` exactly, for readings of shape (..., 3)."""
+        y = np.asarray(reading, dtype=np.float64) - self.bias
+        if not self.asymmetry.any():
+            return np.asarray(y @ np.linalg.inv(self.matrix).T)
+        flat = y.reshape(-1, 3)
+        inverses = self.inverses
+        octant = octants(flat @ np.linalg.inv(self.matrix).T)
+        solution = np.einsum("nij,nj->ni", inverses[octant], flat)
+        for _ in range(8):  # a wrong octant is mended by the solution it leads to; few samples need a second look
+            wrong = np.flatnonzero(octants(solution) != octant)
+            if wrong.size == 0:
+                break
+            octant[wrong] = octants(solution[wrong])
+            solution[wrong] = np.einsum("nij,nj->ni", inverses[octant[wrong]], flat[wrong])
+        else:
+            # On the border between octants rounding can make the search alternate; the contraction
+            # v <- M⁻¹(y - s ∘ |v|) converges there whatever the sign.
+            inverse = np.linalg.inv(self.matrix).T
+            v = solution[wrong]
+            for _ in range(100):
+                v = (flat[wrong] - self.asymmetry * np.abs(v)) @ inverse
+            solution[wrong] = v
+        return solution.reshape(y.shape)
+
+    def sensitivity(self, value: Array) -> Array:
+        """Derivative of the compensated value with respect to the reading, ``(M + diag(s ∘ sign v))⁻¹``, (..., 3, 3)."""
+        signs = np.where(value < 0.0, -1.0, 1.0)
+        return np.linalg.inv(self.matrix + signs[..., :, None] * np.diag(self.asymmetry))
+
+
+def octants(v: Array) -> NDArray[np.intp]:
+    """Octant number, 0-7, of vectors of shape (n, 3); a zero counts as positive."""
+    negative = v < 0.0
+    return negative[:, 0] + 2 * negative[:, 1].astype(np.intp) + 4 * negative[:, 2]
+
+
+def gyro_triad(errors: SensorErrors) -> Triad:
+    """Reading model of the gyros: Mg, κ_Asym, κ_Bias."""
+    x = errors.vector
+    linear = np.concatenate([x[GROUP_SLICES["gyro_scale"]], x[GROUP_SLICES["gyro_orthogonality"]]])
+    return Triad(
+        np.eye(3) + np.tensordot(linear, GYRO_BASIS, 1),
+        x[GROUP_SLICES["gyro_asymmetry"]],
+        x[GROUP_SLICES["gyro_bias"]],
+    )
+
+
+def accel_triad(errors: SensorErrors) -> Triad:
+    """Reading model of the accelerometers: Ma, λ_Asym, λ_Bias."""
+    x = errors.vector
+    linear = np.concatenate([x[GROUP_SLICES["accel_scale"]], x[GROUP_SLICES["accel_misalignment"]]])
+    return Triad(
+        np.eye(3) + np.tensordot(linear, ACCEL_BASIS, 1),
+        x[GROUP_SLICES["accel_asymmetry"]],
+        x[GROUP_SLICES["accel_bias"]],
+    )
+
+
+def errors_from_triads(gyro: Triad, accel: Triad) -> SensorErrors:
+    """Read the 27 errors off two triads whose gyro matrix is symmetric (MARS)."""
+    vector = np.empty(N_PARAMETERS)
+    dg, da = gyro.matrix - np.eye(3), accel.matrix - np.eye(3)
+    vector[GROUP_SLICES["gyro_scale"]] = np.diag(dg)
+    vector[GROUP_SLICES["gyro_orthogonality"]] = [dg[i, j] + dg[j, i] for i, j in _ORTHOGONALITY_PAIRS]
+    vector[GROUP_SLICES["gyro_asymmetry"]] = gyro.asymmetry
+    vector[GROUP_SLICES["gyro_bias"]] = gyro.bias
+    vector[GROUP_SLICES["accel_scale"]] = np.diag(da)
+    vector[GROUP_SLICES["accel_misalignment"]] = [da[i, j] for i, j in _MISALIGNMENT_PAIRS]
+    vector[GROUP_SLICES["accel_asymmetry"]] = accel.asymmetry
+    vector[GROUP_SLICES["accel_bias"]] = accel.bias
+    return SensorErrors(vector)
+
+
+def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
+    """Bring two triads stated in any frame T to the MARS gauge.
+
+    Returns
+    -------
+    errors : SensorErrors
+        The same triads in MARS.
+    U : ndarray, shape (3, 3)
+        Rotation from T to MARS components, ``ω_MARS = U ω_T``.
+
+    Raises
+    ------
+    DataError
+        If det Mg is not positive: a flipped axis or a left-handed triad.
+
+    Notes
+    -----
+    Asymmetry multiplies the absolute values of MARS components; it is carried over unchanged, which is exact
+    for U = I and its definition otherwise.
+    """
+    if np.linalg.det(gyro.matrix) <= 0.0:
+        raise DataError(
+            "The gyro triad comes out left-handed (determinant of its scale and misalignment matrix "
+            f"{np.linalg.det(gyro.matrix):.3g}): one axis is flipped or two are swapped; correct the axis mapping."
+        )
+    U, P = polar(gyro.matrix, side="left")
+    return (
+        errors_from_triads(
+            Triad(0.5 * (P + P.T), gyro.asymmetry, gyro.bias), Triad(accel.matrix @ U.T, accel.asymmetry, accel.bias)
+        ),
+        U,
+    )
+
+
+def compose(errors: SensorErrors, delta: ArrayLike) -> tuple[SensorErrors, Array]:
+    """Correct errors by ``delta``, an error of the data *compensated* with ``errors``.
+
+    Closed-form coefficients are a Jacobian at zero error, so what they find is an error left in the compensated data:
+    ``Mg <- Mg (I + δκ)``, ``κ_Bias <- κ_Bias + Mg δκ_Bias``, ``κ_iii <- κ_iii + (Mg)_ii δκ_iii``; likewise for the
+    accelerometers. The product is no longer symmetric: the gauge is restored.
+
+    Parameters
+    ----------
+    errors : SensorErrors
+        Errors that the data were compensated with.
+    delta : array_like, shape (27,)
+        Errors found in the compensated data.
+
+    Returns
+    -------
+    errors : SensorErrors
+    U : ndarray, shape (3, 3)
+        Rotation from the old to the new MARS components.
+    """
+    d = SensorErrors(np.asarray(delta, dtype=np.float64))
+    (g, dg), (a, da) = ((triad(errors), triad(d)) for triad in (gyro_triad, accel_triad))
+    gyro, accel = (
+        Triad(
+            t.matrix @ dt.matrix,
+            t.asymmetry + np.diag(t.matrix) * dt.asymmetry,
+            t.bias + t.matrix @ dt.bias,
+        )
+        for t, dt in ((g, dg), (a, da))
+    )
+    return to_mars(gyro, accel)
+
+
+def outside_model(errors: SensorErrors) -> str | None:
+    """Say why errors are no IMU's, or return None.
+
+    The model asks for Mg positive definite, det Ma > 0, and singular values of both above 0.15.
+    """
+    Mg, Ma = gyro_triad(errors).matrix, accel_triad(errors).matrix
+    if np.linalg.eigvalsh(Mg)[0] <= 0.0:
+        return "the gyro matrix is not positive definite (a flipped or swapped gyro axis?)"
+    if np.linalg.det(Ma) <= 0.0:
+        return "the accelerometer triad is left-handed against the gyros (a flipped or swapped axis?)"
+    for name, M in (("gyro", Mg), ("accelerometer", Ma)):
+        smallest = float(np.linalg.svd(M, compute_uv=False)[-1])
+        if smallest < MIN_SINGULAR_VALUE:
+            return f"the {name} axes are nearly coplanar (smallest singular value {smallest:.3f})"
+    return None

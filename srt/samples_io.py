@@ -1,0 +1,323 @@
+"""Tables of samples in files: one column per channel, in the units of the file, format by extension.
+
+Columns ``time``, ``gyro_x`` ... ``gyro_z``, ``accel_x`` ... ``accel_z`` and, optionally, ``temperature``, in any
+order; others are ignored. CSV and NPZ need numpy alone; Parquet and HDF5 need the extra ``io``. Columns are read
+one at a time where the format allows, so that a table never stands in memory twice.
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.atomic import atomic_path
+from srt.exceptions import InputError, MissingExtraError
+from srt.samples_csv import read_csv, write_csv
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+GYRO_COLUMNS: Final = ("gyro_x", "gyro_y", "gyro_z")
+ACCEL_COLUMNS: Final = ("accel_x", "accel_y", "accel_z")
+TIME: Final = "time"
+TEMPERATURE: Final = "temperature"
+
+
+@dataclass(slots=True)
+class Samples:
+    """A table of samples in the units of its file, not yet checked beyond being numbers.
+
+    Attributes
+    ----------
+    gyro, accel : ndarray, shape (n, 3)
+    time : ndarray, shape (n,), or None
+        None: the file has no such column.
+    temperature : ndarray, shape (n,), or None
+    """
+
+    gyro: NDArray[np.float64]
+    accel: NDArray[np.float64]
+    time: NDArray[np.float64] | None = None
+    temperature: NDArray[np.float64] | None = None
+
+    @classmethod
+    def empty(cls, names: Sequence[str], rows: int) -> Samples:
+        """Make room for n rows of the named columns."""
+        return cls(
+            np.empty((rows, 3)),
+            np.empty((rows, 3)),
+            np.empty(rows) if TIME in names else None,
+            np.empty(rows) if TEMPERATURE in names else None,
+        )
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """Give one column as a view, shape (n,)."""
+        if name in GYRO_COLUMNS:
+            return self.gyro[:, GYRO_COLUMNS.index(name)]
+        if name in ACCEL_COLUMNS:
+            return self.accel[:, ACCEL_COLUMNS.index(name)]
+        column = self.time if name == TIME else self.temperature
+        assert column is not None
+        return column
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Columns that the table has, in the order they are written."""
+        first = () if self.time is None else (TIME,)
+        last = () if self.temperature is None else (TEMPERATURE,)
+        return (*first, *GYRO_COLUMNS, *ACCEL_COLUMNS, *last)
+
+
+def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
+    """Read a table of samples; the extension says how.
+
+    Parameters
+    ----------
+    path : path-like
+        A .csv, .npz, .parquet or .h5 file.
+    time_required : bool
+        Whether a table without a time column is refused.
+
+    Returns
+    -------
+    Samples
+
+    Raises
+    ------
+    InputError
+        A file that is absent, of an unknown kind, damaged, without a column, or with cells that are no numbers.
+    MissingExtraError
+        If the format needs a package that is not installed.
+    """
+    path = Path(path)
+    reader = _format(path)[0]
+    if not path.is_file():
+        raise InputError(f"There is no samples file {path}: check the name (key samples of recording.toml).")
+    try:
+        return reader(path, time_required)
+    except OSError as error:
+        raise InputError(f"Cannot read {path} ({error.strerror or _first_line(error)}).") from None
+    except MemoryError:
+        raise InputError(f"{path} does not fit into memory: split the recording.") from None
+
+
+def write_samples(path: str | Path, samples: Samples) -> None:
+    """Write a table of samples whole or not at all; every number reads back to the last bit.
+
+    Parameters
+    ----------
+    path : path-like
+        A .csv, .npz, .parquet or .h5 file; one that exists is replaced.
+    samples : Samples
+
+    Raises
+    ------
+    InputError
+        An unknown extension, or a path that cannot be written.
+    MissingExtraError
+        If the format needs a package that is not installed.
+    """
+    path = Path(path)
+    writer = _format(path)[1]
+    with atomic_path(path) as temporary:
+        writer(temporary, samples)
+
+
+def select_columns(path: Path, available: Sequence[str], *, time_required: bool) -> tuple[str, ...]:
+    """Pick the columns to read out of those that a file has.
+
+    Parameters
+    ----------
+    path : Path
+        Named in messages.
+    available : sequence of str
+    time_required : bool
+
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    InputError
+        If one is missing or twice there.
+    """
+    required = ((TIME,) if time_required else ()) + GYRO_COLUMNS + ACCEL_COLUMNS
+    missing = [name for name in required if name not in available]
+    if missing:
+        found = ", ".join(available[:12]) + (" ..." if len(available) > 12 else "")
+        raise InputError(
+            f"{path} has no column {missing[0]}{did_you_mean(missing[0], available)} "
+            f"(found: {found or 'none'}): name the columns {', '.join(required)}."
+        )
+    wanted = tuple(name for name in (TIME, *GYRO_COLUMNS, *ACCEL_COLUMNS, TEMPERATURE) if name in available)
+    for name in wanted:
+        if list(available).count(name) > 1:
+            raise InputError(f"{path} has the column {name} more than once: rename or remove the others.")
+    return wanted
+
+
+def _format(path: Path) -> tuple[Callable[[Path, bool], Samples], Callable[[Path, Samples], None]]:
+    try:
+        return _FORMATS[path.suffix.lower()]
+    except KeyError:
+        raise InputError(
+            f"{path} is no samples file known here (by its extension {path.suffix!r}): "
+            f"use one of {', '.join(_FORMATS)}, or convert a foreign format first."
+        ) from None
+
+
+def _read_csv(path: Path, time_required: bool) -> Samples:
+    names, table = read_csv(path, lambda header: select_columns(path, header, time_required=time_required))
+    samples = Samples.empty(names, len(table))
+    for i, name in enumerate(names):
+        samples.column(name)[:] = table[:, i]
+    return samples
+
+
+def _write_csv(path: Path, samples: Samples) -> None:
+    names = samples.names
+    write_csv(path, names, [samples.column(name) for name in names])
+
+
+def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> Samples:
+    """Read column by column, and check that each is a list of as many numbers."""
+    samples: Samples | None = None
+    rows = 0
+    for name in names:
+        column = read(name)
+        if column.ndim != 1 or column.dtype.kind not in "fiu":
+            raise InputError(
+                f"{path}: column {name} is of type {column.dtype} and shape {column.shape}, "
+                "but one list of numbers is expected: export it as numbers."
+            )
+        if samples is None:
+            rows = column.size
+            samples = Samples.empty(names, rows)
+        if column.size != rows:
+            raise InputError(
+                f"{path}: column {name} holds {column.size} samples, but {names[0]} {rows}: they must agree."
+            )
+        samples.column(name)[:] = column
+    assert samples is not None
+    return samples
+
+
+def _read_npz(path: Path, time_required: bool) -> Samples:
+    # What numpy and zipfile raise for a damaged file depends on where the damage is.
+    damage = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, KeyError, NotImplementedError, OSError)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise InputError(
+                    f"{path} holds a single array, but an archive with one array per column is expected."
+                )
+            names = select_columns(path, archive.files, time_required=time_required)
+            return _fill(path, names, archive.__getitem__)
+    except damage as error:
+        raise _damaged(path, "NPZ", error) from None
+
+
+def _write_npz(path: Path, samples: Samples) -> None:
+    with path.open("wb") as file:
+        np.savez(file, **{name: samples.column(name) for name in samples.names})  # type: ignore[arg-type]
+
+
+def _read_parquet(path: Path, time_required: bool) -> Samples:
+    pa, parquet = _pyarrow()
+
+    def column(name: str) -> NDArray[Any]:
+        values = file.read(columns=[name]).column(0)
+        if not (pa.types.is_floating(values.type) or pa.types.is_integer(values.type)):
+            raise InputError(f"{path}: column {name} is of type {values.type}, but numbers are expected.")
+        array: NDArray[Any] = (
+            values.to_numpy()
+        )  # an absent value becomes nan, and is found with its row later
+        return array
+
+    try:
+        with parquet.ParquetFile(path) as file:
+            names = select_columns(path, file.schema_arrow.names, time_required=time_required)
+            return _fill(path, names, column)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _damaged(path, "Parquet", error) from None
+
+
+def _write_parquet(path: Path, samples: Samples) -> None:
+    pa, parquet = _pyarrow()
+    table = pa.table({name: np.ascontiguousarray(samples.column(name)) for name in samples.names})
+    parquet.write_table(table, path)
+
+
+def _read_hdf5(path: Path, time_required: bool) -> Samples:
+    h5py = _h5py()
+
+    def column(name: str) -> NDArray[Any]:
+        node = file[name]
+        if not isinstance(node, h5py.Dataset):
+            raise InputError(
+                f"{path}: {name} is a group, but a dataset with one number per sample is expected."
+            )
+        values: NDArray[Any] = np.asarray(node[()])
+        return values
+
+    try:
+        with h5py.File(path, "r") as file:
+            names = select_columns(path, list(file), time_required=time_required)
+            return _fill(path, names, column)
+    except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
+        raise _damaged(path, "HDF5", error) from None
+
+
+def _write_hdf5(path: Path, samples: Samples) -> None:
+    with _h5py().File(path, "w") as file:
+        for name in samples.names:
+            file.create_dataset(name, data=samples.column(name), track_times=False)
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise MissingExtraError("pyarrow", "io", "A Parquet file") from None
+    return pa, parquet
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise MissingExtraError("h5py", "io", "An HDF5 file") from None
+    return h5py
+
+
+def _damaged(path: Path, kind: str, error: Exception) -> InputError:
+    return InputError(
+        f"{path} is not a readable {kind} file ({_first_line(error)}): "
+        "it may be cut off or of another kind; copy or export it again."
+    )
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0].rstrip(".")[:160] if lines else type(error).__name__
+
+
+_FORMATS: Final[dict[str, tuple[Callable[[Path, bool], Samples], Callable[[Path, Samples], None]]]] = {
+    ".csv": (_read_csv, _write_csv),
+    ".npz": (_read_npz, _write_npz),
+    ".parquet": (_read_parquet, _write_parquet),
+    ".h5": (_read_hdf5, _write_hdf5),
+}
+
+SAMPLES_FORMATS: Final = tuple(extension.lstrip(".") for extension in _FORMATS)
+"""Formats that can be read and written."""

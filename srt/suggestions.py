@@ -1,0 +1,29 @@
+"""A word for messages about names that are nearly right."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Say " (did you mean ...?)" where a known name resembles the given one, else nothing.
+
+    Parameters
+    ----------
+    name : str
+        What was found.
+    known : iterable of str
+        What could have been meant.
+
+    Returns
+    -------
+    str
+        With a leading space, or empty.
+    """
+    folded = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), list(folded), n=1, cutoff=0.6)
+    return f" (did you mean {folded[close[0]]}?)" if close else ""
