@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Lend a temporary path with the same suffix, which becomes the file when the block ends without an error.
+    """Lend a temporary path with the same suffix, which becomes the file if the block ends without an error.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ def gyro_stream(
     no_before = set() if gaps is None else set(gaps.tolist())
     for (a, b), s in zip(spans.tolist(), starts.tolist(), strict=False):
         lo, hi = max(a - 1, 0), min(b + 1, last + 1)
-        step = np.full(hi - lo, interval_s) if np.isscalar(interval_s) else np.asarray(interval_s)[lo:hi]
+        step = np.full(hi - lo, interval_s) if isinstance(interval_s, float) else np.asarray(interval_s)[lo:hi]
         y = gyro[lo:hi].T * step if rates else np.ascontiguousarray(gyro[lo:hi].T)
         # The neighbour before or after the span: missing at the recording's ends and at gaps.
         left = y[:, :1] if lo == a or a in no_before else None

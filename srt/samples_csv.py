@@ -1,7 +1,7 @@
 """Comma-separated tables of numbers with a header row, fast, exact, and with messages that name the line.
 
-The fast reader is numpy's; only when it refuses a file is the file read again, line by line, to say what is wrong
-and where.
+The fast reader is numpy's; only when it refuses a file is the file read again, line by line, to say what is
+wrong and where.
 """
 
 from __future__ import annotations
@@ -96,13 +96,11 @@ def _read_header(path: Path) -> tuple[list[str], int]:
     """Names in the header row, and how many lines it ends."""
     with path.open(encoding=_ENCODING, newline="") as file:
         for number, line in enumerate(file, start=1):
-            # A header is sometimes marked as a comment; a line of words without commas is one.
-            text = line.strip().lstrip("#").strip() if "," in line else ""
-            if not text:
-                if line.strip() and not line.lstrip().startswith("#"):
-                    text = line.strip()
-                else:
-                    continue
+            text = line.strip()
+            if text.startswith("#") and "gyro_x" in text:  # a header may be marked as a comment
+                text = text.lstrip("#").lstrip()
+            if not text or text.startswith("#"):
+                continue
             names = [name.strip() for name in next(csv.reader([text]))]
             if not any(row.strip() and not row.lstrip().startswith("#") for row in file):
                 raise InputError(f"{path} ends after its header row: there are no samples in it.")
@@ -142,8 +140,8 @@ def _check_last_line(path: Path) -> None:
     lengths = [len(line.rpartition(b",")[2].strip()) for line in tail.splitlines()[-201:]]
     if len(lengths) > 20 and lengths[-1] < min(lengths[1:-1]):
         raise InputError(
-            f"{path} seems cut off in its last line, which has no line break and a shorter last cell than the "
-            "rows above: copy the file again, or remove that line."
+            f"{path} seems cut off in its last line, which has no line break and a shorter last cell than "
+            "the rows above: copy the file again, or remove that line."
         )
 
 
@@ -178,7 +176,8 @@ def _explain(path: Path, header: list[str], names: Sequence[str], skip: int, rea
                     else "write every row alike (with decimal points, not commas)"
                 )
                 raise InputError(
-                    f"{path}, line {number}: {len(cells)} cells were found, but the header has {len(header)}; {advice}."
+                    f"{path}, line {number}: {len(cells)} cells were found, but the header has "
+                    f"{len(header)}: {advice}."
                 )
             for name, i in wanted:
                 if not _is_number(cells[i]):

@@ -1,8 +1,8 @@
 """Tables of samples in files: one column per channel, in the units of the file, format by extension.
 
-Columns ``time``, ``gyro_x`` ... ``gyro_z``, ``accel_x`` ... ``accel_z`` and, optionally, ``temperature``, in any
-order; others are ignored. CSV and NPZ need numpy alone; Parquet and HDF5 need the extra ``io``. Columns are read
-one at a time where the format allows, so that a table never stands in memory twice.
+Columns ``time``, ``gyro_x`` ... ``gyro_z``, ``accel_x`` ... ``accel_z`` and, optionally, ``temperature``, in
+any order; others are ignored. CSV and NPZ need numpy alone; Parquet and HDF5 need the extra ``io``. Columns
+are read one at a time where the format allows, so that a table never stands in memory twice.
 """
 
 from __future__ import annotations
@@ -93,7 +93,8 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
     Raises
     ------
     InputError
-        A file that is absent, of an unknown kind, damaged, without a column, or with cells that are no numbers.
+        A file that is absent, of an unknown kind, damaged, without a column, or with cells that are no
+        numbers.
     MissingExtraError
         If the format needs a package that is not installed.
     """
@@ -286,7 +287,7 @@ def _write_hdf5(path: Path, samples: Samples) -> None:
 def _pyarrow() -> tuple[Any, Any]:
     try:
         import pyarrow as pa
-        import pyarrow.parquet as parquet
+        from pyarrow import parquet
     except ImportError:
         raise MissingExtraError("pyarrow", "io", "A Parquet file") from None
     return pa, parquet

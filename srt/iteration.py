@@ -1,0 +1,281 @@
+"""Play-back iteration (Savage 2020, §8): correct the compensation, play the recording back, until nothing is left.
+
+Two steps are built in. The full Jacobian at the estimate, added, is the default: its fixed point is the closed form's
+and it converges quadratically. The coefficients of eq. 13 are a Jacobian at zero error; what they find is an error of
+the compensated data, so it is composed with the estimate, not added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+from scipy.stats import chi2
+
+from srt import measurement_noise
+from srt.compensation import compose, outside_model
+from srt.constants import EARTH_RATE_RAD_S
+from srt.playback import Player
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from srt.options import Options
+    from srt.playback import Playback
+    from srt.playback_data import PlaybackData
+
+    Array = NDArray[np.float64]
+
+CONVERGED_CORRECTION: Final = 1e-9
+CONVERGED_SIGMAS: Final = 0.01
+STILLNESS_PROBABILITY: Final = 1e-3
+_UNIT: Final = np.ones(N_PARAMETERS)
+_UNIT[GROUP_SLICES["accel_bias"]] = 9.80665
+_MAX_STEP: Final = 0.7
+
+
+class Solver(Protocol):
+    """Turns measurements into corrections; the closed form and least squares differ in this alone."""
+
+    def gain(self, playback: Playback, covariance: Callable[[], Array]) -> Array:
+        """Matrix G of the correction δ = G z, shape (27, n_z); rows of held parameters are zero."""
+
+    @property
+    def coefficients(self) -> Array | None:
+        """Inversion at zero error for the composed step, shape (27, n_z), if there is one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Outcome of the iteration.
+
+    Attributes
+    ----------
+    errors : SensorErrors
+    U : ndarray, shape (3, 3)
+    covariance : dict of str to ndarray, shape (27, 27)
+        By source of error.
+    measurement_covariance : ndarray, shape (n_z, n_z)
+    gain : ndarray, shape (27, n_z)
+    playback : Playback
+        The last one.
+    corrections : tuple of float
+        Largest correction of each play-back (biases of accelerometers in g).
+    status, message : str
+    integrated : tuple of int
+        Windows that did not stand still and were integrated.
+    instability : ndarray, shape (3,), rad/s
+        Gyro bias instability that was used.
+    bias_by_sequence : ndarray, shape (K, 3), rad/s
+        Bias of each sequence less the common one, as used.
+    """
+
+    errors: SensorErrors
+    U: Array
+    covariance: dict[str, Array]
+    measurement_covariance: Array
+    gain: Array
+    playback: Playback
+    corrections: tuple[float, ...]
+    status: str
+    message: str
+    integrated: tuple[int, ...]
+    instability: Array
+    bias_by_sequence: Array
+
+
+class Iteration:
+    """State of one run of play-backs; :func:`iterate` is the way in."""
+
+    def __init__(self, data: PlaybackData, options: Options, solver: Solver) -> None:
+        self.data, self.options, self.solver = data, options, solver
+        W = len(data.windows.duration_s)
+        self.integrated = np.full(W, options.window_attitude == "integrated")
+        self.player = Player(data, options, self.integrated)
+        self.offset = np.zeros((data.K, 3))
+        self.instability = (
+            np.zeros(3) if data.noise.gyro_instability is None else data.noise.gyro_instability
+        )
+
+    def run(self, errors: SensorErrors, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
+        """Play back until the correction is negligible."""
+        corrections: list[float] = []
+        sigma = np.zeros(N_PARAMETERS)
+        gain: Array | None = None
+        status, message = "not_converged", ""
+        for i in range(self.options.max_playbacks):
+            nominal = i == 0 or not self.options.measured_vertical
+            small = bool(corrections) and corrections[-1] < 1e-3
+            playback = self.player.play(
+                errors, U=U, nominal_vertical=nominal, bias_offset=self.offset, with_noise=small
+            )
+            if small:
+                # The covariance changes with the estimate by parts in 1e3 now: taken once, renewed at the end.
+                gain = self.solver.gain(playback, lambda p=playback: self._total(p))  # type: ignore[misc]
+                sigma = np.sqrt(np.maximum(np.diag(gain @ self._total(playback) @ gain.T), 0.0))
+            else:
+                gain = self.solver.gain(playback, lambda p=playback: self._rough(p))  # type: ignore[misc]
+            errors, U, correction = self._correct(errors, U, playback, gain)
+            size = float(np.max(np.abs(correction) / _UNIT))
+            corrections.append(size)
+            if progress is not None:
+                progress(i + 1, size)
+            reason = outside_model(errors)
+            if reason is not None or not np.isfinite(size):
+                status, message = "outside_model", f"After play-back {i + 1} {reason or 'the correction is not finite'}."
+                break
+            settled = self._update_offsets(playback, sigma)
+            negligible = np.all(np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma))
+            if small and negligible and settled and not self._release_moving(playback):
+                status, message = "converged", f"Converged after {i + 1} play-backs."
+                break
+        else:
+            message = (
+                f"Not converged after {len(corrections)} play-backs: the last correction was {corrections[-1]:.2e} "
+                "(largest parameter, accelerometer bias in g)."
+            )
+        return self._finish(errors, U, corrections, status, message)
+
+    def _correct(
+        self, errors: SensorErrors, U: Array, playback: Playback, gain: Array
+    ) -> tuple[SensorErrors, Array, Array]:
+        # U follows the data (axes and verticals), so that no mounting error is left in the nominal attitudes.
+        U_seen = playback.U
+        if self.options.step == "coefficients" and self.solver.coefficients is not None:
+            delta = self.solver.coefficients @ playback.z
+            corrected, turn = compose(errors, delta)
+            return corrected, turn @ U_seen, corrected.vector - errors.vector
+        delta = gain @ playback.z
+        largest = float(np.max(np.abs(delta) / _UNIT))
+        if largest > _MAX_STEP:  # far from the solution a linear step of that size means nothing but a direction
+            delta *= _MAX_STEP / largest
+        return errors.plus(delta), U_seen, delta
+
+    def _update_offsets(self, playback: Playback, sigma: Array) -> bool:
+        """Renew the sequences' own biases; True once they have stopped moving."""
+        if self.data.noise.gyro_instability is None and self.options.gyro_bias == "auto":
+            self.instability = self._scatter(playback)
+        gain = self._bias_gain(playback)
+        new = gain * playback.bias_by_sequence
+        change = np.abs(new - self.offset).max() if new.size else 0.0
+        self.offset = new
+        return bool(change <= max(CONVERGED_CORRECTION, CONVERGED_SIGMAS * sigma[GROUP_SLICES["gyro_bias"]].max()))
+
+    def _bias_gain(self, playback: Playback) -> Array:
+        return measurement_noise.bias_gain(playback, self.data, self.options.gyro_bias, self._compensated(playback))
+
+    def _compensated(self, playback: Playback) -> Array:
+        return np.asarray(np.sqrt(np.linalg.inv(playback.gyro.matrix) ** 2 @ self.instability**2))
+
+    def _scatter(self, playback: Playback) -> Array:
+        """Bias instability that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
+        deviation = playback.bias_by_sequence
+        n = len(deviation) - 1
+        if n < 2:
+            return np.zeros(3)
+        expected = measurement_noise.rest_rate_variance(playback, self.data) + self._earth_rate_doubt() ** 2
+        seen = np.sum(deviation**2, axis=0) / n
+        excess = np.where(seen > expected * chi2.isf(STILLNESS_PROBABILITY, n) / n, seen - expected, 0.0)
+        return np.asarray(np.sqrt(playback.gyro.matrix**2 @ excess))
+
+    def _earth_rate_doubt(self) -> float:
+        """One-sigma error of the Earth's rate in a pose, rad/s."""
+        site, fixture = self.data.recording.site, self.data.recording.fixture
+        if site.latitude_rad is None:
+            return EARTH_RATE_RAD_S / np.sqrt(3.0)
+        if fixture is None or fixture.heading_rad is None:
+            return EARTH_RATE_RAD_S * float(np.cos(site.latitude_rad)) / np.sqrt(2.0)
+        return EARTH_RATE_RAD_S * float(np.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad))
+
+    def _release_moving(self, playback: Playback) -> bool:
+        """Stop holding the attitude in windows that turned beyond their noise; True if there are new ones."""
+        moving = self._moved(playback) & ~self.integrated
+        if not moving.any():
+            return False
+        self.integrated = self.integrated | moving
+        self.player = Player(self.data, self.options, self.integrated)
+        return True
+
+    def _moved(self, playback: Playback) -> NDArray[np.bool_]:
+        """Chi-square test (6 degrees of freedom) of the angles turned in the two halves of every window."""
+        data, noise = self.data, self.data.noise
+        T = 0.5 * data.windows.duration_s[:, None]
+        D2 = np.linalg.inv(playback.gyro.matrix) ** 2
+        rest = playback.rest_rate
+        halves = playback.gyro.compensate(data.windows.gyro_halves) - playback.rate[:, None] + rest[:, None]
+        own = self.offset[playback.window_sequence] + playback.pool @ rest
+        angle = (halves - own[:, None]) * T[:, None]
+        variance = (noise.gyro_white**2 * T + 2.0 * noise.gyro_edge**2) @ D2.T
+        slow = self._compensated(playback) ** 2 + self._earth_rate_doubt() ** 2
+        pooled = measurement_noise.rest_rate_variance(playback, data)
+        variance = variance + (slow + pooled) * T**2
+        statistic = np.sum(angle**2 / variance[:, None], axis=(1, 2))
+        return np.asarray(statistic > chi2.isf(STILLNESS_PROBABILITY, 6))
+
+    def _total(self, playback: Playback) -> Array:
+        return np.asarray(sum(self._by_source(playback).values()))
+
+    def _rough(self, playback: Playback) -> Array:
+        """Covariance for the first, coarse steps: weights only need to be of the right order there."""
+        K, W = self.data.K, len(playback.pool)
+        return np.diag(np.concatenate([np.full(2 * K + W, 1e-4), np.full(3, 1e-12)]))
+
+    def _by_source(self, playback: Playback) -> dict[str, Array]:
+        return measurement_noise.covariances(playback, self.data, self.instability, self._bias_gain(playback))
+
+    def _finish(
+        self, errors: SensorErrors, U: Array, corrections: list[float], status: str, message: str
+    ) -> Solution:
+        playback = self.player.play(
+            errors,
+            U=U,
+            nominal_vertical=not self.options.measured_vertical,
+            bias_offset=self.offset,
+            with_noise=True,
+        )
+        by_source = self._by_source(playback)
+        total = np.asarray(sum(by_source.values()))
+        gain = self.solver.gain(playback, lambda: total)
+        return Solution(
+            errors,
+            U,
+            {name: gain @ R @ gain.T for name, R in by_source.items()},
+            total,
+            gain,
+            playback,
+            tuple(corrections),
+            status,
+            message,
+            tuple(np.flatnonzero(self.integrated).tolist()),
+            self.instability,
+            self.offset,
+        )
+
+
+def iterate(
+    data: PlaybackData,
+    options: Options,
+    solver: Solver,
+    errors: SensorErrors,
+    U: Array,
+    progress: Callable[[int, float], None] | None = None,
+) -> Solution:
+    """Iterate play-backs from a first estimate.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    options : Options
+    solver : Solver
+    errors : SensorErrors
+        First estimate.
+    U : ndarray, shape (3, 3)
+        T to MARS components.
+    progress : callable, optional
+        Called with the number of play-backs and the largest correction.
+    """
+    return Iteration(data, options, solver).run(errors, U, progress)

@@ -1,0 +1,277 @@
+"""Covariance of the SRT measurements, source by source (Savage 2020, §9).
+
+Every source of error says in one way what it does: how unit draws of it disturb the attitude error φ of each sequence,
+the mean rate of each window and the mean specific force of each window. One projection then makes its covariance of
+the measurements, so that what is shared stays shared: a window used by two turns, the bias taken from all windows,
+one north error for the whole recording.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt import measurement_model as model
+from srt.constants import EARTH_RATE_RAD_S
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.playback import Playback
+    from srt.playback_data import PlaybackData
+
+    Array = NDArray[np.float64]
+
+SOURCES: Final = (
+    "gyro_noise",
+    "gyro_quantization",
+    "gyro_bias_instability",
+    "accel_noise",
+    "accel_quantization",
+    "accel_bias_instability",
+    "earth_rate_alignment",
+    "gravity",
+)
+"""Contributions to the covariance, in the order they are reported."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disturbance:
+    """Effect of S unit-variance draws of one source.
+
+    Attributes
+    ----------
+    phi : ndarray, shape (K, 3, S), or None
+        On φ in B_Strt, rad.
+    rate : ndarray, shape (W, 3, S), or None
+        On the compensated mean rate of each window, rad/s.
+    force : ndarray, shape (W, 3, S), or None
+        On the compensated mean specific force of each window, m/s².
+    """
+
+    phi: Array | None = None
+    rate: Array | None = None
+    force: Array | None = None
+
+
+def project(playback: Playback, data: PlaybackData, source: Disturbance, bias_gain: Array) -> Array:
+    """What a source does to the measurement vector z, shape (n_z, S).
+
+    Parameters
+    ----------
+    playback, data : Playback, PlaybackData
+    source : Disturbance
+    bias_gain : ndarray, shape (3,)
+        Share of a sequence's own rest rate that is taken as its bias (0: pooled, 1: its own).
+    """
+    K, W = data.K, len(playback.pool)
+    S = next(a.shape[2] for a in (source.phi, source.rate, source.force) if a is not None)
+    phi = np.zeros((K, 3, S)) if source.phi is None else source.phi
+    rest = np.zeros((3, S))
+    if source.rate is not None:
+        rest = np.tensordot(playback.pool, source.rate, 1)
+        own = np.tensordot(playback.share, source.rate, 1) - rest
+        # The offset taken off in a sequence is in units of the compensated rate.
+        phi = phi - _per_rate(playback) @ (bias_gain[:, None] * own)
+    M = model.attitude_to_horizontal(playback.basis, playback.acceleration)
+    z = np.zeros((2 * K + W + 3, S))
+    horizontal = M @ phi
+    if source.force is not None:
+        C = playback.integrals.C_end
+        horizontal = horizontal + playback.basis @ (C @ source.force[data.end] - source.force[data.start])
+        up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
+        z[2 * K : 2 * K + W] = -np.einsum("wa,was->ws", up, source.force)
+    z[: 2 * K] = horizontal.reshape(2 * K, S)
+    z[2 * K + W :] = rest
+    return z
+
+
+def _per_rate(playback: Playback) -> Array:
+    """∫ F Ĉ dt: effect on φ of an error of the compensated rate, shape (K, 3, 3)."""
+    out: Array = playback.integrals.time @ playback.gyro.matrix
+    return out
+
+
+def bias_gain(playback: Playback, data: PlaybackData, mode: str, instability: Array) -> Array:
+    """Share of a sequence's own rest rate to be taken as its bias, shape (3,).
+
+    With a bias that differs from sequence to sequence by σ and rest rates known to s, the best linear estimate takes
+    the share σ² / (σ² + s²) of a sequence's own deviation and pools the rest.
+    """
+    if mode != "auto":
+        return np.full(3, 1.0 if mode == "per-sequence" else 0.0)
+    if data.K < 2:
+        return np.zeros(3)
+    own = rest_rate_variance(playback, data)
+    return np.asarray(instability**2 / np.maximum(instability**2 + own, 1e-300))
+
+
+def rest_rate_variance(playback: Playback, data: PlaybackData) -> Array:
+    """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
+    D2 = np.linalg.inv(playback.gyro.matrix) ** 2
+    T = data.windows.duration_s
+    raw = data.noise.gyro_white**2 / T[:, None] + 2.0 * (data.noise.gyro_edge / T[:, None]) ** 2
+    out: Array = D2 @ np.mean(playback.share**2 @ raw, axis=0)
+    return out
+
+
+def disturbances(playback: Playback, data: PlaybackData, instability: Array) -> dict[str, Disturbance]:
+    """All sources, by the names in :data:`SOURCES`.
+
+    Parameters
+    ----------
+    playback : Playback
+        Played with ``with_noise=True``.
+    data : PlaybackData
+    instability : ndarray, shape (3,), rad/s
+        Gyro bias instability, raw channels.
+    """
+    noise, windows = data.noise, data.windows
+    T = windows.duration_s
+    D_force = playback.accel.sensitivity(playback.force)
+    white = noise.accel_white * np.sqrt(windows.white_factor)[:, None]
+    edge = noise.accel_edge * np.sqrt(windows.edge_factor)[:, None]
+    fixed = np.broadcast_to(noise.accel_instability, (len(T), 3))
+    up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
+    return {
+        "gyro_noise": _gyro_noise(playback, data),
+        "gyro_quantization": _gyro_quantization(playback, data),
+        "gyro_bias_instability": _instability(playback, data, instability),
+        "accel_noise": Disturbance(force=_own_draw(D_force * white[:, None, :])),
+        "accel_quantization": Disturbance(force=_own_draw(D_force * edge[:, None, :])),
+        "accel_bias_instability": Disturbance(force=_own_draw(D_force * fixed[:, None, :])),
+        "earth_rate_alignment": _alignment(playback, data),
+        "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
+    }
+
+
+def covariances(
+    playback: Playback, data: PlaybackData, instability: Array, gain: Array
+) -> dict[str, Array]:
+    """Covariance of z, source by source; their sum is the covariance of z."""
+    out = {}
+    for name, source in disturbances(playback, data, instability).items():
+        G = project(playback, data, source, gain)
+        out[name] = G @ G.T
+    return out
+
+
+def _own_draw(blocks: Array) -> Array:
+    """Spread (n, 3, m) blocks so that every row of blocks has its own m draws: (n, 3, n m)."""
+    n, rows, m = blocks.shape
+    out = np.zeros((n, rows, n, m))
+    out[np.arange(n), :, np.arange(n)] = blocks
+    return out.reshape(n, rows, n * m)
+
+
+def _gyro_noise(playback: Playback, data: PlaybackData) -> Disturbance:
+    """White noise of the rotation samples, and of the windows' means (and their share in integrated windows)."""
+    if playback.integrals.noise is None:
+        raise ValueError("the play-back was made without its noise integrals")
+    T, q = data.windows.duration_s, data.noise.gyro_white
+    D = np.linalg.inv(playback.gyro.matrix)
+    means = _own_draw(D[None] * (q / np.sqrt(T)[:, None])[:, None, :])
+    shared = np.zeros((data.K, 3, means.shape[2]))
+    outer = playback.integrals.noise.copy()
+    for which in (data.start, data.end):
+        for k, w in enumerate(which.tolist()):
+            if playback.integrated[w]:
+                # F averages 1/2 over the window: that part of φ is the window's own mean, the rest is independent.
+                C = playback.window_attitude[w] if which is data.end else np.eye(3)
+                A = C @ D
+                outer[k] -= 0.25 * T[w] * np.einsum("ab,cb->acb", A, A)
+                shared[k] += 0.5 * T[w] * C @ means[w]
+    covariance = outer @ q**2
+    own = _own_draw(np.linalg.cholesky(covariance + 1e-30 * np.eye(3)))
+    return Disturbance(
+        phi=np.concatenate([own, shared], axis=2),
+        rate=np.concatenate([np.zeros((*means.shape[:2], own.shape[2])), means], axis=2),
+    )
+
+
+def _gyro_quantization(playback: Playback, data: PlaybackData) -> Disturbance:
+    """Errors of the four readings of the angle at the edges of start window, rotation and end window."""
+    K, T = data.K, data.windows.duration_s
+    A = np.linalg.inv(playback.gyro.matrix) * data.noise.gyro_edge
+    phi, rate = np.zeros((K, 3, K, 4, 3)), np.zeros((len(T), 3, K, 4, 3))
+    for k in range(K):
+        s, e = int(data.start[k]), int(data.end[k])
+        C = playback.integrals.C_end[k]
+        phi[k, :, k, 1], phi[k, :, k, 2] = -A, C @ A
+        for w, first in ((s, 0), (e, 2)):
+            if playback.window_sequence[w] == k:
+                rate[w, :, k, first], rate[w, :, k, first + 1] = -A / T[w], A / T[w]
+    return Disturbance(phi=phi.reshape(K, 3, -1), rate=rate.reshape(len(T), 3, -1))
+
+
+def _instability(playback: Playback, data: PlaybackData, instability: Array) -> Disturbance:
+    """A bias of its own in every sequence."""
+    D = np.linalg.inv(playback.gyro.matrix) * instability
+    own = _own_draw(np.broadcast_to(D, (data.K, 3, 3)))
+    return Disturbance(phi=_per_rate(playback) @ own, rate=own[playback.window_sequence])
+
+
+def _alignment(playback: Playback, data: PlaybackData) -> Disturbance:
+    """Error of ω̂e: fixture attitude errors across the Earth's rate, or the part of it that is not known."""
+    axes = _attitude_errors(playback, data)
+    parts = [np.cross(axes, playback.earth_rate[:, :, None], axis=1), _unknown_earth_rate(playback, data)]
+    delta = np.concatenate(parts, axis=2)
+    seen = np.einsum("wab,was->wbs", playback.window_attitude, delta[playback.window_sequence])
+    return Disturbance(phi=playback.integrals.weight_s[:, None, None] * delta, rate=seen)
+
+
+def _attitude_errors(playback: Playback, data: PlaybackData) -> Array:
+    """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (K, 3, S).
+
+    One draw per recording of base level x, y and north; one per sequence of the inner and the outer angle it starts
+    from. The mounting is not among them: it is taken up by U. With a measured vertical only the part about it counts.
+    """
+    fixture = data.recording.fixture
+    if fixture is None or data.nominal is None:
+        return np.zeros((data.K, 3, 0))
+    to_body = playback.U @ np.swapaxes(data.nominal, 1, 2)
+    base = to_body * fixture.alignment_sigma_rad
+    inner = np.broadcast_to(playback.U[:, 2], (data.K, 3))
+    executed = np.stack([inner, to_body[:, :, 1]], axis=2) * fixture.rotation_sigma_rad
+    axes = np.concatenate([base, _own_draw(executed)], axis=2)
+    if playback.nominal_vertical:
+        return axes
+    down = -playback.force[data.start] / np.linalg.norm(playback.force[data.start], axis=1, keepdims=True)
+    vertical: Array = down[:, :, None] * np.einsum("ka,kas->ks", down, axes)[:, None, :]
+    return vertical
+
+
+def _unknown_earth_rate(playback: Playback, data: PlaybackData) -> Array:
+    """What is not known of the Earth's rate, as unit draws in B_Strt, shape (K, 3, S), rad/s."""
+    site, fixture = data.recording.site, data.recording.fixture
+    if site.latitude_rad is None:
+        size, directions = EARTH_RATE_RAD_S / math.sqrt(3.0), 3
+    elif fixture is None or fixture.heading_rad is None:
+        size, directions = EARTH_RATE_RAD_S * math.cos(site.latitude_rad) / math.sqrt(2.0), 2
+    else:
+        return np.zeros((data.K, 3, 0))
+    if data.nominal is not None:
+        frames = playback.U @ np.swapaxes(data.nominal, 1, 2)
+        return np.asarray(size * frames[:, :, :directions])
+    # Free turns: the Earth-fixed frame is carried along where one turn starts from the window another ended with.
+    down = -playback.force[data.start] / np.linalg.norm(playback.force[data.start], axis=1, keepdims=True)
+    chains = 0
+    carried: dict[int, tuple[int, Array]] = {}
+    found: list[tuple[int, Array]] = []
+    for k in range(data.K):
+        if int(data.start[k]) in carried:
+            chain, frame = carried[int(data.start[k])]
+        else:
+            first = np.cross(down[k], np.eye(3)[np.argmin(np.abs(down[k]))])
+            first /= np.linalg.norm(first)
+            chain, frame = chains, np.stack([first, np.cross(down[k], first), down[k]], axis=1)
+            chains += 1
+        found.append((chain, frame))
+        carried[int(data.end[k])] = chain, playback.integrals.C_end[k].T @ frame
+    out = np.zeros((data.K, 3, chains, directions))
+    for k, (chain, frame) in enumerate(found):
+        out[k, :, chain] = size * frame[:, :directions]
+    return out.reshape(data.K, 3, -1)

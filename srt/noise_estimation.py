@@ -1,0 +1,157 @@
+"""Noise of a unit: what is stated, what the stationary windows show, and the floors below which nobody may go.
+
+Within a window the two-sample (Allan) variance of averages over τ is ``N²/τ + 3 q²/τ²`` for white noise N (random walk
+of the integral) and an error q of every reading of the integral (pulse quantisation ε has q = ε/√12). Both are
+fitted to the octaves of τ; longer effects (bias instability) do not reach into a window of ten seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.optimize import nnls
+
+from srt.constants import STANDARD_GRAVITY_M_S2
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.recording import Recording
+
+    Array = NDArray[np.float64]
+
+GYRO_FLOOR: Final = 1e-10
+"""Smallest angle random walk that is believed, rad/√s."""
+ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
+"""Smallest velocity random walk that is believed, m/s²·√s."""
+_MAX_SAMPLES_FOR_RESOLUTION: Final = 20000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseModel:
+    """Noise of the raw channels.
+
+    Attributes
+    ----------
+    gyro_white, accel_white : ndarray, shape (3,)
+        Random walk of the integral, rad/√s and m/s²·√s.
+    gyro_edge, accel_edge : ndarray, shape (3,)
+        One-sigma error of one reading of the integral, rad and m/s.
+    gyro_instability : ndarray, shape (3,), rad/s, or None
+        None: not stated, to be judged from the scatter of the windows.
+    accel_instability : ndarray, shape (3,), m/s²
+    estimated, floored : tuple of str
+        Which figures come from the windows, and which had to be raised to a floor.
+    """
+
+    gyro_white: Array
+    accel_white: Array
+    gyro_edge: Array
+    accel_edge: Array
+    gyro_instability: Array | None
+    accel_instability: Array
+    estimated: tuple[str, ...] = ()
+    floored: tuple[str, ...] = ()
+
+
+def noise_model(recording: Recording, windows: NDArray[np.intp]) -> NoiseModel:
+    """Complete the stated noise of a unit from its stationary windows.
+
+    Parameters
+    ----------
+    recording : Recording
+    windows : ndarray of int, shape (W, 2)
+        First sample and one past the last of every window.
+    """
+    stated = recording.noise
+    dt = recording.nominal_interval_s
+    white, edge = _fit(recording, windows)
+    if recording.kind == "increment":
+        white, edge = white / dt, edge / dt
+    estimated, floored = [], []
+    figures = {}
+    for sensor, columns, floor in (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR)):
+        given = getattr(stated, f"{sensor}_noise")
+        if given is None:
+            figures[f"{sensor}_white"] = white[columns]
+            estimated.append(f"{sensor}_noise")
+        else:
+            figures[f"{sensor}_white"] = np.full(3, given)
+        given = getattr(stated, f"{sensor}_quantization")
+        if given is None:
+            figures[f"{sensor}_edge"] = edge[columns]
+            estimated.append(f"{sensor}_quantization")
+        else:
+            figures[f"{sensor}_edge"] = np.full(3, given / math.sqrt(12.0))
+        resolution = _resolution(recording, windows, sensor) / math.sqrt(12.0)
+        shown = np.hypot(figures[f"{sensor}_white"] / math.sqrt(dt), math.sqrt(2.0) * figures[f"{sensor}_edge"] / dt)
+        least = np.maximum(np.where(shown < resolution, resolution * math.sqrt(dt), 0.0), floor)
+        if np.any(figures[f"{sensor}_white"] < least):
+            floored.append(f"{sensor}_noise")
+        figures[f"{sensor}_white"] = np.maximum(figures[f"{sensor}_white"], least)
+    instability = stated.gyro_bias_instability
+    return NoiseModel(
+        **figures,
+        gyro_instability=None if instability is None else np.full(3, instability),
+        accel_instability=np.full(3, stated.accel_bias_instability or 0.0),
+        estimated=tuple(estimated),
+        floored=tuple(floored),
+    )
+
+
+def _fit(recording: Recording, windows: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Random walk and edge error of the six columns from the octaves of the Allan variance."""
+    dt = recording.nominal_interval_s
+    totals: dict[int, tuple[Array, int]] = {}
+    by_length: dict[int, list[int]] = {}
+    for a, b in windows.tolist():
+        by_length.setdefault(b - a, []).append(a)
+    for n, begins in by_length.items():
+        x = np.stack([np.concatenate([recording.gyro[a : a + n].T, recording.accel[a : a + n].T]) for a in begins])
+        octave = 0
+        while x.shape[2] >= 4 or octave == 0:
+            m = x.shape[2] // 2
+            if m == 0:
+                break
+            even, odd = x[:, :, 0 : 2 * m : 2], x[:, :, 1 : 2 * m : 2]
+            difference = odd - even
+            power, count = totals.get(octave, (np.zeros(6), 0))
+            power = power + 0.5 * np.einsum("wcn,wcn->c", difference, difference)
+            totals[octave] = (power, count + m * len(begins))
+            x = 0.5 * (even + odd)
+            octave += 1
+    octaves = sorted(totals)
+    tau = dt * 2.0 ** np.array(octaves)
+    count = np.array([totals[o][1] for o in octaves], dtype=np.float64)
+    variance = np.stack([totals[o][0] / totals[o][1] for o in octaves], axis=1)
+    design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1)
+    fitted = np.zeros((6, 2))
+    for column in range(6):
+        if variance[column].max() > 0.0:
+            # Relative error of a variance from m differences is about √(3/m); a floor keeps a zero octave harmless.
+            weight = np.sqrt(count / 3.0) / np.maximum(variance[column], 1e-9 * variance[column].max())
+            scale = np.linalg.norm(design * weight[:, None], axis=0)
+            solution, _ = nnls(design * weight[:, None] / scale, variance[column] * weight)
+            fitted[column] = solution / scale
+    return np.sqrt(fitted[:, 0]), np.sqrt(fitted[:, 1])
+
+
+def _resolution(recording: Recording, windows: NDArray[np.intp], sensor: str) -> Array:
+    """Smallest step between distinct readings of a column, as a rate; 0 where readings hardly repeat."""
+    table = getattr(recording, sensor)
+    dt = recording.nominal_interval_s
+    stride = max(1, sum(b - a for a, b in windows.tolist()) // _MAX_SAMPLES_FOR_RESOLUTION)
+    still = np.concatenate([table[a:b:stride] for a, b in windows.tolist()])
+    step = np.zeros(3)
+    for axis in range(3):
+        values = np.unique(still[:, axis])
+        if len(values) == 1:  # nothing moves at rest: the motion shows the step
+            values = np.unique(table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION), axis])
+        if 1 < len(values) <= 0.5 * min(len(still), _MAX_SAMPLES_FOR_RESOLUTION):
+            gaps = np.diff(values)
+            step[axis] = gaps[gaps > 1e-9 * np.abs(values).max()].min(initial=np.inf)
+    step[~np.isfinite(step)] = 0.0
+    return step if recording.kind == "rate" else step / dt

@@ -1,0 +1,94 @@
+"""How a calibration is computed: the choices, with the defaults that measurement chose (docs/design/defaults.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from srt.exceptions import InputError
+from srt.sensor_errors import SensorErrors, expand_names
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Average = Literal["linear", "overlapping"]
+Down = Literal["tilt-immune", "paper"]
+WindowAttitude = Literal["held", "integrated"]
+GyroBias = Literal["auto", "pooled", "per-sequence"]
+Step = Literal["jacobian", "coefficients"]
+Start = Literal["auto", "zero"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices of the closed-form and the least-squares estimator.
+
+    Attributes
+    ----------
+    average : "linear" or "overlapping"
+        Averaging of specific force over a window: plain mean, or mean of half-window means (triangular weights):
+        less quantisation noise, 15 % more white noise.
+    down : "tilt-immune" or "paper"
+        ``g − |mean â|``, or ``û_dwn · â + g`` with the nominal vertical (Savage 2020, eq. 1).
+    window_attitude : "held" or "integrated"
+        Hold the attitude in the stationary windows (a window that moved is integrated all the same), or
+        integrate the gyros over them.
+    gyro_bias : "auto", "pooled" or "per-sequence"
+        One bias for the test, one per sequence, or in between as the unit's bias instability says.
+    step : "jacobian" or "coefficients"
+        Correction of a play-back: full Jacobian at the estimate, added; or the coefficients of eq. 13, composed.
+    start : "auto", "zero" or SensorErrors
+        First estimate: from the fixture's nominal angles (or, without one, from gravity), no errors, or given ones.
+    asymmetry : bool
+        False holds gyro scale-factor asymmetry at its start value (eq. 14).
+    hold : tuple of str
+        Parameters or groups held at their start value.
+    max_playbacks : int
+    measured_vertical : bool
+        After the first play-back, take the vertical of each pose from the measured specific force; False keeps
+        the nominal one throughout.
+    """
+
+    average: Average = "linear"
+    down: Down = "tilt-immune"
+    window_attitude: WindowAttitude = "held"
+    gyro_bias: GyroBias = "auto"
+    step: Step = "jacobian"
+    start: Start | SensorErrors = "auto"
+    asymmetry: bool = True
+    hold: tuple[str, ...] = ()
+    max_playbacks: int = 12
+    measured_vertical: bool = True
+
+    def __post_init__(self) -> None:
+        for name, allowed in _CHOICES.items():
+            value = getattr(self, name)
+            if value not in allowed and not (name == "start" and isinstance(value, SensorErrors)):
+                raise InputError(f"Option {name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}.")
+        object.__setattr__(self, "hold", expand_names(self.hold))
+        if self.max_playbacks < 1:
+            raise InputError(f"max_playbacks is {self.max_playbacks}; at least one play-back is needed.")
+
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Parameters held on request."""
+        extra = () if self.asymmetry else ("gyro_asymmetry",)
+        return expand_names((*self.hold, *extra))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values that a calibration's provenance stores."""
+        convert: dict[str, Callable[[Any], Any]] = {
+            "start": lambda v: v.as_dict() if isinstance(v, SensorErrors) else v,
+            "hold": list,
+        }
+        return {f.name: convert.get(f.name, lambda v: v)(getattr(self, f.name)) for f in fields(self)}
+
+
+_CHOICES = {
+    "average": get_args(Average),
+    "down": get_args(Down),
+    "window_attitude": get_args(WindowAttitude),
+    "gyro_bias": get_args(GyroBias),
+    "step": get_args(Step),
+    "start": get_args(Start),
+}

@@ -1,0 +1,292 @@
+"""One play-back: the recorded data through corrected compensation to the SRT measurements (Savage 2020, eqs. 1-2).
+
+The measurements of K sequences over W windows are one vector ``z = [Δa_H (2 per sequence), a_Down (W), ω_rest (3)]``: the
+change of horizontal specific force along two horizontal directions of B_Strt, the down part of every window, and the
+pooled rate left at rest. With the right errors z is zero but for noise, whatever the fixture did.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt import measurement_model as model
+from srt.attitude import integrate
+from srt.catalogue import AXES
+from srt.compensation import accel_triad, gyro_triad
+from srt.quaternion import cross_matrix
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.attitude import GyroStream
+    from srt.compensation import Triad
+    from srt.options import Options
+    from srt.playback_data import PlaybackData
+    from srt.rotation_integrals import RotationIntegrals
+    from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Playback:
+    """What one play-back measured, and the linear model around it.
+
+    Attributes
+    ----------
+    z : ndarray, shape (2 K + W + 3,)
+        Measurements, m/s² and rad/s.
+    H : ndarray, shape (2 K + W + 3, 27)
+        Their derivative with respect to errors still in the estimate.
+    integrals : RotationIntegrals
+    basis : ndarray, shape (K, 2, 3)
+        Horizontal directions of the components, in B_Strt.
+    acceleration : ndarray, shape (K, 3), m/s²
+        Mean of â at start and end, in B_Strt.
+    force : ndarray, shape (W, 3), m/s²
+        Compensated specific force of the windows, in B.
+    rate : ndarray, shape (W, 3), rad/s
+        Compensated mean rate of the windows, in B.
+    rest_rate : ndarray, shape (W, 3), rad/s
+        ``rate`` less the Earth's.
+    pool : ndarray, shape (W,)
+        Weights of the windows in the pooled rate.
+    share : ndarray, shape (K, W)
+        Weights of the windows in each sequence's own rate.
+    window_attitude : ndarray, shape (W, 3, 3)
+        B to B_Strt of the sequence that the window belongs to.
+    window_sequence : ndarray of int, shape (W,)
+    earth_rate : ndarray, shape (K, 3), rad/s
+        ω̂e in B_Strt.
+    gyro, accel : Triad
+        Reading models that the data were compensated with.
+    U : ndarray, shape (3, 3)
+        T to MARS components, from the recorded axes and verticals; identity without a fixture.
+    integrated : ndarray of bool, shape (W,)
+    nominal_vertical : bool
+        Whether the vertical was the nominal one.
+    """
+
+    z: Array
+    H: Array
+    integrals: RotationIntegrals
+    basis: Array
+    acceleration: Array
+    force: Array
+    rate: Array
+    rest_rate: Array
+    pool: Array
+    share: Array
+    window_attitude: Array
+    window_sequence: NDArray[np.intp]
+    earth_rate: Array
+    gyro: Triad
+    accel: Triad
+    U: Array
+    integrated: NDArray[np.bool_]
+    nominal_vertical: bool
+
+    @property
+    def bias_by_sequence(self) -> Array:
+        """Rate left at rest, per sequence, less the pooled one, shape (K, 3), rad/s."""
+        out: Array = self.share @ self.rest_rate - self.pool @ self.rest_rate
+        return out
+
+
+class Player:
+    """Plays a recording back with any errors.
+
+    Holds what does not depend on them: the gyro samples of the rotations and the averages of the windows.
+    """
+
+    def __init__(self, data: PlaybackData, options: Options, integrated: NDArray[np.bool_] | None = None) -> None:
+        W = len(data.windows.duration_s)
+        self.data, self.options = data, options
+        self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated
+        self._stream, self._force, self._weights = data.stream(self.integrated)
+        self._roles()
+
+    def _roles(self) -> None:
+        """Which sequence each window belongs to (as its start where it has the choice), and the pooling weights."""
+        data, duration = self.data, self.data.windows.duration_s
+        W = len(duration)
+        self._sequence, self._is_end = np.full(W, -1, dtype=np.intp), np.zeros(W, dtype=np.bool_)
+        for k in range(data.K - 1, -1, -1):
+            self._sequence[data.start[k]], self._is_end[data.start[k]] = k, False
+        for k, w in enumerate(data.end.tolist()):
+            if self._sequence[w] < 0:
+                self._sequence[w], self._is_end[w] = k, True
+        self._pool = duration / duration.sum()
+        self._share = np.zeros((data.K, W))
+        for k in range(data.K):
+            for w in {int(data.start[k]), int(data.end[k])}:
+                self._share[k, w] = duration[w]
+        self._share /= self._share.sum(axis=1, keepdims=True)
+
+    @property
+    def stream(self) -> GyroStream:
+        """The gyro samples that are integrated."""
+        return self._stream
+
+    def play(
+        self,
+        errors: SensorErrors,
+        *,
+        U: Array | None = None,
+        nominal_vertical: bool = False,
+        bias_offset: Array | None = None,
+        with_noise: bool = False,
+    ) -> Playback:
+        """Play back once.
+
+        Parameters
+        ----------
+        errors : SensorErrors
+            Estimate to compensate with.
+        U : ndarray, shape (3, 3), optional
+            T to MARS components for the nominal attitudes.
+        nominal_vertical : bool
+            Take the vertical from the nominal attitude instead of the measured specific force (first play-back).
+        bias_offset : ndarray, shape (K, 3), optional
+            Gyro bias of each sequence less the common one, rad/s.
+        with_noise : bool
+            Gather the noise integrals too.
+        """
+        data, noise = self.data, self.data.noise
+        gyro, accel = gyro_triad(errors), accel_triad(errors)
+        U = np.eye(3) if U is None else U
+        force = accel.compensate(data.windows.accel_mean)
+        rate = gyro.compensate(data.windows.gyro_mean)
+        f_start, f_end = force[data.start], force[data.end]
+        down = -f_start / np.linalg.norm(f_start, axis=1, keepdims=True)
+        earth_rate, nominal_down = self._earth_rate(U, down, nominal_vertical)
+        if nominal_vertical and nominal_down is not None:
+            down = nominal_down
+        integrals, attitude = integrate(
+            self._stream,
+            gyro,
+            earth_rate,
+            bias_offset=bias_offset,
+            noise_rad_sqrt_s=noise.gyro_white,
+            with_noise=with_noise,
+        )
+        C = integrals.C_end
+        a_start, a_end = f_start.copy(), np.einsum("kab,kb->ka", C, f_end)
+        self._average_integrated(attitude, accel, force, a_start, a_end)
+        basis = self._basis(down, U)
+        horizontal = np.einsum("kia,ka->ki", basis, a_end - a_start)
+        window_C = np.where(self._is_end[:, None, None], C[self._sequence], np.eye(3))
+        rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
+        z_down = self._down(force, down, window_C)
+        z = np.concatenate([horizontal.ravel(), z_down, self._pool @ rest])
+        H = np.concatenate(
+            [
+                model.horizontal_jacobian(integrals, basis, f_start, f_end, accel).reshape(2 * data.K, -1),
+                model.down_jacobian(force, accel),
+                np.tensordot(self._pool, model.rate_error_jacobian(rate, gyro), 1),
+            ]
+        )
+        return Playback(
+            z,
+            H,
+            integrals,
+            basis,
+            0.5 * (a_start + a_end),
+            force,
+            rate,
+            rest,
+            self._pool,
+            self._share,
+            window_C,
+            self._sequence,
+            earth_rate,
+            gyro,
+            accel,
+            self._orientation(integrals, force, U),
+            self.integrated,
+            nominal_vertical and nominal_down is not None,
+        )
+
+    def _earth_rate(self, U: Array, down: Array, nominal_vertical: bool) -> tuple[Array, Array | None]:
+        """ω̂e in each B_Strt, and the nominal vertical there (None without a fixture)."""
+        data = self.data
+        base = data.earth_rate_base()
+        if data.nominal is None:
+            return base[2] * down, None
+        to_body = U @ np.swapaxes(data.nominal, 1, 2)
+        nominal, nominal_down = to_body @ base, to_body[:, :, 2]
+        if nominal_vertical:
+            return nominal, nominal_down
+        # The smallest rotation from the nominal to the measured vertical: north alone stays nominal.
+        v = np.cross(nominal_down, down)
+        c = np.einsum("ka,ka->k", nominal_down, down)
+        vx = cross_matrix(v)
+        R = np.eye(3) + vx + vx @ vx / np.maximum(1.0 + c, 1e-6)[:, None, None]
+        return np.einsum("kab,kb->ka", R, nominal), nominal_down
+
+    def _basis(self, down: Array, U: Array) -> Array:
+        """Two horizontal directions per sequence: nominal axes of T made horizontal, or any two for a free turn."""
+        data = self.data
+        axes = np.empty((data.K, 2, 3))
+        for k, sequence in enumerate(data.catalogue):
+            if sequence is not None:
+                vertical = AXES.index(sequence.down)
+                axes[k] = U.T[[i for i in range(3) if i != vertical]]
+            else:
+                first = np.cross(down[k], np.eye(3)[np.argmin(np.abs(down[k]))])
+                first /= np.linalg.norm(first)
+                axes[k] = first, np.cross(down[k], first)
+        out: Array = axes @ model.horizontal_projector(down)
+        return out
+
+    def _down(self, force: Array, down: Array, window_C: Array) -> Array:
+        g = self.data.gravity
+        if self.options.down == "tilt-immune":
+            out: Array = g - np.linalg.norm(force, axis=1)
+        else:
+            vertical = np.einsum("wab,wa->wb", window_C, down[self._sequence])
+            out = g + np.einsum("wa,wa->w", vertical, force)
+        return out
+
+    def _average_integrated(
+        self, attitude: Array, accel: Triad, force: Array, a_start: Array, a_end: Array
+    ) -> None:
+        """Averages of Ĉ f̂ over the windows whose attitude is integrated, in place of the held ones."""
+        if self._force is None or self._weights is None:
+            return
+        data, stream = self.data, self._stream
+        for k in range(data.K):
+            s, e = int(stream.starts[k]), int(stream.starts[k + 1])
+            first, last = stream.rotation[k]
+            for w, lo, hi, out in (
+                (data.start[k], s, int(first), a_start),
+                (data.end[k], int(last), e, a_end),
+            ):
+                if self.integrated[w]:
+                    # One slope of the reading model for the whole window: its mean decides the signs.
+                    D = accel.sensitivity(force[w])
+                    f = D @ (self._force[:, lo:hi] - accel.bias[:, None])
+                    out[k] = np.einsum("abn,bn->a", attitude[:, :, lo:hi], f * self._weights[lo:hi])
+
+    def _orientation(self, integrals: RotationIntegrals, force: Array, U: Array) -> Array:
+        """Best rotation from T to MARS: turning axes seen by the gyros, and verticals seen at rest (Wahba's problem).
+
+        It takes the mounting on the table into itself, so that of the mounting error nothing is left in ω̂e.
+        """
+        data = self.data
+        if data.nominal is None:
+            return U
+        in_T, in_B = [data.nominal[:, 2]], [-force[data.start] / np.linalg.norm(force[data.start], axis=1)[:, None]]
+        for k, sequence in enumerate(data.catalogue):
+            if sequence is not None and len(sequence.rotations) == 1:
+                angle = float(sequence.angles_rad[0])
+                turned = integrals.turned[k]
+                in_T.append(np.sign(angle) * sequence.axes)
+                in_B.append(turned[None] / np.linalg.norm(turned))
+        B = np.concatenate(in_B).T @ np.concatenate(in_T)
+        left, _, right = np.linalg.svd(B)
+        out: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+        return out

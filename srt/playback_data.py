@@ -1,0 +1,224 @@
+"""A recording prepared for play-back: sequences, their windows averaged once, and the gyro samples in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt.attitude import GyroStream, gyro_stream
+from srt.catalogue import AXES, SEQUENCES, Sequence
+from srt.constants import EARTH_RATE_RAD_S
+from srt.exceptions import DataError
+from srt.noise_estimation import NoiseModel, noise_model
+from srt.windows import Windows, average_windows, averaging_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence as SequenceOf
+
+    from numpy.typing import NDArray
+
+    from srt.options import Options
+    from srt.recording import Recording, SequenceLabel
+
+    Array = NDArray[np.float64]
+
+
+def sequence_of_label(label: SequenceLabel) -> Sequence | None:
+    """Catalogue entry of a label: Table 1, its own description, or None for a free turn."""
+    if label.id is None:
+        return None
+    if label.id in SEQUENCES and not label.rotations:
+        return SEQUENCES[label.id]
+    if label.down is None or label.along_outer is None:
+        return None
+    return Sequence(label.id, label.down, label.along_outer, float("nan"), float("nan"), label.rotations)
+
+
+def nominal_attitude(sequence: Sequence) -> Array:
+    """C_nom at the start of a sequence: table-mounted body frame T to fixture base, shape (3, 3).
+
+    The base z axis is down and its y axis the outer axis; for Table 1 this is R_y(outer) R_z(inner).
+    """
+    unit = np.eye(3)
+    down, outer = unit[AXES.index(sequence.down)], unit[AXES.index(sequence.along_outer)]
+    return np.stack([np.cross(outer, down), outer, down])
+
+
+@dataclass(frozen=True, eq=False)
+class PlaybackData:
+    """K sequences over W stationary windows.
+
+    Attributes
+    ----------
+    recording : Recording
+    labels : tuple of SequenceLabel
+    catalogue : tuple of Sequence or None
+        Per sequence; None for a free turn.
+    windows : Windows
+    start, end : ndarray of int, shape (K,)
+        Window that each sequence starts and ends with; turns may share windows.
+    noise : NoiseModel
+    voided : dict of str to str
+        Sequences left out, with the reason.
+    """
+
+    recording: Recording
+    labels: tuple[SequenceLabel, ...]
+    catalogue: tuple[Sequence | None, ...]
+    windows: Windows
+    start: NDArray[np.intp]
+    end: NDArray[np.intp]
+    noise: NoiseModel
+    average: str
+    voided: dict[str, str]
+
+    @property
+    def K(self) -> int:
+        """Number of sequences."""
+        return len(self.labels)
+
+    @property
+    def gravity(self) -> float:
+        """Plumb-bob gravity, m/s²."""
+        return self.recording.site.gravity_m_s2
+
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """Id of each sequence; free turns are numbered."""
+        return tuple(label.id or f"turn {k + 1}" for k, label in enumerate(self.labels))
+
+    @cached_property
+    def occurrences(self) -> tuple[int, ...]:
+        """How often each sequence's id came before, plus one."""
+        return tuple(self.ids[: k + 1].count(name) for k, name in enumerate(self.ids))
+
+    @cached_property
+    def nominal(self) -> Array | None:
+        """C_nom of every sequence's start, T to base, shape (K, 3, 3); None for a recording without a fixture."""
+        if self.recording.fixture is None or any(s is None for s in self.catalogue):
+            return None
+        return np.stack([nominal_attitude(s) for s in self.catalogue if s is not None])
+
+    @cached_property
+    def rotation(self) -> NDArray[np.intp]:
+        """Samples of each rotation, first and one past the last, shape (K, 2)."""
+        return np.stack([self.windows.samples[self.start, 1], self.windows.samples[self.end, 0]], axis=1)
+
+    def earth_rate_base(self) -> Array:
+        """Known part of the Earth's rate in fixture base axes, rad/s: none of it without a latitude, the vertical part
+        of it without a heading.
+        """
+        site, fixture = self.recording.site, self.recording.fixture
+        if site.latitude_rad is None:
+            return np.zeros(3)
+        down = -EARTH_RATE_RAD_S * np.sin(site.latitude_rad)
+        heading = None if fixture is None else fixture.heading_rad
+        if heading is None:
+            return np.array([0.0, 0.0, down])
+        north = EARTH_RATE_RAD_S * np.cos(site.latitude_rad)
+        return np.array([north * np.cos(heading), -north * np.sin(heading), down])
+
+    def stream(self, integrated: NDArray[np.bool_]) -> tuple[GyroStream, Array | None, Array | None]:
+        """Gyro samples to integrate over.
+
+        Parameters
+        ----------
+        integrated : ndarray of bool, shape (W,)
+            Windows over which the attitude is integrated instead of held.
+
+        Returns
+        -------
+        stream : GyroStream
+        force : ndarray, shape (3, n), or None
+            Raw specific force of the samples, m/s²; None if no window is integrated.
+        weights : ndarray, shape (n,), or None
+            Averaging weight of each sample in its window, 0 outside the integrated windows.
+        """
+        spans, samples = self.rotation.copy(), self.windows.samples
+        open_start, open_end = integrated[self.start], integrated[self.end]
+        spans[open_start, 0] = samples[self.start[open_start], 0]
+        spans[open_end, 1] = samples[self.end[open_end], 1]
+        recording = self.recording
+        F = force = weights = None
+        if integrated.any():
+            n = int((spans[:, 1] - spans[:, 0]).sum())
+            F, force, weights = np.ones(n), np.empty((3, n)), np.zeros(n)
+            at = 0
+            for k, (a, b) in enumerate(spans.tolist()):
+                rows = recording.accel[a:b].T
+                if recording.kind == "increment":
+                    interval = recording.interval_s
+                    rows = rows / (interval if isinstance(interval, float) else interval[a:b])
+                force[:, at : at + b - a] = rows
+                for is_end, flagged, w in ((False, open_start[k], self.start[k]), (True, open_end[k], self.end[k])):
+                    if flagged:
+                        lo, hi = samples[w] - a + at
+                        weight = averaging_weights(hi - lo, self.average)  # type: ignore[arg-type]
+                        # Mid-sample share of the average that an attitude error at this sample acts on.
+                        before = np.cumsum(weight) - 0.5 * weight
+                        F[lo:hi] = 1.0 - before if is_end else before
+                        weights[lo:hi] = weight
+                at += b - a
+        stream = gyro_stream(
+            recording.gyro,
+            recording.interval_s,
+            spans,
+            self.rotation,
+            rates=recording.kind == "rate",
+            gaps=np.asarray(recording.gaps, dtype=np.intp),
+            F=F,
+        )
+        return stream, force, weights
+
+
+def prepare(
+    recording: Recording,
+    labels: SequenceOf[SequenceLabel],
+    options: Options,
+    *,
+    voided: dict[str, str] | None = None,
+) -> PlaybackData:
+    """Average the windows and set up the sequences.
+
+    Raises
+    ------
+    DataError
+        If no sequence is left, or a rotation would have no samples.
+    """
+    if not labels:
+        reasons = "; ".join(f"{k}: {v}" for k, v in (voided or {}).items())
+        raise DataError("No usable sequence is left in the recording" + (f" ({reasons})." if reasons else "."))
+    slices: dict[tuple[int, int], int] = {}
+    ends: list[list[int]] = [[], []]
+    for label in labels:
+        for which, bounds in enumerate((label.start_static_s, label.end_static_s)):
+            s = recording.window_indices(*bounds)
+            if s.stop - s.start < 2:
+                raise DataError(
+                    f"The window from {bounds[0]:g} s to {bounds[1]:g} s of sequence {label.id or 'without id'} holds "
+                    f"{s.stop - s.start} samples; a stationary window needs at least 2: correct its times."
+                )
+            ends[which].append(slices.setdefault((s.start, s.stop), len(slices)))
+    samples = np.array(list(slices), dtype=np.intp)
+    start, end = (np.array(e, dtype=np.intp) for e in ends)
+    for k, label in enumerate(labels):
+        if samples[end[k], 0] <= samples[start[k], 1]:
+            raise DataError(
+                f"Sequence {label.id or k + 1} has no samples between its start window (until "
+                f"{label.start_static_s[1]:g} s) and its end window (from {label.end_static_s[0]:g} s): "
+                "the rotation must lie between them."
+            )
+    return PlaybackData(
+        recording,
+        tuple(labels),
+        tuple(sequence_of_label(label) for label in labels),
+        average_windows(recording, samples, options.average),
+        start,
+        end,
+        noise_model(recording, samples),
+        options.average,
+        dict(voided or {}),
+    )

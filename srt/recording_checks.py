@@ -1,0 +1,345 @@
+"""Is it physically possible? Wrong units, clipped readings and interruptions, told from means and extremes.
+
+A unit may be wrong by half before it is calibrated, so only what no such unit could read is refused: a rest
+of 0.35 to 1.8 g and turns of 0.35 to 1.8 times the label are believed. A wrong unit is off by a factor of its
+own, mostly far beyond that, and the same in every window; one window off alone is a wrong label or a
+disturbance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.catalogue import AXES
+from srt.constants import ARCSEC, DEG, STANDARD_GRAVITY_M_S2
+from srt.exceptions import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from srt.recording import Recording
+
+LEGAL_RATIO: Final = (0.35, 1.8)
+"""Reading over truth of an uncalibrated unit: 50 % of scale factor, and 1 m/s² or its like of bias."""
+
+_MATCH = math.log(1.8)  # a unit is recognised through the errors of an uncalibrated sensor
+_AS_GOOD = math.log(1.25)  # causes that lie so close to the best one are named with it
+
+_G = STANDARD_GRAVITY_M_S2
+_ACCEL_CAUSES = (
+    (1.0 / _G, "the values look like g, declared as m/s²"),
+    (_G, "the values look like m/s², declared as g"),
+    (1e3 / _G, "the values look like mg, declared as m/s²"),
+    (1e3, "the values look like mg declared as g, or like mm/s²"),
+    (1e-3, "the values look like g, declared as mg"),
+    (1e-3 * _G, "the values look like m/s², declared as mg"),
+    (1.0 / 0.3048, "the values look like ft/s², declared as m/s²"),
+    (100.0, "the values look like cm/s², declared as m/s²"),
+)
+_GYRO_CAUSES = (
+    (1.0 / DEG, "the values look like degrees, declared as radians"),
+    (DEG, "the values look like radians, declared as degrees"),
+    (1.0 / ARCSEC, "the values look like deg/h, declared as rad/s"),
+    (ARCSEC, "the values look like rad/s, declared as deg/h"),
+    (3600.0, "the values look like deg/h, declared as deg/s"),
+    (1.0 / 3600.0, "the values look like deg/s, declared as deg/h"),
+    (30.0 / math.pi, "the values look like revolutions per minute, declared as rad/s"),
+    (1e3, "the values look like thousandths of the declared unit"),
+)
+_INCREMENTS = "the values look like increments per sample, declared as rates"
+_RATES = 'the values look like rates, declared as increments (key kind of recording.toml: "rate")'
+
+_REPEATS = 3  # equal readings in a row at the extreme, below which chance explains them
+_OFTEN = 0.5  # share of equal neighbours above which readings are coarse or free of noise
+_CLIPPED_GYRO_RAD_S = 0.2  # no gyro has a range as small as this
+_CLIPPED_ACCEL_M_S2 = 1.9 * _G  # nor an accelerometer one that a legal reading of 1 g reaches
+_RANGE_MARGIN = 0.999  # the largest count is a little below the round figure of the data sheet
+
+SHORTEST_INTERVAL_S: Final = 5e-6
+LONGEST_INTERVAL_S: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ClippingLevels:
+    """Readings beyond which a channel is clipped, in the units of the recording's columns.
+
+    Attributes
+    ----------
+    low, high : ndarray, shape (6,)
+        gyro x, y, z, accelerometer x, y, z; infinite where no limit is known or seen.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Clipping:
+    """One channel that reached its limit.
+
+    Attributes
+    ----------
+    channel : str
+        Name of the column.
+    count : int
+        Samples at the limit.
+    first_s : float
+        Time of the first of them, s.
+    """
+
+    channel: str
+    count: int
+    first_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.channel} is at the limit of its range in {self.count} samples, from {self.first_s:.6g} s"
+        )
+
+
+def check_interval(recording: Recording) -> None:
+    """Refuse a sampling interval that no strapdown IMU has, mostly a wrong time unit.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Raises
+    ------
+    DataError
+        An interval outside 5 µs to 0.5 s.
+    """
+    interval = recording.nominal_interval_s
+    if not SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
+        raise DataError(
+            f"The samples are {interval:.3g} s apart, but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s "
+            "is expected: check the time unit (key time_unit of recording.toml)."
+        )
+
+
+def check_rest(
+    mean_accel: ArrayLike, gravity: float, labels: Sequence[str], *, interval_s: float | None = None
+) -> None:
+    """Refuse accelerometer means at rest that no unit could read.
+
+    Parameters
+    ----------
+    mean_accel : array_like, shape (k, 3), m/s²
+        Mean uncompensated specific force of each stationary window.
+    gravity : float
+        m/s².
+    labels : sequence of str
+        What messages call each window.
+    interval_s : float, optional
+        Sampling interval, with which increments taken for rates (or back) are recognised.
+
+    Raises
+    ------
+    DataError
+        A magnitude outside 0.35 to 1.8 g, with its likely cause.
+    """
+    magnitude = np.linalg.norm(np.asarray(mean_accel, dtype=np.float64).reshape(-1, 3), axis=1)
+    ratio = magnitude / gravity
+    bad = _illegal(ratio)
+    if bad.size == 0:
+        return
+    typical = float(np.median(ratio))
+    if _is_legal(typical):
+        k = int(bad[0])
+        raise DataError(
+            f"{labels[k]}: the accelerometers read {magnitude[k]:.4g} m/s² in the mean, but about {gravity:.4g} "
+            f"is expected at rest ({bad.size} of {ratio.size} windows): the unit moved, or a reading is clipped; "
+            "correct the window, or leave it out."
+        )
+    cause = _likely_cause(typical, _ACCEL_CAUSES, interval_s) or _unknown_cause(typical, "accelerometer")
+    raise DataError(
+        f"At rest the accelerometers read {typical * gravity:.4g} m/s² ({bad.size} of {ratio.size} windows, "
+        f"first {labels[int(bad[0])]}), but about {gravity:.4g} is expected: {cause}; correct accel_unit or kind."
+    )
+
+
+def check_turns(
+    angle_rad: ArrayLike, nominal_rad: ArrayLike, labels: Sequence[str], *, interval_s: float | None = None
+) -> None:
+    """Refuse turns that no gyros could have read so.
+
+    Parameters
+    ----------
+    angle_rad : array_like, shape (k,), rad
+        Uncompensated gyro angle of each turn, along its nominal axis.
+    nominal_rad : array_like, shape (k,), rad
+        Signed angle that its label states.
+    labels : sequence of str
+        What messages call each turn.
+    interval_s : float, optional
+        Sampling interval, with which increments taken for rates (or back) are recognised.
+
+    Raises
+    ------
+    DataError
+        A ratio outside 0.35 to 1.8, with its likely cause.
+    """
+    angle = np.atleast_1d(np.asarray(angle_rad, dtype=np.float64))
+    nominal = np.atleast_1d(np.asarray(nominal_rad, dtype=np.float64))
+    ratio = angle / nominal
+    bad = _illegal(ratio)
+    if bad.size == 0:
+        return
+    k = int(bad[0])
+    found = f"the gyros turned by {angle[k] / DEG:.4g}°, but {nominal[k] / DEG:.4g}° is stated"
+    typical = float(np.median(np.abs(ratio)))
+    if _is_legal(typical):
+        cause = "correct its id, its windows, or the order and sign of the gyro axes"
+        if ratio[k] < 0.0 and _is_legal(-float(ratio[k])):
+            cause = (
+                "it turned the other way, or an axis of the gyros is reversed; correct its id, or the sign"
+            )
+        raise DataError(f"{labels[k]}: {found} ({bad.size} of {ratio.size} turns): {cause}.")
+    cause = _likely_cause(typical, _GYRO_CAUSES, interval_s) or _unknown_cause(typical, "gyro")
+    raise DataError(
+        f"{labels[k]}: {found}, and the other turns are like it: {cause}; correct gyro_unit or kind."
+    )
+
+
+def clipping_levels(recording: Recording) -> ClippingLevels:
+    """Find the readings at which channels are clipped, stated or seen.
+
+    A stated range is believed. Without one, a channel is taken to be clipped where its largest reading (in
+    either sense) is larger than any rest and repeats exactly, in longer rows than equal readings form elsewhere.
+    Coarse or noise-free readings repeat everywhere: clipping shows in them only if the range is stated.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    ClippingLevels
+    """
+    per_sample = recording.nominal_interval_s if recording.kind == "increment" else 1.0
+    low, high = np.full(6, -np.inf), np.full(6, np.inf)
+    sensors = (
+        (recording.gyro, recording.noise.gyro_range, _CLIPPED_GYRO_RAD_S),
+        (recording.accel, recording.noise.accel_range, _CLIPPED_ACCEL_M_S2),
+    )
+    for s, (values, stated, least) in enumerate(sensors):
+        for axis in range(3):
+            i = 3 * s + axis
+            if stated is not None:
+                high[i] = _RANGE_MARGIN * stated * per_sample
+                low[i] = -high[i]
+                continue
+            channel = values[:, axis]
+            top, bottom = float(channel.max()), float(channel.min())
+            if top > least * per_sample and _repeats_at(channel, top, bottom):
+                high[i] = top
+            if -bottom > least * per_sample and _repeats_at(channel, bottom, top):
+                low[i] = bottom
+    return ClippingLevels(low, high)
+
+
+def clipped_samples(
+    recording: Recording, part: slice, levels: ClippingLevels | None = None
+) -> tuple[Clipping, ...]:
+    """Find the channels that are clipped in a part of a recording; a sequence with any of them is void.
+
+    Parameters
+    ----------
+    recording : Recording
+    part : slice
+        Samples to look at.
+    levels : ClippingLevels, optional
+        From :func:`clipping_levels`, to be found once for all parts of a recording.
+
+    Returns
+    -------
+    tuple of Clipping
+        Empty: nothing is clipped.
+    """
+    levels = clipping_levels(recording) if levels is None else levels
+    found = []
+    for s, (sensor, values) in enumerate((("gyro", recording.gyro), ("accel", recording.accel))):
+        block = values[part]
+        mine = slice(3 * s, 3 * s + 3)
+        if not (np.isfinite(levels.high[mine]).any() or np.isfinite(levels.low[mine]).any()):
+            continue
+        beyond = (block >= levels.high[mine]) | (block <= levels.low[mine])
+        for axis in np.flatnonzero(beyond.any(axis=0)):
+            at = np.flatnonzero(beyond[:, axis])
+            first = float(recording.time[part][at[0]])
+            found.append(Clipping(f"{sensor}_{AXES[axis]}", int(at.size), first))
+    return tuple(found)
+
+
+def gap_inside(recording: Recording, part: slice) -> NDArray[np.intp]:
+    """Find the interruptions inside a part of a recording, across which nothing can be integrated.
+
+    Parameters
+    ----------
+    recording : Recording
+    part : slice
+        Samples of a sequence.
+
+    Returns
+    -------
+    ndarray of int
+        Indices of the samples that follow an interruption; one right before the part is outside it.
+    """
+    gaps = recording.gaps
+    inside: NDArray[np.intp] = gaps[(gaps > part.start) & (gaps < part.stop)]
+    return inside
+
+
+def _is_legal(ratio: float) -> bool:
+    return LEGAL_RATIO[0] <= ratio <= LEGAL_RATIO[1]
+
+
+def _illegal(ratio: NDArray[np.float64]) -> NDArray[np.intp]:
+    return np.flatnonzero(~((ratio >= LEGAL_RATIO[0]) & (ratio <= LEGAL_RATIO[1])))
+
+
+def _likely_cause(
+    ratio: float, causes: tuple[tuple[float, str], ...], interval_s: float | None
+) -> str | None:
+    """Name the cause, or the two causes that explain a ratio about equally well."""
+    if ratio <= 0.0:
+        return None
+    if interval_s is not None:
+        causes = (*causes, (interval_s, _INCREMENTS), (1.0 / interval_s, _RATES))
+    distance = sorted((abs(math.log(ratio / factor)), text) for factor, text in causes)
+    nearest = distance[0][0]
+    if nearest > _MATCH:
+        return None
+    return ", or ".join(text for d, text in distance[:2] if d - nearest <= _AS_GOOD)
+
+
+def _unknown_cause(ratio: float, sensor: str) -> str:
+    if ratio < 1e-6:
+        return f"the {sensor} columns hold nothing, or something else"
+    if ratio > 5.0:
+        return "the values look like counts; state the unit as counts, with the value of one"
+    return f"no known unit explains it; check which columns hold the {sensor} readings"
+
+
+def _repeats_at(channel: NDArray[np.float64], extreme: float, other: float) -> bool:
+    """Whether one extreme repeats as readings between the extremes do not."""
+    equal = channel[1:] == channel[:-1]
+    longest = _longest_run(equal & (channel[1:] == extreme))
+    if longest + 1 < _REPEATS:
+        return False
+    between = (channel[1:] != extreme) & (channel[1:] != other)
+    equal &= between
+    often = np.count_nonzero(equal) > _OFTEN * np.count_nonzero(between)
+    return not often and longest > 2 * _longest_run(equal)
+
+
+def _longest_run(mask: NDArray[np.bool_]) -> int:
+    """Count the steps of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0

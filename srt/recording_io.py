@@ -1,0 +1,327 @@
+"""Recordings on disk: a folder with ``recording.toml`` and the samples file that it names.
+
+Units are converted here and nowhere else: files state theirs, in names of keys or as keys; memory holds SI.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.atomic import atomic_path, unwritable
+from srt.constants import normal_gravity_m_s2
+from srt.exceptions import InputError
+from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+from srt.recording_keys import (
+    ACCEL_UNITS,
+    COUNTS,
+    FIXTURE_KEYS,
+    GYRO_UNITS,
+    IMU_KEYS,
+    RECORDING_KEYS,
+    SECTIONS,
+    SEQUENCE_KEYS,
+    SITE_KEYS,
+    TIME_UNITS,
+    emit_section,
+    fields_of,
+    read_section,
+    toml_value,
+)
+from srt.samples_io import SAMPLES_FORMATS, Samples, read_samples, write_samples
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+TOML_NAME: Final = "recording.toml"
+
+_NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # local anomalies, which the formula does not know
+
+
+def load_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder, or its ``recording.toml``.
+
+    Returns
+    -------
+    Recording
+        In SI units. Gravity is ``gravity_m_s2`` where given, else normal gravity at ``height_m``. Without a
+        column ``temperature``, ``temperature_c`` holds for all samples; without a column ``time``,
+        ``sample_rate_hz`` makes it, the first interval starting at 0.
+
+    Raises
+    ------
+    InputError
+        A file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value, or samples
+        that :class:`~srt.recording.Recording` refuses. One sentence each.
+    MissingExtraError
+        If the samples format needs a package that is not installed.
+    """
+    toml = _find_toml(Path(path))
+    document = _read_toml(toml)
+    main = read_section(str(toml), "recording", document["recording"], RECORDING_KEYS)
+    site = _read_site(str(toml), document)
+    fixture = None
+    if "fixture" in document:
+        given = fields_of(read_section(str(toml), "fixture", document["fixture"], FIXTURE_KEYS), FIXTURE_KEYS)
+        fixture = Fixture(**{"heading_rad": None, **given})
+    noise = ImuNoise(**fields_of(read_section(str(toml), "imu", document.get("imu", {}), IMU_KEYS), IMU_KEYS))
+    sequences = _read_sequences(str(toml), document.get("sequence", []))
+
+    if "samples" not in main:
+        raise InputError(
+            f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".'
+        )
+    kind = main.get("kind", "rate")
+    gyro = _conversion(str(toml), "gyro", kind, main, GYRO_UNITS)
+    accel = _conversion(str(toml), "accel", kind, main, ACCEL_UNITS)
+    samples_path = toml.parent / main["samples"]
+    rate = main.get("sample_rate_hz")
+    samples = read_samples(samples_path, time_required=rate is None)
+    _apply(samples.gyro, gyro)
+    _apply(samples.accel, accel)
+    time = samples.time
+    if time is None:
+        assert rate is not None
+        time = np.arange(1, len(samples.gyro) + 1) / rate
+    elif main.get("time_unit", "s") != "s":
+        time *= TIME_UNITS[main["time_unit"]]
+    temperature = samples.temperature
+    if temperature is None and "temperature_c" in main:
+        temperature = np.broadcast_to(np.float64(main["temperature_c"]), time.shape)
+    try:
+        return Recording(
+            time=time,
+            gyro=samples.gyro,
+            accel=samples.accel,
+            site=site,
+            fixture=fixture,
+            noise=noise,
+            sequences=sequences,
+            temperature=temperature,
+            source=os.fspath(path),
+            data_sha256=_sha256(samples_path),
+            **fields_of({"kind": kind, **main}, RECORDING_KEYS),
+        )
+    except InputError as error:
+        raise InputError(f"{toml.parent}: {error}") from None
+
+
+def write_recording(
+    recording: Recording,
+    directory: str | os.PathLike[str],
+    *,
+    samples_format: str = "csv",
+    overwrite: bool = False,
+) -> None:
+    """Write a recording in SI units, samples exact to the last bit.
+
+    Parameters
+    ----------
+    recording : Recording
+    directory : path-like
+        Made if absent.
+    samples_format : str
+        "csv", "npz", "parquet" or "h5".
+    overwrite : bool
+        Whether a folder that holds files may be written to. Files that are not replaced stay.
+
+    Raises
+    ------
+    InputError
+        A folder with files in it, an unknown format, a path that cannot be written. Nothing half-written is
+        left: ``recording.toml`` appears last.
+    MissingExtraError
+        If the format needs a package that is not installed.
+    """
+    if samples_format not in SAMPLES_FORMATS:
+        raise InputError(
+            f"There is no samples format {samples_format!r}{did_you_mean(samples_format, SAMPLES_FORMATS)}: "
+            f"use one of {', '.join(SAMPLES_FORMATS)}."
+        )
+    folder = Path(directory)
+    created = _prepare(folder, overwrite=overwrite)
+    name = f"samples.{samples_format}"
+    temperature = recording.temperature
+    constant = temperature is not None and temperature.strides == (0,)
+    # The column views do not copy; writers do, one column or block at a time.
+    samples = Samples(recording.gyro, recording.accel, recording.time, None if constant else temperature)
+    try:
+        with atomic_path(folder / TOML_NAME) as new_toml:
+            new_toml.write_text(_emit(recording, name), encoding="utf-8", newline="\n")
+            with atomic_path(folder / name) as new_samples:
+                write_samples(new_samples, samples)
+                # All is written; only renamings are left. Between the two there shall be no recording rather
+                # than old keys with new samples.
+                (folder / TOML_NAME).unlink(missing_ok=True)
+    except BaseException:
+        if created and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
+
+
+def _find_toml(path: Path) -> Path:
+    if path.is_dir():
+        toml = path / TOML_NAME
+        if not toml.is_file():
+            raise InputError(
+                f"The folder {path} holds no {TOML_NAME}: it is no recording; name another folder."
+            )
+        return toml
+    if not path.exists():
+        raise InputError(f"There is no recording {path}: check the path of the folder.")
+    if path.suffix != ".toml":
+        raise InputError(
+            f"{path} is no recording: name the folder that holds {TOML_NAME}, or convert the file."
+        )
+    return path
+
+
+def _read_toml(toml: Path) -> dict[str, Any]:
+    try:
+        with toml.open("rb") as file:
+            document = tomllib.load(file)
+    except OSError as error:
+        raise InputError(f"Cannot read {toml} ({error.strerror}): check its permissions.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{toml} is not valid TOML ({error}): correct it there.") from None
+    for section in document:
+        if section not in SECTIONS:
+            raise InputError(
+                f"{toml}: [{section}] is no known section{did_you_mean(section, SECTIONS)}: "
+                f"remove it, or use one of {', '.join(SECTIONS)}."
+            )
+    for section in ("recording", "site"):
+        if section not in document:
+            raise InputError(f"{toml}: the section [{section}] is missing: add it.")
+    return document
+
+
+def _read_site(file: str, document: Mapping[str, Any]) -> Site:
+    site = read_section(file, "site", document["site"], SITE_KEYS)
+    given = fields_of(site, SITE_KEYS)
+    if "gravity_m_s2" not in site:
+        if "height_m" not in site:
+            raise InputError(
+                f"{file}: neither site.gravity_m_s2 nor site.height_m is given: "
+                "give local gravity in m/s², or latitude_deg and height_m for normal gravity."
+            )
+        if "latitude_deg" not in site:
+            raise InputError(
+                f"{file}: site.height_m is given without site.latitude_deg, on which normal gravity depends: "
+                "add latitude_deg, or give gravity_m_s2."
+            )
+        gravity = normal_gravity_m_s2(given["latitude_rad"], site["height_m"])
+        given = {"gravity_m_s2": gravity, "gravity_sigma_m_s2": _NORMAL_GRAVITY_SIGMA_M_S2, **given}
+    return Site(**given)
+
+
+def _read_sequences(file: str, values: object) -> tuple[SequenceLabel, ...]:
+    if not isinstance(values, list):
+        raise InputError(f"{file}: sequence is no list: write each as [[sequence]], in double brackets.")
+    labels = []
+    for number, value in enumerate(values, start=1):
+        section = read_section(file, f"sequence[{number}]", value, SEQUENCE_KEYS)
+        for name in ("start_static_s", "end_static_s"):
+            if name not in section:
+                raise InputError(
+                    f"{file}: sequence[{number}].{name} is missing: add the window [from, to] in s."
+                )
+        try:
+            labels.append(SequenceLabel(**fields_of(section, SEQUENCE_KEYS)))
+        except InputError as error:
+            raise InputError(f"{file}: sequence[{number}]: {error}") from None
+    return tuple(labels)
+
+
+def _conversion(
+    file: str, sensor: str, kind: str, main: Mapping[str, Any], units: Mapping[str, Mapping[str, float]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offset and factor of a sensor's columns, each of shape (3,)."""
+    unit, lsb, offset = (main.get(f"{sensor}_{name}") for name in ("unit", "lsb", "offset_counts"))
+    allowed = ", ".join(f'"{name}"' for name in (*units[kind], COUNTS))
+    if unit is None:
+        raise InputError(f"{file}: recording.{sensor}_unit is missing: state it, as one of {allowed}.")
+    if unit == COUNTS:
+        if lsb is None:
+            raise InputError(
+                f'{file}: recording.{sensor}_lsb is missing: {sensor}_unit is "counts", '
+                "so give SI units per count."
+            )
+        return np.array(offset or (0.0, 0.0, 0.0)), np.array(lsb)
+    for name, value in (("lsb", lsb), ("offset_counts", offset)):
+        if value is not None:
+            raise InputError(
+                f'{file}: recording.{sensor}_{name} is given, but {sensor}_unit is "{unit}": '
+                'remove it, or set the unit to "counts".'
+            )
+    if unit not in units[kind]:
+        raise InputError(
+            f'{file}: recording.{sensor}_unit is "{unit}", but recording.kind is "{kind}", for which one of '
+            f"{allowed} is expected: correct the unit or the kind."
+        )
+    return np.zeros(3), np.full(3, units[kind][unit])
+
+
+def _apply(values: NDArray[np.float64], conversion: tuple[NDArray[np.float64], NDArray[np.float64]]) -> None:
+    """Convert in place, touching nothing that is right already."""
+    offset, factor = conversion
+    if offset.any():
+        values -= offset
+    if (factor != 1.0).any():
+        values *= factor
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _prepare(folder: Path, *, overwrite: bool) -> bool:
+    """Make the folder; say whether it was absent."""
+    try:
+        if folder.exists():
+            if not folder.is_dir():
+                raise InputError(f"{folder} is a file, but a recording is a folder: name another place.")
+            if any(folder.iterdir()) and not overwrite:
+                raise InputError(
+                    f"The folder {folder} holds files already: name another, or allow overwriting."
+                )
+            return False
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(unwritable(folder, error)) from None
+    return True
+
+
+def _emit(recording: Recording, samples_name: str) -> str:
+    rate = recording.kind == "rate"
+    lines = ["[recording]", f"samples = {toml_value(samples_name)}"]
+    lines.append(f"gyro_unit = {toml_value('rad/s' if rate else 'rad')}")
+    lines.append(f"accel_unit = {toml_value('m/s^2' if rate else 'm/s')}")
+    lines.append('time_unit = "s"')
+    lines += emit_section(recording, RECORDING_KEYS)
+    temperature = recording.temperature
+    if temperature is not None and temperature.strides == (0,):
+        lines.append(f"temperature_c = {toml_value(float(temperature[0]))}")
+    lines += ["", "[site]", *emit_section(recording.site, SITE_KEYS)]
+    if recording.fixture is not None:
+        lines += ["", "[fixture]", *emit_section(recording.fixture, FIXTURE_KEYS)]
+    imu = emit_section(recording.noise, IMU_KEYS)
+    if imu:
+        lines += ["", "[imu]", *imu]
+    for label in recording.sequences:
+        lines += ["", "[[sequence]]", *emit_section(label, SEQUENCE_KEYS)]
+    return "\n".join(lines) + "\n"

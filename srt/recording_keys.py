@@ -1,0 +1,303 @@
+"""The keys of ``recording.toml`` as a table: name, type, unit and range of each, and where it goes.
+
+Reader and writer both run on this table, so that a key is described once, and what is not in it is refused
+with the nearest name that is.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
+from srt.exceptions import InputError
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+INFINITY: Final = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key of a section.
+
+    Attributes
+    ----------
+    name : str
+        In the file.
+    expected : str
+        What messages say is expected.
+    read : callable
+        Converts a TOML value to the value inside (SI); raises ValueError for what is not expected.
+    attribute : str or None
+        Field of the dataclass that the section becomes; None: for the reader alone.
+    factor : float
+        SI units per unit of the file, for the writer.
+    """
+
+    name: str
+    expected: str
+    read: Callable[[Any], Any]
+    attribute: str | None = None
+    factor: float = 1.0
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def number(
+    name: str,
+    unit: str,
+    attribute: str | None = None,
+    *,
+    factor: float = 1.0,
+    low: float = -INFINITY,
+    high: float = INFINITY,
+    above: float = -INFINITY,
+) -> Key:
+    """Describe a finite number within [low, high] and greater than ``above``, in units of the file."""
+
+    def read(value: Any) -> float:
+        if not _is_number(value) or not low <= value <= high or not value > above:
+            raise ValueError
+        # Multiplied even by 1.0: whole numbers become floats.
+        return float(value) * factor
+
+    limits = "a positive number" if above == 0.0 else "a number"
+    if low == 0.0 and high == INFINITY:
+        limits = "a number, not negative,"
+    elif low > -INFINITY:
+        limits += f" from {low:g} to {high:g}"
+    return Key(name, f"{limits} in {unit}", read, attribute, factor)
+
+
+def text(name: str, attribute: str | None = None, choices: tuple[str, ...] = ()) -> Key:
+    """Describe a text, one of several where choices are given; a TOML date becomes its text."""
+
+    def read(value: Any) -> str:
+        if isinstance(value, datetime.date | datetime.datetime) and not choices:
+            return value.isoformat()
+        if not isinstance(value, str) or not value or (choices and value not in choices):
+            raise ValueError
+        return value
+
+    expected = "one of " + ", ".join(f'"{choice}"' for choice in choices) if choices else "a text in quotes"
+    return Key(name, expected, read, attribute)
+
+
+def one_or_three(name: str, unit: str, *, zero: bool) -> Key:
+    """Describe a number, or a list of three for x, y, z; read as a tuple of three."""
+
+    def read(value: Any) -> tuple[float, ...]:
+        numbers = value if isinstance(value, list) else [value] * 3
+        if len(numbers) != 3 or not all(_is_number(v) and (zero or v != 0) for v in numbers):
+            raise ValueError
+        return tuple(float(v) for v in numbers)
+
+    return Key(name, f"a number {'' if zero else 'other than 0 '}or a list of three, in {unit}", read)
+
+
+def _window(name: str) -> Key:
+    def read(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2 or not all(_is_number(v) for v in value):
+            raise ValueError
+        return float(value[0]), float(value[1])
+
+    return Key(name, "a window [from, to] in s", read, name)
+
+
+def _read_rotations(value: Any) -> tuple[tuple[str, float], ...]:
+    if not isinstance(value, list):
+        raise ValueError  # noqa: TRY004 - the caller makes one sentence of every refusal
+    for item in value:
+        if not (
+            isinstance(item, list) and len(item) == 2 and item[0] in ("x", "y", "z") and _is_number(item[1])
+        ):
+            raise ValueError
+    return tuple((axis, float(angle) * DEG) for axis, angle in value)
+
+
+GYRO_UNITS: Final = {
+    "rate": {"rad/s": 1.0, "deg/s": DEG, "deg/h": DEG_PER_H},
+    "increment": {"rad": 1.0, "deg": DEG},
+}
+"""SI units per unit of the file, by kind of recording; "counts" goes with its own factor."""
+
+ACCEL_UNITS: Final = {
+    "rate": {"m/s^2": 1.0, "g": STANDARD_GRAVITY_M_S2, "mg": 1e-3 * STANDARD_GRAVITY_M_S2},
+    "increment": {"m/s": 1.0},
+}
+
+TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+COUNTS: Final = "counts"
+
+
+def _units(table: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
+    return (*table["rate"], *table["increment"], COUNTS)
+
+
+RECORDING_KEYS: Final = (
+    text("samples"),
+    text("kind", "kind", ("rate", "increment")),
+    text("gyro_unit", choices=_units(GYRO_UNITS)),
+    text("accel_unit", choices=_units(ACCEL_UNITS)),
+    text("time_unit", choices=tuple(TIME_UNITS)),
+    one_or_three("gyro_lsb", "rad/s (or rad) per count", zero=False),
+    one_or_three("gyro_offset_counts", "counts", zero=True),
+    one_or_three("accel_lsb", "m/s² (or m/s) per count", zero=False),
+    one_or_three("accel_offset_counts", "counts", zero=True),
+    number("sample_rate_hz", "Hz", "sample_rate_hz", above=0.0),
+    text("serial", "serial"),
+    text("date", "date"),
+    number("temperature_c", "°C", low=-273.15, high=1000.0),
+)
+
+SITE_KEYS: Final = (
+    number("latitude_deg", "degrees", "latitude_rad", factor=DEG, low=-90.0, high=90.0),
+    number("gravity_m_s2", "m/s²", "gravity_m_s2", low=9.5, high=10.1),
+    number("height_m", "m", low=-1000.0, high=10000.0),
+    number("gravity_sigma_m_s2", "m/s²", "gravity_sigma_m_s2", above=0.0),
+)
+
+FIXTURE_KEYS: Final = (
+    number("heading_deg", "degrees", "heading_rad", factor=DEG, low=-360.0, high=360.0),
+    number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, above=0.0),
+    number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, above=0.0),
+)
+
+IMU_KEYS: Final = (
+    number("gyro_noise_deg_per_sqrt_h", "°/√h", "gyro_noise", factor=DEG_PER_SQRT_H, above=0.0),
+    number("accel_noise_ug_per_sqrt_hz", "µg/√Hz", "accel_noise", factor=MICRO_G, above=0.0),
+    number("gyro_quantization_arcsec", "arc seconds", "gyro_quantization", factor=ARCSEC, low=0.0),
+    number("accel_quantization_m_s", "m/s", "accel_quantization", low=0.0),
+    number("gyro_bias_instability_deg_per_h", "°/h", "gyro_bias_instability", factor=DEG_PER_H, low=0.0),
+    number("accel_bias_instability_ug", "µg", "accel_bias_instability", factor=MICRO_G, low=0.0),
+    number("gyro_range_deg_s", "°/s", "gyro_range", factor=DEG, above=0.0),
+    number("accel_range_g", "g", "accel_range", factor=STANDARD_GRAVITY_M_S2, above=0.0),
+)
+
+SEQUENCE_KEYS: Final = (
+    text("id", "id"),
+    _window("start_static_s"),
+    _window("end_static_s"),
+    text("down", "down", ("x", "y", "z")),
+    text("along_outer", "along_outer", ("x", "y", "z")),
+    Key("rotations", 'a list like [["y", 180.0], ["z", 90.0]] in degrees', _read_rotations, "rotations", DEG),
+)
+
+SECTIONS: Final = {
+    "recording": RECORDING_KEYS,
+    "site": SITE_KEYS,
+    "fixture": FIXTURE_KEYS,
+    "imu": IMU_KEYS,
+    "sequence": SEQUENCE_KEYS,
+}
+
+
+def read_section(file: str, section: str, values: object, keys: tuple[Key, ...]) -> dict[str, Any]:
+    """Check one section against its keys and convert it to SI.
+
+    Parameters
+    ----------
+    file, section : str
+        Named in messages.
+    values : object
+        What TOML holds there.
+    keys : tuple of Key
+
+    Returns
+    -------
+    dict
+        By name of the key; absent keys are absent.
+
+    Raises
+    ------
+    InputError
+        Unknown keys, wrong types, values out of range.
+    """
+    if not isinstance(values, dict):
+        raise InputError(f"{file}: {section} is {_shown(values)}, but a section of keys is expected.")
+    known = {key.name: key for key in keys}
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(
+                f"{file}: {section}.{name} is no known key{did_you_mean(name, known)}: "
+                f"remove it, or use one of {', '.join(known)}."
+            )
+        try:
+            result[name] = known[name].read(value)
+        except (ValueError, OverflowError):
+            raise InputError(
+                f"{file}: {section}.{name} is {_shown(value)}, but {known[name].expected} is expected."
+            ) from None
+    return result
+
+
+def fields_of(section: Mapping[str, Any], keys: tuple[Key, ...]) -> dict[str, Any]:
+    """Give the part of a section that fills fields of its dataclass, by name of the field."""
+    return {
+        key.attribute: section[key.name] for key in keys if key.attribute is not None and key.name in section
+    }
+
+
+def emit_section(source: object, keys: tuple[Key, ...]) -> list[str]:
+    """Write the fields of a dataclass as lines of TOML, leaving out what is None.
+
+    Parameters
+    ----------
+    source : object
+        Site, Fixture, ImuNoise, SequenceLabel or Recording.
+    keys : tuple of Key
+
+    Returns
+    -------
+    list of str
+    """
+    lines = []
+    for key in keys:
+        value = None if key.attribute is None else getattr(source, key.attribute)
+        if value is None or (isinstance(value, tuple) and not value):
+            continue
+        if key.name == "rotations":
+            value = [[axis, in_file_unit(angle, key.factor)] for axis, angle in value]
+        elif isinstance(value, int | float):
+            value = in_file_unit(value, key.factor)
+        lines.append(f"{key.name} = {toml_value(value)}")
+    return lines
+
+
+def in_file_unit(value: float, factor: float) -> float:
+    """Convert from SI to the unit of the file, such that reading gives back the same bits where a float can.
+
+    Round numbers are tried first: 45° is 45.0, not 45.00000000000001.
+    """
+    exact = value / factor
+    nearest = (exact, math.nextafter(exact, INFINITY), math.nextafter(exact, -INFINITY))
+    for candidate in (*(float(f"{exact:.{digits}g}") for digits in (6, 12, 15)), *nearest):
+        if candidate * factor == value:
+            return candidate
+    return exact
+
+
+def toml_value(value: object) -> str:
+    """Write text, a number, or a list of them as TOML."""
+    if isinstance(value, str):
+        # A JSON string is a TOML string but for the character DEL.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(toml_value(item) for item in value) + "]"
+    assert isinstance(value, int | float)
+    return repr(float(value))
+
+
+def _shown(value: object) -> str:
+    shown = repr(value) if not isinstance(value, str) else f'the text "{value}"'
+    return shown if len(shown) <= 60 else shown[:57] + "..."

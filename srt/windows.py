@@ -1,0 +1,97 @@
+"""Stationary windows: averages taken once, and the weights of the two averaging algorithms.
+
+A window's mean is what later is compensated: compensating samples would rectify their noise through the asymmetry
+term. With held attitude these sums are all that the play-backs need of the windows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.options import Average
+    from srt.recording import Recording
+
+    Array = NDArray[np.float64]
+
+
+def averaging_weights(n: int, algorithm: Average) -> Array:
+    """Weights of n samples, which sum to 1.
+
+    "linear" is the plain mean; "overlapping" the mean of all means over half the window, which is a triangle (a
+    trapezoid for odd n). Both answer a unit ramp with F_Meas = 1/2 (Savage 2020, after eq. 22).
+    """
+    if algorithm == "linear" or n < 2:
+        return np.full(n, 1.0 / n)
+    half = n // 2
+    weights = np.convolve(np.full(half, 1.0 / half), np.full(n - half + 1, 1.0 / (n - half + 1)))
+    return weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Averages of W stationary windows, raw readings as rates.
+
+    Attributes
+    ----------
+    samples : ndarray of int, shape (W, 2)
+        First sample and one past the last.
+    duration_s : ndarray, shape (W,)
+    gyro_mean : ndarray, shape (W, 3), rad/s
+        Linear mean.
+    gyro_halves : ndarray, shape (W, 2, 3), rad/s
+        Means of the first and the second half, for the test of stillness.
+    accel_mean : ndarray, shape (W, 3), m/s²
+        By the averaging algorithm.
+    white_factor : ndarray, shape (W,), 1/s
+        Variance of the accelerometer mean over squared random walk.
+    edge_factor : ndarray, shape (W,), 1/s²
+        Variance of the accelerometer mean over the variance of one quantisation error.
+    """
+
+    samples: NDArray[np.intp]
+    duration_s: Array
+    gyro_mean: Array
+    gyro_halves: Array
+    accel_mean: Array
+    white_factor: Array
+    edge_factor: Array
+
+
+def average_windows(recording: Recording, samples: NDArray[np.intp], algorithm: Average) -> Windows:
+    """Average all windows once.
+
+    Parameters
+    ----------
+    recording : Recording
+    samples : ndarray of int, shape (W, 2)
+    algorithm : "linear" or "overlapping"
+    """
+    W = len(samples)
+    duration, white, edge = np.empty(W), np.empty(W), np.empty(W)
+    gyro, accel, halves = np.empty((W, 3)), np.empty((W, 3)), np.empty((W, 2, 3))
+    rates = recording.kind == "rate"
+    interval = recording.interval_s
+    cache: dict[int, Array] = {}
+    for w, (a, b) in enumerate(samples.tolist()):
+        n, middle = b - a, (a + b) // 2
+        steps = np.full(n, interval) if isinstance(interval, float) else interval[a:b]
+        duration[w] = steps.sum()
+        if n not in cache:
+            cache[n] = averaging_weights(n, algorithm)
+        weights = cache[n]
+        density = weights / steps  # the mean is the integral of density times reading
+        accel[w] = (weights if rates else density) @ recording.accel[a:b]
+        first, second = steps[: middle - a], steps[middle - a :]
+        for h, (lo, hi, s) in enumerate(((a, middle, first), (middle, b, second))):
+            angle = (s if rates else np.ones(hi - lo)) @ recording.gyro[lo:hi]
+            halves[w, h] = angle / s.sum()
+        gyro[w] = (halves[w, 0] * first.sum() + halves[w, 1] * second.sum()) / duration[w]
+        white[w] = float(density**2 @ steps)
+        edge[w] = float(np.sum(np.diff(density, prepend=0.0, append=0.0) ** 2))
+    return Windows(samples, duration, gyro, halves, accel, white, edge)
