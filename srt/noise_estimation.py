@@ -28,6 +28,8 @@ GYRO_FLOOR: Final = 1e-10
 ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
 """Smallest velocity random walk that is believed, m/s²·√s."""
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 20000
+_QUANTIZATION_DOUBT: Final = 0.5
+_POOL_ABOVE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,10 +114,8 @@ def _fit(recording: Recording, windows: NDArray[np.intp]) -> tuple[Array, Array]
     for n, begins in by_length.items():
         x = np.stack([np.concatenate([recording.gyro[a : a + n].T, recording.accel[a : a + n].T]) for a in begins])
         octave = 0
-        while x.shape[2] >= 4 or octave == 0:
+        while x.shape[2] >= 2:
             m = x.shape[2] // 2
-            if m == 0:
-                break
             even, odd = x[:, :, 0 : 2 * m : 2], x[:, :, 1 : 2 * m : 2]
             difference = odd - even
             power, count = totals.get(octave, (np.zeros(6), 0))
@@ -127,16 +127,33 @@ def _fit(recording: Recording, windows: NDArray[np.intp]) -> tuple[Array, Array]
     tau = dt * 2.0 ** np.array(octaves)
     count = np.array([totals[o][1] for o in octaves], dtype=np.float64)
     variance = np.stack([totals[o][0] / totals[o][1] for o in octaves], axis=1)
-    design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1)
-    fitted = np.zeros((6, 2))
-    for column in range(6):
-        if variance[column].max() > 0.0:
-            # Relative error of a variance from m differences is about √(3/m); a floor keeps a zero octave harmless.
-            weight = np.sqrt(count / 3.0) / np.maximum(variance[column], 1e-9 * variance[column].max())
-            scale = np.linalg.norm(design * weight[:, None], axis=0)
-            solution, _ = nnls(design * weight[:, None] / scale, variance[column] * weight)
-            fitted[column] = solution / scale
+    fits = [_fit_one(tau, count, v) for v in variance]
+    for columns in (slice(0, 3), slice(3, 6)):
+        # Where an axis alone tells too little (pulses hide the white noise), the three axes of a triad are pooled.
+        if any(doubt > _POOL_ABOVE for _, doubt in fits[columns]):
+            pooled = _fit_one(tau, 3.0 * count, variance[columns].mean(axis=0))
+            fits[columns] = [pooled] * 3
+    fitted = np.array([solution for solution, _ in fits])
     return np.sqrt(fitted[:, 0]), np.sqrt(fitted[:, 1])
+
+
+def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
+    """Fit (N², q²) to one Allan variance; also the relative doubt of N²."""
+    if variance.max() == 0.0:
+        return np.zeros(2), 0.0
+    design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1)
+    solution = np.zeros(2)
+    for _ in range(2):
+        # A variance from m differences is known to about √(3/m). Quantisation of a slow input is no white sequence
+        # (its saw-tooth has lines), so octaves that it rules say little on N.
+        sigma = np.hypot(
+            variance * np.sqrt(3.0 / count) + 1e-9 * variance.max(), _QUANTIZATION_DOUBT * design[:, 1] * solution[1]
+        )
+        weighted = design / sigma[:, None]
+        scale = np.linalg.norm(weighted, axis=0)
+        solution = nnls(weighted / scale, variance / sigma)[0] / scale
+    doubt = np.sqrt(np.linalg.inv((weighted / scale).T @ (weighted / scale))[0, 0]) / scale[0]
+    return solution, float(doubt / max(solution[0], 1e-300))
 
 
 def _resolution(recording: Recording, windows: NDArray[np.intp], sensor: str) -> Array:
