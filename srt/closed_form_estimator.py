@@ -8,18 +8,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt import closed_form
-from srt.catalogue import AXES
+from srt.catalogue import AXES, SEQUENCES
+from srt.estimation import assemble
 from srt.exceptions import DataError
-from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES, N_PARAMETERS
+from srt.iteration import iterate
+from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
+from srt.session import open_session
+from srt.start import first_estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
+    from srt.calibration import Calibration
+    from srt.estimation import Progress
     from srt.options import Options
     from srt.playback import Playback
     from srt.playback_data import PlaybackData
+    from srt.recording import Recording
 
     Array = NDArray[np.float64]
 
@@ -61,22 +68,26 @@ class ClosedFormSolver:
 
         One row per formula: its own combination of components, averaged over the occurrences of a sequence.
         """
-        data = self.data
-        n_z = 2 * data.K + len(data.windows.duration_s) + 3
-        by_component = np.zeros((len(self.components), n_z))
-        for row, component in enumerate(self.components):
-            occurrences = [k for k, name in enumerate(data.ids) if name == component.sequence]
-            for k in occurrences:
-                by_component[row, self._column(k, component.kind)] += 1.0 / len(occurrences)
         own = np.zeros((len(self.formulas), len(self.components)))
         order = {c: j for j, c in enumerate(self.components)}
         for row, formula in enumerate(self.formulas):
             for coefficient, component in formula.components:
                 own[row, order[component]] = coefficient
-        S = np.zeros((len(self.formulas) + 3, n_z))
-        S[:-3] = own @ by_component
+        S = np.zeros((len(self.formulas) + 3, self._averaged.shape[1]))
+        S[:-3] = own @ self._averaged
         S[-3:, -3:] = np.eye(3)
         return S
+
+    @cached_property
+    def _averaged(self) -> Array:
+        """Components from the measurements, averaged over occurrences, shape (number of components, n_z)."""
+        data = self.data
+        out = np.zeros((len(self.components), 2 * data.K + len(data.windows.duration_s) + 3))
+        for row, component in enumerate(self.components):
+            occurrences = [k for k, name in enumerate(data.ids) if name == component.sequence]
+            for k in occurrences:
+                out[row, self._column(k, component.kind)] += 1.0 / len(occurrences)
+        return out
 
     def _column(self, k: int, kind: str) -> int:
         data = self.data
@@ -99,13 +110,35 @@ class ClosedFormSolver:
     @cached_property
     def coefficients(self) -> Array:
         """Eq. 13 on the averaged components, and the rest rate as the gyro bias, shape (27, n_z)."""
-        data = self.data
-        n_z = self.selection.shape[1]
-        by_component = np.zeros((len(self.components), n_z))
-        for row, component in enumerate(self.components):
-            occurrences = [k for k, name in enumerate(data.ids) if name == component.sequence]
-            for k in occurrences:
-                by_component[row, self._column(k, component.kind)] += 1.0 / len(occurrences)
-        A = closed_form.inversion_matrix(self.formulas, data.gravity) @ by_component
+        A = closed_form.inversion_matrix(self.formulas, self.data.gravity) @ self._averaged
         A[_BIAS, -3:] = np.eye(3)
         return A
+
+
+def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
+    """Calibrate by the closed-form SRT, iterated by play-back.
+
+    Raises
+    ------
+    DataError
+        If the recording has no fixture, or its sequences are not those of Table 1.
+    """
+    labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
+    if recording.fixture is None or not labels:
+        raise DataError(
+            "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
+            "use the least-squares estimator."
+        )
+    data = open_session(recording, labels, options)
+    solver = ClosedFormSolver(data, options)
+    start, U = first_estimate(data, options)
+    solution = iterate(data, options, solver, start, U, progress)
+    held = {name: "held on request" for name in options.held_names}
+    for name in solver.missing:
+        absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
+        held[name] = (
+            f"sequence {', '.join(absent)} is missing or void; the value is the fixture start's"
+            if options.start == "auto"
+            else f"sequence {', '.join(absent)} is missing or void; the value is the given start's"
+        )
+    return assemble("closed-form", data, options, solution, held)

@@ -118,8 +118,8 @@ def check_interval(recording: Recording) -> None:
     interval = recording.nominal_interval_s
     if not SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
         raise DataError(
-            f"The samples are {interval:.3g} s apart, but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s "
-            "is expected: check the time unit (key time_unit of recording.toml)."
+            f"The samples are {interval:.3g} s apart, but {SHORTEST_INTERVAL_S:g} to "
+            f"{LONGEST_INTERVAL_S:g} s is expected: check the time unit (key time_unit of recording.toml)."
         )
 
 
@@ -153,14 +153,15 @@ def check_rest(
     if _is_legal(typical):
         k = int(bad[0])
         raise DataError(
-            f"{labels[k]}: the accelerometers read {magnitude[k]:.4g} m/s² in the mean, but about {gravity:.4g} "
-            f"is expected at rest ({bad.size} of {ratio.size} windows): the unit moved, or a reading is clipped; "
-            "correct the window, or leave it out."
+            f"{labels[k]}: the accelerometers read {magnitude[k]:.4g} m/s² in the mean, but about "
+            f"{gravity:.4g} is expected at rest ({bad.size} of {ratio.size} windows): the unit moved, or a "
+            "reading is clipped; correct the window, or leave it out."
         )
     cause = _likely_cause(typical, _ACCEL_CAUSES, interval_s) or _unknown_cause(typical, "accelerometer")
     raise DataError(
         f"At rest the accelerometers read {typical * gravity:.4g} m/s² ({bad.size} of {ratio.size} windows, "
-        f"first {labels[int(bad[0])]}), but about {gravity:.4g} is expected: {cause}; correct accel_unit or kind."
+        f"first {labels[int(bad[0])]}), but about {gravity:.4g} is expected: {cause}; "
+        "correct accel_unit or kind."
     )
 
 
@@ -211,8 +212,9 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     """Find the readings at which channels are clipped, stated or seen.
 
     A stated range is believed. Without one, a channel is taken to be clipped where its largest reading (in
-    either sense) is larger than any rest and repeats exactly, in longer rows than equal readings form elsewhere.
-    Coarse or noise-free readings repeat everywhere: clipping shows in them only if the range is stated.
+    either sense) is larger than any rest and repeats exactly, in longer rows than equal readings form
+    elsewhere. Coarse or noise-free readings repeat everywhere: clipping shows in them only if the range is
+    stated.
 
     Parameters
     ----------
@@ -237,9 +239,10 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
                 continue
             channel = values[:, axis]
             top, bottom = float(channel.max()), float(channel.min())
-            if top > least * per_sample and _repeats_at(channel, top, bottom):
+            suspects = [top] * (top > least * per_sample) + [bottom] * (-bottom > least * per_sample)
+            if top in suspects and _repeats_at(channel, top, suspects):
                 high[i] = top
-            if -bottom > least * per_sample and _repeats_at(channel, bottom, top):
+            if bottom in suspects and _repeats_at(channel, bottom, suspects):
                 low[i] = bottom
     return ClippingLevels(low, high)
 
@@ -327,15 +330,15 @@ def _unknown_cause(ratio: float, sensor: str) -> str:
     return f"no known unit explains it; check which columns hold the {sensor} readings"
 
 
-def _repeats_at(channel: NDArray[np.float64], extreme: float, other: float) -> bool:
-    """Whether one extreme repeats as readings between the extremes do not."""
+def _repeats_at(channel: NDArray[np.float64], extreme: float, suspects: list[float]) -> bool:
+    """Whether an extreme repeats as readings other than the suspects do not."""
     equal = channel[1:] == channel[:-1]
     longest = _longest_run(equal & (channel[1:] == extreme))
     if longest + 1 < _REPEATS:
         return False
-    between = (channel[1:] != extreme) & (channel[1:] != other)
-    equal &= between
-    often = np.count_nonzero(equal) > _OFTEN * np.count_nonzero(between)
+    others = ~np.isin(channel[1:], suspects)
+    equal &= others
+    often = np.count_nonzero(equal) > _OFTEN * np.count_nonzero(others)
     return not often and longest > 2 * _longest_run(equal)
 
 

@@ -29,6 +29,8 @@ ROUNDING_FRACTION: Final = 0.02
 
 _BURST_SAMPLES = 32  # host-stamped samples arrive in bursts of up to this many
 _MANY_GAPS = 0.05  # a share of long steps above which they are no interruptions
+_FEW_STEPS = 100  # too few to tell rounding from interruptions
+_ROUNDING_UNITS = 0.6  # rounding moves a stamp by half a unit either way; some more for the fit
 _RATE_MISMATCH = 0.2  # MEMS oscillators are off by up to 10 %; more is a wrong number in the file
 
 
@@ -79,12 +81,16 @@ def sample_timing(time: NDArray[np.float64], sample_rate_hz: float | None = None
 
     typical = float(np.median(steps))
     gaps = np.flatnonzero(steps > GAP_STEPS * typical) + 1
-    if gaps.size > _MANY_GAPS * steps.size:
-        # Stamps rounded to nearly an interval (800 Hz in whole milliseconds) step by one unit or by two.
-        longest = max(GAP_STEPS * typical, typical + 1.01 * stamp_resolution(time))
-        gaps = np.flatnonzero(steps > longest) + 1
+    if gaps.size > _MANY_GAPS * steps.size and steps.size > _FEW_STEPS:
+        # Stamps rounded to nearly an interval (800 Hz in whole milliseconds) step by one unit or by two, and
+        # keep to their line all the same.
+        resolution = stamp_resolution(time)
+        fewer = np.flatnonzero(steps > max(GAP_STEPS * typical, typical + 1.01 * resolution)) + 1
+        slope, deviation = _common_line(time, fewer, typical)
+        if deviation <= _ROUNDING_UNITS * resolution:
+            return SampleTiming(slope, slope, _read_only(fewer))
     slope, deviation = _common_line(time, gaps, typical)
-    if deviation <= ROUNDING_FRACTION * slope or deviation <= 0.6 * stamp_resolution(time):
+    if deviation <= ROUNDING_FRACTION * slope or deviation <= _ROUNDING_UNITS * stamp_resolution(time):
         return SampleTiming(slope, slope, _read_only(gaps))
     interval_s = np.empty(time.size)
     interval_s[1:] = steps

@@ -154,9 +154,10 @@ def select_columns(path: Path, available: Sequence[str], *, time_required: bool)
     required = ((TIME,) if time_required else ()) + GYRO_COLUMNS + ACCEL_COLUMNS
     missing = [name for name in required if name not in available]
     if missing:
+        others = [name for name in available if name not in required]
         found = ", ".join(available[:12]) + (" ..." if len(available) > 12 else "")
         raise InputError(
-            f"{path} has no column {missing[0]}{did_you_mean(missing[0], available)} "
+            f"{path} has no column {missing[0]}{did_you_mean(missing[0], others)} "
             f"(found: {found or 'none'}): name the columns {', '.join(required)}."
         )
     wanted = tuple(name for name in (TIME, *GYRO_COLUMNS, *ACCEL_COLUMNS, TEMPERATURE) if name in available)
@@ -216,7 +217,9 @@ def _read_npz(path: Path, time_required: bool) -> Samples:
     # What numpy and zipfile raise for a damaged file depends on where the damage is.
     damage = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, KeyError, NotImplementedError, OSError)
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here, as numpy leaves files open that it cannot read.
+        with path.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise InputError(
                     f"{path} holds a single array, but an archive with one array per column is expected."

@@ -1,0 +1,305 @@
+"""The result of a calibration: values never without their covariance, and how to apply them.
+
+The JSON form is versioned and complete: what is read back is what was written.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from srt.atomic import atomic_write_text
+from srt.compensation import accel_triad, gyro_triad
+from srt.exceptions import InputError
+from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+FORMAT: Final = "srt-calibration"
+VERSION: Final = 1
+STATUSES: Final = ("converged", "partial", "not_converged", "outside_model")
+
+FORMULA: Final = (
+    "Readings are y = M v + s*|v| + b, with v the true value in MARS axes and * element by element. "
+    "Gyros: M = I + [[gyro_scale_x, gyro_orthogonality_xy/2, gyro_orthogonality_zx/2], [gyro_orthogonality_xy/2, "
+    "gyro_scale_y, gyro_orthogonality_yz/2], [gyro_orthogonality_zx/2, gyro_orthogonality_yz/2, gyro_scale_z]], "
+    "s = gyro_asymmetry, b = gyro_bias (rad/s). Accelerometers: M = I + [[accel_scale_x, accel_misalignment_xy, "
+    "accel_misalignment_xz], [accel_misalignment_yx, accel_scale_y, accel_misalignment_yz], [accel_misalignment_zx, "
+    "accel_misalignment_zy, accel_scale_z]], s = accel_asymmetry, b = accel_bias (m/s^2). "
+    "To correct a reading, solve for v: v = inverse(M + diag(s * sign(v))) (y - b), with the signs that the solution "
+    "has itself. MARS is the frame in which the gyro matrix is symmetric; transpose(U) takes its components to the "
+    "table-mounted frame. Not held: accelerometers were seen to 1 g only, where an asymmetry and a quadratic term are "
+    "one and the same; gyros at the rates turned; temperature other than that of the test."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """One measurement left over after the last play-back: component, value, one sigma (m/s² or rad/s)."""
+
+    sequence: str
+    occurrence: int
+    component: str
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A calibrated unit.
+
+    Attributes
+    ----------
+    estimator : str
+    status : str
+        "converged", "partial" (some parameters held), "not_converged" or "outside_model".
+    message : str
+        The status in a sentence.
+    errors : SensorErrors
+    covariance : ndarray, shape (27, 27)
+        Zero in the rows and columns of parameters that are held.
+    corrections : tuple of float
+        Largest correction of each play-back.
+    held : dict of str to str
+        Parameters not observed, and why; their values are the prior's.
+    contributions : dict of str to ndarray, shape (27,)
+        One sigma by source of error.
+    U : ndarray, shape (3, 3), or None
+        Table-mounted to MARS components; None without a fixture.
+    U_sigma_rad : float or None
+    residuals : tuple of Residual
+    site, noise, alignment, provenance : dict
+    temperature : dict or None
+        Mean and range per sequence, °C.
+    warnings : tuple of str
+    """
+
+    estimator: str
+    status: str
+    message: str
+    errors: SensorErrors
+    covariance: Array
+    corrections: tuple[float, ...] = ()
+    held: Mapping[str, str] = field(default_factory=dict)
+    contributions: Mapping[str, Array] = field(default_factory=dict)
+    U: Array | None = None
+    U_sigma_rad: float | None = None
+    residuals: tuple[Residual, ...] = ()
+    site: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, Any] = field(default_factory=dict)
+    alignment: Mapping[str, Any] = field(default_factory=dict)
+    temperature: Mapping[str, Any] | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def sigma(self) -> Array:
+        """One sigma of every parameter, shape (27,); NaN for held parameters."""
+        out: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        out[[INDEX[name] for name in self.held]] = np.nan
+        return out
+
+    @property
+    def observed(self) -> NDArray[np.bool_]:
+        """Which parameters the recording determined, shape (27,)."""
+        return np.array([name not in self.held for name in NAMES])
+
+    def apply(
+        self,
+        gyro: ArrayLike,
+        accel: ArrayLike,
+        *,
+        kind: Literal["rate", "increment"] = "rate",
+        dt: float | ArrayLike | None = None,
+        frame: Literal["mars", "table"] = "mars",
+        out: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """Correct readings: the exact inverse of the reading model, sample by sample.
+
+        Parameters
+        ----------
+        gyro, accel : array_like, shape (n, 3) or (3,)
+            Readings: rad/s and m/s², or for increments rad and m/s.
+        kind : "rate" or "increment"
+        dt : float or array_like, shape (n,), s
+            Duration of increments; needed for kind "increment" and for nothing else.
+        frame : "mars" or "table"
+            Axes of the result.
+        out : (ndarray, ndarray), optional
+            Arrays to write the result to.
+
+        Returns
+        -------
+        gyro, accel : ndarray
+            Corrected readings, of the shapes and units of the input.
+
+        Raises
+        ------
+        InputError
+            Shapes that do not fit, values that are not finite, ``dt`` missing or given with rates, or no table frame.
+
+        Notes
+        -----
+        The noise of a channel near zero is rectified by its asymmetry s: a bias of about 0.8 s times the one-sigma
+        noise of a sample stays in the mean.
+        """
+        if frame == "table" and self.U is None:
+            raise InputError("This calibration was made without a fixture and knows no table frame; use frame='mars'.")
+        if frame not in ("mars", "table"):
+            raise InputError(f"frame is {frame!r}; it must be 'mars' or 'table'.")
+        if (kind == "increment") != (dt is not None):
+            raise InputError("Give dt, the duration of the samples in seconds, with increments and only with them.")
+        step = 1.0 if dt is None else np.asarray(dt, dtype=np.float64)
+        if np.ndim(step) == 1:
+            step = np.asarray(step)[:, None]
+        results = []
+        for name, values, triad, target in (
+            ("gyro", gyro, gyro_triad(self.errors), None if out is None else out[0]),
+            ("accel", accel, accel_triad(self.errors), None if out is None else out[1]),
+        ):
+            y = np.asarray(values, dtype=np.float64)
+            if y.shape[-1:] != (3,) or y.ndim > 2:
+                raise InputError(f"The {name} readings have the shape {y.shape}; (n, 3) or (3,) is expected.")
+            if not np.isfinite(y.sum()):
+                raise InputError(f"The {name} readings hold values that are not finite numbers.")
+            corrected = triad.compensate(y / step if kind == "increment" else y)
+            if kind == "increment":
+                corrected *= step
+            if frame == "table" and self.U is not None:
+                corrected = corrected @ self.U
+            if target is not None:
+                target[...] = corrected
+                corrected = target
+            results.append(corrected)
+        return results[0], results[1]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON form as a dictionary; no NaN in it."""
+        sigma, observed = self.sigma, self.observed
+        parameters = []
+        for i, name in enumerate(NAMES):
+            row: dict[str, Any] = {
+                "name": name,
+                "symbol": SYMBOLS[i],
+                "value": float(self.errors.vector[i]),
+                "sigma": float(sigma[i]) if observed[i] else None,
+                "unit": UNITS[i],
+                "observed": bool(observed[i]),
+            }
+            if not observed[i]:
+                row["held_reason"] = self.held[name]
+            parameters.append(row)
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "estimator": self.estimator,
+            "status": self.status,
+            "message": self.message,
+            "warnings": list(self.warnings),
+            "iterations": [{"max_correction": c} for c in self.corrections],
+            "parameters": parameters,
+            "covariance": self.covariance.tolist(),
+            "frame": {
+                "name": "MARS",
+                "U": None if self.U is None else self.U.tolist(),
+                "U_sigma": self.U_sigma_rad,
+            },
+            "formula": FORMULA,
+            "site": dict(self.site),
+            "noise": {**self.noise, "contributions": {k: v.tolist() for k, v in self.contributions.items()}},
+            "alignment": dict(self.alignment),
+            "temperature": None if self.temperature is None else dict(self.temperature),
+            "residuals": [
+                {
+                    "sequence": r.sequence,
+                    "occurrence": r.occurrence,
+                    "component": r.component,
+                    "value": r.value,
+                    "sigma": r.sigma,
+                }
+                for r in self.residuals
+            ],
+            "provenance": dict(self.provenance),
+        }
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
+        atomic_write_text(path, json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def load_calibration(path: str | PathLike[str]) -> Calibration:
+    """Read a calibration.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is no calibration, is of another version, or is not consistent.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:  # noqa: PTH123 - any path-like is welcome
+            document = json.load(file)
+    except OSError as error:
+        raise InputError(f"The calibration {path} cannot be read: {error.strerror}.") from None
+    except ValueError as error:
+        raise InputError(f"The calibration {path} is not valid JSON ({error}): is it truncated?") from None
+    try:
+        return _from_dict(document)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path} is not a complete calibration ({type(error).__name__}: {error}); it was edited or truncated."
+        ) from None
+
+
+def _from_dict(document: dict[str, Any]) -> Calibration:
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError(f'this is no calibration file (its "format" is not "{FORMAT}").')
+    if document.get("version") != VERSION:
+        raise InputError(f"its version is {document.get('version')!r}, but this software reads version {VERSION}.")
+    parameters = document["parameters"]
+    names = tuple(p["name"] for p in parameters)
+    if names != NAMES:
+        raise InputError("its parameters are not the 27 sensor errors in their order.")
+    if document["status"] not in STATUSES:
+        raise InputError(f"its status is {document['status']!r}, but {', '.join(STATUSES)} are known.")
+    covariance = np.array(document["covariance"], dtype=np.float64)
+    if covariance.shape != (N_PARAMETERS, N_PARAMETERS) or not np.all(np.isfinite(covariance)):
+        raise InputError(f"its covariance is not a matrix of {N_PARAMETERS} by {N_PARAMETERS} finite numbers.")
+    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        raise InputError("its covariance is not symmetric.")
+    for i, p in enumerate(parameters):
+        if p["observed"] and not math.isclose(p["sigma"], math.sqrt(covariance[i, i]), rel_tol=1e-6, abs_tol=1e-300):
+            raise InputError(f"the sigma of {p['name']} does not agree with the covariance.")
+    noise = dict(document["noise"])
+    contributions = {k: np.array(v, dtype=np.float64) for k, v in noise.pop("contributions", {}).items()}
+    frame = document["frame"]
+    return Calibration(
+        estimator=document["estimator"],
+        status=document["status"],
+        message=document["message"],
+        errors=SensorErrors(np.array([p["value"] for p in parameters], dtype=np.float64)),
+        covariance=covariance,
+        corrections=tuple(step["max_correction"] for step in document["iterations"]),
+        held={p["name"]: p["held_reason"] for p in parameters if not p["observed"]},
+        contributions=contributions,
+        U=None if frame["U"] is None else np.array(frame["U"], dtype=np.float64),
+        U_sigma_rad=frame["U_sigma"],
+        residuals=tuple(Residual(**r) for r in document["residuals"]),
+        site=document["site"],
+        noise=noise,
+        alignment=document["alignment"],
+        temperature=document["temperature"],
+        provenance=document["provenance"],
+        warnings=tuple(document.get("warnings", ())),
+    )

@@ -1,0 +1,287 @@
+"""From a recording to a calibration: choice of estimator, and the result put together from a solution.
+
+Estimators are functions ``(recording, options, progress) -> Calibration`` registered in the entry-point group
+``srt.estimators``; any distribution can add its own.
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import entry_points, version
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+from srt.calibration import Calibration, Residual
+from srt.exceptions import InputError, MissingExtraError
+from srt.sensor_errors import N_PARAMETERS, NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from srt.iteration import Solution
+    from srt.options import Options
+    from srt.playback_data import PlaybackData
+    from srt.recording import Recording
+
+    Array = NDArray[np.float64]
+    Progress = Callable[[int, float], None]
+
+GROUP: Final = "srt.estimators"
+_BUILT_IN: Final = {
+    "closed-form": "srt.closed_form_estimator:estimate",
+    "least-squares": "srt.least_squares_estimator:estimate",
+}
+
+
+class Estimator(Protocol):
+    """What an entry point of the group ``srt.estimators`` must be."""
+
+    def __call__(self, recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
+        """Calibrate a recording."""
+
+
+def estimators() -> tuple[str, ...]:
+    """Names of all registered estimators."""
+    return tuple(sorted({*_BUILT_IN, *(e.name for e in entry_points(group=GROUP))}))
+
+
+def find_estimator(name: str) -> Estimator:
+    """Load an estimator by name.
+
+    Raises
+    ------
+    InputError
+        If none of that name is registered, or what it needs is not installed.
+    """
+    target = _BUILT_IN.get(name)
+    for entry in entry_points(group=GROUP):
+        if entry.name == name:
+            target = entry.value
+    if target is None:
+        raise InputError(f"There is no estimator {name!r}; installed are {', '.join(estimators())}.")
+    module, _, attribute = target.partition(":")
+    try:
+        found: Estimator = getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(str(error.name), "all", f"The estimator {name!r}") from None
+    return found
+
+
+def calibrate(
+    recording: Recording,
+    estimator: str = "auto",
+    *,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Calibration:
+    """Calibrate an IMU from a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    estimator : str
+        "auto" takes the closed form where sequences of Table 1 are labelled on a fixture, least squares elsewhere.
+        Others by name, see :func:`estimators`.
+    options : Options, optional
+    progress : callable, optional
+        Called after every play-back with its number and the largest correction.
+    **choices
+        Fields of :class:`srt.options.Options`, instead of ``options``.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InputError
+        Unknown estimator or option.
+    DataError
+        Data that cannot support a result.
+    """
+    from srt.options import Options as _Options  # noqa: PLC0415
+
+    if options is None:
+        try:
+            options = _Options(**choices)
+        except TypeError:
+            unknown = sorted(set(choices) - set(_Options.__dataclass_fields__))
+            raise InputError(
+                f"Unknown option {unknown[0]!r}; the options are {', '.join(_Options.__dataclass_fields__)}."
+            ) from None
+    elif choices:
+        raise InputError("Give either options or single choices, not both.")
+    name = automatic_estimator(recording) if estimator == "auto" else estimator
+    return find_estimator(name)(recording, options, progress)
+
+
+def automatic_estimator(recording: Recording) -> str:
+    """What "auto" stands for: the closed form for sequences of Table 1 on a fixture, else least squares."""
+    from srt.catalogue import SEQUENCES  # noqa: PLC0415
+
+    labelled = [s for s in recording.sequences if s.id in SEQUENCES]
+    return "closed-form" if recording.fixture is not None and labelled else "least-squares"
+
+
+def assemble(
+    estimator: str,
+    data: PlaybackData,
+    options: Options,
+    solution: Solution,
+    held: Mapping[str, str],
+    *,
+    warnings: tuple[str, ...] = (),
+    inflation: float = 1.0,
+) -> Calibration:
+    """Put a calibration together.
+
+    Parameters
+    ----------
+    estimator : str
+    data : PlaybackData
+    options : Options
+    solution : Solution
+    held : mapping of str to str
+        Parameters not observed and the reason.
+    warnings : tuple of str
+    inflation : float
+        Factor on all sigmas (least squares whose residuals are larger than the noise explains).
+    """
+    observed = np.array([name not in held for name in NAMES])
+    mask = np.outer(observed, observed)
+    covariance = np.where(mask, sum(solution.covariance.values()), 0.0) * inflation**2
+    covariance = 0.5 * (covariance + covariance.T)
+    status, message = solution.status, solution.message
+    if status == "converged" and held:
+        status = "partial"
+        message = f"{message} Held, not observed: {', '.join(held)}."
+    fixture = data.recording.fixture
+    return Calibration(
+        estimator=estimator,
+        status=status,
+        message=message,
+        errors=solution.errors,
+        covariance=covariance,
+        corrections=solution.corrections,
+        held={name: held[name] for name in NAMES if name in held},
+        contributions={
+            source: np.where(observed, np.sqrt(np.maximum(np.diag(P), 0.0)) * inflation, 0.0)
+            for source, P in solution.covariance.items()
+        },
+        U=None if data.nominal is None else solution.U,
+        U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
+        residuals=_residuals(data, solution),
+        site=_site(data),
+        noise=_noise(data, solution, inflation),
+        alignment=_alignment(data),
+        temperature=_temperature(data),
+        provenance={
+            "data_sha256": data.recording.data_sha256,
+            "software": f"strapdown-rotation-test {_version()}",
+            "serial": data.recording.serial,
+            "date": data.recording.date,
+            "options": options.as_dict(),
+            "voided": dict(data.voided),
+        },
+        warnings=(*warnings, *_warnings(data, solution, observed)),
+    )
+
+
+def _version() -> str:
+    try:
+        return version("strapdown-rotation-test")
+    except ModuleNotFoundError:  # importlib.metadata.PackageNotFoundError, a source tree that is not installed
+        return "(not installed)"
+
+
+def _residuals(data: PlaybackData, solution: Solution) -> tuple[Residual, ...]:
+    """What the last play-back left, with the sigma that it should have by the noise of the measurement."""
+    z, sigma = solution.playback.z, np.sqrt(np.diag(solution.measurement_covariance))
+    rows = []
+    for k, name in enumerate(data.ids):
+        sequence = data.catalogue[k]
+        horizontal = "12" if sequence is None else [axis for axis in "xyz" if axis != sequence.down]
+        for j, axis in enumerate(horizontal):
+            rows.append((name, data.occurrences[k], f"horizontal_{axis}", 2 * k + j))
+        for label, w in (("start_down", data.start[k]), ("end_down", data.end[k])):
+            rows.append((name, data.occurrences[k], label, 2 * data.K + int(w)))
+    return tuple(Residual(n, o, c, float(z[i]), float(sigma[i])) for n, o, c, i in rows)
+
+
+def _site(data: PlaybackData) -> dict[str, Any]:
+    site = data.recording.site
+    return {
+        "latitude_deg": None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
+        "gravity_m_s2": site.gravity_m_s2,
+        "gravity_sigma_m_s2": site.gravity_sigma_m_s2,
+    }
+
+
+def _noise(data: PlaybackData, solution: Solution, inflation: float) -> dict[str, Any]:
+    noise = data.noise
+    return {
+        "gyro_noise_rad_per_sqrt_s": noise.gyro_white.tolist(),
+        "accel_noise_m_s2_sqrt_s": noise.accel_white.tolist(),
+        "gyro_reading_error_rad": noise.gyro_edge.tolist(),
+        "accel_reading_error_m_s": noise.accel_edge.tolist(),
+        "gyro_bias_instability_rad_s": solution.instability.tolist(),
+        "accel_bias_instability_m_s2": noise.accel_instability.tolist(),
+        "estimated": list(noise.estimated),
+        "floored": list(noise.floored),
+        "sigma_inflation": inflation,
+        "gyro_bias_by_sequence_rad_s": solution.bias_by_sequence.tolist(),
+    }
+
+
+def _alignment(data: PlaybackData) -> dict[str, Any]:
+    fixture = data.recording.fixture
+    if fixture is None:
+        return {"fixture": False}
+    return {
+        "fixture": True,
+        "heading_deg": None if fixture.heading_rad is None else float(np.degrees(fixture.heading_rad)),
+        "alignment_sigma_mrad": fixture.alignment_sigma_rad * 1e3,
+        "rotation_sigma_mrad": fixture.rotation_sigma_rad * 1e3,
+    }
+
+
+def _temperature(data: PlaybackData) -> dict[str, Any] | None:
+    T = data.recording.temperature
+    if T is None:
+        return None
+    samples = data.windows.samples
+    rows = []
+    for k, name in enumerate(data.ids):
+        part = T[samples[data.start[k], 0] : samples[data.end[k], 1]]
+        low, high = float(part.min()), float(part.max())
+        rows.append(
+            {"sequence": name, "occurrence": data.occurrences[k], "mean_c": float(part.mean()), "range_c": high - low}
+        )
+    return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
+
+
+def _warnings(data: PlaybackData, solution: Solution, observed: NDArray[np.bool_]) -> tuple[str, ...]:
+    said = [f"{title} is void: {reason}." for title, reason in data.voided.items()]
+    if solution.integrated and len(solution.integrated) < len(data.windows.duration_s):
+        times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in solution.integrated)
+        said.append(
+            f"The unit did not stand quite still in the windows from {times}: their attitude was integrated, not held."
+        )
+    if data.recording.site.latitude_rad is None:
+        said.append("No latitude is given: the Earth's rate is a bounded unknown in the gyro-bias sigma.")
+    if data.noise.floored:
+        said.append(
+            f"The noise of {', '.join(data.noise.floored)} was raised to the floor (resolution, or 1e-10 rad/√s and "
+            "1e-9 g·√s)."
+        )
+    lost = int(N_PARAMETERS - observed.sum())
+    if lost:
+        said.append(f"{lost} of {N_PARAMETERS} parameters are held, not observed; their values are the start's.")
+    return tuple(said)
+
+
+

@@ -1,0 +1,105 @@
+"""From a recording to play-back data: what cannot be used is refused or voided here, each with one sentence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import DataError
+from srt.playback_data import PlaybackData, prepare, sequence_of_label
+from srt.recording_checks import check_interval, check_rest, check_turns, clipped_samples, clipping_levels, gap_inside
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.options import Options
+    from srt.recording import Recording, SequenceLabel
+
+    Array = NDArray[np.float64]
+
+_CHUNKS: Final = 20
+_MOTION_RAD: Final = 5e-3
+_MOTION_SIGMAS: Final = 8.0
+
+
+def open_session(recording: Recording, labels: tuple[SequenceLabel, ...], options: Options) -> PlaybackData:
+    """Check a labelled recording and prepare it for play-back.
+
+    Sequences with a gap or clipped samples are voided; the result says so.
+
+    Raises
+    ------
+    DataError
+        If no sequence is left, readings at rest or turns are impossible (wrong units), or the unit moved in a
+        stationary window.
+    """
+    check_interval(recording)
+    levels = clipping_levels(recording)
+    voided: dict[str, str] = {}
+    usable = []
+    for label in labels:
+        begin = recording.window_indices(*label.start_static_s)
+        end = recording.window_indices(*label.end_static_s)
+        whole = slice(begin.start, end.stop)
+        clipped = clipped_samples(recording, whole, levels)
+        if gap_inside(recording, whole).size:
+            at = recording.time[int(gap_inside(recording, whole)[0])]
+            voided[label.title] = f"samples are missing before {at:.6g} s"
+        elif clipped:
+            voided[label.title] = str(clipped[0])
+        else:
+            usable.append(label)
+    data = prepare(recording, usable, options, voided=voided)
+    dt = recording.nominal_interval_s
+    check_rest(data.windows.accel_mean, data.gravity, _window_titles(data), interval_s=dt)
+    _check_turned(data)
+    _check_stillness(data)
+    return data
+
+
+def _window_titles(data: PlaybackData) -> list[str]:
+    return [f"The window from {data.recording.time[a]:.6g} s" for a in data.windows.samples[:, 0].tolist()]
+
+
+def _check_turned(data: PlaybackData) -> None:
+    """Magnitudes of single-axis turns against their labels: units of the gyros, whatever their axes."""
+    turned, nominal, titles = [], [], []
+    recording = data.recording
+    for k, label in enumerate(data.labels):
+        sequence = sequence_of_label(label)
+        if sequence is None or len(sequence.rotations) != 1:
+            continue
+        a, b = data.rotation[k].tolist()
+        dt = recording.interval_s if isinstance(recording.interval_s, float) else recording.interval_s[a:b]
+        steps = np.full(b - a, dt) if isinstance(dt, float) else dt
+        rest = 0.5 * (data.windows.gyro_mean[data.start[k]] + data.windows.gyro_mean[data.end[k]])
+        angle = (steps if recording.kind == "rate" else np.ones(b - a)) @ recording.gyro[a:b] - rest * steps.sum()
+        turned.append(float(np.linalg.norm(angle)))
+        nominal.append(abs(sequence.rotations[0][1]))
+        titles.append(label.title)
+    if turned:
+        check_turns(turned, nominal, titles, interval_s=recording.nominal_interval_s)
+
+
+def _check_stillness(data: PlaybackData) -> None:
+    """Refuse a window in which the unit visibly turned; small drifts are integrated later instead of held."""
+    recording, noise = data.recording, data.noise
+    for w, (a, b) in enumerate(data.windows.samples.tolist()):
+        n = min(_CHUNKS, b - a)
+        edges = np.linspace(0, b - a, n + 1).astype(int)[:-1]
+        counts = np.diff(np.append(edges, b - a))
+        sums = np.add.reduceat(recording.gyro[a:b], edges, axis=0)
+        rate = sums / counts[:, None]
+        if recording.kind == "increment":
+            rate = rate / recording.nominal_interval_s
+        T = float(data.windows.duration_s[w])
+        angle = np.cumsum((rate - np.median(rate, axis=0)) * (T / n), axis=0)
+        limit = np.maximum(_MOTION_RAD, _MOTION_SIGMAS * (noise.gyro_white * np.sqrt(T) + noise.gyro_edge))
+        if np.any(np.abs(angle) > limit):
+            chunk = int(np.argmax(np.max(np.abs(rate - np.median(rate, axis=0)), axis=1)))
+            raise DataError(
+                f"The unit moves in the stationary window from {recording.time[a]:.6g} s: the gyros turn by "
+                f"{np.degrees(np.abs(angle).max()):.3g}° around {recording.time[a + edges[chunk]]:.6g} s; "
+                "correct the window's times or leave the sequence out."
+            )

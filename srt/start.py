@@ -1,0 +1,40 @@
+"""The first estimate: from the fixture, from gravity alone, from given errors, or none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt.attitude import gyro_stream
+from srt.fixture_start import start_from_fixture
+from srt.sensor_errors import SensorErrors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.options import Options
+    from srt.playback_data import PlaybackData
+
+
+def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, NDArray[np.float64]]:
+    """Errors to begin with and the rotation from the table-mounted frame to MARS.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    options : Options
+        ``start``: "auto", "zero", or the errors themselves.
+    """
+    if isinstance(options.start, SensorErrors):
+        return options.start, np.eye(3)
+    if options.start == "zero":
+        return SensorErrors(), np.eye(3)
+    stream = gyro_stream(
+        data.recording.gyro,
+        data.recording.interval_s,
+        data.rotation,
+        data.rotation,
+        rates=data.recording.kind == "rate",
+    )
+    return start_from_fixture(data, stream)
