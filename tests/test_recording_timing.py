@@ -1,0 +1,144 @@
+"""Intervals and gaps from stamps that are rounded, jittered and interrupted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srt.exceptions import InputError
+from srt.recording import Recording, Site
+from srt.sample_timing import sample_timing, stamp_resolution
+
+N = 5000
+
+
+def stamps(dt, n=N, start=12.0):
+    return start + dt * np.arange(n)
+
+
+@pytest.mark.parametrize("dt", [0.005, 1 / 208, 1 / 300, 0.1])
+def test_exact_stamps_give_one_interval(dt):
+    timing = sample_timing(stamps(dt))
+    assert isinstance(timing.interval_s, float)
+    # stamps near 500 s carry 6e-14 s of rounding, spread over the recording
+    assert timing.interval_s == pytest.approx(dt, rel=1e-12)
+    assert timing.nominal_interval_s == timing.interval_s
+    assert timing.gaps.size == 0
+
+
+@pytest.mark.parametrize("rounding", [np.round, np.floor])
+@pytest.mark.parametrize(
+    ("dt", "unit"),
+    [(1 / 208, 1e-6), (1 / 300, 1e-3), (1 / 400, 1e-3), (1 / 800, 1e-3), (1 / 104, 1e-3), (1 / 833, 1e-4)],
+)
+def test_rounded_stamps_give_one_interval_not_noise(dt, unit, rounding):
+    timing = sample_timing(rounding(stamps(dt) / unit) * unit)
+    assert isinstance(timing.interval_s, float)
+    assert timing.gaps.size == 0
+    # Stamps off by one unit at most tilt a line over N samples by no more than 1.5 unit / N.
+    assert abs(timing.interval_s - dt) < 1.5 * unit / N
+
+
+def test_true_jitter_is_believed_stamp_by_stamp():
+    time = stamps(0.01) + np.random.default_rng(5).uniform(-0.002, 0.002, N)
+    time[3000:] += 7.0
+    timing = sample_timing(time)
+    assert timing.gaps.tolist() == [3000]
+    expected = np.diff(time, prepend=np.nan)
+    expected[[0, 3000]] = timing.nominal_interval_s
+    np.testing.assert_array_equal(timing.interval_s, expected)
+    # 1.2e-3 s of rms jitter over 3000 samples: the slope's sigma is sqrt(12) 1.2e-3 / 3000^1.5 = 2.5e-8 s
+    assert timing.nominal_interval_s == pytest.approx(0.01, abs=1.5e-7)
+    assert not timing.interval_s.flags.writeable
+
+
+def test_jitter_up_to_two_percent_counts_as_rounding():
+    jitter = np.random.default_rng(5).uniform(-0.018, 0.018, N)
+    assert isinstance(sample_timing(stamps(0.01) + 0.01 * jitter).interval_s, float)
+    assert not isinstance(sample_timing(stamps(0.01) + 0.02 * jitter).interval_s, float)
+
+
+def test_gaps_start_new_pieces_and_leave_one_interval():
+    time = np.delete(stamps(0.01), [1000, 2000, 2001])
+    time[4000:] += 3600.123
+    timing = sample_timing(time)
+    assert timing.gaps.tolist() == [1000, 1999, 4000]
+    assert timing.interval_s == pytest.approx(0.01, rel=1e-10)
+    assert not timing.gaps.flags.writeable
+
+
+@given(
+    lengths=st.lists(st.integers(2, 60), min_size=1, max_size=8),
+    gap=st.floats(2.0, 1e6),
+    dt=st.floats(1e-4, 0.1),
+    unit=st.sampled_from([1e-9, 1e-6]),
+)
+def test_pieces_of_any_length_share_one_interval(lengths, gap, dt, unit):
+    pieces, start = [], 0.0
+    for length in lengths:
+        pieces.append(start + dt * np.arange(length))
+        start = pieces[-1][-1] + gap * dt
+    time = np.round(np.concatenate(pieces) / unit) * unit
+    timing = sample_timing(time)
+    assert isinstance(timing.interval_s, float)
+    assert timing.gaps.tolist() == np.cumsum(lengths)[:-1].tolist()
+    assert timing.interval_s == pytest.approx(dt, abs=2 * unit + 1e-12 * start)
+
+
+def test_two_samples_are_enough():
+    assert sample_timing(np.array([1.0, 1.5])).interval_s == 0.5
+
+
+def test_a_given_rate_overrides_the_stamps():
+    time = stamps(0.01) + np.random.default_rng(5).uniform(-0.004, 0.004, N)
+    timing = sample_timing(time, 100.0)
+    assert timing.interval_s == 0.01
+    assert timing.gaps.size == 0
+
+
+def test_with_a_given_rate_lost_samples_are_gaps_but_bursts_are_not():
+    late = np.ceil(np.arange(N) / 10) * 0.1 + 1e-5 * (np.arange(N) % 10)  # ten samples arrive at once
+    time = np.sort(late)
+    assert sample_timing(time, 100.0).gaps.size == 0
+    time[2500:] += 0.5
+    assert len(sample_timing(time, 100.0).gaps) == 1
+    assert sample_timing(np.delete(stamps(0.01), 77), 100.0).gaps.tolist() == [77]
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0, 200.0, 1e5])
+def test_a_rate_that_contradicts_the_stamps_is_refused(rate):
+    with pytest.raises(InputError, match=r"sample_rate_hz is .* advance by 0\.01 s per sample"):
+        sample_timing(stamps(0.01), rate)
+
+
+@pytest.mark.parametrize(
+    ("time", "unit"),
+    [
+        (np.arange(3.0), 1.0),
+        (0.1 * np.arange(3000), 0.1),
+        (0.001 * np.arange(17, 90_000, 7), 0.001),
+        (1e-6 * np.arange(10**9, 10**9 + 500), 1e-6),
+    ],
+)
+def test_resolution_of_decimal_stamps(time, unit):
+    assert stamp_resolution(time) == pytest.approx(unit)
+
+
+def test_resolution_of_other_stamps_is_that_of_floats():
+    assert stamp_resolution(np.sqrt(np.arange(2.0, 900.0))) < 1e-13
+    # one stamp off the grid is enough
+    time = 0.001 * np.arange(5000)
+    time[1234] += 2e-4
+    assert stamp_resolution(time) == pytest.approx(1e-4)
+
+
+def test_timing_is_found_once_and_only_when_asked_for(monkeypatch):
+    calls = []
+    monkeypatch.setattr("srt.recording.sample_timing", lambda *a: calls.append(a) or sample_timing(*a))
+    recording = Recording(stamps(0.01), np.zeros((N, 3)), np.zeros((N, 3)), Site(9.8))
+    assert not calls
+    assert recording.interval_s == recording.nominal_interval_s == pytest.approx(0.01)
+    assert recording.gaps.size == 0
+    assert len(calls) == 1
