@@ -1,8 +1,9 @@
 """Stillness and turns of an unlabelled recording, told by the unit's own noise and bias.
 
-Nothing here is an absolute threshold. At rest three things hold together: the scatter of gyros and accelerometers inside
-a short block is that of the quietest blocks, and the mean rate is the one value that rest always comes back to
-(bias and Earth rate). A slow constant turn keeps the scatter but not the mean; a fast stop-and-go keeps neither.
+Nothing here is an absolute threshold. The quietest blocks of samples give the unit's noise, and where their mean rates
+crowd together lies the rest rate (bias and Earth rate): a slow constant turn is as quiet but scatters over many means.
+A block's *activity* is its distance from that rest, mean and scatter together. Its distribution has two modes, resting (on a
+bench, or in a hand that trembles) and turning; the valley between them decides.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
 from srt.constants import EARTH_RATE_RAD_S
@@ -30,10 +30,14 @@ MIN_BLOCK_SAMPLES: Final = 8
 MIN_WINDOW_S: Final = 1.0
 MIN_TURN_RAD: Final = 0.1
 _FALSE_ALARM: Final = 1e-4
+_LOUD: Final = 10.0
+"""Variance of a block over that of the unit's quiet ones, above which it moves. Real rests differ by a few (a hand near by,
+a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
+_SHAKEN: Final = 400.0
+"""Variance of specific force over the quiet level, beyond which a block is a knock and no rest."""
 _SPREAD: Final = 6.0
 """Sigmas of a block mean within which it counts as the rest rate."""
 _EARTH_SPREAD: Final = 3.0 * EARTH_RATE_RAD_S
-_MAX_CANDIDATES: Final = 20000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,16 +159,16 @@ def _blocks(recording: Recording) -> _Blocks:
 def _still(blocks: _Blocks) -> NDArray[np.bool_]:
     """Which blocks are at rest."""
     n = blocks.size
-    upper = chi2.isf(_FALSE_ALARM, n - 1) / (n - 1)
+    upper = max(_LOUD, float(chi2.isf(_FALSE_ALARM, n - 1)) / (n - 1))
+    middle = float(chi2.median(n - 1)) / (n - 1)
     # The quietest tenth is at rest if anything is; the loop then takes the level from all blocks that agree.
     level = np.quantile(blocks.variance, 0.1, axis=0)
     level = np.maximum(level, 1e-300)
-    quiet = np.all(blocks.variance <= 2.0 * upper * level, axis=1)
+    quiet = np.all(blocks.variance <= upper * level, axis=1)
     for _ in range(5):
         if not quiet.any():
             break
-        # The mean of chi-square variances cut at a high quantile is nearly unbiased.
-        level = np.maximum(blocks.variance[quiet].mean(axis=0), 1e-300)
+        level = np.maximum(np.median(blocks.variance[quiet], axis=0) / middle, 1e-300)
         new = np.all(blocks.variance <= upper * level, axis=1)
         if np.array_equal(new, quiet):
             break
@@ -173,13 +177,31 @@ def _still(blocks: _Blocks) -> NDArray[np.bool_]:
     candidates = np.flatnonzero(quiet)
     if candidates.size == 0:
         return quiet
-    candidates = candidates[:: max(1, len(candidates) // _MAX_CANDIDATES)]
     points = blocks.mean[candidates, :3] / radius
     # The rest rate is where most block means crowd together; turns at a steady rate scatter over many values.
-    crowd = cKDTree(points).query_ball_point(points, 1.0, p=np.inf, return_length=True)
-    near = np.all(np.abs(points - points[int(np.argmax(crowd))]) <= 1.0, axis=1)
-    rest = blocks.mean[candidates[near], :3].mean(axis=0)
-    return np.asarray(quiet & np.all(np.abs(blocks.mean[:, :3] - rest) <= 1.5 * radius, axis=1))
+    cells, counts = np.unique(np.floor(points), axis=0, return_counts=True)
+    centre = cells[int(np.argmax(counts))] + 0.5
+    for _ in range(5):
+        near = np.all(np.abs(points - centre) <= 1.0, axis=1)
+        centre = points[near].mean(axis=0)
+    rest = centre * radius
+    distance = np.sqrt((blocks.mean[:, :3] - rest) ** 2 + blocks.variance[:, :3])
+    bench = np.sqrt((1.5 * radius) ** 2 + upper * level[:3])
+    # In units of what a bench at rest may show; below 1 everything is rest.
+    activity = np.max(distance / bench, axis=1)
+    shaken = np.any(blocks.variance[:, 3:] > _SHAKEN * level[3:], axis=1)
+    return np.asarray((activity <= max(1.0, _valley(activity))) & ~shaken)
+
+
+def _valley(activity: Array) -> float:
+    """Threshold between two modes of the logarithm of the activity (Otsu's criterion: greatest between-class variance)."""
+    x = np.sort(np.log(np.maximum(activity, 1e-6)))
+    n = np.arange(1, len(x))
+    total = np.cumsum(x)
+    low, high = total[:-1] / n, (total[-1] - total[:-1]) / (len(x) - n)
+    between = n * (len(x) - n) * (high - low) ** 2
+    best = int(np.argmax(between))
+    return float(np.exp(0.5 * (x[best] + x[best + 1])))
 
 
 def _runs(still: NDArray[np.bool_], blocks: _Blocks) -> list[tuple[int, int]]:

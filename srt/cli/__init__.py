@@ -1,0 +1,41 @@
+"""The command line ``srt``: the composition root, and the only part of the package that prints.
+
+Every command is one module here, loaded when it is run, so that ``srt --help`` answers at once. Results go to standard
+output; progress, warnings and errors go to standard error.
+
+Exit codes: 0 success; 1 the data cannot support a result (or not a converged one); 2 wrong usage or unreadable input;
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from srt.exceptions import MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Default: those of the process.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    try:
+        from srt.cli.app import run
+    except ModuleNotFoundError as error:
+        if error.name != "click":
+            raise
+        print(f"srt: {MissingExtraError('click', 'cli', 'The command line')}", file=sys.stderr)
+        return 2
+    return run(sys.argv[1:] if arguments is None else arguments)

@@ -1,0 +1,151 @@
+"""The group of commands, each loaded on use, and the border where errors become sentences and exit codes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+from click.shell_completion import shell_complete
+
+from srt.exceptions import SrtError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+COMMANDS: Final = {
+    "simulate": ("srt.cli.simulate:simulate", "Make a recording, and the truth behind it, from a scenario."),
+    "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
+    "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
+}
+"""Where each command is (module:attribute), and its line in the help; a new command is a module and a line here."""
+
+INTERRUPTED: Final = 130
+BROKEN_PIPE: Final = 141
+"""What a shell reports of a process that SIGINT, or SIGPIPE, ended."""
+
+
+class LazyGroup(click.Group):
+    """A group that imports a command only to run it; its own help needs none of them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """Names in the order of the table, which is the order of work."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import a command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+        command = getattr(importlib.import_module(module), attribute)
+        assert isinstance(command, click.Command)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command of a line; a name that is nearly right is suggested."""
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-"):
+            from srt.suggestions import did_you_mean
+
+            raise click.UsageError(f"There is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Write the lines of the table."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:  # noqa: ARG001, FBT001
+    if not value or ctx.resilient_parsing:
+        return
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        number = version("strapdown-rotation-test")
+    except PackageNotFoundError:
+        number = "(not installed)"
+    click.echo(f"srt, strapdown-rotation-test {number}")
+    ctx.exit()
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
+)
+def app() -> None:
+    """Calibrate inertial measurement units by Savage's improved strapdown rotation test.
+
+    'srt COMMAND --help' explains a command; 'srt demo' shows all of it in a few seconds.
+
+    Exit codes: 0 success, 1 the data cannot support a result, 2 wrong usage or unreadable input.
+    """
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the group and turn what it raises into one sentence and an exit code.
+
+    What is not expected keeps its traceback: it is a defect of this program, not of its input.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # Greek symbols shall not end a run on a terminal that has none
+            stream.reconfigure(errors="replace")
+    completion = os.environ.get("_SRT_COMPLETE")
+    if completion:
+        return shell_complete(app, {}, "srt", "_SRT_COMPLETE", completion)
+    try:
+        code = _invoke(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader has gone (srt ... | head). The interpreter must not fail on flushing once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    return code
+
+
+def _invoke(arguments: Sequence[str]) -> int:
+    try:
+        with app.make_context("srt", list(arguments)) as context:
+            value: Any = app.invoke(context)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return error.exit_code
+    except click.exceptions.Exit as error:
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo(err=True)  # ends the line on which the terminal shows ^C
+        return INTERRUPTED
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx is not None else "srt"
+        say(f"{error.format_message().rstrip('.')}: see '{path} --help'.")
+        return error.exit_code
+    except click.ClickException as error:
+        say(error.format_message())
+        return error.exit_code
+    except SrtError as error:
+        say(str(error))
+        return error.exit_code
+    return value if isinstance(value, int) else 0
+
+
+def say(sentence: str) -> None:
+    """Tell the user one thing on standard error."""
+    click.echo(f"srt: {sentence}", err=True)
