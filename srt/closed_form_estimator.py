@@ -63,6 +63,13 @@ class ClosedFormSolver:
         self.kept = np.array([INDEX[f.parameter] for f in self.formulas] + list(range(*_BIAS.indices(N_PARAMETERS))))
 
     @cached_property
+    def held(self) -> NDArray[np.bool_]:
+        """Parameters without a formula, and those held on request."""
+        out = np.ones(N_PARAMETERS, dtype=np.bool_)
+        out[self.kept] = False
+        return out
+
+    @cached_property
     def selection(self) -> Array:
         """S: what the formulas see of the measurements, shape (number of formulas + 3, n_z).
 

@@ -48,6 +48,10 @@ class Solver(Protocol):
     def coefficients(self) -> Array | None:
         """Inversion at zero error for the composed step, shape (27, n_z), if there is one."""
 
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Parameters that keep their start value, shape (27,)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
@@ -91,8 +95,10 @@ class Solution:
 class Iteration:
     """State of one run of play-backs; :func:`iterate` is the way in."""
 
-    def __init__(self, data: PlaybackData, options: Options, solver: Solver) -> None:
-        self.data, self.options, self.solver = data, options, solver
+    def __init__(
+        self, data: PlaybackData, options: Options, solver: Solver, start: SensorErrors, excess: tuple[float, float]
+    ) -> None:
+        self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
         W = len(data.windows.duration_s)
         self.integrated = np.full(W, options.window_attitude == "integrated")
         self.player = Player(data, options, self.integrated)
@@ -101,8 +107,9 @@ class Iteration:
             np.zeros(3) if data.noise.gyro_instability is None else data.noise.gyro_instability
         )
 
-    def run(self, errors: SensorErrors, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
+    def run(self, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
         """Play back until the correction is negligible."""
+        errors = self.start
         corrections: list[float] = []
         sigma = np.zeros(N_PARAMETERS)
         gain: Array | None = None
@@ -153,7 +160,9 @@ class Iteration:
         largest = float(np.max(np.abs(delta) / _UNIT))
         if largest > _MAX_STEP:  # far from the solution a linear step of that size means nothing but a direction
             delta *= _MAX_STEP / largest
-        return errors.plus(delta), U_seen, delta
+        vector = errors.vector + delta
+        vector[self.solver.held] = self.start.vector[self.solver.held]
+        return SensorErrors(vector), U_seen, vector - errors.vector
 
     def _update_offsets(self, playback: Playback, sigma: Array) -> bool:
         """Renew the sequences' own biases; True once they have stopped moving."""
@@ -225,7 +234,9 @@ class Iteration:
         return np.diag(np.concatenate([np.full(2 * K + W, 1e-4), np.full(3, 1e-12)]))
 
     def _by_source(self, playback: Playback) -> dict[str, Array]:
-        return measurement_noise.covariances(playback, self.data, self.instability, self._bias_gain(playback))
+        return measurement_noise.covariances(
+            playback, self.data, self.instability, self._bias_gain(playback), self.excess
+        )
 
     def _finish(
         self, errors: SensorErrors, U: Array, corrections: list[float], status: str, message: str
@@ -263,6 +274,8 @@ def iterate(
     errors: SensorErrors,
     U: Array,
     progress: Callable[[int, float], None] | None = None,
+    *,
+    excess: tuple[float, float] = (0.0, 0.0),
 ) -> Solution:
     """Iterate play-backs from a first estimate.
 
@@ -277,5 +290,7 @@ def iterate(
         T to MARS components.
     progress : callable, optional
         Called with the number of play-backs and the largest correction.
+    excess : (float, float)
+        Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
     """
-    return Iteration(data, options, solver).run(errors, U, progress)
+    return Iteration(data, options, solver, errors, excess).run(U, progress)

@@ -34,6 +34,8 @@ SOURCES: Final = (
     "accel_bias_instability",
     "earth_rate_alignment",
     "gravity",
+    "turn_excess",
+    "pose_excess",
 )
 """Contributions to the covariance, in the order they are reported."""
 
@@ -118,7 +120,9 @@ def rest_rate_variance(playback: Playback, data: PlaybackData) -> Array:
     return out
 
 
-def disturbances(playback: Playback, data: PlaybackData, instability: Array) -> dict[str, Disturbance]:
+def disturbances(
+    playback: Playback, data: PlaybackData, instability: Array, excess: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, Disturbance]:
     """All sources, by the names in :data:`SOURCES`.
 
     Parameters
@@ -128,6 +132,8 @@ def disturbances(playback: Playback, data: PlaybackData, instability: Array) -> 
     data : PlaybackData
     instability : ndarray, shape (3,), rad/s
         Gyro bias instability, raw channels.
+    excess : (float, float)
+        Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
     """
     noise, windows = data.noise, data.windows
     T = windows.duration_s
@@ -145,15 +151,21 @@ def disturbances(playback: Playback, data: PlaybackData, instability: Array) -> 
         "accel_bias_instability": Disturbance(force=_own_draw(D_force * fixed[:, None, :])),
         "earth_rate_alignment": _alignment(playback, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
+        "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess[0] * np.eye(3), (data.K, 3, 3)))),
+        "pose_excess": Disturbance(force=_own_draw(np.broadcast_to(excess[1] * np.eye(3), (len(T), 3, 3)))),
     }
 
 
 def covariances(
-    playback: Playback, data: PlaybackData, instability: Array, gain: Array
+    playback: Playback,
+    data: PlaybackData,
+    instability: Array,
+    gain: Array,
+    excess: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, Array]:
     """Covariance of z, source by source; their sum is the covariance of z."""
     out = {}
-    for name, source in disturbances(playback, data, instability).items():
+    for name, source in disturbances(playback, data, instability, excess).items():
         G = project(playback, data, source, gain)
         out[name] = G @ G.T
     return out

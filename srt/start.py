@@ -8,6 +8,7 @@ import numpy as np
 
 from srt.attitude import gyro_stream
 from srt.fixture_start import start_from_fixture
+from srt.gravity_start import start_from_gravity
 from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, 
         return options.start, np.eye(3)
     if options.start == "zero":
         return SensorErrors(), np.eye(3)
+    if data.nominal is None:
+        return start_from_gravity(data), np.eye(3)
     stream = gyro_stream(
         data.recording.gyro,
         data.recording.interval_s,

@@ -263,6 +263,16 @@ def test_profile_reaches_its_angle_without_jumps(angle, rate):
     assert np.abs(before[1]).max() <= rate * (1.0 + 1e-12)
 
 
+@pytest.mark.parametrize(("angle", "duration", "peak"), [(1.0, 2.5, 0.5), (0.4, 1.3, 0.5), (0.16, 0.8, 0.4)])
+def test_duration_and_peak_rate(angle, duration, peak):
+    # By hand, for 0.5 rad/s and 1 rad/s²: from 0.25 rad on a plateau, angle/0.5 + 0.5 s; below, 2 √angle.
+    profile = sims.RateProfile(0.5, 1.0)
+    assert profile.duration_s(angle) == pytest.approx(duration, rel=1e-14)
+    turned = angle_profile((0.0, 0.0), [(0, angle)], profile)
+    rate = turned.angles(np.array([[1]]), np.array([[turned.breaks_s[1]]]))[1]
+    assert rate[0, 0, 0] == pytest.approx(peak, rel=1e-14)
+
+
 def test_ringing_starts_smoothly_and_dies_away():
     ringing = sims.RateProfile(1.0, 10.0, settling_rad=1e-3, settling_hz=5.0, settling_decay_s=0.1)
     turned = angle_profile((0.0, 0.0), [(0, 1.0)], ringing)
@@ -310,6 +320,8 @@ def test_time_stamps_windows_and_gaps():
             assert len(rows) == 100
             assert motion.time[rows[-1]] == end
     assert motion.windows[0] == ((0.0, 1.0), (7.39, 8.39))  # 2π s + 0.1 s of ramps, to the next sample edge
+    # The move to sequence 2 goes the shorter way: 90 degrees about inner, none of the 360 about outer.
+    assert motion.windows[1][0][0] == 8.39 + 1.0 + 1.68
     continuous = sims.table1_motion(
         site=SITE, sequences=("1", "2", "3"), sample_rate_hz=100.0, dwell_s=1.0, moves="recorded"
     )

@@ -1,0 +1,203 @@
+"""Integrals over sample intervals, exact to rounding, of a rate and a specific force analytic in time.
+
+Every sample interval is cut where the motion changes its formula (ramp corners) and integrated by
+Gauss-Legendre quadrature, stillness by one evaluation. The number of nodes follows from the fastest motion,
+such that the polynomial through the nodes is the integrand to rounding. Where a component changes sign, its
+absolute value is integrated from the same polynomial, between its roots.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+_MAX_PHASE = 0.5
+"""Half-interval times bandwidth above which an interval is subdivided."""
+
+_GRID = np.linspace(-1.0, 1.0, 33)
+"""Where the interpolating polynomial is scanned for changes of sign."""
+
+
+class Integrals(NamedTuple):
+    """Per-sample integrals in B, each of shape (n, 3): rad and m/s."""
+
+    angle: NDArray[np.float64]
+    angle_abs: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    velocity_abs: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episode:
+    """A run of consecutive samples whose motion is given in closed form.
+
+    Attributes
+    ----------
+    n_samples : int
+    breaks_s : ndarray, shape (m + 1,), s
+        Borders of the pieces in time since the start of the episode, from 0; the last at or beyond its end.
+    moving : ndarray of bool, shape (m,)
+        False: rate and specific force are constant over the piece.
+    bandwidth_rad_s : float
+        Highest angular frequency of the integrand while moving, rad/s.
+    evaluate : callable
+        ``(piece, time) -> (k, n, 6)``: rate (rad/s) and specific force (m/s²) in B for pieces of shape (k,
+        1) and times of shape (k, n).
+    """
+
+    n_samples: int
+    breaks_s: NDArray[np.float64]
+    moving: NDArray[np.bool_]
+    bandwidth_rad_s: float
+    evaluate: Callable[[NDArray[np.intp], NDArray[np.float64]], NDArray[np.float64]]
+
+
+def node_count(phase: float) -> int:
+    """Gauss nodes for which the interpolation error of exp(i·bandwidth·t) is below 1e-17.
+
+    Parameters
+    ----------
+    phase : float
+        Bandwidth times half the interval, rad.
+    """
+    error, nodes = 2.0, 0
+    while error > 1e-17 or nodes < 4:
+        nodes += 1
+        # Interpolation at n Gauss nodes: |f⁽ⁿ⁾| / n! times the monic Legendre polynomial, at most about
+        # 2^(1-n) here.
+        error = phase**nodes / math.factorial(nodes) * 2.0 ** (1 - nodes)
+    return nodes
+
+
+def integrate(episode: Episode, interval_s: float) -> Integrals:
+    """Integrate rate, specific force and their absolute values over every sample of an episode.
+
+    Parameters
+    ----------
+    episode : Episode
+    interval_s : float
+        Sample interval, s.
+    """
+    edges = np.arange(episode.n_samples + 1) * interval_s
+    inside = episode.breaks_s[(episode.breaks_s > 0.0) & (episode.breaks_s < edges[-1])]
+    place = np.searchsorted(edges, inside)
+    new = edges[place] != inside
+    points = np.insert(edges, place[new], inside[new])
+    is_edge = np.insert(np.ones(len(edges), dtype=bool), place[new], False)
+    width = np.diff(points)
+    # An interval between neighbouring edges is one whole sample: its width without the rounding of the edges.
+    width[is_edge[:-1] & is_edge[1:]] = interval_s
+    left = points[:-1]
+    first = np.flatnonzero(is_edge[:-1])
+    piece = np.searchsorted(episode.breaks_s, left + 0.5 * width, side="right") - 1
+
+    values = np.empty((len(left), 12))
+    moving = episode.moving[piece]
+    still_pieces, row = np.unique(piece[~moving], return_inverse=True)
+    if len(still_pieces):
+        constant = episode.evaluate(
+            still_pieces[:, np.newaxis], episode.breaks_s[still_pieces][:, np.newaxis]
+        )[:, 0]
+        values[~moving] = np.hstack([constant, np.abs(constant)])[row] * width[~moving, np.newaxis]
+    if moving.any():
+        values[moving] = _quadrature(episode, piece[moving], left[moving], width[moving])
+    total = values if len(values) == episode.n_samples else np.add.reduceat(values, first, axis=0)
+    return Integrals(total[:, 0:3], total[:, 6:9], total[:, 3:6], total[:, 9:12])
+
+
+def _quadrature(
+    episode: Episode, piece: NDArray[np.intp], left: NDArray[np.float64], width: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Integrals of the six components and of their absolute values over moving intervals, shape (k, 12)."""
+    phase = 0.5 * episode.bandwidth_rad_s * float(width.max())
+    parts = max(1, math.ceil(phase / _MAX_PHASE))
+    if parts > 1:
+        width = np.repeat(width / parts, parts)
+        left = np.repeat(left, parts) + np.tile(np.arange(parts), len(left)) * width
+        piece = np.repeat(piece, parts)
+    basis = _basis(node_count(phase / parts))
+    half = 0.5 * width
+    time = left[:, np.newaxis] + half[:, np.newaxis] * (1.0 + basis.nodes)
+    samples = episode.evaluate(piece[:, np.newaxis], time)
+    integral = np.einsum("knc,n->kc", samples, basis.weights)
+    absolute = np.abs(integral)
+
+    low, high = samples.min(axis=1), samples.max(axis=1)
+    spread = high - low
+    # One spread beyond the nodes covers the ends of the interval and an extremum between two nodes.
+    rows, columns = np.nonzero((low - spread < 0.0) & (high + spread > 0.0))
+    absolute[rows, columns] = _absolute_integral(samples[rows, :, columns], basis)
+    result = np.hstack([integral, absolute]) * half[:, np.newaxis]
+    return np.asarray(result.reshape(-1, parts, 12).sum(axis=1))
+
+
+class _Basis(NamedTuple):
+    """Gauss nodes and weights, and matrices between node values, Legendre coefficients and grid values."""
+
+    nodes: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    to_coefficients: NDArray[np.float64]
+    to_slope: NDArray[np.float64]
+    to_primitive: NDArray[np.float64]
+    to_grid: NDArray[np.float64]
+    primitive_to_grid: NDArray[np.float64]
+
+
+@cache
+def _basis(count: int) -> _Basis:
+    """Legendre basis of that many Gauss nodes; each matrix multiplies rows from the right."""
+    nodes, weights = legendre.leggauss(count)
+    norm = (2.0 * np.arange(count) + 1.0) / 2.0
+    matrices = (
+        weights[:, np.newaxis] * legendre.legvander(nodes, count - 1) * norm,
+        legendre.legder(np.eye(count), axis=1),
+        legendre.legint(np.eye(count), axis=1),
+        legendre.legvander(_GRID, count - 1).T,
+        legendre.legvander(_GRID, count).T,
+    )
+    return _Basis(nodes, weights, *(np.asarray(matrix, dtype=np.float64) for matrix in matrices))
+
+
+def _absolute_integral(samples: NDArray[np.float64], basis: _Basis) -> NDArray[np.float64]:
+    """Integral over [-1, 1] of the absolute value of the polynomials through Gauss nodes.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (p, n)
+        Values at the nodes.
+    basis : _Basis
+        Of n nodes.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+    """
+    coefficients = samples @ basis.to_coefficients
+    primitive = coefficients @ basis.to_primitive
+    on_grid = coefficients @ basis.to_grid
+    sums = primitive @ basis.primitive_to_grid
+    cells = np.abs(np.diff(sums, axis=1))
+
+    item, cell = np.nonzero(np.signbit(on_grid[:, :-1]) != np.signbit(on_grid[:, 1:]))
+    left, right = _GRID[cell], _GRID[cell + 1]
+    y_left, y_right = on_grid[item, cell], on_grid[item, cell + 1]
+    root = left + (right - left) * y_left / np.where(y_left == y_right, 1.0, y_left - y_right)
+    polynomial, slope = coefficients[item], coefficients[item] @ basis.to_slope
+    for _ in range(4):  # the secant start is within 1e-4 of a cell; Newton doubles the digits
+        powers = legendre.legvander(root, len(basis.nodes) - 1)
+        value = np.einsum("pd,pd->p", powers, polynomial)
+        d = np.einsum("pd,pd->p", powers[:, :-1], slope)
+        root = np.clip(root - np.divide(value, d, out=np.zeros_like(d), where=d != 0.0), left, right)
+    at_root = np.einsum("pd,pd->p", legendre.legvander(root, len(basis.nodes)), primitive[item])
+    cells[item, cell] = np.abs(at_root - sums[item, cell]) + np.abs(sums[item, cell + 1] - at_root)
+    return np.asarray(cells.sum(axis=1))

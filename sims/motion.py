@@ -1,0 +1,273 @@
+"""Angles of the two fixture axes as analytic functions of time.
+
+Each leg turns one axis with a trapezoidal rate: a ramp of constant acceleration, a plateau at the peak
+rate, a ramp down; a leg too short for the peak has a triangular rate. Angles are therefore piecewise
+quadratic. After each leg the axis may ring::
+
+    δ(t) = 4 A sin(2πft) (exp(−t/τ) − exp(−2t/τ))
+
+whose envelope peaks at ``A``; δ and its rate are zero where it starts, so that angle and rate stay
+continuous.
+
+Time is counted from the start of each episode, not of the recording: a double holds the time of day too
+coarsely for integrals exact to 1e-15 rad.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+NEGLIGIBLE_RAD = 1e-17
+"""A ringing whose envelope is below this is over: it is lost in the rounding of the angle."""
+
+
+@dataclass(frozen=True, slots=True)
+class RateProfile:
+    """How an axis turns.
+
+    Attributes
+    ----------
+    rate_rad_s : float
+        Peak rate, rad/s.
+    accel_rad_s2 : float
+        Acceleration of the ramps, rad/s².
+    settling_rad, settling_hz, settling_decay_s : float
+        Amplitude A, frequency f and decay time τ of the ringing after each leg; amplitude 0: none.
+
+    Raises
+    ------
+    InputError
+        If a figure is not a positive number (the amplitude may be zero).
+    """
+
+    rate_rad_s: float = 1.0
+    accel_rad_s2: float = 10.0
+    settling_rad: float = 0.0
+    settling_hz: float = 8.0
+    settling_decay_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        positive = ("rate_rad_s", "accel_rad_s2", "settling_hz", "settling_decay_s")
+        for name in positive:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"The motion's {name} is {value!r}: it must be a positive number.")
+        if not (math.isfinite(self.settling_rad) and self.settling_rad >= 0.0):
+            raise InputError(
+                f"The motion's settling_rad is {self.settling_rad!r}: it must be zero or positive."
+            )
+
+    def ramp_and_plateau_s(self, angle_rad: float) -> tuple[float, float]:
+        """Durations of one ramp and of the plateau for a leg of this angle, s."""
+        size = abs(angle_rad)
+        if size * self.accel_rad_s2 < self.rate_rad_s**2:
+            return math.sqrt(size / self.accel_rad_s2), 0.0
+        ramp_s = self.rate_rad_s / self.accel_rad_s2
+        return ramp_s, size / self.rate_rad_s - ramp_s
+
+    def duration_s(self, angle_rad: float) -> float:
+        """Duration of a leg of this angle, s."""
+        ramp_s, plateau_s = self.ramp_and_plateau_s(angle_rad)
+        return 2.0 * ramp_s + plateau_s
+
+    @property
+    def settling_life_s(self) -> float:
+        """How long the ringing lasts before it is negligible, s."""
+        ratio = 4.0 * self.settling_rad / NEGLIGIBLE_RAD
+        return self.settling_decay_s * math.log(ratio) if ratio > 1.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ringing:
+    """A settling oscillation of one axis (0 inner, 1 outer) that began at ``start_s`` of an episode."""
+
+    axis: int
+    start_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AngleProfile:
+    """Both fixture angles over one episode, which begins with a leg and ends in stillness.
+
+    Attributes
+    ----------
+    breaks_s : ndarray, shape (m + 1,), s
+        Borders of the pieces, from 0; the last is infinite.
+    coefficients : ndarray, shape (m, 2, 3)
+        Quadratic of each axis in the time since the piece's border, lowest power first, rad, rad/s, rad/s².
+    moving : ndarray of bool, shape (m,)
+        False: both angles are constant.
+    ringings : tuple of Ringing
+    profile : RateProfile
+    end_rad : (float, float)
+        Angles (inner, outer) at rest after the last leg, rad.
+    legs_end_s : float
+        When the last leg ends, s.
+    """
+
+    breaks_s: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    moving: NDArray[np.bool_]
+    ringings: tuple[Ringing, ...]
+    profile: RateProfile
+    end_rad: tuple[float, float]
+    legs_end_s: float
+
+    @property
+    def bandwidth_rad_s(self) -> float:
+        """Highest angular frequency in functions of the attitude, rad/s: it sets the quadrature."""
+        turning = self.profile.rate_rad_s + math.sqrt(self.profile.accel_rad_s2)
+        if not self.ringings:
+            return turning
+        return turning + 2.0 * math.pi * self.profile.settling_hz + 2.0 / self.profile.settling_decay_s
+
+    def angles(
+        self, piece: NDArray[np.intp], time_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Angles and their rates.
+
+        Parameters
+        ----------
+        piece : ndarray of int, shape (k, 1)
+            Piece that each row of times belongs to.
+        time_s : ndarray, shape (k, n), s
+            Time since the start of the episode.
+
+        Returns
+        -------
+        angle, rate : ndarray, shape (k, n, 2), rad and rad/s
+            Columns inner, outer.
+        """
+        since = (time_s - self.breaks_s[piece])[..., np.newaxis]
+        c = self.coefficients[piece]
+        angle = c[..., 0] + since * (c[..., 1] + since * c[..., 2])
+        rate = c[..., 1] + 2.0 * since * c[..., 2]
+        for ringing in self.ringings:
+            self._add_ringing(ringing, piece, time_s, angle, rate)
+        return angle, rate
+
+    def _add_ringing(
+        self,
+        ringing: Ringing,
+        piece: NDArray[np.intp],
+        time_s: NDArray[np.float64],
+        angle: NDArray[np.float64],
+        rate: NDArray[np.float64],
+    ) -> None:
+        border = self.breaks_s[piece[:, 0]]
+        rows = (border >= ringing.start_s) & (border < ringing.start_s + self.profile.settling_life_s)
+        t = time_s[rows] - ringing.start_s
+        slow = np.exp(-t / self.profile.settling_decay_s)
+        w = 2.0 * math.pi * self.profile.settling_hz
+        envelope = 4.0 * self.profile.settling_rad * (slow - slow**2)
+        envelope_rate = (
+            4.0 * self.profile.settling_rad * (2.0 * slow**2 - slow) / self.profile.settling_decay_s
+        )
+        angle[rows, :, ringing.axis] += np.sin(w * t) * envelope
+        rate[rows, :, ringing.axis] += w * np.cos(w * t) * envelope + np.sin(w * t) * envelope_rate
+
+
+def angle_profile(
+    start_rad: tuple[float, float],
+    legs: Sequence[tuple[int, float]],
+    profile: RateProfile,
+    *,
+    leg_dwell_s: float = 0.0,
+    ringings: tuple[Ringing, ...] = (),
+) -> AngleProfile:
+    """Lay legs one after the other, from time 0, and stand still after the last.
+
+    Parameters
+    ----------
+    start_rad : (float, float)
+        Angles (inner, outer) at the start, rad.
+    legs : sequence of (axis, angle in rad)
+        Axis 0 inner, 1 outer; one axis turns at a time.
+    profile : RateProfile
+    leg_dwell_s : float
+        Stillness between two legs, s.
+    ringings : tuple of Ringing
+        Oscillations that earlier episodes left behind; their start is negative.
+    """
+    angles = np.array(start_rad)
+    breaks: list[float] = []
+    pieces: list[NDArray[np.float64]] = []
+    moving: list[bool] = []
+    now = 0.0
+    active = list(ringings)
+
+    def add(
+        duration_s: float, axis: int, angle: float, rate: float, half_accel: float, *, turns: bool
+    ) -> None:
+        nonlocal now
+        if duration_s <= 0.0:
+            return
+        coefficients = np.zeros((2, 3))
+        coefficients[:, 0] = angles
+        coefficients[axis] = angle, rate, half_accel
+        breaks.append(now)
+        pieces.append(coefficients)
+        moving.append(turns)
+        now += duration_s
+
+    for number, (axis, turn) in enumerate(legs):
+        if number:
+            add(leg_dwell_s, axis, angles[axis], 0.0, 0.0, turns=False)
+        if turn == 0.0:
+            continue
+        ramp_s, plateau_s = profile.ramp_and_plateau_s(turn)
+        half = math.copysign(0.5 * profile.accel_rad_s2, turn)
+        peak = 2.0 * half * ramp_s
+        begin, end = float(angles[axis]), float(angles[axis]) + turn
+        ramp_angle = half * ramp_s**2
+        add(ramp_s, axis, begin, 0.0, half, turns=True)
+        add(plateau_s, axis, begin + ramp_angle, peak, 0.0, turns=True)
+        add(ramp_s, axis, end - ramp_angle, peak, -half, turns=True)
+        angles[axis] = end
+        if profile.settling_rad > 0.0:
+            active.append(Ringing(axis, now))
+    legs_end = now
+    add(math.inf, 0, angles[0], 0.0, 0.0, turns=False)
+    result = AngleProfile(
+        np.array([*breaks, math.inf]),
+        np.array(pieces),
+        np.array(moving),
+        tuple(active),
+        profile,
+        (float(angles[0]), float(angles[1])),
+        legs_end,
+    )
+    return _split_at_ringings(result) if active else result
+
+
+def _split_at_ringings(profile: AngleProfile) -> AngleProfile:
+    """Add a border where each oscillation starts and ends; pieces in which one is alive are moving."""
+    starts = np.array([r.start_s for r in profile.ringings])
+    ends = starts + profile.profile.settling_life_s
+    borders = np.unique(np.concatenate([profile.breaks_s, starts[starts > 0.0], ends[ends > 0.0]]))
+    old = np.searchsorted(profile.breaks_s, borders[:-1], side="right") - 1
+    since = (borders[:-1] - profile.breaks_s[old])[:, np.newaxis]
+    c = profile.coefficients[old].copy()
+    c[..., 0] += since * (c[..., 1] + since * c[..., 2])
+    c[..., 1] += 2.0 * since * c[..., 2]
+    alive = (borders[:-1, np.newaxis] >= starts) & (borders[:-1, np.newaxis] < ends)
+    return AngleProfile(
+        borders,
+        c,
+        profile.moving[old] | alive.any(axis=1),
+        profile.ringings,
+        profile.profile,
+        profile.end_rad,
+        profile.legs_end_s,
+    )

@@ -1,0 +1,131 @@
+"""Rotation sequences as the fixture executes them, and Table 1 of Savage 2020 written out for it.
+
+A sequence is stated as the paper states it: which IMU axis points down, which lies along the outer axis,
+then rotations about IMU axes. The fixture has an inner axis along IMU z and an outer, horizontal axis along
+table y, so that a rotation about IMU z is one of the inner axis and every other rotation must be about an
+axis that lies along the outer one, in either direction. This table is the simulator's own copy: what checks
+the estimators must not read their data.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from srt.exceptions import InputError
+
+INNER: Final = 0
+OUTER: Final = 1
+"""Column of each fixture axis in arrays of fixture angles."""
+
+_QUARTER: Final = math.pi / 2.0
+
+# (down, along outer) -> quarter turns of the (inner, outer) axis that bring the unit there from z down, y
+# along outer.
+_START_QUARTERS: Final = {("z", "y"): (0, 0), ("z", "x"): (1, 0), ("x", "y"): (0, -1), ("y", "x"): (1, 1)}
+
+
+@dataclass(frozen=True, slots=True)
+class TurnSequence:
+    """One sequence: a start attitude and rotations about IMU axes.
+
+    Attributes
+    ----------
+    id : str or None
+        Name; one of Table 1, any other, or none.
+    down, along_outer : str
+        IMU axis ("x", "y", "z") that points down, and the one along the outer axis, at the start.
+    rotations : tuple of (axis, angle in degrees)
+        Executed one after the other; signed, multiples of 90° except for the last.
+    in_table_1 : bool
+        The sequence is the one of that name in Table 1.
+
+    Raises
+    ------
+    InputError
+        If the fixture cannot hold the start attitude or turn about the axis asked for.
+    """
+
+    id: str | None
+    down: str
+    along_outer: str
+    rotations: tuple[tuple[str, float], ...]
+    in_table_1: bool = False
+
+    def __post_init__(self) -> None:
+        if (self.down, self.along_outer) not in _START_QUARTERS:
+            reachable = ", ".join(f"{d}/{o}" for d, o in _START_QUARTERS)
+            raise InputError(
+                f"Sequence {self.id!r} starts with {self.down} down and {self.along_outer} along the outer "
+                f"axis, which the two-axis fixture does not offer: use one of {reachable} (down/along outer)."
+            )
+        self.fixture_legs()
+
+    def start_rad(self) -> tuple[float, float]:
+        """Nominal (inner, outer) angle at the start, rad."""
+        inner, outer = _START_QUARTERS[self.down, self.along_outer]
+        return inner * _QUARTER, outer * _QUARTER
+
+    def fixture_legs(self) -> tuple[tuple[int, float], ...]:
+        """Give the executed rotations as (fixture axis, signed angle in rad)."""
+        inner_deg = 90.0 * _START_QUARTERS[self.down, self.along_outer][0]
+        legs = []
+        for axis, angle_deg in self.rotations:
+            if axis == "z":
+                legs.append((INNER, math.radians(angle_deg)))
+                inner_deg += angle_deg
+                continue
+            # The outer axis in IMU components is (sin, cos, 0) of the inner angle: IMU x lies on it at +-90
+            # degrees, IMU y at 0 and 180, pointing along it or against it.
+            quarters = (inner_deg - (90.0 if axis == "x" else 0.0)) / 180.0
+            if axis not in {"x", "y"} or abs(quarters - round(quarters)) > 1e-9:
+                raise InputError(
+                    f"Sequence {self.id!r} asks for a rotation about IMU {axis} while that axis does not lie "
+                    f"along the outer axis (inner angle {inner_deg:g} deg): reorder its rotations, or turn "
+                    "about z first."
+                )
+            direction = 1.0 if round(quarters) % 2 == 0 else -1.0
+            legs.append((OUTER, direction * math.radians(angle_deg)))
+        return tuple(legs)
+
+
+def _table(rows: str) -> dict[str, TurnSequence]:
+    table = {}
+    for row in rows.strip().splitlines():
+        name, start, *turns = row.split()
+        rotations = tuple((turn[-1], float(turn[:-1])) for turn in turns)
+        table[name] = TurnSequence(name, start[0], start[2], rotations, in_table_1=True)
+    return table
+
+
+TABLE_1: Final = _table(
+    """
+    1   z/y  +360y
+    2   z/x  +360x
+    3   x/y  +360z
+    1a  z/y  -360y
+    2a  z/x  -360x
+    3a  x/y  -360z
+    4   z/y  +180y +180z +180y +180z
+    5   z/x  +180x +180z +180x +180z
+    6   x/y  +180y +90z +180x +90z +180y +90z +180x +90z
+    7   y/x  +180x
+    8   z/x  +180x
+    9   x/y  +180z
+    10  y/x  +180z
+    11  z/y  +180y
+    12  x/y  +180y
+    13  z/y  +180z +180y
+    14  z/x  +180z +180x
+    """
+)
+"""Table 1 of Savage 2020 by sequence id: start as down/along outer, then signed degrees and IMU axis."""
+
+
+def table_sequences(ids: tuple[str, ...]) -> tuple[TurnSequence, ...]:
+    """Look sequences of Table 1 up, in the order given. Raises InputError for an unknown id."""
+    for name in ids:
+        if name not in TABLE_1:
+            raise InputError(f"There is no sequence {name!r} in Table 1: the ids are {', '.join(TABLE_1)}.")
+    return tuple(TABLE_1[name] for name in ids)

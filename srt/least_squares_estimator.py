@@ -1,0 +1,208 @@
+"""Least squares on the shared model: any turns, labelled or free, fixture or none, iterated by play-back.
+
+All components of all sequences are weighted by the inverse of their full covariance, shared terms included. What the
+recording does not excite is found out, named and held; noise beyond the sensors' own is estimated from the residuals
+where these ask for it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.stats import chi2
+
+from srt import measurement_noise
+from srt.estimation import assemble
+from srt.iteration import iterate
+from srt.segmentation import find_turns
+from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, expand_names
+from srt.session import open_session
+from srt.start import first_estimate
+from srt.variance_components import restricted_likelihood
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+    from srt.estimation import Progress
+    from srt.iteration import Solution
+    from srt.options import Options
+    from srt.playback import Playback
+    from srt.playback_data import PlaybackData
+    from srt.recording import Recording
+
+    Array = NDArray[np.float64]
+
+# In this order parameters are admitted: one that is collinear with those before it is the one held.
+_ADMISSION: Final = expand_names(["gyro_bias"]) + expand_names(
+    ["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"]
+) + expand_names(["accel_asymmetry"]) + expand_names(["gyro_asymmetry"])
+
+# One sigma of each group before any data: a parameter counts as observed if the recording cuts it to a third.
+_PRIOR_SIGMA: Final = {
+    "gyro_scale": 0.3,
+    "gyro_asymmetry": 0.01,
+    "gyro_orthogonality": 0.3,
+    "accel_bias": 3.0,
+    "accel_scale": 0.3,
+    "accel_asymmetry": 0.01,
+    "accel_misalignment": 0.3,
+    "gyro_bias": 0.3,
+}
+_OBSERVED_BELOW: Final = 1.0 / 3.0
+_MISFIT_PROBABILITY: Final = 1e-3
+_ROUNDS: Final = 3
+
+
+def prior_sigma() -> Array:
+    """Prior one sigma of the 27 parameters, SI."""
+    return np.array([next(s for g, s in _PRIOR_SIGMA.items() if n.startswith(g + "_")) for n in NAMES])
+
+
+class LeastSquaresSolver:
+    """Weighted least squares with the parameters that the recording excites.
+
+    Parameters
+    ----------
+    requested : tuple of str
+        Parameters held on request.
+    """
+
+    coefficients = None
+
+    def __init__(self, requested: tuple[str, ...]) -> None:
+        self.requested = np.array([n in requested for n in NAMES])
+        self.held = self.requested.copy()
+        self._prior = prior_sigma()
+        self._selected = False
+
+    def gain(self, playback: Playback, covariance: Callable[[], Array]) -> Array:
+        """G of δ = G z; the first, coarse steps lean on the prior for what the data do not show."""
+        R = covariance()
+        scale = 1.0 / np.sqrt(np.diag(R))
+        factor = cho_factor(R * np.outer(scale, scale), lower=True)
+        L = factor[0]
+        A = solve_triangular(L, playback.H * scale[:, None] * self._prior, lower=True)
+        coarse = playback.integrals.noise is None
+        if not coarse and not self._selected:
+            self.held = self.requested | ~admit(A, ~self.requested)
+            self._selected = True
+        free = np.flatnonzero(~self.held)
+        normal = A[:, free].T @ A[:, free]
+        if coarse:
+            normal = normal + np.eye(len(free))
+        weighted = solve_triangular(L, A[:, free], lower=True, trans="T").T * scale
+        G = np.zeros((N_PARAMETERS, len(scale)))
+        # Equilibrated: parameters in units of their own conditional sigma.
+        d = 1.0 / np.sqrt(np.diag(normal))
+        G[free] = (self._prior[free] * d)[:, None] * cho_solve(
+            cho_factor(normal * np.outer(d, d), lower=True), d[:, None] * weighted
+        )
+        return G
+
+
+def admit(A: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which parameters whitened data determine, admitted one by one.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, 27)
+        Whitened Jacobian in units of the prior sigma.
+    wanted : ndarray of bool, shape (27,)
+        Parameters that may be admitted.
+
+    Returns
+    -------
+    ndarray of bool, shape (27,)
+        A parameter is in if, with all admitted before it, its sigma is below a third of the prior's.
+    """
+    admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
+    basis: list[Array] = []
+    for name in _ADMISSION:
+        j = INDEX[name]
+        if not wanted[j]:
+            continue
+        column = A[:, j].copy()
+        for _ in range(2):  # twice is enough (Parlett): once leaves rounding of nearly parallel columns
+            for q in basis:
+                column -= (q @ column) * q
+        norm = float(np.linalg.norm(column))
+        if norm > 1.0 / _OBSERVED_BELOW:
+            admitted[j] = True
+            basis.append(column / norm)
+    return admitted
+
+
+def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
+    """Calibrate by iterated weighted least squares on all measurements.
+
+    Raises
+    ------
+    DataError
+        If no usable stillness-turn-stillness is found, or readings are impossible.
+    """
+    labels = recording.sequences or find_turns(recording)
+    data = open_session(recording, labels, options)
+    start, U = first_estimate(data, options)
+    solver = LeastSquaresSolver(options.held_names)
+    solution = iterate(data, options, solver, start, U, progress)
+    excess = (0.0, 0.0)
+    warnings: tuple[str, ...] = ()
+    for _ in range(_ROUNDS):
+        if solution.status != "converged" or not _misfit(solution, solver.held):
+            break
+        new = _excess(solution, data, solver.held, excess)
+        if np.allclose(new, excess, rtol=0.02, atol=0.0):
+            break
+        excess = new
+        solver = LeastSquaresSolver(options.held_names)
+        solution = iterate(data, options, solver, solution.errors, solution.U, progress, excess=excess)
+    if any(excess):
+        warnings = (
+            f"Residuals are larger than the sensors' noise explains: {np.degrees(excess[0]):.2g}° per turn and "
+            f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
+        )
+    inflation = _inflation(solution, solver.held)
+    held = {n: "held on request" for n in options.held_names}
+    for n, is_held in zip(NAMES, solver.held, strict=True):
+        if is_held and n not in held:
+            held[n] = "the poses and turns of this recording do not show it apart from the others"
+    return assemble("least-squares", data, options, solution, held, warnings=warnings, inflation=inflation)
+
+
+def _chi_square(solution: Solution, held: NDArray[np.bool_]) -> tuple[float, int]:
+    R, z = solution.measurement_covariance, solution.playback.z
+    scale = 1.0 / np.sqrt(np.diag(R))
+    y = np.linalg.solve(np.linalg.cholesky(R * np.outer(scale, scale)), z * scale)
+    return float(y @ y), len(z) - int((~held).sum())
+
+
+def _misfit(solution: Solution, held: NDArray[np.bool_]) -> bool:
+    statistic, freedom = _chi_square(solution, held)
+    return freedom > 0 and statistic > chi2.isf(_MISFIT_PROBABILITY, freedom)
+
+
+def _inflation(solution: Solution, held: NDArray[np.bool_]) -> float:
+    """Factor on the sigmas where residuals stay larger than all noise explains (Birge)."""
+    if solution.status != "converged" or not _misfit(solution, held):
+        return 1.0
+    statistic, freedom = _chi_square(solution, held)
+    return float(np.sqrt(statistic / freedom))
+
+
+def _excess(
+    solution: Solution, data: PlaybackData, held: NDArray[np.bool_], present: tuple[float, float]
+) -> tuple[float, float]:
+    """One sigma of attitude per turn and of specific force per pose, by restricted maximum likelihood."""
+    playback = solution.playback
+    unit = measurement_noise.covariances(playback, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
+    parts = (unit["turn_excess"], unit["pose_excess"])
+    known = solution.measurement_covariance - sum(
+        size**2 * part for size, part in zip(present, parts, strict=True)
+    )
+    a, b = restricted_likelihood(playback.z, playback.H[:, ~held], known, parts)
+    return float(np.sqrt(a)), float(np.sqrt(b))

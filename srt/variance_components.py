@@ -1,0 +1,66 @@
+"""Noise that the sensors' own does not explain, estimated from the residuals by restricted maximum likelihood.
+
+Turning a unit by hand adds errors that no window shows: scale factors that are not quite linear, sampling of fast
+turns, a hand that moves the unit in a pose. Two components are allowed for, attitude per turn and specific force per
+pose, beside the known covariance: ``R = R0 + a R_turn + b R_pose``. Fisher scoring of the restricted likelihood
+(Patterson and Thompson 1971) finds a and b; both stay at or above zero.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+_STEPS: Final = 50
+
+
+def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array, ...]) -> Array:
+    """Variances of noise components.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+        Residuals at the solution.
+    H : ndarray, shape (n, p)
+        Their Jacobian with respect to what was estimated.
+    R0 : ndarray, shape (n, n)
+        Known covariance.
+    components : tuple of ndarray, shape (n, n)
+        Covariance of each component for unit variance.
+
+    Returns
+    -------
+    ndarray, shape (number of components,)
+        Variances, at least zero.
+    """
+    scale = 1.0 / np.sqrt(np.diag(R0))
+    z, H = z * scale, H * scale[:, None]
+    H = H / np.linalg.norm(H, axis=0)
+    R0, parts = R0 * np.outer(scale, scale), [C * np.outer(scale, scale) for C in components]
+    # A first size: what makes the traces agree.
+    sizes = np.array([max(float(z @ z) / max(float(np.trace(C)), 1e-300), 0.0) / len(parts) for C in parts])
+    for _ in range(_STEPS):
+        R = R0 + sum(v * C for v, C in zip(sizes, parts, strict=True))
+        W = np.linalg.inv(R)
+        P = W - W @ H @ np.linalg.solve(H.T @ W @ H, H.T @ W)
+        PC = [P @ C for C in parts]
+        Pz = P @ z
+        score = np.array([-0.5 * np.trace(A) + 0.5 * float(Pz @ C @ Pz) for A, C in zip(PC, parts, strict=True)])
+        fisher = np.array([[0.5 * np.sum(A * B.T) for B in PC] for A in PC])
+        free = (sizes > 0.0) | (score > 0.0)
+        if not free.any():
+            break
+        step = np.zeros(len(parts))
+        step[free] = np.linalg.solve(fisher[np.ix_(free, free)], score[free])
+        new = np.maximum(sizes + step, 0.0)
+        done = np.all(np.abs(new - sizes) <= 1e-3 * np.maximum(new, 1e-12 * sizes.max()))
+        sizes = new
+        if done:
+            break
+    return sizes
