@@ -36,6 +36,7 @@ STILLNESS_PROBABILITY: Final = 1e-3
 _UNIT: Final = np.ones(N_PARAMETERS)
 _UNIT[GROUP_SLICES["accel_bias"]] = 9.80665
 _MAX_STEP: Final = 0.7
+_NEAR: Final = 1e-3
 
 
 class Solver(Protocol):
@@ -114,9 +115,11 @@ class Iteration:
         sigma = np.zeros(N_PARAMETERS)
         gain: Array | None = None
         status, message = "not_converged", ""
+        small = False
         for i in range(self.options.max_playbacks):
             nominal = i == 0 or not self.options.measured_vertical
-            small = bool(corrections) and corrections[-1] < 1e-3
+            # Once near, the full weights stay: a change of weights moves the solution, and must not call back the rough.
+            small = small or (bool(corrections) and corrections[-1] < _NEAR)
             playback = self.player.play(
                 errors, U=U, nominal_vertical=nominal, bias_offset=self.offset, with_noise=small
             )
