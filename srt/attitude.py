@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 BLOCK: Final = 16384
 _SMOOTHING_S: Final = 0.2
-_OCTANT_WEIGHTS: Final = np.array([1.0, 2.0, 4.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,14 +64,6 @@ class GyroStream:
     starts: NDArray[np.intp]
     rotation: NDArray[np.intp]
     F: Array | None = None
-
-    @property
-    def elapsed_s(self) -> Array:
-        """Time from the start of each sample's sequence to the sample's end, shape (n,)."""
-        total = np.cumsum(self.interval_s)
-        before = np.concatenate([[0.0], total])[self.starts[:-1]]
-        out: Array = total - np.repeat(before, np.diff(self.starts))
-        return out
 
 
 def gyro_stream(
@@ -163,48 +154,38 @@ def integrate(
     -------
     integrals : RotationIntegrals
     attitude : ndarray, shape (3, 3, n)
-        Ĉ at mid-interval (mean of both ends) of every sample; used where windows are integrated.
-        Empty unless the stream has weights F.
+        Ĉ at mid-interval (mean of both ends) of the samples of integrated windows; of use nowhere else, and
+        empty unless the stream has weights F.
     """
-    K = len(stream.starts) - 1
-    n = int(stream.starts[-1])
-    elapsed = stream.elapsed_s
+    K, n = len(stream.starts) - 1, int(stream.starts[-1])
     inverses = gyro.inverses if gyro.asymmetry.any() else np.linalg.inv(gyro.matrix)[None]
     sums, noise = np.zeros((K, 9, 7)), np.zeros((K, 3, 3, 3)) if with_noise else None
-    turned, C_end = np.zeros((K, 3)), np.empty((K, 3, 3))
+    turned = np.zeros((K, 3))
     kept = np.empty((3, 3, n)) if stream.F is not None else np.empty((3, 3, 0))
     sequence_of = np.repeat(np.arange(K), np.diff(stream.starts))
     chain = np.array([[1.0 + 0j], [0.0]])  # attitude at the end of the block before, against the chain's origin
-    origin = np.empty((2, K), dtype=np.complex128)  # and at each sequence's start
-    C_before = np.eye(3)  # Ĉ at the end of the sample before the block
+    C_before = np.eye(3)
+    edges = np.empty((2, K + 1), dtype=np.complex128)  # the chain at each sequence's start, and at its very end
+    edges[:, 0] = chain[:, 0]
     for a in range(0, n, BLOCK):
         b = min(a + BLOCK, n)
+        k_of, dt = sequence_of[a:b], stream.interval_s[a:b]
         theta, D = _compensate(stream, slice(a, b), gyro, inverses, noise_rad_sqrt_s)
-        k_of = sequence_of[a:b]
-        dt = stream.interval_s[a:b]
-        if bias_offset is not None:
+        if bias_offset is not None and bias_offset.any():
             theta -= bias_offset.T[:, k_of] * dt
         phi = theta + _coning(theta, stream.slope[:, a:b], D)
         chained = quaternion.multiply(chain, quaternion.prefix_product(quaternion.from_rotation_vector(phi)))
-        first, last = int(k_of[0]), int(k_of[-1])
-        begins = stream.starts[first : last + 1]
-        for k in range(first, last + 1):
-            s = int(stream.starts[k])
-            if s >= a:
-                origin[:, k] = chain[:, 0] if s == a else chained[:, s - a - 1]
         chain = chained[:, -1:]
-        # Re-reference to the sequence's start and turn the Earth back.
-        earth = quaternion.from_rotation_vector(-earth_rate.T[:, k_of] * elapsed[a:b])
-        left = quaternion.multiply(earth, quaternion.conjugate(origin)[:, k_of])
-        C = quaternion.to_matrix(quaternion.multiply(left, chained))
+        ended = np.flatnonzero((stream.starts > a) & (stream.starts <= b))
+        edges[:, ended] = chained[:, stream.starts[ended] - a - 1]
+        C = quaternion.to_matrix(chained)
         C_mid = np.empty_like(C)
-        C_mid[:, :, 1:] = C[:, :, :-1]
-        C_mid[:, :, 0] = C_before
-        C_mid[:, :, begins[begins >= a] - a] = np.eye(3)[:, :, None]
-        C_before = C[:, :, -1].copy()
-        C_mid += C
+        C_mid[:, :, 0] = C_before + C[:, :, 0]
+        np.add(C[:, :, :-1], C[:, :, 1:], out=C_mid[:, :, 1:])
         C_mid *= 0.5
+        C_before = C[:, :, -1].copy()
         X = _times(C_mid, D)
+        flat = X.reshape(9, -1)
         V = np.empty((7, b - a))
         V[:3] = theta
         np.abs(theta, out=V[3:6])
@@ -213,40 +194,63 @@ def integrate(
         if F is not None:
             kept[:, :, a:b] = C_mid
             V *= F
-        for k in range(first, last + 1):
+        for k in range(int(k_of[0]), int(k_of[-1]) + 1):
             s, e = max(int(stream.starts[k]) - a, 0), min(int(stream.starts[k + 1]) - a, b - a)
-            sums[k] += X.reshape(9, -1)[:, s:e] @ V[:, s:e].T
+            sums[k] += flat[:, s:e] @ V[:, s:e].T
             if noise is not None:
                 weight = dt[s:e] if F is None else dt[s:e] * F[s:e] ** 2
                 for c in range(3):
                     noise[k, :, :, c] += (X[:, c, s:e] * weight) @ X[:, c, s:e].T
-            if stream.starts[k + 1] <= b:
-                C_end[k] = C[:, :, e - 1]
-            s, e = np.clip(stream.rotation[k] - a, 0, b - a)
+            s, e = max(int(stream.rotation[k, 0]) - a, 0), min(int(stream.rotation[k, 1]) - a, b - a)
             if e > s:
-                turned[k] += theta[:, s:e].sum(axis=1) - _earth_seen(C_mid[:, :, s:e], dt[s:e], earth_rate[k])
-    sums = sums.reshape(K, 3, 3, 7)
+                turned[k] += theta[:, s:e].sum(axis=1)
+    # From the chain's origin to each B_Strt, the Earth turned back: exactly for the attitudes, and for the integrals by
+    # the mean of its turn (less than 1e-3 rad in a sequence, of which the mean leaves a part in ten).
+    to_start = np.swapaxes(_matrices(edges[:, :-1]), 1, 2)
+    elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
+    C_end = quaternion.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
+    middle = quaternion.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
+    sums = np.einsum("kad,kdbm->kabm", middle, sums.reshape(K, 3, 3, 7))
+    if noise is not None:
+        noise = np.einsum("kad,kdeb,kce->kacb", middle, noise, middle)
+    if stream.F is not None:
+        kept = _at_start(stream, kept, to_start, earth_rate)
+    time = sums[..., 6]
+    # The Earth's part of what was turned, in B; windows count for little here and are left in.
+    turned -= np.einsum("ka,kab->kb", earth_rate, time @ gyro.matrix)
     return RotationIntegrals(
         C_end,
         sums[..., :3],
         np.einsum("kabb->kab", sums[..., 3:6]),
-        sums[..., 6],
+        time,
         _weight(stream),
         turned,
         noise,
     ), kept
 
 
+def _matrices(q: quaternion.Quaternions) -> Array:
+    return np.ascontiguousarray(np.moveaxis(quaternion.to_matrix(np.ascontiguousarray(q)), 2, 0))
+
+
+def _at_start(stream: GyroStream, C: Array, to_start: Array, earth_rate: Array) -> Array:
+    """Attitudes in the integrated windows from the chain's frame to their B_Strt, the Earth turned back by samples."""
+    ends = np.cumsum(stream.interval_s)
+    middle = ends - 0.5 * stream.interval_s
+    for k, (s, e) in enumerate(zip(stream.starts[:-1].tolist(), stream.starts[1:].tolist(), strict=True)):
+        origin = ends[s - 1] if s > 0 else 0.0
+        for lo, hi in ((s, int(stream.rotation[k, 0])), (int(stream.rotation[k, 1]), e)):
+            if hi > lo:
+                earth = -earth_rate[k][:, None] * (middle[lo:hi] - origin)
+                E = quaternion.to_matrix(quaternion.from_rotation_vector(earth))
+                C[:, :, lo:hi] = np.einsum("abn,bcn->acn", E, np.tensordot(to_start[k], C[:, :, lo:hi], 1))
+    return C
+
+
 def _weight(stream: GyroStream) -> Array:
     weighted = stream.interval_s if stream.F is None else stream.interval_s * stream.F
     total = np.concatenate([[0.0], np.cumsum(weighted)])
     out: Array = np.diff(total[stream.starts])
-    return out
-
-
-def _earth_seen(C: Array, dt: Array, earth_rate: Array) -> Array:
-    """Integral of the Earth's rate in body axes, rad."""
-    out: Array = np.einsum("a,ab->b", earth_rate, C @ dt)
     return out
 
 
@@ -290,28 +294,31 @@ def _compensate(
     if len(inverses) == 1:
         return inverses[0] @ y, inverses[0]
     mean_inverse = np.linalg.inv(gyro.matrix)
-    guess = mean_inverse @ y
-    octant = _OCTANT_WEIGHTS @ (guess < 0.0)
     table = np.ascontiguousarray(np.moveaxis(inverses, 0, 2))
-    octant = octant.astype(np.intp)
-    D = table[:, :, octant]
-    theta = _apply(D, y)
-    # One look back: a sample whose solution lies in another octant than the guess.
-    wrong = np.flatnonzero(_OCTANT_WEIGHTS @ (theta < 0.0) != octant)
-    if wrong.size:
-        octant[wrong] = _OCTANT_WEIGHTS @ (theta[:, wrong] < 0.0)
-        D[:, :, wrong] = table[:, :, octant[wrong]]
-        theta[:, wrong] = _apply(D[:, :, wrong], y[:, wrong])
+    smooth = sigma = None
+    judged = mean_inverse @ y
     if noise_rad_sqrt_s is not None:
-        sigma = np.sqrt(mean_inverse**2 @ noise_rad_sqrt_s**2)[:, None] * np.sqrt(dt)
-        near_zero = np.abs(theta) < 3.0 * sigma
-        doubtful = np.flatnonzero(near_zero.any(axis=0))
-        if doubtful.size:
-            smooth = mean_inverse @ (
-                stream.smooth[:, block][:, doubtful] - gyro.bias[:, None] * dt[doubtful]
-            )
-            decided = np.where(near_zero[:, doubtful], smooth, theta[:, doubtful]) < 0.0
-            octant = (_OCTANT_WEIGHTS @ decided).astype(np.intp)
-            D[:, :, doubtful] = table[:, :, octant]
-            theta[:, doubtful] = _apply(D[:, :, doubtful], y[:, doubtful])
+        sigma = 3.0 * np.sqrt(mean_inverse**2 @ noise_rad_sqrt_s**2)[:, None] * np.sqrt(dt)
+        smooth = stream.smooth[:, block] - gyro.bias[:, None] * dt
+        np.copyto(judged, mean_inverse @ smooth, where=np.abs(judged) < sigma)
+    octant = _octant(judged)
+    D = np.take(table, octant, axis=2)  # contiguous, unlike fancy indexing
+    theta = _apply(D, y)
+    # One look back: the first judgement left the asymmetry out, and the solution may lie in another octant.
+    if smooth is not None and sigma is not None:
+        judged = np.where(np.abs(theta) < sigma, _apply(D, smooth), theta)
+    else:
+        judged = theta
+    new = _octant(judged)
+    changed = np.flatnonzero(new != octant)
+    if changed.size:
+        D[:, :, changed] = table[:, :, new[changed]]
+        theta[:, changed] = _apply(D[:, :, changed], y[:, changed])
     return theta, D
+
+
+def _octant(v: Array) -> NDArray[np.intp]:
+    """Octant numbers of vectors of shape (3, n)."""
+    negative = v < 0.0
+    out: NDArray[np.intp] = negative[0] + 2 * negative[1].astype(np.intp) + 4 * negative[2]
+    return out

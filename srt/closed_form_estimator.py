@@ -17,8 +17,6 @@ from srt.session import open_session
 from srt.start import first_estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
@@ -107,7 +105,7 @@ class ClosedFormSolver:
         horizontal = [axis for axis in AXES if axis != sequence.down]
         return 2 * k + horizontal.index(kind)
 
-    def gain(self, playback: Playback, covariance: Callable[[], Array]) -> Array:  # noqa: ARG002 - one of two solvers
+    def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:  # noqa: ARG002 - no weights here
         """G of δ = G z: the full Jacobian of the selected components, inverted."""
         S = self.selection
         G = np.zeros((N_PARAMETERS, S.shape[1]))

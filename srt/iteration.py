@@ -7,7 +7,7 @@ the compensated data, so it is composed with the estimate, not added.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -42,8 +42,11 @@ _NEAR: Final = 1e-3
 class Solver(Protocol):
     """Turns measurements into corrections; the closed form and least squares differ in this alone."""
 
-    def gain(self, playback: Playback, covariance: Callable[[], Array]) -> Array:
-        """Matrix G of the correction δ = G z, shape (27, n_z); rows of held parameters are zero."""
+    def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
+        """Matrix G of the correction δ = G z, shape (27, n_z); rows of held parameters are zero.
+
+        ``covariance`` is that of z, a rough one until the iteration is ``near`` the solution.
+        """
 
     @property
     def coefficients(self) -> Array | None:
@@ -97,38 +100,53 @@ class Iteration:
     """State of one run of play-backs; :func:`iterate` is the way in."""
 
     def __init__(
-        self, data: PlaybackData, options: Options, solver: Solver, start: SensorErrors, excess: tuple[float, float]
+        self,
+        data: PlaybackData,
+        options: Options,
+        solver: Solver,
+        start: SensorErrors,
+        excess: tuple[float, float],
+        resume: Solution | None,
     ) -> None:
         self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
-        W = len(data.windows.duration_s)
-        self.integrated = np.full(W, options.window_attitude == "integrated")
-        self.player = Player(data, options, self.integrated)
+        self.noise: Array | None = None
         self.offset = np.zeros((data.K, 3))
         self.instability = (
             np.zeros(3) if data.noise.gyro_instability is None else data.noise.gyro_instability
         )
+        self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
+        if resume is not None:
+            self.integrated, self.offset = resume.playback.integrated, resume.bias_by_sequence
+            self.instability = resume.instability
+        self.resumed = resume is not None
+        self.before = () if resume is None else resume.corrections
+        self.player = Player(data, options, self.integrated)
 
     def run(self, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
         """Play back until the correction is negligible."""
         errors = self.start
         corrections: list[float] = []
         sigma = np.zeros(N_PARAMETERS)
-        gain: Array | None = None
+        weights: Array | None = None
+        near = self.resumed
         status, message = "not_converged", ""
-        small = False
+        final: Playback | None = None
         for i in range(self.options.max_playbacks):
-            nominal = i == 0 or not self.options.measured_vertical
-            # Once near, the full weights stay: a change of weights moves the solution, and must not call back the rough.
-            small = small or (bool(corrections) and corrections[-1] < _NEAR)
+            nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
+            # Once near, the full weights are taken, and kept: they change with the estimate by parts in a thousand.
+            near = near or (bool(corrections) and corrections[-1] < _NEAR)
+            fresh = near and weights is None
             playback = self.player.play(
-                errors, U=U, nominal_vertical=nominal, bias_offset=self.offset, with_noise=small
+                errors, U=U, nominal_vertical=nominal, bias_offset=self.offset, with_noise=fresh
             )
-            if small:
-                # The covariance changes with the estimate by parts in 1e3 now: taken once, renewed at the end.
-                gain = self.solver.gain(playback, lambda p=playback: self._total(p))  # type: ignore[misc]
-                sigma = np.sqrt(np.maximum(np.diag(gain @ self._total(playback) @ gain.T), 0.0))
-            else:
-                gain = self.solver.gain(playback, lambda p=playback: self._rough(p))  # type: ignore[misc]
+            if fresh and self._release_moving(playback):
+                continue
+            if fresh:
+                self.noise = playback.integrals.noise
+                weights = self._total(playback)
+            gain = self.solver.gain(playback, self._rough(playback) if weights is None else weights, near=near)
+            if weights is not None:
+                sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
             errors, U, correction = self._correct(errors, U, playback, gain)
             size = float(np.max(np.abs(correction) / _UNIT))
             corrections.append(size)
@@ -140,15 +158,28 @@ class Iteration:
                 break
             settled = self._update_offsets(playback, sigma)
             negligible = np.all(np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma))
-            if small and negligible and settled and not self._release_moving(playback):
-                status, message = "converged", f"Converged after {i + 1} play-backs."
+            if near and negligible and settled and not self._release_moving(playback):
+                status, message = "converged", f"Converged after {len(self.before) + len(corrections)} play-backs."
+                # The correction just made is a hundredth of a sigma: what it leaves of z is known without playing again.
+                integrals = replace(playback.integrals, noise=self.noise)
+                final = replace(playback, z=playback.z - playback.H @ correction, integrals=integrals)
                 break
+            if self.player.integrated is not playback.integrated:
+                weights = None
         else:
             message = (
                 f"Not converged after {len(corrections)} play-backs: the last correction was {corrections[-1]:.2e} "
                 "(largest parameter, accelerometer bias in g)."
             )
-        return self._finish(errors, U, corrections, status, message)
+        if final is None:
+            final = self.player.play(
+                errors,
+                U=U,
+                nominal_vertical=not self.options.measured_vertical,
+                bias_offset=self.offset,
+                with_noise=True,
+            )
+        return self._finish(final, errors, U, corrections, status, message)
 
     def _correct(
         self, errors: SensorErrors, U: Array, playback: Playback, gain: Array
@@ -242,18 +273,17 @@ class Iteration:
         )
 
     def _finish(
-        self, errors: SensorErrors, U: Array, corrections: list[float], status: str, message: str
+        self,
+        playback: Playback,
+        errors: SensorErrors,
+        U: Array,
+        corrections: list[float],
+        status: str,
+        message: str,
     ) -> Solution:
-        playback = self.player.play(
-            errors,
-            U=U,
-            nominal_vertical=not self.options.measured_vertical,
-            bias_offset=self.offset,
-            with_noise=True,
-        )
         by_source = self._by_source(playback)
         total = np.asarray(sum(by_source.values()))
-        gain = self.solver.gain(playback, lambda: total)
+        gain = self.solver.gain(playback, total, near=True)
         return Solution(
             errors,
             U,
@@ -261,7 +291,7 @@ class Iteration:
             total,
             gain,
             playback,
-            tuple(corrections),
+            (*self.before, *corrections),
             status,
             message,
             tuple(np.flatnonzero(self.integrated).tolist()),
@@ -279,6 +309,7 @@ def iterate(
     progress: Callable[[int, float], None] | None = None,
     *,
     excess: tuple[float, float] = (0.0, 0.0),
+    resume: Solution | None = None,
 ) -> Solution:
     """Iterate play-backs from a first estimate.
 
@@ -295,5 +326,7 @@ def iterate(
         Called with the number of play-backs and the largest correction.
     excess : (float, float)
         Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
+    resume : Solution, optional
+        Go on from where this solution on the same data ended (its windows, biases and nearness).
     """
-    return Iteration(data, options, solver, errors, excess).run(U, progress)
+    return Iteration(data, options, solver, errors, excess, resume).run(U, progress)

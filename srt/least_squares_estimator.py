@@ -23,8 +23,6 @@ from srt.start import first_estimate
 from srt.variance_components import restricted_likelihood
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
@@ -80,20 +78,19 @@ class LeastSquaresSolver:
         self._prior = prior_sigma()
         self._selected = False
 
-    def gain(self, playback: Playback, covariance: Callable[[], Array]) -> Array:
+    def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
         """G of δ = G z; the first, coarse steps lean on the prior for what the data do not show."""
-        R = covariance()
+        R = covariance
         scale = 1.0 / np.sqrt(np.diag(R))
         factor = cho_factor(R * np.outer(scale, scale), lower=True)
         L = factor[0]
         A = solve_triangular(L, playback.H * scale[:, None] * self._prior, lower=True)
-        coarse = playback.integrals.noise is None
-        if not coarse and not self._selected:
+        if near and not self._selected:
             self.held = self.requested | ~admit(A, ~self.requested)
             self._selected = True
         free = np.flatnonzero(~self.held)
         normal = A[:, free].T @ A[:, free]
-        if coarse:
+        if not near:
             normal = normal + np.eye(len(free))
         weighted = solve_triangular(L, A[:, free], lower=True, trans="T").T * scale
         G = np.zeros((N_PARAMETERS, len(scale)))
@@ -156,11 +153,13 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         if solution.status != "converged" or not _misfit(solution, solver.held):
             break
         new = _excess(solution, data, solver.held, excess)
-        if np.allclose(new, excess, rtol=0.02, atol=0.0):
+        if np.allclose(new, excess, rtol=0.1, atol=1e-6):
             break
         excess = new
         solver = LeastSquaresSolver(options.held_names)
-        solution = iterate(data, options, solver, solution.errors, solution.U, progress, excess=excess)
+        solution = iterate(
+            data, options, solver, solution.errors, solution.U, progress, excess=excess, resume=solution
+        )
     if any(excess):
         warnings = (
             f"Residuals are larger than the sensors' noise explains: {np.degrees(excess[0]):.2g}° per turn and "

@@ -27,7 +27,7 @@ GYRO_FLOOR: Final = 1e-10
 """Smallest angle random walk that is believed, rad/√s."""
 ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
 """Smallest velocity random walk that is believed, m/s²·√s."""
-_MAX_SAMPLES_FOR_RESOLUTION: Final = 20000
+_MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
 _QUANTIZATION_DOUBT: Final = 0.5
 _POOL_ABOVE: Final = 0.2
 

@@ -125,6 +125,10 @@ class Player:
             for w in {int(data.start[k]), int(data.end[k])}:
                 self._share[k, w] = duration[w]
         self._share /= self._share.sum(axis=1, keepdims=True)
+        # The two axes of T that are horizontal at the start of each labelled sequence.
+        self._horizontal = np.array(
+            [[i for i in range(3) if i != AXES.index(s.down)] for s in data.catalogue if s is not None]
+        )
 
     @property
     def stream(self) -> GyroStream:
@@ -230,15 +234,12 @@ class Player:
     def _basis(self, down: Array, U: Array) -> Array:
         """Two horizontal directions per sequence: nominal axes of T made horizontal, or any two for a free turn."""
         data = self.data
-        axes = np.empty((data.K, 2, 3))
-        for k, sequence in enumerate(data.catalogue):
-            if sequence is not None:
-                vertical = AXES.index(sequence.down)
-                axes[k] = U.T[[i for i in range(3) if i != vertical]]
-            else:
-                first = np.cross(down[k], np.eye(3)[np.argmin(np.abs(down[k]))])
-                first /= np.linalg.norm(first)
-                axes[k] = first, np.cross(down[k], first)
+        if data.nominal is not None:
+            axes = U.T[self._horizontal]
+        else:
+            first = cross_matrix(down)[np.arange(data.K), :, np.argmin(np.abs(down), axis=1)]
+            first /= np.linalg.norm(first, axis=1, keepdims=True)
+            axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
         out: Array = axes @ model.horizontal_projector(down)
         return out
 

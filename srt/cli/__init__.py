@@ -1,10 +1,10 @@
 """The command line ``srt``: the composition root, and the only part of the package that prints.
 
-Every command is one module here, loaded when it is run, so that ``srt --help`` answers at once. Results go to standard
-output; progress, warnings and errors go to standard error.
+Every command is one module here, loaded when it is run, so that ``srt --help`` answers at once. Results go to
+standard output; progress, warnings and errors go to standard error.
 
-Exit codes: 0 success; 1 the data cannot support a result (or not a converged one); 2 wrong usage or unreadable input;
-130 interrupted.
+Exit codes: 0 success; 1 the data cannot support a result, or not a converged one; 2 wrong usage or unreadable
+input; 130 interrupted.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ import sys
 from typing import TYPE_CHECKING, Any, Final
 
 import click
-from click.shell_completion import shell_complete
 
+from srt.cli.output import say
 from srt.exceptions import SrtError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ COMMANDS: Final = {
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }
-"""Where each command is (module:attribute), and its line in the help; a new command is a module and a line here."""
+"""Where each command is (module:attribute), and its line in the help; a new one is a module and a line here."""
 
 INTERRUPTED: Final = 130
 BROKEN_PIPE: Final = 141
@@ -60,7 +60,7 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
-def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:  # noqa: ARG001, FBT001
+def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:  # noqa: ARG001
     if not value or ctx.resilient_parsing:
         return
     from importlib.metadata import PackageNotFoundError, version
@@ -73,7 +73,12 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
     ctx.exit()
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=LazyGroup,
+    # click's own way of showing the help raises an error of its own that older versions lack
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.option(
     "--version",
     is_flag=True,
@@ -82,13 +87,17 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
     callback=_print_version,
     help="Show the version and exit.",
 )
-def app() -> None:
+@click.pass_context
+def app(context: click.Context) -> None:
     """Calibrate inertial measurement units by Savage's improved strapdown rotation test.
 
     'srt COMMAND --help' explains a command; 'srt demo' shows all of it in a few seconds.
 
     Exit codes: 0 success, 1 the data cannot support a result, 2 wrong usage or unreadable input.
     """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help(), err=True)
+        context.exit(2)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -110,12 +119,14 @@ def run(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="replace")
     completion = os.environ.get("_SRT_COMPLETE")
     if completion:
+        from click.shell_completion import shell_complete
+
         return shell_complete(app, {}, "srt", "_SRT_COMPLETE", completion)
     try:
         code = _invoke(arguments)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has gone (srt ... | head). The interpreter must not fail on flushing once more at its end.
+        # The reader has gone (srt ... | head): nor must the interpreter fail, flushing once more at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     return code
@@ -125,9 +136,6 @@ def _invoke(arguments: Sequence[str]) -> int:
     try:
         with app.make_context("srt", list(arguments)) as context:
             value: Any = app.invoke(context)
-    except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message(), err=True)
-        return error.exit_code
     except click.exceptions.Exit as error:
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
@@ -144,8 +152,3 @@ def _invoke(arguments: Sequence[str]) -> int:
         say(str(error))
         return error.exit_code
     return value if isinstance(value, int) else 0
-
-
-def say(sentence: str) -> None:
-    """Tell the user one thing on standard error."""
-    click.echo(f"srt: {sentence}", err=True)

@@ -1,0 +1,253 @@
+"""``srt calibrate``: sensor errors from recordings, each judged and kept on its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from srt.cli.output import check_directory, check_file, make_directory, recording_folder, say, warn
+from srt.exceptions import DataError, InputError, SrtError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from srt.calibration import Calibration
+    from srt.options import Options
+    from srt.sensor_errors import SensorErrors
+
+# The option types of srt.options, written out: importing them here would make help wait for numpy.
+CHOICES = {
+    "average": ("linear", "overlapping"),
+    "down": ("tilt-immune", "paper"),
+    "window_attitude": ("held", "integrated"),
+    "gyro_bias": ("auto", "pooled", "per-sequence"),
+    "step": ("jacobian", "coefficients"),
+    "start": ("auto", "zero"),
+}
+PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+RESULT_SUFFIXES = (".json",)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One recording to calibrate.
+
+    Attributes
+    ----------
+    recording : Path
+    name : str
+        Of the recording's folder; the result's file is called by it where several are made.
+    output, plot : Path or None
+    """
+
+    recording: Path
+    name: str
+    output: Path | None = None
+    plot: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Display:
+    """What to show of a calibration."""
+
+    truth: SensorErrors | None = None
+    budget: bool = False
+    quiet: bool = False
+
+
+@click.command()
+@click.argument(
+    "recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORDING..."
+)
+@click.option(
+    "--estimator",
+    default="auto",
+    show_default=True,
+    metavar="NAME",
+    help="auto, closed-form, least-squares, or another that is installed (ekf, graph).",
+)
+@click.option("--no-asymmetry", is_flag=True, help="Hold the gyro scale-factor asymmetries.")
+@click.option(
+    "--hold",
+    multiple=True,
+    metavar="NAME",
+    help="Hold a parameter or a group, as gyro_scale_x or accel_bias; repeatable.",
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json, or a folder for several."
+)
+@click.option("--plot", type=click.Path(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
+@click.option(
+    "--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording, to compare with."
+)
+@click.option("--budget", is_flag=True, help="Show all sources of sigma, not the three largest.")
+@click.option("--average", type=click.Choice(CHOICES["average"]), default="linear", show_default=True)
+@click.option("--down", type=click.Choice(CHOICES["down"]), default="tilt-immune", show_default=True)
+@click.option(
+    "--window-attitude", type=click.Choice(CHOICES["window_attitude"]), default="held", show_default=True
+)
+@click.option("--gyro-bias", type=click.Choice(CHOICES["gyro_bias"]), default="auto", show_default=True)
+@click.option("--step", type=click.Choice(CHOICES["step"]), default="jacobian", show_default=True)
+@click.option("--start", type=click.Choice(CHOICES["start"]), default="auto", show_default=True)
+@click.option("--max-playbacks", type=click.IntRange(min=1), default=12, show_default=True, metavar="N")
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
+def calibrate(
+    recordings: tuple[Path, ...],
+    estimator: str,
+    no_asymmetry: bool,
+    output: Path | None,
+    plot: Path | None,
+    truth: Path | None,
+    budget: bool,
+    quiet: bool,
+    **choices: Any,
+) -> int:
+    """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
+
+    The table goes to standard output; -o keeps the whole result, with its covariance, as JSON. With several
+    recordings -o names a folder, --plot gets the recordings' names before its ending, a recording that fails
+    does not stop the others, and the exit code is the worst.
+
+    Exit codes: 0 converged, or partial (some parameters held, with a warning); 1 not converged or outside the
+    model (written all the same, with that status), or data that cannot support a result; 2 wrong usage or
+    unreadable input.
+    """
+    jobs = plan(recordings, output, plot)
+    # Everything that can be refused without the samples is refused before they are read.
+    if truth is not None and len(jobs) > 1:
+        raise InputError("The option --truth belongs to one recording: calibrate the others apart.")
+    from srt.estimation import find_estimator
+    from srt.options import Options
+
+    options = Options(asymmetry=not no_asymmetry, **choices)
+    if estimator != "auto":
+        find_estimator(estimator)
+    if plot is not None:
+        import srt.plots  # noqa: F401 - whether it can be
+    true_errors = None
+    if truth is not None:
+        from srt.cli.truth import load_truth
+
+        true_errors = load_truth(truth)
+    display = Display(true_errors, budget, quiet)
+    if len(jobs) > 1 and output is not None:
+        make_directory(output)
+    codes = []
+    for number, job in enumerate(jobs):
+        if number and not quiet:
+            click.echo()
+        try:
+            calibration = run_job(job, estimator, options, display)
+        except SrtError as error:
+            sentence = str(error)
+            named = len(jobs) == 1 or str(job.recording) in sentence
+            say(sentence if named else f"{job.recording}: {sentence}")
+            codes.append(error.exit_code)
+        else:
+            codes.append(judge(job, calibration))
+    if output is None and not quiet and min(codes) == 0:
+        click.echo("\nNothing was written: -o FILE.json keeps the result.")
+    return max(codes)
+
+
+def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Settle where every result goes, and that it can go there.
+
+    Parameters
+    ----------
+    recordings : sequence of Path
+    output : Path or None
+        A folder if there are several recordings, or if it exists as one.
+    plot : Path or None
+
+    Returns
+    -------
+    tuple of Job
+
+    Raises
+    ------
+    InputError
+        A place that cannot be written, or one place for two results.
+    """
+    names = [recording_folder(path).resolve().name for path in recordings]
+    several = len(recordings) > 1
+    into_folder = output is not None and (several or output.is_dir())
+    if several and (output is not None or plot is not None):
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InputError(
+                f"Two recordings are named {twice}, and their results would replace each other: "
+                "calibrate them apart."
+            )
+    jobs = []
+    for path, name in zip(recordings, names, strict=True):
+        file = output / f"{name}.json" if output is not None and into_folder else output
+        figure = plot.with_name(f"{plot.stem}-{name}{plot.suffix}") if plot is not None and several else plot
+        jobs.append(Job(path, name, file, figure))
+    if output is not None and into_folder:
+        check_directory(output)
+    elif output is not None:
+        check_file(output, RESULT_SUFFIXES, "The result")
+    if plot is not None:
+        check_file(plot, PLOT_SUFFIXES, "The plot")
+    return tuple(jobs)
+
+
+def run_job(job: Job, estimator: str, options: Options, display: Display) -> Calibration:
+    """Calibrate one recording; write and show what came out, whatever its status.
+
+    Parameters
+    ----------
+    job : Job
+    estimator : str
+    options : Options
+    display : Display
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    SrtError
+        What :func:`srt.load_recording`, :func:`srt.calibrate` and the writing raise.
+    """
+    import srt
+    from srt.cli.progress import playback_progress
+    from srt.cli.report import report
+
+    recording = srt.load_recording(job.recording)
+    with playback_progress(job.name, quiet=display.quiet) as progress:
+        calibration = srt.calibrate(recording, estimator, options=options, progress=progress)
+    if job.output is not None:
+        calibration.save(job.output)
+    if not display.quiet:
+        click.echo(report(calibration, title=str(job.recording), truth=display.truth, budget=display.budget))
+    if job.plot is not None:
+        from srt.plots import calibration_figure, save_figure
+
+        save_figure(calibration_figure(calibration, truth=display.truth, title=job.name), job.plot)
+    written = [str(path) for path in (job.output, job.plot) if path is not None]
+    if written and not display.quiet:
+        click.echo(f"\nWritten: {', '.join(written)}")
+    return calibration
+
+
+def judge(job: Job, calibration: Calibration) -> int:
+    """Say what is wrong with a result, and give the exit code of its status."""
+    from srt.cli.report import held_summary
+
+    if calibration.status not in ("converged", "partial"):
+        kept = f"; {job.output} holds it with that status" if job.output is not None else ""
+        say(f"{job.recording}: {calibration.message.rstrip('.')}{kept}.")
+        return DataError.exit_code
+    voided = calibration.provenance.get("voided", {})
+    clauses = [f"{title} is void ({reason})" for title, reason in voided.items()]
+    if calibration.held:
+        clauses.append(f"held, not observed: {held_summary(calibration)}")
+    if clauses:
+        warn(f"{job.recording}: {'; '.join(clauses)}.")
+    return 0

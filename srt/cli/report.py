@@ -1,0 +1,230 @@
+"""A calibration as text: values with their sigmas in the units people expect, and what to think of them."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import TYPE_CHECKING, Final
+
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
+from srt.tables import WIDTH, decimals_for, fixed, text_table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from srt.calibration import Calibration
+    from srt.sensor_errors import SensorErrors
+
+SOURCE_LABELS: Final = {
+    "gyro_noise": "gyro noise",
+    "gyro_quantization": "gyro quant.",
+    "gyro_bias_instability": "gyro instab.",
+    "accel_noise": "acc. noise",
+    "accel_quantization": "acc. quant.",
+    "accel_bias_instability": "acc. instab.",
+    "earth_rate_alignment": "Earth rate",
+    "gravity": "gravity",
+}
+"""Short names of the sources of error; one that is not here is called by its own."""
+
+_LARGEST: Final = 3
+_SOLVED: Final = 1e-3
+"""Share of sigma below which a residual was solved for, not left over."""
+
+
+def report(
+    calibration: Calibration,
+    *,
+    title: str,
+    truth: SensorErrors | None = None,
+    budget: bool = False,
+) -> str:
+    """Write the whole report.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    title : str
+        Of the recording.
+    truth : SensorErrors, optional
+        Adds columns of the truth, the error, and the error over sigma.
+    budget : bool
+        All sources of error as columns instead of the three largest.
+
+    Returns
+    -------
+    str
+        Lines of at most 80 characters, without a line feed at the end.
+    """
+    parts = [
+        "\n".join(_heading(calibration, title)),
+        parameter_table(calibration, truth),
+        "\n".join(_held(calibration)),
+        budget_table(calibration) if budget else contribution_table(calibration),
+        "\n".join(_judgement(calibration)),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def parameter_table(calibration: Calibration, truth: SensorErrors | None = None) -> str:
+    """Set the 27 values, each rounded as its sigma deserves.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    truth : SensorErrors, optional
+    """
+    headers, alignment = ["symbol", "parameter", "value", "sigma", "unit"], "llrrl"
+    if truth is not None:
+        headers, alignment = (
+            ["", "parameter", "value", "sigma", "unit", "truth", "error", "error/\nsigma"],
+            "llrrlrrr",
+        )
+    values, sigmas = calibration.errors.vector, calibration.sigma
+    rows: list[list[str] | None] = []
+    for i, name in enumerate(NAMES):
+        if any(i == group.start for group in GROUP_SLICES.values()) and i > 0:
+            rows.append(None)
+        factor = DISPLAY_FACTORS[i]
+        value, sigma = float(values[i]) * factor, float(sigmas[i]) * factor
+        held = name in calibration.held
+        decimals = 2 if held else decimals_for(sigma)
+        row = [
+            SYMBOLS[i],
+            name,
+            fixed(value, decimals),
+            "held" if held else fixed(sigma, decimals),
+            DISPLAY_UNITS[i],
+        ]
+        if truth is not None:
+            true = truth[name] * factor
+            over = math.nan if held or sigma == 0.0 else (value - true) / sigma
+            row += [fixed(true, decimals), fixed(value - true, decimals), fixed(over, 2)]
+        rows.append(row)
+    return text_table(headers, rows, alignment)
+
+
+def contribution_table(calibration: Calibration) -> str:
+    """Set the largest sources of error of every observed parameter; empty if the estimator does not tell them."""
+    if not calibration.contributions:
+        return ""
+    rows = []
+    for i in _observed(calibration):
+        factor = DISPLAY_FACTORS[i]
+        decimals = decimals_for(float(calibration.sigma[i]) * factor)
+        sizes = {source: float(sigmas[i]) * factor for source, sigmas in calibration.contributions.items()}
+        largest = sorted(sizes, key=lambda source: -sizes[source])[:_LARGEST]
+        shown = [(_label(source), fixed(sizes[source], decimals)) for source in largest]
+        shown = [(label, size) for label, size in shown if float(size) > 0.0]
+        shown += [("", "")] * (_LARGEST - len(shown))
+        rows.append([SYMBOLS[i], DISPLAY_UNITS[i], *(cell for pair in shown for cell in pair)])
+    if not rows:
+        return ""
+    headers = ["", "unit", "largest", "sigma", "second", "sigma", "third", "sigma"]
+    return f"Where sigma comes from (--budget shows all sources)\n{text_table(headers, rows, 'lllrlrlr')}"
+
+
+def budget_table(calibration: Calibration) -> str:
+    """Set all sources of error as columns; empty if the estimator does not tell them."""
+    sources = list(calibration.contributions)
+    if not sources:
+        return ""
+    blocks = []
+    headers = [_label(source).replace(" ", "\n") for source in sources]
+    rows = []
+    for i in _observed(calibration):
+        factor = DISPLAY_FACTORS[i]
+        sigma = float(calibration.sigma[i]) * factor
+        decimals = decimals_for(sigma)
+        sizes = [
+            fixed(float(calibration.contributions[source][i]) * factor, decimals + 1) for source in sources
+        ]
+        rows.append(([SYMBOLS[i], DISPLAY_UNITS[i], fixed(sigma, decimals)], sizes))
+    # Estimators of others may know more sources than fit: then the table continues below.
+    per_block = 8
+    for first in range(0, len(sources), per_block):
+        part = slice(first, first + per_block)
+        blocks.append(
+            text_table(
+                ["", "unit", "sigma", *headers[part]],
+                [[*left, *sizes[part]] for left, sizes in rows],
+                "llr" + "r" * len(headers[part]),
+            )
+        )
+    return "\n\n".join(["Sources of sigma, one sigma each; their squares add up", *blocks])
+
+
+def residual_summary(calibration: Calibration) -> str:
+    """Say in a sentence or two what the last play-back left over; empty without residuals."""
+    known = [r for r in calibration.residuals if r.sigma > 0.0]
+    left = [r for r in known if abs(r.value) > _SOLVED * r.sigma]
+    if not left:
+        return f"Residuals: all {len(known)} components are solved for exactly." if known else ""
+    rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
+    worst = max(left, key=lambda r: abs(r.value / r.sigma))
+    again = f" (occurrence {worst.occurrence})" if worst.occurrence > 1 else ""
+    text = (
+        f"Residuals over sigma: rms {rms:.2g} of {len(left)} components, largest "
+        f"{abs(worst.value / worst.sigma):.2g} in sequence {worst.sequence}{again}, {worst.component}."
+    )
+    solved = len(known) - len(left)
+    if solved:
+        text += f" {solved} more are solved for exactly, and the errors of those solutions add to the ones left over."
+    return text
+
+
+def held_summary(calibration: Calibration) -> str:
+    """Name what is held and why, as one clause per reason; empty if nothing is."""
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in _reasons(calibration).items())
+
+
+def wrap(text: str, indent: str = "") -> list[str]:
+    """Break a text into lines that fit; the second and later ones are set in."""
+    return textwrap.wrap(
+        text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False
+    )
+
+
+def _reasons(calibration: Calibration) -> dict[str, list[str]]:
+    """Held parameters by the reason why."""
+    reasons: dict[str, list[str]] = {}
+    for name, reason in calibration.held.items():
+        reasons.setdefault(reason, []).append(name)
+    return reasons
+
+
+def _observed(calibration: Calibration) -> list[int]:
+    return [i for i, name in enumerate(NAMES) if name not in calibration.held]
+
+
+def _label(source: str) -> str:
+    return SOURCE_LABELS.get(source, source.replace("_", " "))
+
+
+def _heading(calibration: Calibration, title: str) -> Iterable[str]:
+    serial = calibration.provenance.get("serial")
+    yield from wrap(f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}")
+    # Only the first sentence: what is held follows the table, with the reasons.
+    message = calibration.message.split(" Held, not observed:")[0]
+    steps = ", ".join(f"{c:.1e}" for c in calibration.corrections)
+    status = "" if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: "
+    yield from wrap(f"{status}{message}")
+    if steps:
+        yield from wrap(f"Largest correction of each play-back: {steps}.")
+    temperature = calibration.temperature
+    if temperature is not None:
+        yield f"Temperature {temperature['mean_c']:.1f} °C, range {temperature['range_c']:.1f} °C."
+
+
+def _held(calibration: Calibration) -> Iterable[str]:
+    reasons = _reasons(calibration)
+    if reasons:
+        yield "Held, not observed"
+    for reason, names in reasons.items():
+        yield from wrap(f"{', '.join(names)}: {reason}", indent=" ")
+
+
+def _judgement(calibration: Calibration) -> Iterable[str]:
+    yield from wrap(residual_summary(calibration))
+    for sentence in calibration.warnings:
+        yield from wrap(f"Note: {sentence}")

@@ -1,0 +1,113 @@
+"""``srt simulate``: a recording, and the truth behind it, from a scenario."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from srt.cli.output import check_directory
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from sims import Scenario, Simulation
+
+FORMATS = ("csv", "npz", "parquet", "h5")
+
+
+@click.command()
+@click.argument("scenario", metavar="SCENARIO")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write; made if absent."
+)
+@click.option("--seed", type=click.IntRange(min=0), help="Instead of the scenario's.")
+@click.option(
+    "--format", "samples_format", type=click.Choice(FORMATS), help="Of the samples; default: the scenario's."
+)
+@click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already.")
+@click.option("-q", "--quiet", is_flag=True, help="No summary.")
+def simulate(
+    scenario: str, output: Path, seed: int | None, samples_format: str | None, overwrite: bool, quiet: bool
+) -> int:
+    """Simulate SCENARIO: a TOML file, or the name of a shipped one such as 'demo'.
+
+    The folder then holds the recording (recording.toml and the samples) and truth.json, the sensor errors that
+    a calibration of it should find: 'srt calibrate DIR --truth DIR/truth.json' compares.
+    """
+    import sims
+
+    chosen = sims.load_scenario(scenario)
+    check_target(output, overwrite=overwrite)
+    simulation = run_scenario(chosen, seed)
+    samples_format = samples_format or chosen.recording.format
+    write_simulation(simulation, output, samples_format=samples_format, overwrite=overwrite)
+    if not quiet:
+        click.echo(summary(simulation, output, samples_format))
+    return 0
+
+
+def check_target(folder: Path, *, overwrite: bool) -> None:
+    """Refuse a folder that will not be written to, before anything is simulated. Raises InputError."""
+    check_directory(folder)
+    if folder.is_dir() and not overwrite and any(folder.iterdir()):
+        raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
+
+
+def run_scenario(scenario: Scenario, seed: int | None) -> Simulation:
+    """Simulate, with another seed than the scenario's if one is given."""
+    import sims
+
+    if seed is not None:
+        scenario = scenario.model_copy(update={"seed": seed})
+    simulation: Simulation = sims.simulate(scenario)
+    return simulation
+
+
+def write_simulation(simulation: Simulation, folder: Path, *, samples_format: str, overwrite: bool) -> None:
+    """Write recording and truth.
+
+    Parameters
+    ----------
+    simulation : sims.Simulation
+    folder : Path
+    samples_format : str
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+        If they cannot be written.
+    """
+    import srt
+    from srt.cli.truth import NAME, write_truth
+
+    if overwrite:
+        # An old truth beside new samples would be a lie, should the writing end in between.
+        with suppress(OSError):
+            (folder / NAME).unlink(missing_ok=True)
+    srt.write_recording(simulation.recording, folder, samples_format=samples_format, overwrite=overwrite)
+    write_truth(simulation.truth_dict(), folder / NAME)
+
+
+def summary(simulation: Simulation, folder: Path, samples_format: str) -> str:
+    """Say in a few lines what was simulated and where it is."""
+    from srt.cli.report import wrap
+
+    recording, scenario = simulation.recording, simulation.scenario
+    interval = recording.nominal_interval_s
+    if recording.sequences:
+        ids = " ".join(label.id or "-" for label in recording.sequences)
+        sequences = f"{len(recording.sequences)} sequences: {ids}"
+    else:
+        sequences = f"{len(simulation.windows)} turns, not labelled"
+    seconds = recording.time.size * interval
+    lines = [
+        scenario.description or "A simulated recording",
+        f"{recording.time.size} samples ({recording.kind}) at {1.0 / interval:g} Hz, {seconds:.1f} s",
+        sequences,
+        f"seed {scenario.seed}",
+        f"Written to {folder}: recording.toml, samples.{samples_format}, truth.json",
+    ]
+    return "\n".join(line for text in lines for line in wrap(text))

@@ -1,0 +1,64 @@
+"""The truth behind a simulated recording: written by ``srt simulate``, read by ``--truth``."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any, Final
+
+from srt.atomic import atomic_write_text
+from srt.exceptions import InputError
+from srt.sensor_errors import NAMES, SensorErrors
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+NAME: Final = "truth.json"
+FORMAT: Final = "srt-truth"
+VERSION: Final = 1
+
+
+def write_truth(document: dict[str, Any], path: Path) -> None:
+    """Write the truth, whole or not at all. Raises InputError if it cannot be written."""
+    atomic_write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def load_truth(path: Path) -> SensorErrors:
+    """Read the sensor errors that a simulated recording was made with.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    SensorErrors
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is not one that ``srt simulate`` wrote.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"Cannot read the truth {path} ({error.strerror}): name the file that simulate wrote."
+        ) from None
+    except ValueError:
+        raise InputError(f"The truth {path} is not valid JSON: was it cut short?") from None
+    if (
+        not isinstance(document, dict)
+        or document.get("format") != FORMAT
+        or document.get("version") != VERSION
+    ):
+        raise InputError(f"{path} is no truth of version {VERSION}: name the {NAME} that simulate wrote.")
+    parameters = document.get("parameters")
+    if not isinstance(parameters, dict) or set(parameters) != set(NAMES):
+        raise InputError(
+            f"The truth {path} does not hold the {len(NAMES)} sensor errors: let simulate write it again."
+        )
+    if not all(isinstance(value, int | float) for value in parameters.values()):
+        raise InputError(
+            f"The truth {path} holds a sensor error that is no number: let simulate write it again."
+        )
+    return SensorErrors.from_dict(parameters)
