@@ -168,7 +168,6 @@ class PlaybackData:
             spans,
             self.rotation,
             rates=recording.kind == "rate",
-            gaps=np.asarray(recording.gaps, dtype=np.intp),
             F=F,
         )
         return stream, force, weights

@@ -1,7 +1,7 @@
 """A calibration as a figure. Needs matplotlib; its global state (pyplot, rcParams) is left alone.
 
-Values and their errors differ by orders of magnitude, so each unit has two panels: the values above, and below
-them the ±1 sigma bars on a scale of their own, at estimate minus truth where that is known.
+Values and their errors differ by orders of magnitude, so each unit has two panels: the values above, and
+below them the ±1 sigma bars on a scale of their own, at estimate minus truth where that is known.
 """
 
 from __future__ import annotations

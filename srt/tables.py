@@ -1,4 +1,4 @@
-"""Numbers and tables as plain text: columns that line up within 80 characters, on a terminal and in a pipe."""
+"""Numbers and tables as plain text: columns that line up within 80 characters."""
 
 from __future__ import annotations
 
@@ -62,6 +62,7 @@ def text_table(
     alignment: str,
     *,
     indent: int = 1,
+    gap: int = _GAP,
 ) -> str:
     """Set a table in columns.
 
@@ -73,8 +74,8 @@ def text_table(
         None makes an empty line, between groups of rows.
     alignment : str
         One letter per column: "l" or "r".
-    indent : int
-        Blanks before the first column.
+    indent, gap : int
+        Blanks before the first column, and between columns.
 
     Returns
     -------
@@ -94,8 +95,8 @@ def text_table(
             cell.ljust(width) if side == "l" else cell.rjust(width)
             for cell, width, side in zip(cells, widths, alignment, strict=True)
         )
-        return (" " * indent + (" " * _GAP).join(padded)).rstrip()
+        return (" " * indent + (" " * gap).join(padded)).rstrip()
 
     top = [line([lines[i] for lines in heads]) for i in range(height)]
-    rule = " " * indent + "-" * (sum(widths) + _GAP * (len(widths) - 1))
+    rule = " " * indent + "-" * (sum(widths) + gap * (len(widths) - 1))
     return "\n".join([*top, rule, *("" if row is None else line(row) for row in rows)])

@@ -20,7 +20,7 @@ COMMANDS: Final = {
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }
-"""Where each command is (module:attribute), and its line in the help; a new one is a module and a line here."""
+"""Where each command is (module:attribute), and its line in the help: all that a new one needs here."""
 
 INTERRUPTED: Final = 130
 BROKEN_PIPE: Final = 141

@@ -36,8 +36,8 @@ PROBABILITY = 0.95
 def demo(output: Path, seed: int | None, quiet: bool) -> int:
     """Run the whole chain on a simulated unit: a navigation-grade IMU on a fixture of 1 mrad.
 
-    The recording is written, read again and calibrated as 'srt calibrate' does it, and the result is set beside
-    the truth that the simulator knows.
+    The recording is written, read again and calibrated as 'srt calibrate' does it, and the result is set
+    beside the truth that the simulator knows.
     """
     import sims
     from srt.cli.truth import NAME, load_truth
@@ -84,8 +84,8 @@ def verdict(calibration: Calibration, truth: SensorErrors) -> str:
 
     Notes
     -----
-    The bound x solves (2Φ(x) − 1)^n = 0.95. That is exact for n independent normal errors; for correlated ones
-    the probability of staying below it is at least as large (Šidák's inequality).
+    The bound x solves (2Φ(x) − 1)^n = 0.95. That is exact for n independent normal errors; for correlated
+    ones the probability of staying below it is at least as large (Šidák's inequality).
     """
     import numpy as np
     from scipy.stats import norm
@@ -103,7 +103,8 @@ def verdict(calibration: Calibration, truth: SensorErrors) -> str:
         judgement = "is not as expected: chance alone explains it in 1 of 20 at most"
     return "\n".join(
         wrap(
-            f"The largest error is {ratio[worst]:.2f} sigma ({NAMES[seen[worst]]}); the largest of {n} normal "
-            f"draws stays below {bound:.2f} sigma in {PROBABILITY:.0%} of all runs or more, so this run {judgement}."
+            f"The largest error is {ratio[worst]:.2f} sigma ({NAMES[seen[worst]]}); the largest of {n} "
+            f"normal draws stays below {bound:.2f} sigma in {PROBABILITY:.0%} of all runs or more, "
+            f"so this run {judgement}."
         )
     )

@@ -18,16 +18,17 @@ if TYPE_CHECKING:
 SOURCE_LABELS: Final = {
     "gyro_noise": "gyro noise",
     "gyro_quantization": "gyro quant.",
-    "gyro_bias_instability": "gyro instab.",
+    "gyro_bias_instability": "gyro drift",
     "accel_noise": "acc. noise",
     "accel_quantization": "acc. quant.",
-    "accel_bias_instability": "acc. instab.",
+    "accel_bias_instability": "acc. drift",
     "earth_rate_alignment": "Earth rate",
     "gravity": "gravity",
 }
 """Short names of the sources of error; one that is not here is called by its own."""
 
 _LARGEST: Final = 3
+_DIGITS: Final = 7
 _SOLVED: Final = 1e-3
 """Share of sigma below which a residual was solved for, not left over."""
 
@@ -89,23 +90,25 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
         value, sigma = float(values[i]) * factor, float(sigmas[i]) * factor
         held = name in calibration.held
         decimals = 2 if held else decimals_for(sigma)
+        # A noise-free sigma asks for more digits of the value than a line has room for; its error keeps them.
+        places = min(decimals, max(_DIGITS - len(f"{abs(value):.0f}"), 0))
         row = [
             SYMBOLS[i],
             name,
-            fixed(value, decimals),
+            fixed(value, places),
             "held" if held else fixed(sigma, decimals),
             DISPLAY_UNITS[i],
         ]
         if truth is not None:
             true = truth[name] * factor
             over = math.nan if held or sigma == 0.0 else (value - true) / sigma
-            row += [fixed(true, decimals), fixed(value - true, decimals), fixed(over, 2)]
+            row += [fixed(true, places), fixed(value - true, decimals), fixed(over, 2)]
         rows.append(row)
-    return text_table(headers, rows, alignment)
+    return text_table(headers, rows, alignment, gap=1 if truth is not None else 2)
 
 
 def contribution_table(calibration: Calibration) -> str:
-    """Set the largest sources of error of every observed parameter; empty if the estimator does not tell them."""
+    """Set the largest sources of error of every observed parameter; empty if none are known."""
     if not calibration.contributions:
         return ""
     rows = []
@@ -125,33 +128,41 @@ def contribution_table(calibration: Calibration) -> str:
 
 
 def budget_table(calibration: Calibration) -> str:
-    """Set all sources of error as columns; empty if the estimator does not tell them."""
-    sources = list(calibration.contributions)
+    """Set all sources of error as columns; empty if none are known."""
+    observed = _observed(calibration)
+    sources = [s for s, sizes in calibration.contributions.items() if any(sizes[i] > 0.0 for i in observed)]
     if not sources:
         return ""
-    blocks = []
-    headers = [_label(source).replace(" ", "\n") for source in sources]
-    rows = []
-    for i in _observed(calibration):
+    left: list[list[str]] = []
+    columns: list[list[str]] = [[] for _ in sources]
+    for i in observed:
         factor = DISPLAY_FACTORS[i]
         sigma = float(calibration.sigma[i]) * factor
         decimals = decimals_for(sigma)
-        sizes = [
-            fixed(float(calibration.contributions[source][i]) * factor, decimals + 1) for source in sources
-        ]
-        rows.append(([SYMBOLS[i], DISPLAY_UNITS[i], fixed(sigma, decimals)], sizes))
-    # Estimators of others may know more sources than fit: then the table continues below.
-    per_block = 8
-    for first in range(0, len(sources), per_block):
-        part = slice(first, first + per_block)
-        blocks.append(
-            text_table(
-                ["", "unit", "sigma", *headers[part]],
-                [[*left, *sizes[part]] for left, sizes in rows],
-                "llr" + "r" * len(headers[part]),
-            )
-        )
-    return "\n\n".join(["Sources of sigma, one sigma each; their squares add up", *blocks])
+        left.append([SYMBOLS[i], DISPLAY_UNITS[i], fixed(sigma, decimals)])
+        for column, source in zip(columns, sources, strict=True):
+            column.append(fixed(float(calibration.contributions[source][i]) * factor, decimals))
+    heads = [_label(source).replace(" ", "\n") for source in sources]
+    text = ["Sources of sigma, one sigma each; their squares add up"]
+    while columns:
+        count = _columns_that_fit(left, heads, columns)
+        rows = [[*cells, *sizes] for cells, *sizes in zip(left, *columns[:count], strict=True)]
+        text.append(text_table(["", "unit", "sigma", *heads[:count]], rows, "llr" + "r" * count, gap=1))
+        heads, columns = heads[count:], columns[count:]
+    silent = [_label(source) for source in calibration.contributions if source not in sources]
+    if silent:
+        text += wrap(f"Nothing comes from: {', '.join(silent)}.")
+    return "\n".join(text)
+
+
+def _columns_that_fit(left: list[list[str]], heads: list[str], columns: list[list[str]]) -> int:
+    """How many columns find room beside symbol, unit and sigma; at least one."""
+    used = sum(max(map(len, cells)) + 1 for cells in zip(*left, ["", "unit", "sigma"], strict=True))
+    for count, (head, column) in enumerate(zip(heads, columns, strict=True)):
+        used += 1 + max(map(len, [*head.split("\n"), *column]))
+        if used > WIDTH + 1:
+            return max(count, 1)
+    return len(columns)
 
 
 def residual_summary(calibration: Calibration) -> str:
@@ -169,7 +180,7 @@ def residual_summary(calibration: Calibration) -> str:
     )
     solved = len(known) - len(left)
     if solved:
-        text += f" {solved} more are solved for exactly, and the errors of those solutions add to the ones left over."
+        text += f" {solved} more are solved for exactly; the errors of those solutions add to these."
     return text
 
 

@@ -33,8 +33,8 @@ def simulate(
 ) -> int:
     """Simulate SCENARIO: a TOML file, or the name of a shipped one such as 'demo'.
 
-    The folder then holds the recording (recording.toml and the samples) and truth.json, the sensor errors that
-    a calibration of it should find: 'srt calibrate DIR --truth DIR/truth.json' compares.
+    The folder then holds the recording (recording.toml and the samples) and truth.json, the sensor errors
+    that a calibration of it should find: 'srt calibrate DIR --truth DIR/truth.json' compares.
     """
     import sims
 
