@@ -85,7 +85,7 @@ _LARGE: Final = {
 
 
 def large_errors(rng: np.random.Generator) -> tuple[SensorErrors, int]:
-    """Draw uniform errors of ±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 m/s² and ±1 °/s; draws that are no IMU are redrawn.
+    """Draw uniform errors of ±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 m/s² and ±1 °/s; what is no IMU is redrawn.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def large_errors(rng: np.random.Generator) -> tuple[SensorErrors, int]:
 
 
 def fixture_errors(rng: np.random.Generator, sigma_rad: float, stretch_rad: float = 0.0) -> FixtureDraw:
-    """Draw levelling, north, mounting and rotation errors of one sigma; every leg off by up to ``stretch_rad`` besides."""
+    """Draw levelling, north, mounting and rotation errors of one sigma; half turns off by ``stretch_rad`` besides."""
     draw = draw_fixture(
         rng,
         table_sequences(tuple(TABLE_1)),
@@ -123,7 +123,8 @@ def fixture_errors(rng: np.random.Generator, sigma_rad: float, stretch_rad: floa
     if stretch_rad and draw.legs is not None:
         # Only the half turns: full turns stay full, or their signature would be another.
         legs = tuple(
-            leg + np.array([abs(angle) == 180.0 for _, angle in s.rotations])
+            leg
+            + np.array([abs(angle) == 180.0 for _, angle in s.rotations])
             * rng.uniform(-stretch_rad, stretch_rad, len(leg))
             for leg, s in zip(draw.legs, table_sequences(tuple(TABLE_1)), strict=True)
         )
@@ -151,7 +152,7 @@ class Trial:
     status : str
     playbacks : int
     distance : float
-        Largest difference from the fixed point reached from the truth, over max(1e-8, 0.01 sigma); NaN if not asked for.
+        Largest difference from the fixed point reached from the truth, over max(1e-8, 0.01 sigma); NaN if not asked.
     redrawn : int
     """
 
@@ -263,7 +264,9 @@ def noisy_recording(
     return read_out(motion.stated_as(site=SITE), truth, imu, rng, state_noise=state_noise), truth
 
 
-def noisy_trial(seed: int, *, grade: str, estimator: str = "closed-form", calibration: Any = None, **unit: Any) -> Trial:
+def noisy_trial(
+    seed: int, *, grade: str, estimator: str = "closed-form", calibration: Any = None, **unit: Any
+) -> Trial:
     """Calibrate one noisy unit; ``calibration`` holds options of the estimator, the rest describes the unit."""
     recording, truth = noisy_recording(seed, grade, **unit)
     return score(srt.calibrate(recording, estimator, **(calibration or {})), truth)
@@ -274,7 +277,9 @@ def free_trial(seed: int, *, turns: int = 36, sample_rate_hz: float = 100.0) -> 
     rng = np.random.default_rng(seed)
     sizes = {"gyro_scale": 0.01, "gyro_asymmetry": 1e-3, "gyro_orthogonality": 0.01, "accel_bias": 0.2}
     sizes |= {"accel_scale": 0.01, "accel_asymmetry": 1e-3, "accel_misalignment": 0.01, "gyro_bias": 0.01}
-    vector = np.concatenate([rng.standard_normal(GROUP_SLICES[g].stop - GROUP_SLICES[g].start) * s for g, s in sizes.items()])
+    vector = np.concatenate(
+        [rng.standard_normal(GROUP_SLICES[g].stop - GROUP_SLICES[g].start) * s for g, s in sizes.items()]
+    )
     truth = SensorErrors(vector)
     true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
     motion = free_motion(

@@ -80,9 +80,7 @@ def free_motion(
     if vectors.ndim != 2 or vectors.shape[1] != 3 or len(vectors) == 0:
         raise InputError(f"Turns are rotation vectors in an array of shape (m, 3), not {vectors.shape}.")
     if peak_rate_rad_s <= 0.0 or dwell_s <= 0.0 or settle_s < 0.0:
-        raise InputError(
-            "A free recording needs a positive peak rate and dwell, and a settling time not below zero."
-        )
+        raise InputError("A free recording needs a positive peak rate and dwell, and a settling time not below zero.")
     ned_from_body = check_rotation(attitude)
     constants = constants_of_site(site, earth_rate=earth_rate)
     clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
@@ -145,6 +143,4 @@ def _turn_episode(
         return Episode(n_samples, np.array([0.0, math.inf]), np.array([False]), 0.0, evaluate)
     # The quintic adds its own frequencies, some turns of phase over its duration, to those of the attitude.
     bandwidth = 15.0 / 8.0 * total / duration_s + 12.0 / duration_s
-    return Episode(
-        n_samples, np.array([0.0, duration_s, math.inf]), np.array([True, False]), bandwidth, evaluate
-    )
+    return Episode(n_samples, np.array([0.0, duration_s, math.inf]), np.array([True, False]), bandwidth, evaluate)

@@ -105,9 +105,7 @@ def integrate(episode: Episode, interval_s: float) -> Integrals:
     moving = episode.moving[piece]
     still_pieces, row = np.unique(piece[~moving], return_inverse=True)
     if len(still_pieces):
-        constant = episode.evaluate(
-            still_pieces[:, np.newaxis], episode.breaks_s[still_pieces][:, np.newaxis]
-        )[:, 0]
+        constant = episode.evaluate(still_pieces[:, np.newaxis], episode.breaks_s[still_pieces][:, np.newaxis])[:, 0]
         values[~moving] = np.hstack([constant, np.abs(constant)])[row] * width[~moving, np.newaxis]
     if moving.any():
         values[moving] = _quadrature(episode, piece[moving], left[moving], width[moving])

@@ -28,9 +28,7 @@ def configs_path() -> Path:
     for candidate in (here / "configs", here.parent / "configs"):
         if all((candidate / folder).is_dir() for folder in FOLDERS):
             return candidate
-    raise InputError(
-        "The shipped configurations are missing from this installation: install the package again."
-    )
+    raise InputError("The shipped configurations are missing from this installation: install the package again.")
 
 
 def names(folder: str) -> tuple[str, ...]:

@@ -64,9 +64,7 @@ class RateProfile:
             if not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"The motion's {name} is {value!r}: it must be a positive number.")
         if not (math.isfinite(self.settling_rad) and self.settling_rad >= 0.0):
-            raise InputError(
-                f"The motion's settling_rad is {self.settling_rad!r}: it must be zero or positive."
-            )
+            raise InputError(f"The motion's settling_rad is {self.settling_rad!r}: it must be zero or positive.")
 
     def ramp_and_plateau_s(self, angle_rad: float) -> tuple[float, float]:
         """Durations of one ramp and of the plateau for a leg of this angle, s."""
@@ -171,9 +169,7 @@ class AngleProfile:
         slow = np.exp(-t / self.profile.settling_decay_s)
         w = 2.0 * math.pi * self.profile.settling_hz
         envelope = 4.0 * self.profile.settling_rad * (slow - slow**2)
-        envelope_rate = (
-            4.0 * self.profile.settling_rad * (2.0 * slow**2 - slow) / self.profile.settling_decay_s
-        )
+        envelope_rate = 4.0 * self.profile.settling_rad * (2.0 * slow**2 - slow) / self.profile.settling_decay_s
         angle[rows, :, ringing.axis] += np.sin(w * t) * envelope
         rate[rows, :, ringing.axis] += w * np.cos(w * t) * envelope + np.sin(w * t) * envelope_rate
 
@@ -207,9 +203,7 @@ def angle_profile(
     now = 0.0
     active = list(ringings)
 
-    def add(
-        duration_s: float, axis: int, angle: float, rate: float, half_accel: float, *, turns: bool
-    ) -> None:
+    def add(duration_s: float, axis: int, angle: float, rate: float, half_accel: float, *, turns: bool) -> None:
         nonlocal now
         if duration_s <= 0.0:
             return

@@ -85,9 +85,7 @@ class NoiseConfig(_Table):
             "gyro_resolution": self.gyro_resolution_deg_s * DEG,
             "accel_resolution": self.accel_resolution_mg * 1e3 * MICRO_G,
             "gyro_range": math.inf if self.gyro_range_deg_s is None else self.gyro_range_deg_s * DEG,
-            "accel_range": math.inf
-            if self.accel_range_g is None
-            else self.accel_range_g * STANDARD_GRAVITY_M_S2,
+            "accel_range": math.inf if self.accel_range_g is None else self.accel_range_g * STANDARD_GRAVITY_M_S2,
         }
 
     @property
@@ -340,9 +338,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     return scenario_from_dict(library.read_toml(path), name=path.name, near=path.parent)
 
 
-def scenario_from_dict(
-    tables: dict[str, Any], *, name: str = "scenario", near: Path | None = None
-) -> Scenario:
+def scenario_from_dict(tables: dict[str, Any], *, name: str = "scenario", near: Path | None = None) -> Scenario:
     """Build a scenario from tables as TOML gives them, with ``from`` resolved.
 
     Parameters
@@ -359,9 +355,7 @@ def scenario_from_dict(
         if isinstance(table, dict) and "from" in table:
             source = table["from"]
             if not isinstance(source, str):
-                raise InputError(
-                    f"{name}: [{section}] from is {source!r}: give a name of the library or a path."
-                )
+                raise InputError(f"{name}: [{section}] from is {source!r}: give a name of the library or a path.")
             below = library.read_toml(library.find(section, source, near=near))
             own = {key: value for key, value in table.items() if key != "from"}
             resolved[section] = library.overlay(below, own)

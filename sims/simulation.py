@@ -143,9 +143,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
     turn = np.array(scenario.imu.frame_turn_mrad) * MRAD
     turn = turn + for_unit.standard_normal(3) * scenario.imu.frame_turn_sigma_mrad * MRAD
     U = rotation(turn).T
-    motion = (
-        _table_run(scenario, U, for_fixture) if scenario.free is None else _free_run(scenario, for_motion)
-    )
+    motion = _table_run(scenario, U, for_fixture) if scenario.free is None else _free_run(scenario, for_motion)
     stated = scenario.recording
     recording = read_out(
         motion,

@@ -61,9 +61,7 @@ class Schedule:
         if not self.sequences:
             raise InputError("The schedule names no sequence: name at least one.")
         if not (math.isfinite(self.dwell_s) and self.dwell_s > 0.0):
-            raise InputError(
-                f"The schedule's dwell_s is {self.dwell_s!r}: it must be a positive number of seconds."
-            )
+            raise InputError(f"The schedule's dwell_s is {self.dwell_s!r}: it must be a positive number of seconds.")
         for name in ("leg_dwell_s", "settle_s", "pause_s"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
@@ -77,18 +75,14 @@ class _Run:
     """The fixture while a schedule is executed: its geometry, its angles and what still rings."""
 
     geometry: FixtureGeometry
-    constant_base: NDArray[
-        np.float64
-    ]  # rows: Earth rate (rad/s) and specific force at rest (m/s²), base components
+    constant_base: NDArray[np.float64]  # rows: Earth rate (rad/s) and specific force at rest (m/s²), base components
     schedule: Schedule
     clock: Clock
     angles: tuple[float, float]
     ringings: tuple[Ringing, ...] = ()
 
     def profile(self, legs: Sequence[tuple[int, float]], leg_dwell_s: float) -> AngleProfile:
-        return angle_profile(
-            self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings
-        )
+        return angle_profile(self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings)
 
     def execute(self, profile: AngleProfile, n_samples: int, *, record: bool) -> None:
         """Run a profile for a number of samples and leave the fixture where it ends."""
@@ -179,9 +173,7 @@ def run_schedule(
 
         legs = sequence.fixture_legs()
         errors = draw.leg_errors(number, len(legs)).tolist()
-        profile = run.profile(
-            [(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s
-        )
+        profile = run.profile([(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s)
         turning = clock.samples(profile.legs_end_s + schedule.settle_s)
         run.execute(profile, turning + dwell, record=True)
         second = (clock.at(clock.now - dwell), clock.at(clock.now))
@@ -276,9 +268,7 @@ def constants_of_site(site: Site, *, earth_rate: bool) -> NDArray[np.float64]:
     if not earth_rate:
         rate = np.zeros(3)
     elif site.latitude_rad is None:
-        raise InputError(
-            "The site has no latitude, so the Earth's rate is unknown: state it, or switch the rate off."
-        )
+        raise InputError("The site has no latitude, so the Earth's rate is unknown: state it, or switch the rate off.")
     else:
         rate = earth_rate_ned(site.latitude_rad)
     return np.stack([rate, [0.0, 0.0, -site.gravity_m_s2]])
@@ -289,11 +279,7 @@ def check_rotation(U: NDArray[np.float64] | None) -> NDArray[np.float64]:
     if U is None:
         return np.eye(3)
     matrix = np.array(U, dtype=np.float64)
-    if (
-        matrix.shape != (3, 3)
-        or np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-12
-        or np.linalg.det(matrix) < 0.0
-    ):
+    if matrix.shape != (3, 3) or np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-12 or np.linalg.det(matrix) < 0.0:
         raise InputError("U must be a proper rotation matrix of shape (3, 3), orthogonal to 1e-12.")
     return matrix
 

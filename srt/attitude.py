@@ -139,7 +139,7 @@ def integrate(
         empty unless the stream has weights F.
     """
     K, n = len(stream.starts) - 1, int(stream.starts[-1])
-    inverses = gyro.inverses if gyro.asymmetry.any() else np.linalg.inv(gyro.matrix)[None]
+    inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
     sums, noise = np.zeros((K, 9, 7)), np.zeros((K, 3, 3, 3)) if with_noise else None
     turned = np.zeros((K, 3))
     kept = np.empty((3, 3, n)) if stream.F is not None else np.empty((3, 3, 0))
@@ -243,8 +243,8 @@ def _weight(stream: GyroStream) -> Array:
 def _change(theta: Array, sequence_of: NDArray[np.intp]) -> Array:
     """Change of the increment per interval, (3, m): central, limited where the rate kinks, zero at sequence edges.
 
-    The limiter is van Leer's monotonised central one: no change beyond twice either one-sided difference, and none where
-    these disagree in sign.
+    The limiter is van Leer's monotonised central one: no change beyond twice either one-sided difference, and none
+    where these disagree in sign.
     """
     out = np.zeros_like(theta)
     if theta.shape[1] < 3:

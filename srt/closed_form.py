@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from srt.sensor_errors import INDEX, NAMES, N_PARAMETERS
+from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Collection

@@ -138,7 +138,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     solver = ClosedFormSolver(data, options)
     start, U = first_estimate(data, options)
     solution = iterate(data, options, solver, start, U, progress)
-    held = {name: "held on request" for name in options.held_names}
+    held = dict.fromkeys(options.held_names, "held on request")
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
         held[name] = (

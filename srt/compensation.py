@@ -112,10 +112,11 @@ class Triad:
             for _ in range(100):
                 v = (flat[wrong] - self.asymmetry * np.abs(v)) @ inverse
             solution[wrong] = v
-        return solution.reshape(y.shape)
+        out: Array = solution.reshape(y.shape)
+        return out
 
     def sensitivity(self, value: Array) -> Array:
-        """Derivative of the compensated value with respect to the reading, ``(M + diag(s ∘ sign v))⁻¹``, (..., 3, 3)."""
+        """Derivative of the compensated value to the reading, ``(M + diag(s ∘ sign v))⁻¹``, shape (..., 3, 3)."""
         signs = np.where(value < 0.0, -1.0, 1.0)
         return np.linalg.inv(self.matrix + signs[..., :, None] * np.diag(self.asymmetry))
 
@@ -191,7 +192,8 @@ def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
     U, P = polar(gyro.matrix, side="left")
     return (
         errors_from_triads(
-            Triad(0.5 * (P + P.T), gyro.asymmetry, gyro.bias), Triad(accel.matrix @ U.T, accel.asymmetry, accel.bias)
+            Triad(0.5 * (P + P.T), gyro.asymmetry, gyro.bias),
+            Triad(accel.matrix @ U.T, accel.asymmetry, accel.bias),
         ),
         U,
     )

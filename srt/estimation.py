@@ -103,7 +103,7 @@ def calibrate(
     DataError
         Data that cannot support a result.
     """
-    from srt.options import Options as _Options  # noqa: PLC0415
+    from srt.options import Options as _Options
 
     if options is None:
         try:
@@ -121,7 +121,7 @@ def calibrate(
 
 def automatic_estimator(recording: Recording) -> str:
     """What "auto" stands for: the closed form for sequences of Table 1 on a fixture, else least squares."""
-    from srt.catalogue import SEQUENCES  # noqa: PLC0415
+    from srt.catalogue import SEQUENCES
 
     labelled = [s for s in recording.sequences if s.id in SEQUENCES]
     return "closed-form" if recording.fixture is not None and labelled else "least-squares"
@@ -259,7 +259,12 @@ def _temperature(data: PlaybackData) -> dict[str, Any] | None:
         part = T[samples[data.start[k], 0] : samples[data.end[k], 1]]
         low, high = float(part.min()), float(part.max())
         rows.append(
-            {"sequence": name, "occurrence": data.occurrences[k], "mean_c": float(part.mean()), "range_c": high - low}
+            {
+                "sequence": name,
+                "occurrence": data.occurrences[k],
+                "mean_c": float(part.mean()),
+                "range_c": high - low,
+            }
         )
     return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
 
@@ -282,6 +287,3 @@ def _warnings(data: PlaybackData, solution: Solution, observed: NDArray[np.bool_
     if lost:
         said.append(f"{lost} of {N_PARAMETERS} parameters are held, not observed; their values are the start's.")
     return tuple(said)
-
-
-

@@ -1,13 +1,14 @@
 """Start from the fixture: sensor errors to the fixture's accuracy, whatever their size.
 
 The summed raw gyro reading of a leg is ``∫ω̃ dt = Mg U_T (angle · axis)`` up to bias and Earth rate, which the mean
-reading of the windows removes; the mean raw specific force of a pose is ``Ma (−g û_dwn) + λ_Bias``. Both are linear in the
-matrices, so linear least squares needs no first guess. Asymmetry is left out: over the six faces ``|f|`` of all axes is
-collinear with the bias, and the ± pairs cancel the gyros' own.
+reading of the windows removes; the mean raw specific force of a pose is ``Ma (−g û_dwn) + λ_Bias``. Both are linear in
+the matrices, so linear least squares needs no first guess. Asymmetry is left out: over the six faces ``|f|`` of all
+axes is collinear with the bias, and the ± pairs cancel the gyros' own.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -68,17 +69,13 @@ def start_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorEr
     if nominal is None:
         raise DataError("A start from the fixture needs nominal attitudes; this recording has none.")
     down = nominal[:, 2]
-    down_end = np.stack(
-        [_end_attitude(s).T @ u for s, u in zip(data.catalogue, down, strict=True) if s is not None]
-    )
+    down_end = np.stack([_end_attitude(s).T @ u for s, u in zip(data.catalogue, down, strict=True) if s is not None])
     force = data.windows.accel_mean
     vertical = np.concatenate([down, down_end])
     readings = np.concatenate([force[data.start], force[data.end]])
     Ma, accel_bias = _fit_affine(-data.gravity * vertical, readings, data.gravity)
     if np.linalg.det(Mg) > 0.0 and np.linalg.det(Ma) <= 0.0:
-        raise DataError(
-            "The accelerometers come out left-handed against the gyros: " + _flipped(Ma, "accelerometer")
-        )
+        raise DataError("The accelerometers come out left-handed against the gyros: " + _flipped(Ma, "accelerometer"))
     if np.linalg.det(Mg) <= 0.0:
         raise DataError("The gyros come out left-handed against the rotations: " + _flipped(Mg, "gyro"))
     errors, U = to_mars(Triad(Mg, np.zeros(3), np.zeros(3)), Triad(Ma, np.zeros(3), accel_bias))
@@ -105,7 +102,8 @@ def split_legs(stream: GyroStream, k: int, sequence: Sequence, bias: Array) -> A
     increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
     m = len(sequence.rotations)
     if m == 1:
-        return increments.sum(axis=1)[None]
+        whole: Array = increments.sum(axis=1)[None]
+        return whole
     speed = np.linalg.norm(stream.smooth[:, s:e] / stream.interval_s[s:e] - bias[:, None], axis=0)
     moving = speed > _MOVING * speed.max()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(np.int8)))
@@ -116,7 +114,7 @@ def split_legs(stream: GyroStream, k: int, sequence: Sequence, bias: Array) -> A
         return None
     middles = (ends[:-1] + begins[1:]) // 2
     cuts = np.concatenate([[0], middles, [e - s]])
-    return np.stack([increments[:, a:b].sum(axis=1) for a, b in zip(cuts[:-1], cuts[1:], strict=True)])
+    return np.stack([increments[:, a:b].sum(axis=1) for a, b in pairwise(cuts.tolist())])
 
 
 def _fit_matrix(x: Array, y: Array) -> Array:

@@ -1,7 +1,7 @@
 """Start without a fixture: accelerometer errors from the magnitude of gravity over the poses, gyro bias from rest.
 
-Only ``|f| = g`` is known of a pose. It fixes the accelerometer matrix up to a rotation; the symmetric one is taken, which
-is near the truth where the sensor axes nearly coincide. A weak prior decides what the poses do not.
+Only ``|f| = g`` is known of a pose. It fixes the accelerometer matrix up to a rotation; the symmetric one is taken,
+which is near the truth where the sensor axes nearly coincide. A weak prior decides what the poses do not.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _layout() -> Array:
     E = np.zeros((N_PARAMETERS, 9))
     E[GROUP_SLICES["accel_bias"], :3] = np.eye(3)
     E[GROUP_SLICES["accel_scale"], 3:6] = np.eye(3)
-    for k, (i, j) in enumerate(("xy", "xz", "yz")):
+    for k, (i, j) in enumerate((("x", "y"), ("x", "z"), ("y", "z"))):
         E[INDEX[f"accel_misalignment_{i}{j}"], 6 + k] = E[INDEX[f"accel_misalignment_{j}{i}"], 6 + k] = 1.0
     return E
 

@@ -7,6 +7,7 @@ the compensated data, so it is composed with the estimate, not added.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -111,9 +112,7 @@ class Iteration:
         self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
         self.noise: Array | None = None
         self.offset = np.zeros((data.K, 3))
-        self.instability = (
-            np.zeros(3) if data.noise.gyro_instability is None else data.noise.gyro_instability
-        )
+        self.instability = np.zeros(3) if data.noise.gyro_instability is None else data.noise.gyro_instability
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         if resume is not None:
             self.integrated, self.offset = resume.playback.integrated, resume.bias_by_sequence
@@ -147,20 +146,28 @@ class Iteration:
             gain = self.solver.gain(playback, self._rough(playback) if weights is None else weights, near=near)
             if weights is not None:
                 sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
-            errors, U, correction = self._correct(errors, U, playback, gain)
+            errors, U, correction = self._correct(errors, playback, gain)
             size = float(np.max(np.abs(correction) / _UNIT))
             corrections.append(size)
             if progress is not None:
                 progress(i + 1, size)
             reason = outside_model(errors)
             if reason is not None or not np.isfinite(size):
-                status, message = "outside_model", f"After play-back {i + 1} {reason or 'the correction is not finite'}."
+                status, message = (
+                    "outside_model",
+                    f"After play-back {i + 1} {reason or 'the correction is not finite'}.",
+                )
                 break
             settled = self._update_offsets(playback, sigma)
-            negligible = np.all(np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma))
+            negligible = np.all(
+                np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
+            )
             if near and negligible and settled and not self._release_moving(playback):
-                status, message = "converged", f"Converged after {len(self.before) + len(corrections)} play-backs."
-                # The correction just made is a hundredth of a sigma: what it leaves of z is known without playing again.
+                status, message = (
+                    "converged",
+                    f"Converged after {len(self.before) + len(corrections)} play-backs.",
+                )
+                # The correction just made is a hundredth of a sigma: what it leaves of z is known without a replay.
                 integrals = replace(playback.integrals, noise=self.noise)
                 final = replace(playback, z=playback.z - playback.H @ correction, integrals=integrals)
                 break
@@ -181,9 +188,7 @@ class Iteration:
             )
         return self._finish(final, errors, U, corrections, status, message)
 
-    def _correct(
-        self, errors: SensorErrors, U: Array, playback: Playback, gain: Array
-    ) -> tuple[SensorErrors, Array, Array]:
+    def _correct(self, errors: SensorErrors, playback: Playback, gain: Array) -> tuple[SensorErrors, Array, Array]:
         # U follows the data (axes and verticals), so that no mounting error is left in the nominal attitudes.
         U_seen = playback.U
         if self.options.step == "coefficients" and self.solver.coefficients is not None:
@@ -229,10 +234,10 @@ class Iteration:
         """One-sigma error of the Earth's rate in a pose, rad/s."""
         site, fixture = self.data.recording.site, self.data.recording.fixture
         if site.latitude_rad is None:
-            return EARTH_RATE_RAD_S / np.sqrt(3.0)
+            return EARTH_RATE_RAD_S / math.sqrt(3.0)
         if fixture is None or fixture.heading_rad is None:
-            return EARTH_RATE_RAD_S * float(np.cos(site.latitude_rad)) / np.sqrt(2.0)
-        return EARTH_RATE_RAD_S * float(np.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad))
+            return EARTH_RATE_RAD_S * math.cos(site.latitude_rad) / math.sqrt(2.0)
+        return EARTH_RATE_RAD_S * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
 
     def _release_moving(self, playback: Playback) -> bool:
         """Stop holding the attitude in windows that turned beyond their noise; True if there are new ones."""

@@ -36,9 +36,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 # In this order parameters are admitted: one that is collinear with those before it is the one held.
-_ADMISSION: Final = expand_names(["gyro_bias"]) + expand_names(
-    ["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"]
-) + expand_names(["accel_asymmetry"]) + expand_names(["gyro_asymmetry"])
+_ADMISSION: Final = (
+    expand_names(["gyro_bias"])
+    + expand_names(["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"])
+    + expand_names(["accel_asymmetry"])
+    + expand_names(["gyro_asymmetry"])
+)
 
 # One sigma of each group before any data: a parameter counts as observed if the recording cuts it to a third.
 _PRIOR_SIGMA: Final = {
@@ -157,16 +160,14 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             break
         excess = new
         solver = LeastSquaresSolver(options.held_names)
-        solution = iterate(
-            data, options, solver, solution.errors, solution.U, progress, excess=excess, resume=solution
-        )
+        solution = iterate(data, options, solver, solution.errors, solution.U, progress, excess=excess, resume=solution)
     if any(excess):
         warnings = (
             f"Residuals are larger than the sensors' noise explains: {np.degrees(excess[0]):.2g}° per turn and "
             f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
         )
     inflation = _inflation(solution, solver.held)
-    held = {n: "held on request" for n in options.held_names}
+    held = dict.fromkeys(options.held_names, "held on request")
     for n, is_held in zip(NAMES, solver.held, strict=True):
         if is_held and n not in held:
             held[n] = "the poses and turns of this recording do not show it apart from the others"
@@ -200,8 +201,6 @@ def _excess(
     playback = solution.playback
     unit = measurement_noise.covariances(playback, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
     parts = (unit["turn_excess"], unit["pose_excess"])
-    known = solution.measurement_covariance - sum(
-        size**2 * part for size, part in zip(present, parts, strict=True)
-    )
+    known = solution.measurement_covariance - sum(size**2 * part for size, part in zip(present, parts, strict=True))
     a, b = restricted_likelihood(playback.z, playback.H[:, ~held], known, parts)
     return float(np.sqrt(a)), float(np.sqrt(b))

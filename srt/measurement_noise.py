@@ -197,7 +197,7 @@ def _gyro_noise(playback: Playback, data: PlaybackData) -> Disturbance:
                 outer[k] -= 0.25 * T[w] * np.einsum("ab,cb->acb", A, A)
                 shared[k] += 0.5 * T[w] * C @ means[w]
     covariance = outer @ q**2
-    own = _own_draw(np.linalg.cholesky(covariance + 1e-30 * np.eye(3)))
+    own = _own_draw(np.asarray(np.linalg.cholesky(covariance + 1e-30 * np.eye(3)), dtype=np.float64))
     return Disturbance(
         phi=np.concatenate([own, shared], axis=2),
         rate=np.concatenate([np.zeros((*means.shape[:2], own.shape[2])), means], axis=2),

@@ -118,9 +118,9 @@ def _fit(recording: Recording, windows: NDArray[np.intp]) -> tuple[Array, Array]
             m = x.shape[2] // 2
             even, odd = x[:, :, 0 : 2 * m : 2], x[:, :, 1 : 2 * m : 2]
             difference = odd - even
-            power, count = totals.get(octave, (np.zeros(6), 0))
+            power, number = totals.get(octave, (np.zeros(6), 0))
             power = power + 0.5 * np.einsum("wcn,wcn->c", difference, difference)
-            totals[octave] = (power, count + m * len(begins))
+            totals[octave] = (power, number + m * len(begins))
             x = 0.5 * (even + odd)
             octave += 1
     octaves = sorted(totals)
@@ -147,7 +147,8 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
         # A variance from m differences is known to about √(3/m). Quantisation of a slow input is no white sequence
         # (its saw-tooth has lines), so octaves that it rules say little on N.
         sigma = np.hypot(
-            variance * np.sqrt(3.0 / count) + 1e-9 * variance.max(), _QUANTIZATION_DOUBT * design[:, 1] * solution[1]
+            variance * np.sqrt(3.0 / count) + 1e-9 * variance.max(),
+            _QUANTIZATION_DOUBT * design[:, 1] * solution[1],
         )
         weighted = design / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)

@@ -1,8 +1,8 @@
 """One play-back: the recorded data through corrected compensation to the SRT measurements (Savage 2020, eqs. 1-2).
 
-The measurements of K sequences over W windows are one vector ``z = [Δa_H (2 per sequence), a_Down (W), ω_rest (3)]``: the
-change of horizontal specific force along two horizontal directions of B_Strt, the down part of every window, and the
-pooled rate left at rest. With the right errors z is zero but for noise, whatever the fixture did.
+The measurements of K sequences over W windows are one vector ``z = [Δa_H (2 per sequence), a_Down (W), ω_rest (3)]``:
+the change of horizontal specific force along two horizontal directions of B_Strt, the down part of every window, and
+the pooled rate left at rest. With the right errors z is zero but for noise, whatever the fixture did.
 """
 
 from __future__ import annotations
@@ -252,9 +252,7 @@ class Player:
             out = g + np.einsum("wa,wa->w", vertical, force)
         return out
 
-    def _average_integrated(
-        self, attitude: Array, accel: Triad, force: Array, a_start: Array, a_end: Array
-    ) -> None:
+    def _average_integrated(self, attitude: Array, accel: Triad, force: Array, a_start: Array, a_end: Array) -> None:
         """Averages of Ĉ f̂ over the windows whose attitude is integrated, in place of the held ones."""
         if self._force is None or self._weights is None:
             return
@@ -280,7 +278,10 @@ class Player:
         data = self.data
         if data.nominal is None:
             return U
-        in_T, in_B = [data.nominal[:, 2]], [-force[data.start] / np.linalg.norm(force[data.start], axis=1)[:, None]]
+        in_T, in_B = (
+            [data.nominal[:, 2]],
+            [-force[data.start] / np.linalg.norm(force[data.start], axis=1)[:, None]],
+        )
         for k, sequence in enumerate(data.catalogue):
             if sequence is not None and len(sequence.rotations) == 1:
                 angle = float(sequence.angles_rad[0])

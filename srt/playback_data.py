@@ -108,8 +108,9 @@ class PlaybackData:
         return np.stack([self.windows.samples[self.start, 1], self.windows.samples[self.end, 0]], axis=1)
 
     def earth_rate_base(self) -> Array:
-        """Known part of the Earth's rate in fixture base axes, rad/s: none of it without a latitude, the vertical part
-        of it without a heading.
+        """Known part of the Earth's rate in fixture base axes, rad/s.
+
+        None of it is known without a latitude, the vertical part alone without a heading.
         """
         site, fixture = self.recording.site, self.recording.fixture
         if site.latitude_rad is None:
@@ -153,7 +154,10 @@ class PlaybackData:
                     interval = recording.interval_s
                     rows = rows / (interval if isinstance(interval, float) else interval[a:b])
                 force[:, at : at + b - a] = rows
-                for is_end, flagged, w in ((False, open_start[k], self.start[k]), (True, open_end[k], self.end[k])):
+                for is_end, flagged, w in (
+                    (False, open_start[k], self.start[k]),
+                    (True, open_end[k], self.end[k]),
+                ):
                     if flagged:
                         lo, hi = samples[w] - a + at
                         weight = averaging_weights(hi - lo, self.average)  # type: ignore[arg-type]

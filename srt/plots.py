@@ -188,9 +188,7 @@ def _separate_groups(axes: Axes, which: NDArray[np.intp]) -> None:
             axes.axvline(at - 0.5, color=_FAINT, linewidth=0.7)
 
 
-def _header(
-    figure: SubFigure, calibration: Calibration, truth: SensorErrors | None, title: str | None
-) -> None:
+def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | None, title: str | None) -> None:
     text = f"{calibration.estimator}, {calibration.status.replace('_', ' ')}"
     figure.text(0.008, 0.5, f"{title}: {text}" if title else text, fontsize=_LARGE, color=_INK, va="center")
     handles = [Line2D([], [], color=_BLUE, marker="o", markersize=4.5, label="estimate, ±1σ")]
@@ -198,9 +196,7 @@ def _header(
         hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": _VERMILION, "markerfacecolor": "none"}
         handles.append(Line2D([], [], color=_VERMILION, linewidth=0.8, label="truth", **hollow))  # type: ignore[arg-type]
     if calibration.held:
-        handles.append(
-            Line2D([], [], color="none", marker="x", markeredgecolor=_GREY, label="held, not observed")
-        )
+        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=_GREY, label="held, not observed"))
     figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=_SMALL, frameon=False)
 
 
@@ -228,11 +224,7 @@ def _residuals(axes: Axes, residuals: tuple[Residual, ...]) -> None:
     met: dict[tuple[str, int], int] = {}
     for r in residuals:
         turn = (r.sequence, r.occurrence)
-        kind = (
-            ("start_down", "end_down").index(r.component) + 2
-            if r.component.endswith("down")
-            else met.get(turn, 0)
-        )
+        kind = ("start_down", "end_down").index(r.component) + 2 if r.component.endswith("down") else met.get(turn, 0)
         if kind < 2:
             met[turn] = kind + 1
         if r.sigma > 0.0:

@@ -32,9 +32,7 @@ GRAVITY_RANGE_M_S2: Final = (9.5, 10.1)
 WINDOW_TOLERANCE: Final = 1e-6
 """Rounding of stamps and window limits that a window's edge forgives, in intervals."""
 
-_MAY_BE_ZERO = frozenset(
-    {"gyro_quantization", "accel_quantization", "gyro_bias_instability", "accel_bias_instability"}
-)
+_MAY_BE_ZERO = frozenset({"gyro_quantization", "accel_quantization", "gyro_bias_instability", "accel_bias_instability"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +69,7 @@ class Site:
         # The tolerance lets ±90° through whatever way it was converted.
         if self.latitude_rad is not None and not abs(self.latitude_rad) <= (90.0 + 1e-9) * DEG:
             raise InputError(
-                f"The latitude is {self.latitude_rad / DEG:g}°, but -90° to 90° is expected: "
-                "check it, and its unit."
+                f"The latitude is {self.latitude_rad / DEG:g}°, but -90° to 90° is expected: check it, and its unit."
             )
 
 
@@ -187,8 +184,7 @@ class SequenceLabel:
             a, b = (float(limit) for limit in getattr(self, name))
             if not (math.isfinite(a) and math.isfinite(b) and a < b):
                 raise InputError(
-                    f"{self.title}: {name} is [{a:g}, {b:g}], but a window starts before it ends: "
-                    "correct its limits."
+                    f"{self.title}: {name} is [{a:g}, {b:g}], but a window starts before it ends: correct its limits."
                 )
             object.__setattr__(self, name, (a, b))
         if not self.start_static_s[1] < self.end_static_s[0]:
@@ -289,17 +285,13 @@ class Recording:
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
-            raise InputError(
-                f"The kind of a recording is {self.kind!r}, but 'rate' or 'increment' is expected."
-            )
+            raise InputError(f"The kind of a recording is {self.kind!r}, but 'rate' or 'increment' is expected.")
         rate = self.sample_rate_hz
         if rate is not None:
             _require_positive("sample_rate_hz", rate, "Hz")
         time = as_samples("time", self.time, 1)
         if time.size < 2:
-            raise InputError(
-                f"The recording holds {time.size} samples, but at least 2 are needed: check its file."
-            )
+            raise InputError(f"The recording holds {time.size} samples, but at least 2 are needed: check its file.")
         require_finite("time", time, None)
         object.__setattr__(self, "time", time)
         for name, dimensions in (("gyro", 2), ("accel", 2), ("temperature", 1)):
@@ -308,9 +300,7 @@ class Recording:
                 continue
             values = as_samples(name, given, dimensions)
             if len(values) != time.size:
-                raise InputError(
-                    f"{name} holds {len(values)} samples, but time {time.size}: they must agree."
-                )
+                raise InputError(f"{name} holds {len(values)} samples, but time {time.size}: they must agree.")
             require_finite(name, values, time)
             object.__setattr__(self, name, values)
         require_increasing(time)
@@ -385,9 +375,7 @@ class Recording:
 
 def _require_positive(what: str, value: float, unit: str) -> None:
     if not (math.isfinite(value) and value > 0.0):
-        raise InputError(
-            f"{what} is {value:g} {unit}, but a positive number is expected: correct it or leave it out."
-        )
+        raise InputError(f"{what} is {value:g} {unit}, but a positive number is expected: correct it or leave it out.")
 
 
 def _same_rotations(first: tuple[tuple[str, float], ...], second: tuple[tuple[str, float], ...]) -> bool:

@@ -98,9 +98,7 @@ class Clipping:
     first_s: float
 
     def __str__(self) -> str:
-        return (
-            f"{self.channel} is at the limit of its range in {self.count} samples, from {self.first_s:.6g} s"
-        )
+        return f"{self.channel} is at the limit of its range in {self.count} samples, from {self.first_s:.6g} s"
 
 
 def check_interval(recording: Recording) -> None:
@@ -198,14 +196,10 @@ def check_turns(
     if _is_legal(typical):
         cause = "correct its id, its windows, or the order and sign of the gyro axes"
         if ratio[k] < 0.0 and _is_legal(-float(ratio[k])):
-            cause = (
-                "it turned the other way, or an axis of the gyros is reversed; correct its id, or the sign"
-            )
+            cause = "it turned the other way, or an axis of the gyros is reversed; correct its id, or the sign"
         raise DataError(f"{labels[k]}: {found} ({bad.size} of {ratio.size} turns): {cause}.")
     cause = _likely_cause(typical, _GYRO_CAUSES, interval_s) or _unknown_cause(typical, "gyro")
-    raise DataError(
-        f"{labels[k]}: {found}, and the other turns are like it: {cause}; correct gyro_unit or kind."
-    )
+    raise DataError(f"{labels[k]}: {found}, and the other turns are like it: {cause}; correct gyro_unit or kind.")
 
 
 def clipping_levels(recording: Recording) -> ClippingLevels:
@@ -247,9 +241,7 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     return ClippingLevels(low, high)
 
 
-def clipped_samples(
-    recording: Recording, part: slice, levels: ClippingLevels | None = None
-) -> tuple[Clipping, ...]:
+def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | None = None) -> tuple[Clipping, ...]:
     """Find the channels that are clipped in a part of a recording; a sequence with any of them is void.
 
     Parameters
@@ -307,9 +299,7 @@ def _illegal(ratio: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.flatnonzero(~((ratio >= LEGAL_RATIO[0]) & (ratio <= LEGAL_RATIO[1])))
 
 
-def _likely_cause(
-    ratio: float, causes: tuple[tuple[float, str], ...], interval_s: float | None
-) -> str | None:
+def _likely_cause(ratio: float, causes: tuple[tuple[float, str], ...], interval_s: float | None) -> str | None:
     """Name the cause, or the two causes that explain a ratio about equally well."""
     if ratio <= 0.0:
         return None

@@ -81,9 +81,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     sequences = _read_sequences(str(toml), document.get("sequence", []))
 
     if "samples" not in main:
-        raise InputError(
-            f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".'
-        )
+        raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
     kind = main.get("kind", "rate")
     gyro = _conversion(str(toml), "gyro", kind, main, GYRO_UNITS)
     accel = _conversion(str(toml), "accel", kind, main, ACCEL_UNITS)
@@ -176,16 +174,12 @@ def _find_toml(path: Path) -> Path:
     if path.is_dir():
         toml = path / TOML_NAME
         if not toml.is_file():
-            raise InputError(
-                f"The folder {path} holds no {TOML_NAME}: it is no recording; name another folder."
-            )
+            raise InputError(f"The folder {path} holds no {TOML_NAME}: it is no recording; name another folder.")
         return toml
     if not path.exists():
         raise InputError(f"There is no recording {path}: check the path of the folder.")
     if path.suffix != ".toml":
-        raise InputError(
-            f"{path} is no recording: name the folder that holds {TOML_NAME}, or convert the file."
-        )
+        raise InputError(f"{path} is no recording: name the folder that holds {TOML_NAME}, or convert the file.")
     return path
 
 
@@ -236,9 +230,7 @@ def _read_sequences(file: str, values: object) -> tuple[SequenceLabel, ...]:
         section = read_section(file, f"sequence[{number}]", value, SEQUENCE_KEYS)
         for name in ("start_static_s", "end_static_s"):
             if name not in section:
-                raise InputError(
-                    f"{file}: sequence[{number}].{name} is missing: add the window [from, to] in s."
-                )
+                raise InputError(f"{file}: sequence[{number}].{name} is missing: add the window [from, to] in s.")
         try:
             labels.append(SequenceLabel(**fields_of(section, SEQUENCE_KEYS)))
         except InputError as error:
@@ -257,8 +249,7 @@ def _conversion(
     if unit == COUNTS:
         if lsb is None:
             raise InputError(
-                f'{file}: recording.{sensor}_lsb is missing: {sensor}_unit is "counts", '
-                "so give SI units per count."
+                f'{file}: recording.{sensor}_lsb is missing: {sensor}_unit is "counts", so give SI units per count.'
             )
         return np.array(offset or (0.0, 0.0, 0.0)), np.array(lsb)
     for name, value in (("lsb", lsb), ("offset_counts", offset)):
@@ -296,9 +287,7 @@ def _prepare(folder: Path, *, overwrite: bool) -> bool:
             if not folder.is_dir():
                 raise InputError(f"{folder} is a file, but a recording is a folder: name another place.")
             if any(folder.iterdir()) and not overwrite:
-                raise InputError(
-                    f"The folder {folder} holds files already: name another, or allow overwriting."
-                )
+                raise InputError(f"The folder {folder} holds files already: name another, or allow overwriting.")
             return False
         folder.mkdir(parents=True)
     except OSError as error:

@@ -116,9 +116,7 @@ def _read_rotations(value: Any) -> tuple[tuple[str, float], ...]:
     if not isinstance(value, list):
         raise ValueError  # noqa: TRY004 - the caller makes one sentence of every refusal
     for item in value:
-        if not (
-            isinstance(item, list) and len(item) == 2 and item[0] in ("x", "y", "z") and _is_number(item[1])
-        ):
+        if not (isinstance(item, list) and len(item) == 2 and item[0] in ("x", "y", "z") and _is_number(item[1])):
             raise ValueError
     return tuple((axis, float(angle) * DEG) for axis, angle in value)
 
@@ -243,9 +241,7 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
 
 def fields_of(section: Mapping[str, Any], keys: tuple[Key, ...]) -> dict[str, Any]:
     """Give the part of a section that fills fields of its dataclass, by name of the field."""
-    return {
-        key.attribute: section[key.name] for key in keys if key.attribute is not None and key.name in section
-    }
+    return {key.attribute: section[key.name] for key in keys if key.attribute is not None and key.name in section}
 
 
 def emit_section(source: object, keys: tuple[Key, ...]) -> list[str]:

@@ -91,9 +91,7 @@ def ideal_rotations(
         for u, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
             ux = cross_matrix(u)
             # ∫ exp(βu×) dβ from 0 to θ; for v ⟂ u it is sin θ v + (1 − cos θ) u×v, the bracket of eq. 3.
-            swept = C @ (
-                angle * np.eye(3) + (1.0 - math.cos(angle)) * ux + (angle - math.sin(angle)) * (ux @ ux)
-            )
+            swept = C @ (angle * np.eye(3) + (1.0 - math.cos(angle)) * ux + (angle - math.sin(angle)) * (ux @ ux))
             sign = math.copysign(1.0, angle)
             rate[k] += swept[:, :, None] * u
             abs_rate[k] += swept * sign * np.abs(u)

@@ -130,9 +130,7 @@ def _are_multiples(time: NDArray[np.float64], unit: float, floor: float) -> bool
     return bool(max(-remainder.min(), remainder.max()) * unit <= 4.0 * floor + 1e-6 * unit)
 
 
-def _gaps_at_known_interval(
-    time: NDArray[np.float64], steps: NDArray[np.float64], interval: float
-) -> NDArray[np.intp]:
+def _gaps_at_known_interval(time: NDArray[np.float64], steps: NDArray[np.float64], interval: float) -> NDArray[np.intp]:
     """Find gaps when the rate is known: a late stamp is one only if the stamps after it stay late.
 
     Stamps set by the host come in bursts; the long step before one is made up for by the short ones in it.

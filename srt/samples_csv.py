@@ -105,14 +105,10 @@ def _read_header(path: Path) -> tuple[list[str], int]:
             if not any(row.strip() and not row.lstrip().startswith("#") for row in file):
                 raise InputError(f"{path} ends after its header row: there are no samples in it.")
             return names, number
-    raise InputError(
-        f"{path} is empty: a header row with column names, then one row per sample, is expected."
-    )
+    raise InputError(f"{path} is empty: a header row with column names, then one row per sample, is expected.")
 
 
-def _select(
-    path: Path, header: list[str], select: Callable[[Sequence[str]], tuple[str, ...]]
-) -> tuple[str, ...]:
+def _select(path: Path, header: list[str], select: Callable[[Sequence[str]], tuple[str, ...]]) -> tuple[str, ...]:
     if all(_is_number(name) for name in header):
         raise InputError(
             f"{path} starts with a row of numbers, but a header row is expected: put the column names first."
@@ -120,9 +116,7 @@ def _select(
     if len(header) == 1:
         for mark, called in ((";", "semicolons"), ("\t", "tabs"), (" ", "blanks")):
             if mark in header[0]:
-                raise InputError(
-                    f"{path} is separated by {called}, but commas are expected: export it again."
-                )
+                raise InputError(f"{path} is separated by {called}, but commas are expected: export it again.")
     return select(header)
 
 
@@ -176,8 +170,7 @@ def _explain(path: Path, header: list[str], names: Sequence[str], skip: int, rea
                     else "write every row alike (with decimal points, not commas)"
                 )
                 raise InputError(
-                    f"{path}, line {number}: {len(cells)} cells were found, but the header has "
-                    f"{len(header)}: {advice}."
+                    f"{path}, line {number}: {len(cells)} cells were found, but the header has {len(header)}: {advice}."
                 )
             for name, i in wanted:
                 if not _is_number(cells[i]):

@@ -221,9 +221,7 @@ def _read_npz(path: Path, time_required: bool) -> Samples:
         with path.open("rb") as file:
             archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputError(
-                    f"{path} holds a single array, but an archive with one array per column is expected."
-                )
+                raise InputError(f"{path} holds a single array, but an archive with one array per column is expected.")
             names = select_columns(path, archive.files, time_required=time_required)
             return _fill(path, names, archive.__getitem__)
     except damage as error:
@@ -242,9 +240,7 @@ def _read_parquet(path: Path, time_required: bool) -> Samples:
         values = file.read(columns=[name]).column(0)
         if not (pa.types.is_floating(values.type) or pa.types.is_integer(values.type)):
             raise InputError(f"{path}: column {name} is of type {values.type}, but numbers are expected.")
-        array: NDArray[Any] = (
-            values.to_numpy()
-        )  # an absent value becomes nan, and is found with its row later
+        array: NDArray[Any] = values.to_numpy()  # an absent value becomes nan, and is found with its row later
         return array
 
     try:
@@ -267,9 +263,7 @@ def _read_hdf5(path: Path, time_required: bool) -> Samples:
     def column(name: str) -> NDArray[Any]:
         node = file[name]
         if not isinstance(node, h5py.Dataset):
-            raise InputError(
-                f"{path}: {name} is a group, but a dataset with one number per sample is expected."
-            )
+            raise InputError(f"{path}: {name} is a group, but a dataset with one number per sample is expected.")
         values: NDArray[Any] = np.asarray(node[()])
         return values
 

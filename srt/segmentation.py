@@ -2,13 +2,14 @@
 
 Nothing here is an absolute threshold. The quietest blocks of samples give the unit's noise, and where their mean rates
 crowd together lies the rest rate (bias and Earth rate): a slow constant turn is as quiet but scatters over many means.
-A block's *activity* is its distance from that rest, mean and scatter together. Its distribution has two modes, resting (on a
-bench, or in a hand that trembles) and turning; the valley between them decides.
+A block's *activity* is its distance from that rest, mean and scatter together. Its distribution has two modes, resting
+(on a bench, or in a hand that trembles) and turning; the valley between them decides.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -31,8 +32,8 @@ MIN_WINDOW_S: Final = 1.0
 MIN_TURN_RAD: Final = 0.1
 _FALSE_ALARM: Final = 1e-4
 _LOUD: Final = 10.0
-"""Variance of a block over that of the unit's quiet ones, above which it moves. Real rests differ by a few (a hand near by,
-a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
+"""Variance of a block over that of the unit's quiet ones, above which it moves. Real rests differ by a few (a hand
+near by, a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
 _SHAKEN: Final = 400.0
 """Variance of specific force over the quiet level, beyond which a block is a knock and no rest."""
 _SPREAD: Final = 6.0
@@ -131,7 +132,7 @@ def _blocks(recording: Recording) -> _Blocks:
     factor = 1.0 if recording.kind == "rate" else 1.0 / dt
     pieces = [0, *recording.gaps.tolist(), len(recording.time)]
     first, mean, variance, piece = [], [], [], []
-    for p, (a, b) in enumerate(zip(pieces[:-1], pieces[1:], strict=True)):
+    for p, (a, b) in enumerate(pairwise(pieces)):
         n = (b - a) // size
         if n == 0:
             continue
@@ -151,9 +152,7 @@ def _blocks(recording: Recording) -> _Blocks:
         raise DataError(
             f"The recording has {len(recording.time)} samples, too few to find stillness: at least {size} are needed."
         )
-    return _Blocks(
-        np.concatenate(first), size, np.concatenate(mean), np.concatenate(variance), np.concatenate(piece)
-    )
+    return _Blocks(np.concatenate(first), size, np.concatenate(mean), np.concatenate(variance), np.concatenate(piece))
 
 
 def _still(blocks: _Blocks) -> NDArray[np.bool_]:
@@ -176,7 +175,7 @@ def _still(blocks: _Blocks) -> NDArray[np.bool_]:
     radius = np.hypot(_SPREAD * np.sqrt(level[:3] / n), _EARTH_SPREAD)
     candidates = np.flatnonzero(quiet)
     if candidates.size == 0:
-        return quiet
+        return np.asarray(quiet)
     points = blocks.mean[candidates, :3] / radius
     # The rest rate is where most block means crowd together; turns at a steady rate scatter over many values.
     cells, counts = np.unique(np.floor(points), axis=0, return_counts=True)
@@ -194,7 +193,7 @@ def _still(blocks: _Blocks) -> NDArray[np.bool_]:
 
 
 def _valley(activity: Array) -> float:
-    """Threshold between two modes of the logarithm of the activity (Otsu's criterion: greatest between-class variance)."""
+    """Threshold between two modes of the activity's logarithm (Otsu: greatest between-class variance)."""
     x = np.sort(np.log(np.maximum(activity, 1e-6)))
     n = np.arange(1, len(x))
     total = np.cumsum(x)

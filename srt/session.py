@@ -8,7 +8,14 @@ import numpy as np
 
 from srt.exceptions import DataError
 from srt.playback_data import PlaybackData, prepare, sequence_of_label
-from srt.recording_checks import check_interval, check_rest, check_turns, clipped_samples, clipping_levels, gap_inside
+from srt.recording_checks import (
+    check_interval,
+    check_rest,
+    check_turns,
+    clipped_samples,
+    clipping_levels,
+    gap_inside,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -29,8 +29,7 @@ def averaging_weights(n: int, algorithm: Average) -> Array:
     if algorithm == "linear" or n < 2:
         return np.full(n, 1.0 / n)
     half = n // 2
-    weights = np.convolve(np.full(half, 1.0 / half), np.full(n - half + 1, 1.0 / (n - half + 1)))
-    return weights
+    return np.convolve(np.full(half, 1.0 / half), np.full(n - half + 1, 1.0 / (n - half + 1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -83,7 +83,10 @@ def component_rows(data: PlaybackData) -> dict[tuple[str, str], int]:
     for k, name in enumerate(data.ids):
         horizontal = [a for a in "xyz" if a != data.catalogue[k].down]
         rows |= {(name, a): 2 * k + i for i, a in enumerate(horizontal)}
-        rows |= {(name, "start"): 2 * data.K + int(data.start[k]), (name, "end"): 2 * data.K + int(data.end[k])}
+        rows |= {
+            (name, "start"): 2 * data.K + int(data.start[k]),
+            (name, "end"): 2 * data.K + int(data.end[k]),
+        }
     return rows
 
 

@@ -23,9 +23,7 @@ from srt.samples_io import SAMPLES_FORMATS, Samples, read_samples, write_samples
 
 REQUIRES = {"parquet": "pyarrow", "h5": "h5py"}
 FORMATS = [
-    pytest.param(
-        name, marks=pytest.mark.skipif(not __import__("importlib").util.find_spec(package), reason=package)
-    )
+    pytest.param(name, marks=pytest.mark.skipif(not __import__("importlib").util.find_spec(package), reason=package))
     if (package := REQUIRES.get(name))
     else name
     for name in SAMPLES_FORMATS
@@ -143,14 +141,10 @@ def test_facts_given_in_the_units_of_the_file_read_back_exactly(latitude, headin
 CSV = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z\n"
 
 
-def write_folder(
-    folder, header="", rows="1,1,2,3,4,5,6\n2,7,8,9,10,11,12\n", *, site="gravity_m_s2 = 9.8", more=""
-):
+def write_folder(folder, header="", rows="1,1,2,3,4,5,6\n2,7,8,9,10,11,12\n", *, site="gravity_m_s2 = 9.8", more=""):
     folder.mkdir(exist_ok=True)
     (folder / "samples.csv").write_text(CSV + rows)
-    (folder / "recording.toml").write_text(
-        f'[recording]\nsamples = "samples.csv"\n{header}\n[site]\n{site}\n{more}\n'
-    )
+    (folder / "recording.toml").write_text(f'[recording]\nsamples = "samples.csv"\n{header}\n[site]\n{site}\n{more}\n')
     return folder
 
 
@@ -224,9 +218,7 @@ gyro_range_deg_s = 400.0
 accel_range_g = 10.0
 """
     noise = load_recording(write_folder(tmp_path, SI, more=more)).noise
-    assert noise.gyro_noise * math.sqrt(40.0) == pytest.approx(
-        3.7e-6, rel=0.01
-    )  # Savage 2020, §9: 3.7 µrad in 40 s
+    assert noise.gyro_noise * math.sqrt(40.0) == pytest.approx(3.7e-6, rel=0.01)  # Savage 2020, §9: 3.7 µrad in 40 s
     assert noise.accel_noise == pytest.approx(20e-6 * STANDARD_GRAVITY_M_S2)
     assert noise.gyro_quantization == pytest.approx(0.5 * math.pi / 180 / 3600)
     assert noise.accel_quantization == 1e-5

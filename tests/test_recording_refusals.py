@@ -167,8 +167,7 @@ def spoil(line, column, text):
         # other columns make numpy look at some cells only
         (spoil(1, 6, "accel_z,note"), ["line 2", "7 cells", "header has 8"]),
         (
-            "\n".join([HEADER + ",note", *(r + ",x" for r in ROWS[:9]), ROWS[9] + ",x,y", ROWS[10] + ",x"])
-            + "\n",
+            "\n".join([HEADER + ",note", *(r + ",x" for r in ROWS[:9]), ROWS[9] + ",x,y", ROWS[10] + ",x"]) + "\n",
             ["line 11", "9 cells", "header has 8"],
         ),
         (b"\xff\xfe\x00binary\x00", ["not a text file in UTF-8"]),

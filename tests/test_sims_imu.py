@@ -183,9 +183,7 @@ def test_drift_is_stationary_and_runs_on_across_gaps():
     for first, second, age in ((0, 1, 1.0), (1, 2, 1001.0)):
         expected = process * sum(math.exp(-age / tau) for tau in CORRELATION_TIMES_S)
         spread = 4 * process / math.sqrt(draws.shape[1])
-        assert np.mean(draws[first] * draws[second]) == pytest.approx(
-            expected, abs=3.5 * spread * math.sqrt(2.0)
-        )
+        assert np.mean(draws[first] * draws[second]) == pytest.approx(expected, abs=3.5 * spread * math.sqrt(2.0))
 
 
 def test_drift_keeps_its_correlation_within_a_piece():
@@ -202,9 +200,7 @@ def test_drift_keeps_its_correlation_within_a_piece():
 def test_quantisation_carries_its_remainder():
     quantum = 2.5e-6
     motion = constant_motion((1e-5, -3e-5, 0.2), (0, 0, 0), 5000, gap_after=2000)
-    recording = read_out(
-        motion, NONE, ImuModel(gyro_quantization=quantum), np.random.default_rng(8), kind="increment"
-    )
+    recording = read_out(motion, NONE, ImuModel(gyro_quantization=quantum), np.random.default_rng(8), kind="increment")
     pulses = recording.gyro / quantum
     np.testing.assert_allclose(pulses, np.round(pulses), atol=1e-9)
     for piece in (slice(0, 2000), slice(2000, None)):
@@ -218,10 +214,7 @@ def test_quantisation_error_of_a_sum_has_its_variance():
     rng = np.random.default_rng(9)
     model = ImuModel(gyro_quantization=1e-3)
     errors = np.array(
-        [
-            (read_out(motion, NONE, model, rng, kind="increment").gyro - motion.angle).sum(axis=0)
-            for _ in range(700)
-        ]
+        [(read_out(motion, NONE, model, rng, kind="increment").gyro - motion.angle).sum(axis=0) for _ in range(700)]
     )
     # The error of one fixed sum takes two values: variance quantum² p (1 - p), p the fraction in the sum.
     fraction = np.modf(np.abs(motion.angle.sum(axis=0)) / 1e-3)[0]

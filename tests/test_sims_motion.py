@@ -287,9 +287,7 @@ def test_ringing_starts_smoothly_and_dies_away():
     last = np.array([[len(turned.moving) - 2]])
     h = 1e-5
     difference = (turned.angles(last, t + h)[0] - turned.angles(last, t - h)[0]) / (2.0 * h)
-    np.testing.assert_allclose(
-        turned.angles(last, t)[1], difference, atol=1e-3 * (2 * math.pi * 15.0) ** 3 * h**2
-    )
+    np.testing.assert_allclose(turned.angles(last, t)[1], difference, atol=1e-3 * (2 * math.pi * 15.0) ** 3 * h**2)
     assert 2e-4 < np.abs(turned.angles(last, t)[0] - 1.0)[..., 0].max() <= 1e-3
     assert not turned.moving[-1]
 
@@ -338,9 +336,7 @@ def test_free_turns_compose_to_the_attitudes():
     assert math.pi / 3 <= sizes.min() <= sizes.max() <= math.pi
     start = sims.random_attitude(rng)
     np.testing.assert_allclose(start @ start.T, np.eye(3), atol=1e-15)
-    motion = sims.free_motion(
-        turns, site=SITE, attitude=start, sample_rate_hz=50.0, dwell_s=1.0, earth_rate=False
-    )
+    motion = sims.free_motion(turns, site=SITE, attitude=start, sample_rate_hz=50.0, dwell_s=1.0, earth_rate=False)
     assert motion.fixture is None
     assert motion.labels == ()
     turned = start
@@ -362,9 +358,7 @@ def test_free_poses_sense_the_earth_and_gravity():
     for windows, attitudes in zip(motion.windows, motion.attitudes, strict=True):
         for window, ned_from_body in zip(windows, attitudes, strict=True):
             rows = rows_in(motion, *window)
-            np.testing.assert_allclose(
-                motion.angle[rows] / 0.02, [EARTH_NED @ ned_from_body] * 50, atol=1e-19
-            )
+            np.testing.assert_allclose(motion.angle[rows] / 0.02, [EARTH_NED @ ned_from_body] * 50, atol=1e-19)
             down = ned_from_body[2]
             np.testing.assert_allclose(motion.velocity[rows] / 0.02, [-9.80665 * down] * 50, atol=1e-14)
 

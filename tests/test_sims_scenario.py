@@ -110,19 +110,11 @@ def test_grades_convert_to_si():
         ({"schedule": {"repeats": 0}}, "schedule.repeats is 0: give a number not below 1"),
         ({"schedule": {"custom": [{"id": "A"}]}}, r"'down' is missing from \[schedule.custom\[1\]\]"),
         (
-            {
-                "schedule": {
-                    "custom": [{"id": "1", "down": "z", "along_outer": "y", "rotations": [["y", 90.0]]}]
-                }
-            },
+            {"schedule": {"custom": [{"id": "1", "down": "z", "along_outer": "y", "rotations": [["y", 90.0]]}]}},
             "belongs to Table 1",
         ),
         (
-            {
-                "schedule": {
-                    "custom": [{"id": "A", "down": "z", "along_outer": "y", "rotations": [["x", 90.0]]}]
-                }
-            },
+            {"schedule": {"custom": [{"id": "A", "down": "z", "along_outer": "y", "rotations": [["x", 90.0]]}]}},
             "reorder its rotations",
         ),
         ({"site": {"height_m": 1.0}}, "either gravity_m_s2 or height_m"),
@@ -268,9 +260,7 @@ def test_schedule_repeats_and_custom_sequences():
 
 
 def test_frame_turn():
-    simulation = sims.simulate(
-        build(imu={"frame_turn_mrad": [0.0, 0.0, 100.0], "frame_turn_sigma_mrad": 0.0})
-    )
+    simulation = sims.simulate(build(imu={"frame_turn_mrad": [0.0, 0.0, 100.0], "frame_turn_sigma_mrad": 0.0}))
     # B is turned from T by +0.1 rad about z, so that T's x axis has the B-components (cos, -sin, 0).
     np.testing.assert_allclose(simulation.U @ [1, 0, 0], [math.cos(0.1), -math.sin(0.1), 0.0], atol=1e-15)
 

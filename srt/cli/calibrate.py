@@ -59,9 +59,7 @@ class Display:
 
 
 @click.command()
-@click.argument(
-    "recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORDING..."
-)
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORDING...")
 @click.option(
     "--estimator",
     default="auto",
@@ -76,19 +74,13 @@ class Display:
     metavar="NAME",
     help="Hold a parameter or a group, as gyro_scale_x or accel_bias; repeatable.",
 )
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json, or a folder for several."
-)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json, or a folder for several.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
-@click.option(
-    "--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording, to compare with."
-)
+@click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording, to compare with.")
 @click.option("--budget", is_flag=True, help="Show all sources of sigma, not the three largest.")
 @click.option("--average", type=click.Choice(CHOICES["average"]), default="linear", show_default=True)
 @click.option("--down", type=click.Choice(CHOICES["down"]), default="tilt-immune", show_default=True)
-@click.option(
-    "--window-attitude", type=click.Choice(CHOICES["window_attitude"]), default="held", show_default=True
-)
+@click.option("--window-attitude", type=click.Choice(CHOICES["window_attitude"]), default="held", show_default=True)
 @click.option("--gyro-bias", type=click.Choice(CHOICES["gyro_bias"]), default="auto", show_default=True)
 @click.option("--step", type=click.Choice(CHOICES["step"]), default="jacobian", show_default=True)
 @click.option("--start", type=click.Choice(CHOICES["start"]), default="auto", show_default=True)
@@ -179,8 +171,7 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise InputError(
-                f"Two recordings are named {twice}, and their results would replace each other: "
-                "calibrate them apart."
+                f"Two recordings are named {twice}, and their results would replace each other: calibrate them apart."
             )
     jobs = []
     for path, name in zip(recordings, names, strict=True):

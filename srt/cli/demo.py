@@ -29,9 +29,7 @@ PROBABILITY = 0.95
     type=click.Path(path_type=Path),
     help="Folder for recording, result and plot.",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), help="Of another unit, fixture and noise; default: the scenario's."
-)
+@click.option("--seed", type=click.IntRange(min=0), help="Of another unit, fixture and noise; default: the scenario's.")
 @click.option("-q", "--quiet", is_flag=True, help="The last sentence only.")
 def demo(output: Path, seed: int | None, quiet: bool) -> int:
     """Run the whole chain on a simulated unit: a navigation-grade IMU on a fixture of 1 mrad.

@@ -42,9 +42,7 @@ def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:
     InputError
     """
     if path.suffix.lower() not in suffixes:
-        raise InputError(
-            f"{what} cannot be written as {path}: name a file that ends in {' or '.join(suffixes)}."
-        )
+        raise InputError(f"{what} cannot be written as {path}: name a file that ends in {' or '.join(suffixes)}.")
     if path.is_dir():
         raise InputError(f"{what} cannot be written as {path}: it is a folder; name a file.")
     _check_folder(path.parent, path)

@@ -191,9 +191,7 @@ def held_summary(calibration: Calibration) -> str:
 
 def wrap(text: str, indent: str = "") -> list[str]:
     """Break a text into lines that fit; the second and later ones are set in."""
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False
-    )
+    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False)
 
 
 def _reasons(calibration: Calibration) -> dict[str, list[str]]:

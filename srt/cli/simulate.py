@@ -19,13 +19,9 @@ FORMATS = ("csv", "npz", "parquet", "h5")
 
 @click.command()
 @click.argument("scenario", metavar="SCENARIO")
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write; made if absent."
-)
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write; made if absent.")
 @click.option("--seed", type=click.IntRange(min=0), help="Instead of the scenario's.")
-@click.option(
-    "--format", "samples_format", type=click.Choice(FORMATS), help="Of the samples; default: the scenario's."
-)
+@click.option("--format", "samples_format", type=click.Choice(FORMATS), help="Of the samples; default: the scenario's.")
 @click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def simulate(

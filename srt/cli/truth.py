@@ -46,19 +46,11 @@ def load_truth(path: Path) -> SensorErrors:
         ) from None
     except ValueError:
         raise InputError(f"The truth {path} is not valid JSON: was it cut short?") from None
-    if (
-        not isinstance(document, dict)
-        or document.get("format") != FORMAT
-        or document.get("version") != VERSION
-    ):
+    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         raise InputError(f"{path} is no truth of version {VERSION}: name the {NAME} that simulate wrote.")
     parameters = document.get("parameters")
     if not isinstance(parameters, dict) or set(parameters) != set(NAMES):
-        raise InputError(
-            f"The truth {path} does not hold the {len(NAMES)} sensor errors: let simulate write it again."
-        )
+        raise InputError(f"The truth {path} does not hold the {len(NAMES)} sensor errors: let simulate write it again.")
     if not all(isinstance(value, int | float) for value in parameters.values()):
-        raise InputError(
-            f"The truth {path} holds a sensor error that is no number: let simulate write it again."
-        )
+        raise InputError(f"The truth {path} holds a sensor error that is no number: let simulate write it again.")
     return SensorErrors.from_dict(parameters)

@@ -1,0 +1,37 @@
+# Two commands do everything from a fresh checkout: `make demo` and `make test`.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test lint slow figures clean
+
+demo: $(STAMP)
+	$(BIN)/srt demo -o demo-output
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n auto
+
+# ruff, mypy strict, import rules
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# The full-size statistics (about half an hour on two cores)
+slow: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m slow
+
+# Accuracy and speed figures of the README
+figures: $(STAMP)
+	$(BIN)/python benchmarks/accuracy.py
+	$(BIN)/python benchmarks/speed.py
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) build dist demo-output *.egg-info

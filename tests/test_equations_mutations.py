@@ -1,0 +1,295 @@
+"""Every sign of the model counts: each is flipped in turn, and the simulator must notice.
+
+The sources of the measurement model, of the ideal rotations and of the closed form are parsed, one sign is changed at
+a time (plus and minus swapped, a leading minus dropped, a table's coefficient negated), and the altered module is
+held against references that share no line with it: derivatives through the simulator, integrals by brute force, and
+numerical derivatives of the exact compensation.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import sys
+from functools import partial
+from types import ModuleType
+
+import numpy as np
+import pytest
+from conftest import RATE_RAD_S, WINDOW_S, G, Simulated
+from scipy.spatial.transform import Rotation
+
+from srt import closed_form, measurement_model, rotation_integrals
+from srt.catalogue import AXES, SEQUENCES, Sequence
+from srt.compensation import Triad, accel_triad, gyro_triad
+from srt.quaternion import cross_matrix
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+
+MODULES = (measurement_model, rotation_integrals, closed_form)
+PERFECT = Triad(np.eye(3), np.zeros(3), np.zeros(3))
+
+# --- references -----------------------------------------------------------------------------------------------------
+
+ODD = Sequence("odd", "z", "y", 0.0, 0.0, (("x", 0.7), ("y", -1.9), ("z", 2.3), ("x", -0.4)))
+"""No half turns here, so that no sine or cosine is 0 or ±1."""
+
+
+def brute_force_integrals(sequence, rate):
+    """The integrals of a rotation by Gauss-Legendre quadrature of scipy's rotations, 40 nodes in each."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    C = np.eye(3)
+    out = {
+        "rate": np.zeros((3, 3, 3)),
+        "abs_rate": np.zeros((3, 3)),
+        "time": np.zeros((3, 3)),
+        "noise": np.zeros((3, 3, 3)),
+        "turned": np.zeros(3),
+        "weight_s": 0.0,
+    }
+    for axis, angle in sequence.rotations:
+        u = np.eye(3)[AXES.index(axis)]
+        duration = abs(angle) / rate
+        for x, w in zip(nodes, weights, strict=True):
+            A = C @ Rotation.from_rotvec(0.5 * (x + 1.0) * angle * u).as_matrix()
+            dt = 0.5 * w * duration
+            ω = u * angle / duration
+            out["rate"] += dt * A[:, :, None] * ω
+            out["abs_rate"] += dt * A * np.abs(ω)
+            out["time"] += dt * A
+            out["noise"] += dt * np.einsum("ab,cb->acb", A, A)
+            out["turned"] += dt * ω
+            out["weight_s"] += dt
+        C = C @ Rotation.from_rotvec(angle * u).as_matrix()
+    return out | {"C_end": C}
+
+
+REFERENCE = {name: brute_force_integrals(s, 0.8) for name, s in {"odd": ODD, "6": SEQUENCES["6"]}.items()}
+WINDOW_NOISE = 5.0 / 3.0  # of one window of 5 s: ∫ F² dt of a ramp from 0 to 1
+
+ERRORS = SensorErrors(np.random.default_rng(5).uniform(-0.1, 0.1, N_PARAMETERS))
+FORCE = np.array([[3.0, -7.0, 5.0], [-8.0, 2.0, 4.0]])
+OMEGA = np.array([[0.3, -0.8, 0.5], [-0.4, 0.9, -0.2]])
+
+
+def minus_derivative(triad_of, errors, reading):
+    """What an error left in the estimate adds to the compensated value: minus d(compensated)/d(estimate)."""
+    step = 1e-5
+    columns = [
+        (triad_of(errors.plus(-d)).compensate(reading) - triad_of(errors.plus(d)).compensate(reading)) / (2 * step)
+        for d in step * np.eye(N_PARAMETERS)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+# Truncation of the central difference: step² times the third derivative, some 10 · 6 · |f| here; rounding 1e-16 / step.
+NUMERICAL = 1e-10 * 60 * 10 + 1e-10
+FORCE_JACOBIAN = minus_derivative(accel_triad, ERRORS, accel_triad(ERRORS).read(FORCE))
+RATE_JACOBIAN = minus_derivative(gyro_triad, ERRORS, gyro_triad(ERRORS).read(OMEGA))
+
+# --- the check ------------------------------------------------------------------------------------------------------
+
+
+def close(a, b, tolerance):
+    return bool(np.all(np.abs(np.asarray(a) - np.asarray(b)) <= tolerance))
+
+
+def integrals_hold(integrals):
+    for name, sequence in {"odd": ODD, "6": SEQUENCES["6"]}.items():
+        expected = REFERENCE[name]
+        found = integrals.ideal_rotations([sequence], 0.8)
+        if not all(close(getattr(found, key)[0], value, 1e-12) for key, value in expected.items()):
+            return False
+        # Windows by eq. 21 and by the noise of a ramp.
+        found = integrals.ideal_rotations([sequence], 0.8, 5.0, 0.3)
+        C = expected["C_end"]
+        windows = 5.0 * (0.7 * np.eye(3) + 0.3 * C)
+        noise = WINDOW_NOISE * (np.einsum("ab,cb->acb", np.eye(3), np.eye(3)) + np.einsum("ab,cb->acb", C, C))
+        if not (
+            close(found.time[0], expected["time"] + windows, 1e-12)
+            and close(found.noise[0], expected["noise"] + noise, 1e-12)
+            and close(found.weight_s[0], expected["weight_s"] + 5.0, 1e-12)
+        ):
+            return False
+    return True
+
+
+def table_1_holds(model, integrals, run, window_s):
+    """All components of the 17 sequences against the simulator."""
+    for name, s in SEQUENCES.items():
+        found = integrals.ideal_rotations([s], RATE_RAD_S, window_s)
+        horizontal = [a for a in AXES if a != s.down]
+        down = np.eye(3)[[AXES.index(s.down)]]
+        basis = np.eye(3)[[AXES.index(a) for a in horizontal]][None]
+        if not close(basis[0], basis[0] @ model.horizontal_projector(down)[0], 1e-15):
+            return False
+        f_start = -G * down
+        f_end = np.einsum("kab,ka->kb", found.C_end, f_start)
+        rows = dict(zip(horizontal, model.horizontal_jacobian(found, basis, f_start, f_end, PERFECT)[0], strict=True))
+        rows |= {
+            "start": model.down_jacobian(f_start, PERFECT)[0],
+            "end": model.down_jacobian(f_end, PERFECT)[0],
+        }
+        if not all(close(row, run.row(name, c), run.tolerance(name)) for c, row in rows.items()):
+            return False
+    return True
+
+
+def model_holds(model):
+    """What Table 1 cannot show: slopes away from zero error, and directions off the axes."""
+    down = np.array([[0.6, -0.48, 0.64]])
+    return (
+        close(model.force_error_jacobian(FORCE, accel_triad(ERRORS)), FORCE_JACOBIAN, NUMERICAL)
+        and close(model.rate_error_jacobian(OMEGA, gyro_triad(ERRORS)), RATE_JACOBIAN, NUMERICAL)
+        and close(model.horizontal_projector(down)[0] @ down[0], 0.0, 1e-15)
+        and close(model.horizontal_projector(down)[0] @ np.array([0.8, 0.36, -0.48]), [0.8, 0.36, -0.48], 1e-15)
+    )
+
+
+def inversion_holds(closed, run):
+    for sequences, kept in (
+        (list(SEQUENCES), range(24)),
+        ([s for s in SEQUENCES if not s.endswith("a")], [*range(3), *range(6, 24)]),
+        ([s for s in SEQUENCES if s not in {"1", "2", "3"}], [*range(3), *range(6, 24)]),
+    ):
+        chosen = closed.formulas(sequences)
+        components = closed.components(chosen)
+        A = closed.inversion_matrix(chosen, G)
+        J = np.array([run.row(c.sequence, c.kind) for c in components])
+        tolerance = np.abs(A) @ np.array([Simulated.tolerance(c.sequence) for c in components])
+        index = np.ix_(kept, kept)
+        if not close((A @ J)[index], np.eye(len(kept)), tolerance[index]):
+            return False
+    return closed.sequences_needed("accel_asymmetry_z") == ("2", "2a", "7", "8")
+
+
+def holds(simulated, model=measurement_model, integrals=rotation_integrals, closed=closed_form):
+    return (
+        integrals_hold(integrals)
+        and model_holds(model)
+        and table_1_holds(model, integrals, simulated("held"), 0.0)
+        and table_1_holds(model, integrals, simulated("integrated"), WINDOW_S)
+        and inversion_holds(closed, simulated("held"))
+    )
+
+
+# --- mutants --------------------------------------------------------------------------------------------------------
+
+
+def sign_changes(tree):
+    """Every sign of a module, as (place, function that flips it in this tree)."""
+    skipped: set[int] = set()
+    parents = {id(child): parent for parent in ast.walk(tree) for child in ast.iter_child_nodes(parent)}
+    for node in ast.walk(tree):
+        # Defaults are choices, annotations are types; copysign takes no sign from its first argument.
+        if isinstance(node, ast.arguments) or (isinstance(node, ast.Attribute) and node.attr == "copysign"):
+            outer = parents[id(node)] if isinstance(node, ast.Attribute) else node
+            skipped |= {id(n) for n in ast.walk(outer)}
+    changes = []
+    for node in ast.walk(tree):
+        if id(node) in skipped:
+            continue
+        if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.Add | ast.Sub):
+            change = swap
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            change = drop_minus
+        elif is_positive_number(node, parents):
+            change = negate
+        else:
+            continue
+        changes.append((f"{node.lineno}:{node.col_offset}", partial(change, node)))
+    return changes
+
+
+def is_positive_number(node, parents):
+    """A float that bears no minus yet, or the 1 in a fraction such as 1 / 4; other integers only count and index."""
+    if not isinstance(node, ast.Constant) or isinstance(parents[id(node)], ast.UnaryOp):
+        return False
+    fraction = isinstance(parents[id(node)], ast.BinOp) and isinstance(parents[id(node)].op, ast.Div)
+    number = isinstance(node.value, float) or (isinstance(node.value, int) and fraction)
+    return number and node.value != 0 and (not fraction or parents[id(node)].left is node)
+
+
+def swap(node):
+    node.op = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
+
+
+def drop_minus(node):
+    node.op = ast.UAdd()
+
+
+def negate(node):
+    node.value = -node.value
+
+
+def load(module, tree, monkeypatch):
+    """The module that an altered tree makes."""
+    name = f"mutant_of_{module.__name__.replace('.', '_')}"
+    mutant = ModuleType(name)
+    monkeypatch.setitem(sys.modules, name, mutant)
+    exec(compile(tree, name, "exec"), mutant.__dict__)  # noqa: S102 - our own source with one sign changed
+    return mutant
+
+
+KEYWORD = {measurement_model: "model", rotation_integrals: "integrals", closed_form: "closed"}
+
+
+def test_the_unchanged_model_holds(simulated):
+    assert holds(simulated)
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda m: m.__name__)
+def test_every_changed_sign_is_noticed(simulated, monkeypatch, module):
+    source = inspect.getsource(module)
+    count = len(sign_changes(ast.parse(source)))
+    assert count >= {measurement_model: 5, rotation_integrals: 15, closed_form: 30}[module]  # the source was read
+    survivors = []
+    for target in range(count):
+        tree = ast.parse(source)
+        where, change = sign_changes(tree)[target]
+        change()
+        try:
+            unnoticed = holds(simulated, **{KEYWORD[module]: load(module, tree, monkeypatch)})
+        except (ArithmeticError, LookupError, TypeError, ValueError, np.linalg.LinAlgError):
+            continue  # it does not even run
+        if unnoticed:
+            survivors.append(where)
+    assert not survivors, f"sign changes of {module.__name__} at line:column that nothing notices: {survivors}"
+
+
+@pytest.mark.parametrize("table", ["GYRO_BASIS", "ACCEL_BASIS"])
+def test_every_changed_sign_of_a_parameter_s_place_is_noticed(simulated, monkeypatch, table):
+    """Which matrix entry a parameter fills, and half of it for an orthogonality error on both sides."""
+    original = getattr(measurement_model, table)
+    for place in np.argwhere(original):
+        altered = original.copy()
+        altered[tuple(place)] *= -1.0
+        monkeypatch.setattr(measurement_model, table, altered)
+        assert not table_1_holds(measurement_model, rotation_integrals, simulated("held"), 0.0), place
+
+
+def test_every_changed_sign_of_the_cross_product_is_noticed(simulated, monkeypatch):
+    for module in (measurement_model, rotation_integrals):
+        for i, j in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)):
+
+            def altered(v, i=i, j=j):
+                out = cross_matrix(v)
+                out[..., i, j] *= -1.0
+                return out
+
+            with monkeypatch.context() as patch:
+                patch.setattr(module, "cross_matrix", altered)
+                assert not holds(simulated), (module.__name__, i, j)
+
+
+def test_tolerances_tell_a_flipped_entry_of_the_jacobian(simulated):
+    """No nonzero entry is so small that its negative would pass."""
+    run = simulated("integrated")
+    for name, s in SEQUENCES.items():
+        for component in [a for a in AXES if a != s.down] + ["start", "end"]:
+            row = run.row(name, component)
+            tolerance = run.tolerance(name)
+            seen = np.abs(row) > tolerance
+            assert np.all(2.0 * np.abs(row[seen]) > 100.0 * tolerance[seen])
+            # What counts as seen is what the paper's equations have.
+            assert seen.sum() >= 1
+    assert np.abs(run.J[-3:, GROUP_SLICES["gyro_bias"]] - np.eye(3)).max() < 1e-9

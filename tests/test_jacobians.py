@@ -1,0 +1,285 @@
+"""Every Jacobian of the model against differences of what it linearises: z by the play-back, φ by the attitude,
+compensated values by the exact compensation; at no errors, at tiny and at large ones.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import G, component_rows
+
+import sims
+from srt import measurement_model as model
+from srt.attitude import integrate
+from srt.compensation import accel_triad, gyro_triad, outside_model
+from srt.options import Options
+from srt.playback import Player
+from srt.playback_data import prepare
+from srt.quaternion import cross_matrix
+from srt.recording import Site
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+
+EARTH = 7.292115e-5
+SAMPLE_RATE_HZ = 200.0
+RATE = 1.0
+WINDOW_S = 2.0
+PAUSE_S = 0.05
+
+SIZES = {
+    "none": np.zeros(N_PARAMETERS),
+    "tiny": np.full(N_PARAMETERS, 1e-6),
+    "large": np.zeros(N_PARAMETERS),
+}
+for group, size in {
+    "gyro_scale": 0.3,
+    "gyro_asymmetry": 0.01,
+    "gyro_orthogonality": 0.2,
+    "accel_bias": 1.0,
+    "accel_scale": 0.3,
+    "accel_asymmetry": 0.01,
+    "accel_misalignment": 0.2,
+    "gyro_bias": 0.01,
+}.items():
+    SIZES["large"][GROUP_SLICES[group]] = size
+
+STEPS = np.full(N_PARAMETERS, 1e-5)
+STEPS[GROUP_SLICES["accel_bias"]] = 1e-4
+STEPS[GROUP_SLICES["gyro_bias"]] = 1e-7
+
+
+def draw(size):
+    """Errors of a size with mixed signs; the large ones are legal, or the draw would prove nothing."""
+    rng = np.random.default_rng(12)
+    errors = SensorErrors(SIZES[size] * rng.uniform(0.5, 1.0, N_PARAMETERS) * rng.choice([-1.0, 1.0], N_PARAMETERS))
+    assert outside_model(errors) is None
+    return errors
+
+
+# A body turned well away from the table: no component of rate or specific force is near zero, where |·| has no slope.
+U = sims.rotation([0.4, -0.3, 0.5])
+
+
+@pytest.fixture(scope="module")
+def motions():
+    """Table 1 with and without the Earth's rate, pauses between rotations so that samples hold one rotation each."""
+
+    def make(earth_rate):
+        return sims.run_schedule(
+            sims.Schedule(
+                sims.table_sequences(tuple(sims.TABLE_1)),
+                sims.RateProfile(RATE, 10.0),
+                dwell_s=WINDOW_S,
+                leg_dwell_s=PAUSE_S,
+            ),
+            site=Site(G, latitude_rad=math.radians(50.0) if earth_rate else None),
+            sample_rate_hz=SAMPLE_RATE_HZ,
+            heading_rad=0.5,
+            U=U,
+            earth_rate=earth_rate,
+        )
+
+    return {flag: make(flag) for flag in (False, True)}
+
+
+def differences(player, errors, steps):
+    """−dz/d(estimate) by central differences: what H claims an error left in the estimate does."""
+    columns = []
+    for i, step in enumerate(steps):
+        d = step * np.eye(N_PARAMETERS)[i]
+        plus, minus = (player.play(errors.plus(sign * d), U=U).z for sign in (1.0, -1.0))
+        columns.append((minus - plus) / (2.0 * step))
+    return np.stack(columns, axis=1)
+
+
+def play_back(motion, errors, window_attitude):
+    recording = sims.read_out(motion, errors)
+    options = Options(window_attitude=window_attitude)
+    data = prepare(recording, recording.sequences, options)
+    integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")
+    return data, Player(data, options, integrated)
+
+
+def kink(errors):
+    """How far the mean slope of both sides of |ω| = 0 lies from either one's, in the compensation.
+
+    Without the Earth's rate the true rate at rest is exactly zero, and a difference in the gyro's bias straddles it.
+    """
+    inverses = gyro_triad(errors).inverses
+    return np.linalg.norm(inverses[:, None] - inverses[None], 2, axis=(2, 3)).max()
+
+
+def turning(data):
+    """Total angle of each sequence, and its duration with windows, per row of z."""
+    angle = np.array([np.abs(s.angles_rad).sum() for s in data.catalogue])
+    seconds = (data.rotation[:, 1] - data.rotation[:, 0]) / SAMPLE_RATE_HZ + 2 * WINDOW_S
+    return np.repeat(angle, 2), np.repeat(seconds, 2)
+
+
+@pytest.mark.parametrize("window_attitude", ["held", "integrated"])
+@pytest.mark.parametrize("size", SIZES)
+def test_playback_jacobian_without_earth_rate(motions, size, window_attitude):
+    errors = draw(size)
+    data, player = play_back(motions[False], errors, window_attitude)
+    found = player.play(errors, U=U).H
+    expected = differences(player, errors, STEPS)
+    angle, seconds = turning(data)
+    # Slope of the compensation, D = (M + diag(s sign))⁻¹; every derivative scales with it.
+    D = max(np.linalg.norm(triad(errors).inverses, 2, axis=(1, 2)).max() for triad in (gyro_triad, accel_triad))
+    # Ĉ of a sample is the mean of its ends: its integral is (ω dt)²/12 off, of each radian or second of turning; a bias
+    # also acts while Ĉ turns within the sample of a ramp. Central differences: step² times the cube of the angle.
+    sample = (RATE * D / SAMPLE_RATE_HZ) ** 2 / 12.0
+    relative = sample + (STEPS.max() * 2 * np.pi * D) ** 2
+    rows = np.zeros((len(found), N_PARAMETERS))
+    K = data.K
+    rows[: 2 * K] = G * D * angle[:, None]
+    rows[: 2 * K, GROUP_SLICES["gyro_bias"]] = G * D * seconds[:, None]
+    rows[: 2 * K, 9:24] = 2.0 * G * D
+    rows[2 * K : -3] = G * D
+    rows[-3:] = D
+    # z is known to rounding of its sums, some 1e-15 g.
+    tolerance = relative * rows + 1e-14 * G / STEPS
+    still = PAUSE_S * np.array([len(s.rotations) - 1 for s in data.catalogue])
+    still = still + (2 * WINDOW_S if window_attitude == "integrated" else 0.0)
+    tolerance[: 2 * K, GROUP_SLICES["gyro_bias"]] += G * kink(errors) * np.repeat(still, 2)[:, None]
+    tolerance[-3:, GROUP_SLICES["gyro_bias"]] += kink(errors)
+    worst = np.unravel_index(np.argmax(np.abs(found - expected) - tolerance), found.shape)
+    assert np.all(np.abs(found - expected) <= tolerance), (worst, NAMES[worst[1]])
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_playback_jacobian_with_earth_rate(motions, size):
+    """Neglected: the Earth's rate times an error of attitude or vertical. An error φ turns about ω_e for as long as
+    the sequence lasts, so that of every coefficient a share of ω_e · duration is not in H: parts in 1e3.
+    """
+    errors = draw(size)
+    data, player = play_back(motions[True], errors, "held")
+    found = player.play(errors, U=U).H
+    expected = differences(player, errors, STEPS)
+    angle, seconds = turning(data)
+    K = data.K
+    D = max(np.linalg.norm(triad(errors).inverses, 2, axis=(1, 2)).max() for triad in (gyro_triad, accel_triad))
+    neglected = EARTH * seconds[:, None] + (RATE * D / SAMPLE_RATE_HZ) ** 2 / 12.0
+    tolerance = np.zeros((2 * K, N_PARAMETERS))
+    tolerance[:] = neglected * G * D * angle[:, None]
+    tolerance[:, GROUP_SLICES["gyro_bias"]] = neglected * G * D * seconds[:, None]
+    # The measured vertical moves with the accelerometers' errors, and the Earth's rate with it: ω_e over the
+    # sequence, times g, per unit of tilt; H has none of it.
+    tolerance[:, 9:24] = (EARTH * seconds[:, None] + 1e-6) * 2.0 * G * D
+    tolerance[:, GROUP_SLICES["accel_bias"]] /= G
+    tolerance += 1e-14 * G / STEPS
+    assert np.all(np.abs(found - expected)[: 2 * K] <= tolerance)
+    # Parts in 1e3 indeed, so that a wrong sign could not hide.
+    assert (EARTH * seconds).max() < 3e-3
+
+    # Rest: exact for the gyro's own errors, which the Earth's rate excites; the vertical enters as above.
+    rest = np.full((3, N_PARAMETERS), EARTH * D)
+    rest[:, :9] = rest[:, -3:] = 0.0
+    rest[:, GROUP_SLICES["accel_bias"]] /= G
+    # Rate rows are sums of some 1e-5 rad/s, rounded at 1e-16 of the readings (0.01 rad/s of bias at most).
+    rounding = 1e-17 / STEPS + (STEPS.max() * D) ** 2 * D * np.where(np.arange(N_PARAMETERS) < 24, EARTH, 1.0)
+    # The attitude at the end, C_End, turns with the gyros' errors: ω_e times φ, as neglected above.
+    rest[:, :9] += EARTH * D * angle.max()
+    rest[:, -3:] += EARTH * D * seconds.max()
+    assert np.all(np.abs(found - expected)[-3:] <= rest + rounding)
+
+
+def test_rest_rows_with_the_vertical_alone_kept(motions):
+    """The pooled rest rate against the gyro's errors, the Earth's rate taken from the true attitudes: exact."""
+    errors = draw("large")
+    data, _ = play_back(motions[True], errors, "held")
+    mean = data.windows.gyro_mean
+    gyro = gyro_triad(errors)
+    found = model.rate_error_jacobian(gyro.compensate(mean), gyro)
+    for i, step in enumerate(np.where(np.arange(N_PARAMETERS) < 24, 1e-4, 1e-8)):
+        d = step * np.eye(N_PARAMETERS)[i]
+        plus, minus = (gyro_triad(errors.plus(sign * d)).compensate(mean) for sign in (1.0, -1.0))
+        # Rates of 1e-4 rad/s at most: step² times them and the cube of D, and rounding of 1e-2 rad/s readings.
+        atol = 10 * step**2 * 1e-4 + 1e-17 / step
+        np.testing.assert_allclose(found[:, :, i], (minus - plus) / (2 * step), rtol=0, atol=atol, err_msg=NAMES[i])
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("which", ["force", "rate"])
+def test_compensation_jacobians(size, which):
+    """Compensated value against the estimate: minus the derivative is what an error left in it does."""
+    errors = draw(size)
+    rng = np.random.default_rng(4)
+    true = rng.uniform(0.2, 1.0, (20, 3)) * rng.choice([-1.0, 1.0], (20, 3))
+    if which == "force":
+        true *= G
+        triad, jacobian = accel_triad, model.force_error_jacobian
+    else:
+        triad, jacobian = gyro_triad, model.rate_error_jacobian
+    reading = triad(errors).read(true)
+    found = jacobian(triad(errors).compensate(reading), triad(errors))
+    D = np.linalg.norm(triad(errors).inverses, 2, axis=(1, 2)).max()
+    scale = np.abs(true).max()
+    for i, step in enumerate(np.full(N_PARAMETERS, 1e-4)):
+        d = step * np.eye(N_PARAMETERS)[i]
+        plus, minus = (triad(errors.plus(sign * d)).compensate(reading) for sign in (1.0, -1.0))
+        # (I + x)⁻¹ = … − x³: step² D⁴ times the value; rounding of the value over the step.
+        atol = step**2 * D**4 * scale * 3 + 1e-14 * D * scale / step
+        np.testing.assert_allclose(found[:, :, i], (minus - plus) / (2 * step), rtol=0, atol=atol, err_msg=NAMES[i])
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_attitude_error_jacobian(motions, size):
+    """Ĉ at x̂ + δ is [I + (Jδ)×]⁻¹ Ĉ: over-compensation by δ is an attitude error of −Jδ."""
+    errors = draw(size)
+    data, player = play_back(motions[False], errors, "held")
+    gyro = gyro_triad(errors)
+    at, _ = integrate(player.stream, gyro, np.zeros((data.K, 3)))
+    J = model.attitude_error_jacobian(at)
+    D = np.linalg.norm(gyro.inverses, 2, axis=(1, 2)).max()
+    angle, seconds = (v[::2] for v in turning(data))
+    for i, name in enumerate(NAMES):
+        if name.startswith("accel"):
+            assert not J[:, :, i].any()
+            continue
+        d = STEPS[i] * np.eye(N_PARAMETERS)[i]
+        plus, minus = (
+            integrate(player.stream, gyro_triad(errors.plus(sign * d)), np.zeros((data.K, 3)))[0].C_end
+            for sign in (1.0, -1.0)
+        )
+        change = (minus - plus) / (2 * STEPS[i]) @ np.swapaxes(at.C_end, 1, 2)
+        share = (RATE * D / SAMPLE_RATE_HZ) ** 2 / 12.0 + (STEPS.max() * 2 * np.pi * D) ** 2
+        size_of = D * (seconds if name.startswith("gyro_bias") else angle)
+        tolerance = share * size_of + 1e-14 / STEPS[i]
+        if name.startswith("gyro_bias"):
+            tolerance += kink(errors) * PAUSE_S * np.array([len(s.rotations) - 1 for s in data.catalogue])
+        # (φ×) of the derivative, and no symmetric part.
+        assert np.all(np.abs(change - cross_matrix(J[:, :, i])).max(axis=(1, 2)) <= tolerance), name
+
+
+def test_down_jacobian_off_axis():
+    """a_Down = g − |f| for a force in any direction."""
+    errors = draw("large")
+    accel = accel_triad(errors)
+    rng = np.random.default_rng(8)
+    direction = rng.uniform(0.3, 1.0, (12, 3)) * rng.choice([-1.0, 1.0], (12, 3))
+    true = G * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    reading = accel.read(true)
+    found = model.down_jacobian(accel.compensate(reading), accel)
+    D = np.linalg.norm(accel.inverses, 2, axis=(1, 2)).max()
+    for i in range(N_PARAMETERS):
+        d = 1e-4 * np.eye(N_PARAMETERS)[i]
+        plus, minus = (
+            -np.linalg.norm(accel_triad(errors.plus(sign * d)).compensate(reading), axis=1) for sign in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(found[:, i], (minus - plus) / 2e-4, rtol=0, atol=10 * 1e-8 * D**4 * G)
+
+
+def test_predicted_and_measured_change_of_tiny_errors(motions):
+    """z(x̂) = H (truth − x̂) to second order, the statement that all estimators rest on."""
+    truth = draw("tiny")
+    data, player = play_back(motions[False], truth, "held")
+    playback = player.play(SensorErrors(), U=U)
+    perfect = play_back(motions[False], SensorErrors(), "held")[1].play(SensorErrors(), U=U)
+    predicted = playback.H @ truth.vector
+    # Second order: (2·3π · 1e-6)² g; first order: the sample's share (1/200)²/12 of 6π · 1e-6 g.
+    tolerance = G * ((6 * np.pi * 1e-6) ** 2 + 6 * np.pi * 1e-6 * (RATE / SAMPLE_RATE_HZ) ** 2 / 12 * 3)
+    assert np.abs(playback.z - perfect.z - predicted).max() <= tolerance
+    assert np.abs(predicted[: 2 * data.K]).max() > 1000 * tolerance
+    assert len(component_rows(data)) == 68
