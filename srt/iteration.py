@@ -117,13 +117,14 @@ class Iteration:
         if resume is not None:
             self.integrated, self.offset = resume.playback.integrated, resume.bias_by_sequence
             self.instability = resume.instability
+        self.first = start if resume is None else resume.errors
         self.resumed = resume is not None
         self.before = () if resume is None else resume.corrections
         self.player = Player(data, options, self.integrated)
 
     def run(self, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
         """Play back until the correction is negligible."""
-        errors = self.start
+        errors = self.first
         corrections: list[float] = []
         sigma = np.zeros(N_PARAMETERS)
         weights: Array | None = None
@@ -324,7 +325,7 @@ def iterate(
     options : Options
     solver : Solver
     errors : SensorErrors
-        First estimate.
+        First estimate, and the values of held parameters.
     U : ndarray, shape (3, 3)
         T to MARS components.
     progress : callable, optional
@@ -332,6 +333,6 @@ def iterate(
     excess : (float, float)
         Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
     resume : Solution, optional
-        Go on from where this solution on the same data ended (its windows, biases and nearness).
+        Go on from where this solution on the same data ended (its errors, windows, biases and nearness).
     """
     return Iteration(data, options, solver, errors, excess, resume).run(U, progress)

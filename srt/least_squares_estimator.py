@@ -160,7 +160,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             break
         excess = new
         solver = LeastSquaresSolver(options.held_names)
-        solution = iterate(data, options, solver, solution.errors, solution.U, progress, excess=excess, resume=solution)
+        solution = iterate(data, options, solver, start, solution.U, progress, excess=excess, resume=solution)
     if any(excess):
         warnings = (
             f"Residuals are larger than the sensors' noise explains: {np.degrees(excess[0]):.2g}° per turn and "

@@ -125,6 +125,9 @@ class Player:
             for w in {int(data.start[k]), int(data.end[k])}:
                 self._share[k, w] = duration[w]
         self._share /= self._share.sum(axis=1, keepdims=True)
+        # For free turns, the axis of B that a horizontal direction is built from: one choice for all play-backs, as the
+        # weights of the measurements go with it.
+        self._least_vertical = np.argmin(np.abs(data.windows.accel_mean[data.start]), axis=1)
         # The two axes of T that are horizontal at the start of each labelled sequence.
         self._horizontal = np.array(
             [[i for i in range(3) if i != AXES.index(s.down)] for s in data.catalogue if s is not None]
@@ -237,7 +240,7 @@ class Player:
         if data.nominal is not None:
             axes = U.T[self._horizontal]
         else:
-            first = cross_matrix(down)[np.arange(data.K), :, np.argmin(np.abs(down), axis=1)]
+            first = cross_matrix(down)[np.arange(data.K), :, self._least_vertical]
             first /= np.linalg.norm(first, axis=1, keepdims=True)
             axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
         out: Array = axes @ model.horizontal_projector(down)

@@ -8,7 +8,6 @@ import sys
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -115,9 +114,7 @@ def simulated():
             return data, Player(data, options, integrated).play(SensorErrors()).z
 
         data, z = measure(np.zeros(N_PARAMETERS))
-        columns: list[Any] = []
-        for step in np.diag(STEPS):
-            columns.append((measure(step)[1] - measure(-step)[1]) / (2.0 * step.max()))
+        columns = [(measure(step)[1] - measure(-step)[1]) / (2.0 * step.max()) for step in np.diag(STEPS)]
         return Simulated(data, z, np.stack(columns, axis=1), component_rows(data))
 
     return make

@@ -168,10 +168,18 @@ def gyro_in_degrees(r: Spoiled) -> None:
 
 
 def accel_in_counts(r: Spoiled) -> None:
+    r.samples(lambda v: v.__setitem__((slice(None), ACCEL), np.rint(v[:, ACCEL] * 83886.08 / 9.80665)))
+
+
+def accel_in_counts_of_16_bits(r: Spoiled) -> None:
     r.samples(lambda v: v.__setitem__((slice(None), ACCEL), np.rint(v[:, ACCEL] * 8192 / 9.80665)))
 
 
 def gyro_in_counts(r: Spoiled) -> None:
+    r.samples(lambda v: v.__setitem__((slice(None), GYRO), np.rint(v[:, GYRO] * 1e5)))
+
+
+def gyro_in_counts_of_16_bits(r: Spoiled) -> None:
     r.samples(lambda v: v.__setitem__((slice(None), GYRO), np.rint(np.degrees(v[:, GYRO]) * 65.5)))
 
 
@@ -243,7 +251,9 @@ CASES = [
     (accel_in_g, 1, ["accelerometers", "look like g, declared as m/s²", "accel_unit"]),
     (gyro_in_degrees, 1, ["gyros", "degrees, declared as radians", "gyro_unit"]),
     (accel_in_counts, 1, ["accelerometers", "counts", "accel_unit"]),
+    (accel_in_counts_of_16_bits, 1, ["accelerometers", "9.807 is expected", "accel_unit"]),
     (gyro_in_counts, 1, ["gyro", "counts", "gyro_unit"]),
+    (gyro_in_counts_of_16_bits, 1, ["gyros", "360° is stated", "gyro_unit"]),
     (lambda r: r.replace("latitude_deg = 45.0", "latitude_deg = 95.0"), 2, ["latitude", "95", "90"]),
     (lambda r: r.replace("9.80665", "980.665"), 2, ["980.665", "m/s²"]),
     (no_gravity, 2, ["gravity_m_s2", "height_m"]),
@@ -270,7 +280,7 @@ def one_sentence(text: str) -> str:
     assert text.count("\n") == 1
     assert text.endswith("\n")
     sentence = text.removeprefix("srt: ").rstrip("\n")
-    assert sentence.endswith((".", "?", "…"))
+    assert sentence.endswith((".", "?"))
     # A full stop inside would be followed by a capital; figures and file names are not.
     assert not re.search(r"[.?!] [A-Z]", sentence), sentence
     return sentence

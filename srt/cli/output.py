@@ -45,7 +45,8 @@ def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:
         raise InputError(f"{what} cannot be written as {path}: name a file that ends in {' or '.join(suffixes)}.")
     if path.is_dir():
         raise InputError(f"{what} cannot be written as {path}: it is a folder; name a file.")
-    _check_folder(path.parent, path)
+    # A link is written through, so its target decides.
+    _check_folder(path.resolve().parent, path)
 
 
 def check_directory(path: Path) -> None:

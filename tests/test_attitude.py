@@ -1,0 +1,524 @@
+"""Quaternions against scipy's rotations; integration against motions whose attitude is known in closed form."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from conftest import G
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import sims
+from srt import attitude, quaternion
+from srt.attitude import gyro_stream, integrate
+from srt.catalogue import SEQUENCES
+from srt.compensation import Triad, gyro_triad
+from srt.options import Options
+from srt.playback_data import prepare
+from srt.recording import Site
+from srt.rotation_integrals import ideal_rotations
+from srt.sensor_errors import SensorErrors
+
+EPS = np.finfo(float).eps
+PERFECT = Triad(np.eye(3), np.zeros(3), np.zeros(3))
+TAYLOR_SWITCH = math.sqrt(0.05)  # rad, where the series hands over to sine and cosine
+
+
+def matrices(q):
+    """(n, 3, 3) from the package's (2, n)."""
+    return np.moveaxis(quaternion.to_matrix(q), 2, 0)
+
+
+def random_vectors(rng, n, size):
+    return rng.normal(size=(3, n)) * size
+
+
+# --- quaternions ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1, 1.0, math.pi, 6.0, 20.0])
+def test_rotation_vectors_of_any_size(size):
+    rng = np.random.default_rng(1)
+    direction = random_vectors(rng, 50, 1.0)
+    phi = size * direction / np.linalg.norm(direction, axis=0)
+    found = matrices(quaternion.from_rotation_vector(phi))
+    # Rounding of the angle itself, some eps of it, and of the products.
+    np.testing.assert_allclose(found, Rotation.from_rotvec(phi.T).as_matrix(), rtol=0, atol=(8 + 2 * size) * EPS)
+    np.testing.assert_allclose(quaternion.rotation_matrix(phi.T), found, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("side", [1 - 1e-12, 1 + 1e-12])
+def test_both_sides_of_the_switch_of_the_series(side):
+    """Just below it is Taylor's series, just above sine and cosine: both to the last digits."""
+    phi = np.array([[0.6], [-0.48], [0.64]]) * TAYLOR_SWITCH * side
+    q = quaternion.from_rotation_vector(phi)
+    half = 0.5 * TAYLOR_SWITCH * side
+    expected = np.array([math.cos(half), *(math.sin(half) * np.array([0.6, -0.48, 0.64]))])
+    found = np.array([q[0, 0].real, -q[1, 0].imag, -q[1, 0].real, -q[0, 0].imag])
+    np.testing.assert_allclose(found, expected, rtol=4 * EPS)
+    # The switch looks at the largest of all: a small one beside it takes the other branch, and must not notice.
+    both = np.concatenate([phi, 0.01 * phi, 10 * phi], axis=1)
+    alone = quaternion.from_rotation_vector(0.01 * phi)
+    np.testing.assert_allclose(quaternion.from_rotation_vector(both)[:, 1:2], alone, rtol=4 * EPS)
+
+
+@pytest.mark.parametrize("n", [*range(1, 18), 31, 32, 33, 1000, 1001])
+@pytest.mark.parametrize("size", [1e-4, 1.0])
+def test_prefix_products_of_chains(n, size):
+    """Odd, even and shortest lengths, against multiplying one by one."""
+    phi = random_vectors(np.random.default_rng(n), n, size)
+    found = matrices(quaternion.prefix_product(quaternion.from_rotation_vector(phi)))
+    total = Rotation.identity()
+    for i, vector in enumerate(phi.T):
+        total = total * Rotation.from_rotvec(vector)
+        # scipy's own chain drifts by an eps or so in every product.
+        np.testing.assert_allclose(found[i], total.as_matrix(), rtol=0, atol=(8 + 2 * i) * EPS)
+
+
+@given(st.integers(1, 40), st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_quaternion_algebra(n, seed):
+    rng = np.random.default_rng(seed)
+    p, q = (quaternion.from_rotation_vector(random_vectors(rng, n, 2.0)) for _ in range(2))
+    np.testing.assert_allclose(matrices(quaternion.multiply(p, q)), matrices(p) @ matrices(q), atol=16 * EPS)
+    np.testing.assert_allclose(matrices(quaternion.conjugate(p)), np.swapaxes(matrices(p), 1, 2), atol=4 * EPS)
+    unit = quaternion.multiply(p, quaternion.conjugate(p))
+    np.testing.assert_allclose(unit, np.array([[1.0], [0.0]]) * np.ones(n), atol=4 * EPS)
+    # Normalised whatever the norm of the quaternion.
+    np.testing.assert_allclose(matrices(1.5 * p), matrices(p), atol=8 * EPS)
+    v, w = rng.normal(size=(2, n, 3))
+    crossed = np.einsum("nab,nb->na", quaternion.cross_matrix(v), w)
+    np.testing.assert_allclose(crossed, np.cross(v, w), atol=8 * EPS * 25)
+
+
+# --- integration of motions known in closed form --------------------------------------------------------------------
+
+
+def one_stream(increments, dt, **more):
+    """Increments of shape (n, 3) as one sequence."""
+    n = len(increments)
+    whole = np.array([[0, n]])
+    return gyro_stream(np.asarray(increments), dt, whole, whole, rates=False, **more)
+
+
+@pytest.mark.parametrize("angle_per_sample", [1e-6, 0.01, 0.2, 0.3, 1.0, 3.0])
+def test_constant_body_rate_is_exact_for_any_angle_per_sample(angle_per_sample):
+    u = np.array([0.36, -0.48, 0.8])
+    n = 500
+    found, _ = integrate(one_stream(np.tile(u * angle_per_sample, (n, 1)), 0.02), PERFECT, np.zeros((1, 3)))
+    expected = Rotation.from_rotvec(u * angle_per_sample * n).as_matrix()
+    # The sum of n angles is known to n/2 of their rounding errors, in ours and in the reference.
+    np.testing.assert_allclose(found.C_end[0], expected, rtol=0, atol=(16 + n * angle_per_sample) * EPS)
+    np.testing.assert_allclose(found.turned[0], u * angle_per_sample * n, rtol=n * EPS)
+
+
+def increments_of(rate, dt, n):
+    """Integrals over n intervals of a rate given as a function of time, by 8-point Gauss quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    t = (np.arange(n)[:, None] + 0.5 * (nodes + 1.0)) * dt
+    return 0.5 * dt * np.einsum("nqa,q->na", rate(t), weights)
+
+
+def one_by_one(increments):
+    """Attitude after rotations by the bare increments, without any coning term."""
+    C = Rotation.identity()
+    for step in Rotation.from_rotvec(increments):
+        C = C * step
+    return C.as_matrix()
+
+
+def test_earth_rate_in_a_turning_body_at_50_hz():
+    """The coning that the Earth's rate makes in a turning body: 1.5e-8 rad without its term, below 1e-11 with it.
+
+    One turn about y in 8 s that starts and ends gently: β(t) = 2π (τ − sin(2πτ)/2π), τ = t/T. The body then stands
+    as it did, so that its attitude on the Earth is known.
+    """
+    earth = 7.292115e-5 * np.array([math.cos(0.8), 0.0, -math.sin(0.8)])
+    duration, dt = 8.0, 0.02
+    n = round(duration / dt)
+
+    def rate(t):
+        τ = t / duration
+        β, β_dot = 2 * np.pi * τ - np.sin(2 * np.pi * τ), 2 * np.pi / duration * (1 - np.cos(2 * np.pi * τ))
+        x = np.cos(β) * earth[0] - np.sin(β) * earth[2]  # R_y(β)ᵀ ω_e
+        z = np.sin(β) * earth[0] + np.cos(β) * earth[2]
+        return np.stack([x, β_dot, z], axis=-1)
+
+    increments = increments_of(rate, dt, n)
+    found, _ = integrate(one_stream(increments, dt), PERFECT, earth[None])
+    assert np.abs(found.C_end[0] - np.eye(3)).max() < 1e-11
+    earth_back = Rotation.from_rotvec(-earth * duration).as_matrix()
+    without = np.abs(earth_back @ one_by_one(increments) - np.eye(3)).max()
+    # Per radian turned (β̇ dt)²/12 · ω_e/β̇: at the mean rate of 0.8 rad/s over 2π it is 1.2e-8 rad.
+    assert 0.5e-8 < without < 3e-8
+    np.testing.assert_allclose(found.turned[0], [0.0, 2 * math.pi, 0.0], rtol=0, atol=1e-12)
+
+
+def coning_rate(amplitude, frequency, duration):
+    """Rate of a body whose rotation vector runs around a cone that opens and closes: a(t) [cos Wt, sin Wt, 0]."""
+
+    def rate(t):
+        a = amplitude * np.sin(np.pi * t / duration) ** 2
+        a_dot = amplitude * np.pi / duration * np.sin(2 * np.pi * t / duration)
+        u = np.stack([np.cos(frequency * t), np.sin(frequency * t), 0 * t], axis=-1)
+        u_dot = frequency * np.stack([-u[..., 1], u[..., 0], 0 * t], axis=-1)
+        phi, phi_dot = a[..., None] * u, a_dot[..., None] * u + a[..., None] * u_dot
+        # ω = φ̇ − (1 − cos φ)/φ² φ×φ̇ + (φ − sin φ)/φ³ φ×(φ×φ̇); with |φ| = a its series avoids 0/0.
+        a2 = (a**2)[..., None]
+        first = np.cross(phi, phi_dot)
+        one = 1 / 2 - a2 * (1 / 24 - a2 * (1 / 720 - a2 / 40320))
+        two = 1 / 6 - a2 * (1 / 120 - a2 * (1 / 5040 - a2 / 362880))
+        return phi_dot - one * first + two * np.cross(phi, first)
+
+    return rate
+
+
+def test_classical_coning_converges_with_the_fourth_power_of_the_interval():
+    """Each interval is wrong by its fifth power, so that half the interval leaves a sixteenth of the drift."""
+    amplitude, frequency, duration = 0.2, 2 * math.pi, 4.0
+    rate = coning_rate(amplitude, frequency, duration)
+    errors, bare = [], []
+    counts = (200, 400, 800, 1600)
+    for n in counts:
+        increments = increments_of(rate, duration / n, n)
+        found, _ = integrate(one_stream(increments, duration / n), PERFECT, np.zeros((1, 3)))
+        errors.append(np.abs(found.C_end[0] - np.eye(3)).max())
+        bare.append(np.abs(one_by_one(increments) - np.eye(3)).max())
+    for (coarse, fine), n in zip(pairwise(errors), counts, strict=False):
+        # Next in size: a relative (W dt)², and the limiter, which acts in up to two samples at each of the 16
+        # extrema that two components have in four periods.
+        assert coarse / fine == pytest.approx(16.0, rel=(frequency * duration / n) ** 2 + 32 / n)
+    for coarse, fine in pairwise(bare):
+        assert coarse / fine == pytest.approx(4.0, rel=0.01)  # without the term it is the second power
+    # W a²/2 · (W dt)²/6 of drift without the term. A sin² envelope has a mean a² of 3/8 of the peak's, two thirds of it
+    # at W and a sixth each at W (1 ± 1/4), and the drift goes with the cube; sin a is not a: a² of it.
+    drift = duration * frequency * 0.375 * amplitude**2 / 2 * (frequency * duration / counts[0]) ** 2 / 6
+    drift *= 2 / 3 + (1.25**3 + 0.75**3) / 6
+    assert bare[0] == pytest.approx(drift, rel=amplitude**2)
+    assert errors[0] < (frequency * duration / counts[0]) ** 2 * bare[0]
+
+
+# --- streams --------------------------------------------------------------------------------------------------------
+
+
+def random_recording(n, seed=0, size=0.02):
+    """Smoothly varying increments that never commute."""
+    rng = np.random.default_rng(seed)
+    walk = np.cumsum(rng.normal(size=(n, 3)), axis=0)
+    return size * np.sin(walk / 20.0 + [0.0, 1.0, 2.0])
+
+
+def test_a_stream_gathers_its_spans():
+    gyro = random_recording(30)
+    spans, rotation = np.array([[5, 15], [20, 25]]), np.array([[7, 12], [20, 25]])
+    stream = gyro_stream(gyro, 0.01, spans, rotation, rates=False)
+    np.testing.assert_array_equal(stream.increments, np.concatenate([gyro[5:15], gyro[20:25]]).T)
+    np.testing.assert_array_equal(stream.starts, [0, 10, 15])
+    np.testing.assert_array_equal(stream.rotation, [[2, 7], [10, 15]])
+    np.testing.assert_array_equal(stream.interval_s, 0.01)
+    # Intervals of their own, and a stream shorter than the smoothing.
+    interval = np.linspace(0.01, 0.02, 30)
+    stream = gyro_stream(gyro, interval, spans, rotation, rates=True)
+    inside = np.r_[5:15, 20:25]
+    np.testing.assert_array_equal(stream.interval_s, interval[inside])
+    np.testing.assert_array_equal(stream.increments, gyro[inside].T * interval[inside])
+    assert stream.smooth.shape == (3, 15)
+
+
+def test_samples_beside_a_span_do_not_matter():
+    """Beyond its edges may lie a gap, or another sequence: no coning term reaches across."""
+    gyro = random_recording(40)
+    spans = np.array([[5, 15], [15, 22], [30, 31], [32, 34]])
+    earth = np.zeros((4, 3))
+    found, _ = integrate(gyro_stream(gyro, 0.01, spans, spans, rates=False), PERFECT, earth)
+    other = 10.0 * np.random.default_rng(3).normal(size=gyro.shape)
+    for k, (a, b) in enumerate(spans.tolist()):
+        mixed = other.copy()
+        mixed[a:b] = gyro[a:b]
+        alone, _ = integrate(gyro_stream(mixed, 0.01, spans, spans, rates=False), PERFECT, earth)
+        np.testing.assert_allclose(alone.C_end[k], found.C_end[k], rtol=0, atol=32 * EPS)
+    single = Rotation.from_rotvec(gyro[30]).as_matrix()
+    np.testing.assert_allclose(found.C_end[2], single, rtol=0, atol=32 * EPS)
+    pair = (Rotation.from_rotvec(gyro[32]) * Rotation.from_rotvec(gyro[33])).as_matrix()
+    np.testing.assert_allclose(found.C_end[3], pair, rtol=0, atol=32 * EPS)
+
+
+def legs(*ramps):
+    """Increments of one leg after the other, each about its own axis, without a pause."""
+    parts = []
+    for axis, sizes in ramps:
+        part = np.zeros((len(sizes), 3))
+        part[:, axis] = sizes
+        parts.append(part)
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize(
+    "profile",
+    [
+        np.full(50, 0.02),  # from full rate to full rate
+        0.02 * np.sin(np.linspace(0.02, np.pi - 0.02, 50)),
+        0.004 * (25.0 - np.abs(np.arange(50) - 24.5)),  # ramps that end and begin at the edge of a sample
+    ],
+    ids=["steps", "sines", "ramps"],
+)
+def test_a_kink_between_legs_invents_no_coning(profile):
+    """About one axis at a time the attitude is the product of the legs, exactly, however abruptly they change."""
+    increments = legs((0, profile), (1, profile), (2, -profile), (1, 2 * profile))
+    found, _ = integrate(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)))
+    total = profile.sum()
+    expected = (
+        Rotation.from_rotvec([total, 0, 0])
+        * Rotation.from_rotvec([0, total, 0])
+        * Rotation.from_rotvec([0, 0, -total])
+        * Rotation.from_rotvec([0, 2 * total, 0])
+    ).as_matrix()
+    np.testing.assert_allclose(found.C_end[0], expected, rtol=0, atol=(16 + 4 * len(increments)) * EPS)
+
+
+def test_a_rate_that_changes_linearly_gets_its_whole_coning_term():
+    """φ = Δθ_i + Δθ_i × (Δθ_{i+1} − Δθ_{i−1}) / 24 inside; the first and the last sample have no change."""
+    increments = 0.01 * np.array([1.0, -0.6, 0.8]) + np.outer(np.arange(20.0), [1e-4, 2e-4, -3e-4])
+    found, _ = integrate(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)))
+    change = np.zeros_like(increments)
+    change[1:-1] = (increments[2:] - increments[:-2]) / 2.0
+    expected = one_by_one(increments + np.cross(increments, change) / 12.0)
+    np.testing.assert_allclose(found.C_end[0], expected, rtol=0, atol=64 * EPS)
+
+
+def test_rates_and_increments_are_the_same_stream():
+    rates = random_recording(50, size=1.0)
+    spans = np.array([[3, 20], [25, 45]])
+    for interval in (0.004, np.full(50, 0.004)):
+        a = gyro_stream(rates, interval, spans, spans, rates=True)
+        b = gyro_stream(rates * 0.004, interval, spans, spans, rates=False)
+        for name in ("increments", "smooth", "interval_s"):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=4 * EPS, err_msg=name)
+
+
+ERRORS = gyro_triad(
+    SensorErrors.from_dict(
+        {
+            "gyro_scale_x": 0.02,
+            "gyro_orthogonality_yz": 0.03,
+            "gyro_asymmetry_y": 0.01,
+            "gyro_asymmetry_z": -0.02,
+            "gyro_bias_x": 0.001,
+        }
+    )
+)
+FIELDS = ("C_end", "rate", "abs_rate", "time", "weight_s", "turned", "noise")
+
+
+def assert_same(a, b, n):
+    """Same sums in another order: rounding of n terms of an integral of size up to n · 0.02."""
+    for name in FIELDS:
+        atol = 4 * EPS * max(n, 64)
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-12, atol=atol, err_msg=name)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_blocks_leave_no_trace(monkeypatch, weighted):
+    """A stream of more than two blocks, as one, in blocks of other sizes, and piece by piece."""
+    n = 2 * attitude.BLOCK + 1000
+    gyro = random_recording(n + 2)
+    # Sequences that start on a border of blocks, just beside one, end on one, and reach over two.
+    B = attitude.BLOCK
+    edges = np.array([0, 700, B - 1, B, B + 1, 2 * B, 2 * B, n])
+    spans = np.stack([edges[:-1], edges[1:]], axis=1) + 1
+    spans = spans[spans[:, 1] > spans[:, 0]]
+    spans = np.concatenate([spans, [[1, n + 1]]])  # and one over all of them
+    total = int((spans[:, 1] - spans[:, 0]).sum())
+    F = np.random.default_rng(1).uniform(size=total) if weighted else None
+    earth = 7e-5 * np.random.default_rng(2).normal(size=(len(spans), 3))
+    stream = gyro_stream(gyro, 0.01, spans, spans, rates=False, F=F)
+    found, kept = integrate(stream, ERRORS, earth, with_noise=True)
+    assert kept.shape == ((3, 3, total) if weighted else (3, 3, 0))
+    for block in (997, 1 << 20):
+        monkeypatch.setattr(attitude, "BLOCK", block)
+        other, other_kept = integrate(stream, ERRORS, earth, with_noise=True)
+        assert_same(other, found, n)
+        np.testing.assert_allclose(other_kept, kept, rtol=0, atol=64 * EPS)
+    monkeypatch.setattr(attitude, "BLOCK", B)
+    at = 0
+    for k, span in enumerate(spans):
+        length = int(span[1] - span[0])
+        weights = None if F is None else F[at : at + length]
+        at += length
+        alone = gyro_stream(gyro, 0.01, span[None], span[None], rates=False, F=weights)
+        single, _ = integrate(alone, ERRORS, earth[k : k + 1], with_noise=True)
+        for name in FIELDS:
+            np.testing.assert_allclose(
+                getattr(single, name)[0], getattr(found, name)[k], rtol=1e-12, atol=4 * EPS * n, err_msg=name
+            )
+
+
+def test_long_chain_against_one_by_one_multiplication():
+    """About a fixed axis no coning enters: only the chain over the block's border is left."""
+    n = attitude.BLOCK + 77
+    sizes = 0.05 * np.sin(np.arange(n) / 50.0)
+    axis = np.array([0.6, -0.48, 0.64])
+    found, _ = integrate(one_stream(sizes[:, None] * axis, 0.01), PERFECT, np.zeros((1, 3)))
+    expected = Rotation.from_rotvec(sizes.sum() * axis).as_matrix()
+    # Rounding errors of n samples' angles add up like a random walk; each is below eps.
+    np.testing.assert_allclose(found.C_end[0], expected, rtol=0, atol=6 * math.sqrt(n) * EPS)
+
+
+def test_bias_offset_is_taken_off_the_compensated_rate():
+    increments = random_recording(200)
+    offset = np.array([[1e-3, -2e-3, 3e-3]])
+    shifted, _ = integrate(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)), bias_offset=offset)
+    direct, _ = integrate(one_stream(increments - 0.01 * offset, 0.01), PERFECT, np.zeros((1, 3)))
+    np.testing.assert_allclose(shifted.C_end, direct.C_end, rtol=0, atol=64 * EPS)
+    np.testing.assert_allclose(shifted.rate, direct.rate, rtol=0, atol=64 * EPS)
+
+
+def test_sign_of_a_resting_noisy_channel_is_that_of_its_smoothed_rate():
+    """Otherwise |ω| rectifies the noise: mean |noise| · asymmetry is a false rate."""
+    rng = np.random.default_rng(3)
+    n, dt, sigma = 4000, 0.01, 2e-3  # rad/s per sample
+    asymmetry = 0.01
+    triad = Triad(np.eye(3), np.full(3, asymmetry), np.zeros(3))
+    drift = np.array([0.3e-3, -0.3e-3, 0.0])  # what the channels really turn at, far below the noise of a sample
+    rates = triad.read(drift) + sigma * rng.normal(size=(n, 3))
+    whole = np.array([[0, n]])
+    stream = gyro_stream(rates, dt, whole, whole, rates=True)
+    white = np.full(3, sigma * math.sqrt(dt))
+    without, _ = integrate(stream, triad, np.zeros((1, 3)))
+    smoothed, _ = integrate(stream, triad, np.zeros((1, 3)), noise_rad_sqrt_s=white)
+    mean = rates.mean(axis=0)
+    # Rectified: asymmetry · σ √(2/π) off the true mean, less the |ω| that is really there.
+    rectified = asymmetry * sigma * math.sqrt(2 / math.pi)
+    bias_without = mean - without.turned[0] / (n * dt)
+    bias_smoothed = mean - smoothed.turned[0] / (n * dt)
+    # Smoothed over 20 samples, the noise that decides the signs is √20 smaller, and mostly cancels.
+    assert np.all(bias_without > 0.8 * rectified)
+    assert np.all(np.abs(bias_smoothed) < 0.5 * rectified)
+
+
+# --- weights of windows, eq. 21 --------------------------------------------------------------------------------------
+
+WINDOW_S = 4.0
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    """Table 1 without the Earth's rate, at several sample rates; a pause after every leg."""
+
+    def make(rate_hz):
+        motion = sims.run_schedule(
+            sims.Schedule(
+                sims.table_sequences(tuple(sims.TABLE_1)),
+                sims.RateProfile(1.0, 10.0),
+                dwell_s=WINDOW_S,
+                leg_dwell_s=0.1,
+            ),
+            site=Site(G),
+            sample_rate_hz=rate_hz,
+            earth_rate=False,
+        )
+        return sims.read_out(motion, SensorErrors())
+
+    return make
+
+
+@pytest.mark.parametrize("average", ["linear", "overlapping"])
+def test_window_weights_reproduce_eq_21(recordings, average):
+    """Integrated windows add T [I + F (C_End − I)] with F = 1/2 to ∫ F Ĉ dt, and 2T/3 to the variance."""
+    recording = recordings(100.0)
+    data = prepare(recording, recording.sequences, Options(average=average))
+    still = np.zeros(len(data.windows.duration_s), dtype=bool)
+    integrals = {}
+    for name, flags in (("held", still), ("integrated", ~still)):
+        stream, _, _ = data.stream(flags)
+        integrals[name], _ = integrate(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
+    held, integrated = integrals["held"], integrals["integrated"]
+    C = held.C_end
+    expected = WINDOW_S * (np.eye(3) + 0.5 * (C - np.eye(3)))
+    rounding = 4 * EPS * 400 * WINDOW_S
+    np.testing.assert_allclose(integrated.time - held.time, expected, rtol=0, atol=rounding)
+    np.testing.assert_allclose(integrated.weight_s - held.weight_s, WINDOW_S, rtol=0, atol=64 * rounding)
+    np.testing.assert_allclose(integrated.C_end, C, rtol=0, atol=64 * EPS)
+    # At rest nothing but the bias acts.
+    np.testing.assert_allclose(integrated.rate, held.rate, rtol=0, atol=64 * rounding)
+    # Sum over channels: ∫ F² dt, the same for every component. Of a ramp sampled n times it is T/3 (1 − 1/4n²).
+    n = round(WINDOW_S * 100)
+    variance = np.einsum("kaab->ka", integrated.noise)
+    rotation_s = (data.rotation[:, 1] - data.rotation[:, 0]) / 100.0
+    # A triangular weighting has an S-shaped F, whose squared integral is 23/60 T in the limit.
+    share = {"linear": (1.0 - 0.25 / n**2) / 3.0, "overlapping": 23.0 / 60.0}[average]
+    both = 2.0 * WINDOW_S * share
+    # Ĉ of a sample is the mean of both ends: its square falls short by (ω dt)²/4 at most while turning.
+    tolerance = rotation_s[:, None] * 0.01**2 / 4 + (1e-9 if average == "linear" else 2 * WINDOW_S / n)
+    assert np.all(np.abs(variance - (rotation_s[:, None] + both)) <= tolerance)
+
+
+def test_recorded_integrals_are_the_ideal_ones(recordings):
+    """Angles are exact; times differ by ramps and pauses, over which Ĉ is known."""
+    recording = recordings(200.0)
+    data = prepare(recording, recording.sequences, Options())
+    stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
+    found, _ = integrate(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
+    ideal = ideal_rotations(list(SEQUENCES.values()))
+    angle = np.array([np.abs(s.angles_rad).sum() for s in SEQUENCES.values()])
+    # (ω dt)²/12 of the angle for the mean of both ends; rounding for what does not depend on it.
+    share = (1.0 / 200.0) ** 2 / 12.0 * angle
+    np.testing.assert_allclose(found.C_end, ideal.C_end, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.turned, ideal.turned, rtol=0, atol=1e-12)
+    for name in ("rate", "abs_rate"):
+        difference = np.abs(getattr(found, name) - getattr(ideal, name)).reshape(data.K, -1).max(axis=1)
+        assert np.all(difference <= share + 1e-12), name
+    # Ramps of 0.1 s and pauses of 0.1 s after each leg, and the last sample's rest.
+    legs = np.array([len(s.rotations) for s in SEQUENCES.values()])
+    longer = legs * 0.1 + (legs - 1) * 0.1 + 1 / 200.0
+    np.testing.assert_allclose(found.weight_s, ideal.weight_s + longer - 1 / 400.0, rtol=0, atol=1 / 400.0 + 1e-9)
+    for name in ("time", "noise"):
+        difference = np.abs(getattr(found, name) - getattr(ideal, name)).reshape(data.K, -1).max(axis=1)
+        assert np.all(difference <= longer + share), name
+
+
+def test_sample_rate_does_not_matter(recordings):
+    """50 Hz to 1 kHz: the same attitude and the same integrals, to what a ramp's corner inside a sample allows.
+
+    Without the Earth's rate each leg turns about one axis, so that attitudes are exact at any rate.
+    """
+    by_rate = {}
+    for rate_hz in (50.0, 100.0, 1000.0):
+        recording = recordings(rate_hz)
+        data = prepare(recording, recording.sequences, Options())
+        stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
+        by_rate[rate_hz], _ = integrate(stream, PERFECT, np.zeros((data.K, 3)))
+    angle = np.array([np.abs(s.angles_rad).sum() for s in SEQUENCES.values()])
+    for rate_hz in (50.0, 100.0):
+        np.testing.assert_allclose(by_rate[rate_hz].C_end, by_rate[1000.0].C_end, rtol=0, atol=1e-12)
+        share = (1.0 / rate_hz) ** 2 / 12.0 * angle
+        difference = np.abs(by_rate[rate_hz].rate - by_rate[1000.0].rate).reshape(len(angle), -1).max(axis=1)
+        assert np.all(difference <= share + 1e-12)
+
+
+def test_sample_rate_with_the_earth_turning():
+    """50 Hz against the truth on a turning Earth: what is left of z is far below a nanorad · g."""
+    for rate_hz, bound_rad in ((50.0, 1e-9), (200.0, 1e-10)):
+        motion = sims.run_schedule(
+            sims.Schedule(
+                sims.table_sequences(tuple(sims.TABLE_1)),
+                sims.RateProfile(1.0, 10.0),
+                dwell_s=2.0,
+                leg_dwell_s=0.1,
+            ),
+            site=Site(G, latitude_rad=0.8),
+            sample_rate_hz=rate_hz,
+            heading_rad=0.4,
+        )
+        recording = sims.read_out(motion, SensorErrors())
+        data = prepare(recording, recording.sequences, Options())
+        stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
+        earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
+        found, _ = integrate(stream, PERFECT, earth)
+        truth = np.array([before.T @ after for before, after in motion.attitudes])
+        # A ramp's corner inside a sample: β̈ ω_e dt³/12, 10 · 7.3e-5 · 8e-6 / 12 = 5e-10 rad at 50 Hz, twice per leg.
+        assert np.abs(found.C_end - truth).max() < 16 * bound_rad

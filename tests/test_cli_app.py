@@ -1,0 +1,221 @@
+"""The border of the command line: what is imported when, exit codes, and what reaches the user."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from typing import get_args
+
+import click
+import pytest
+
+import srt.options
+from srt.cli import app as application
+from srt.cli import main
+from srt.cli.app import COMMANDS
+from srt.cli.calibrate import CHOICES
+from srt.cli.simulate import FORMATS
+from srt.samples_io import SAMPLES_FORMATS
+
+HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow")
+
+
+def python(code: str, **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # noqa: S603 - our own code
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False, **options
+    )
+
+
+def imported_by(code: str) -> set[str]:
+    done = python(f"import json, sys\n{code}\nprint(json.dumps(sorted(sys.modules)), file=sys.stderr)")
+    assert done.returncode == 0, done.stderr
+    return {name.partition(".")[0] for name in json.loads(done.stderr)}
+
+
+def test_the_library_imports_neither_extras_nor_the_command_line():
+    loaded = imported_by("import srt\nsrt.calibrate, srt.Recording")
+    assert not loaded & {"gtsam", "filterpy", "pandas", "matplotlib", "click", "rich", "pydantic", "h5py", "pyarrow"}
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["calibrate", "--help"], ["simulate", "--help"], ["demo", "--help"]]
+)
+def test_help_imports_nothing_heavy(arguments):
+    assert not imported_by(f"from srt.cli import main\nassert main({arguments!r}) == 0") & set(HEAVY)
+
+
+def test_help_lists_every_command_with_its_line(capfd):
+    assert main(["--help"]) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    for name, (_, line) in COMMANDS.items():
+        assert f"  {name} " in out
+        assert line in out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_of_the_table_can_be_loaded(name, capfd):
+    assert main([name, "--help"]) == 0
+    assert f"Usage: srt {name}" in capfd.readouterr().out
+
+
+def test_version(capfd):
+    assert main(["--version"]) == 0
+    assert capfd.readouterr().out.startswith("srt, strapdown-rotation-test ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (["calibrat"], ["no command 'calibrat'", "did you mean calibrate?"]),
+        (["xyz"], ["no command 'xyz'", "srt --help"]),
+        (["--verbose"], ["--verbose"]),
+        (["calibrate"], ["RECORDING", "srt calibrate --help"]),
+        (["calibrate", "x", "--step", "big"], ["--step", "'jacobian', 'coefficients'"]),
+        (["calibrate", "x", "--max-playbacks", "0"], ["--max-playbacks", "0"]),
+        (["calibrate", "x", "--estimator", "magic"], ["no estimator 'magic'", "closed-form", "least-squares"]),
+        (["calibrate", "x", "--hold", "gyro_scal"], ["gyro_scal", "gyro_scale"]),
+        (["calibrate", "x", "--plot", "x.gif"], ["x.gif", ".png", ".svg"]),
+        (["calibrate", "x", "--truth", "absent.json"], ["absent.json", "No such file"]),
+        (["simulate", "demo"], ["--output"]),
+        (["simulate", "demoo", "-o", "x"], ["demoo", "demo", "tactical-fog"]),
+        (["simulate", "demo", "-o", "x", "--seed", "-1"], ["--seed", "-1"]),
+        (["simulate", "demo", "-o", "x", "--format", "xls"], ["xls", "parquet"]),
+    ],
+)
+def test_wrong_usage_is_one_sentence_and_2(arguments, fragments, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("srt: ")
+    assert err.count("\n") == 1
+    assert err.endswith(".\n")
+    for fragment in fragments:
+        assert fragment in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_command_shows_the_help_and_is_wrong_usage(capfd):
+    assert main([]) == 2
+    assert "Commands:" in capfd.readouterr().err
+
+
+def test_choices_are_those_of_the_library():
+    """They are written out in the command, so that its help need not import numpy; here is why that is safe."""
+    types = {
+        "average": srt.options.Average,
+        "down": srt.options.Down,
+        "window_attitude": srt.options.WindowAttitude,
+        "gyro_bias": srt.options.GyroBias,
+        "step": srt.options.Step,
+    }
+    assert {name: get_args(kind) for name, kind in types.items()} | {"start": ("auto", "zero")} == CHOICES
+    for name, allowed in CHOICES.items():
+        for value in allowed:
+            srt.options.Options(**{name: value})
+    assert set(FORMATS) == set(SAMPLES_FORMATS)
+
+
+def test_defaults_are_those_of_the_library():
+    from srt.cli.calibrate import calibrate
+
+    defaults = {p.name: p.default for p in calibrate.params}
+    options = srt.options.Options()
+    for name in (*CHOICES, "max_playbacks"):
+        assert defaults[name] == getattr(options, name)
+
+
+def test_an_absent_click_is_one_sentence():
+    done = python("import sys\nsys.modules['click'] = None\nfrom srt.cli import main\nsys.exit(main(['--help']))")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("srt: The command line needs the package 'click'")
+    assert "pip install 'strapdown-rotation-test[cli]'" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_an_absent_matplotlib_is_noticed_before_the_work():
+    done = python(
+        "import sys\nsys.modules['matplotlib'] = None\n"
+        "from srt.cli import main\nsys.exit(main(['calibrate', 'absent', '--plot', 'x.png']))"
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("srt: A plot needs the package 'matplotlib'")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.fixture
+def broken(monkeypatch):
+    """Give a command that does what it is told."""
+
+    def install(act):
+        @click.command("demo")
+        def command():
+            act()
+
+        monkeypatch.setattr(application.LazyGroup, "get_command", lambda self, ctx, name: command)
+
+    return install
+
+
+def test_what_is_not_expected_keeps_its_traceback(broken):
+    def act():
+        raise ZeroDivisionError("a defect")
+
+    broken(act)
+    with pytest.raises(ZeroDivisionError):
+        main(["demo"])
+
+
+def test_interrupted_is_130_and_quiet(broken, capfd):
+    def act():
+        raise KeyboardInterrupt
+
+    broken(act)
+    assert main(["demo"]) == 130
+    assert capfd.readouterr() == ("", "\n")
+
+
+@pytest.mark.parametrize(("error", "code"), [(srt.DataError("No."), 1), (srt.InputError("No."), 2)])
+def test_known_errors_have_their_codes(broken, capfd, error, code):
+    def act():
+        raise error
+
+    broken(act)
+    assert main(["demo"]) == code
+    assert capfd.readouterr() == ("", "srt: No.\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
+def test_a_reader_that_leaves_is_no_error():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "srt.cli", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    process.stdout.close()
+    assert process.wait(60) == 141
+    assert process.stderr.read() == b""
+    process.stderr.close()
+
+
+@pytest.mark.parametrize("whole_files", range(3))
+def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, capfd, whole_files):
+    """Ctrl-C comes when all of a file is written, but it is yet to get its name."""
+    sync, done = os.fsync, []
+
+    def interrupted(descriptor):
+        if len(done) == whole_files:
+            raise KeyboardInterrupt
+        done.append(descriptor)
+        sync(descriptor)
+
+    monkeypatch.setattr("srt.atomic.os.fsync", interrupted)
+    folder = tmp_path / "x"
+    assert main(["simulate", "noise-free", "-o", str(folder)]) == 130
+    assert capfd.readouterr() == ("", "\n")
+    left = {path.name for path in folder.iterdir()} if folder.exists() else set()
+    # Whole files only, and recording.toml, without which there is no recording, after its samples.
+    order = ["samples.npz", "recording.toml", "truth.json"]
+    assert left == set(order[: len(left)])

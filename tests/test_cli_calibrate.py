@@ -1,0 +1,280 @@
+"""``srt calibrate``: tables, files, several recordings, and the exit code of every status."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import srt
+import srt.estimation
+from srt.cli import main
+from srt.sensor_errors import NAMES, SYMBOLS
+
+SCENARIO = """
+seed = 3
+imu = { from = "navigation-rlg" }
+fixture = { from = "lab-1mrad" }
+site = { from = "latitude-45" }
+schedule = { dwell_s = 4.0, rate_rad_s = 3.0, acceleration_rad_s2 = 30.0, settle_s = 0.1, leg_dwell_s = 0.2 }
+recording = { sample_rate_hz = 100.0, format = "npz", serial = "SN-7" }
+"""
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory):
+    """Make a noisy recording with its truth."""
+    folder = tmp_path_factory.mktemp("noisy")
+    (folder / "scenario.toml").write_text(SCENARIO)
+    assert main(["simulate", str(folder / "scenario.toml"), "-o", str(folder / "unit-7"), "-q"]) == 0
+    return folder / "unit-7"
+
+
+@pytest.fixture(scope="session")
+def calibration(recording):
+    return srt.calibrate(srt.load_recording(recording))
+
+
+@pytest.fixture
+def result(monkeypatch):
+    """Let the estimator return what a test says."""
+
+    def install(value):
+        def estimate(recording, options, progress=None):
+            if isinstance(value, Exception):
+                raise value
+            return value
+
+        monkeypatch.setattr(srt.estimation, "find_estimator", lambda name: estimate)
+
+    return install
+
+
+def rows_of(out):
+    """Give the rows of the table of parameters by name."""
+    return {cells[1]: cells for cells in map(str.split, out.splitlines()) if len(cells) > 1 and cells[1] in NAMES}
+
+
+def test_table_holds_every_parameter_as_the_library_finds_it(recording, calibration, capfd):
+    assert main(["calibrate", str(recording)]) == 0
+    out, err = capfd.readouterr()
+    rows = rows_of(out)
+    assert list(rows) == list(NAMES)
+    assert [row[0] for row in rows.values()] == list(SYMBOLS)
+    factors = dict(zip(NAMES, srt.sensor_errors.DISPLAY_FACTORS, strict=True))
+    for i, (name, (_, _, value, sigma, unit)) in enumerate(rows.items()):
+        assert unit == srt.sensor_errors.DISPLAY_UNITS[i]
+        exact = calibration.sigma[i] * factors[name]
+        assert float(sigma) == pytest.approx(exact, rel=0.06)  # two digits
+        assert float(value) == pytest.approx(calibration.errors[name] * factors[name], abs=0.06 * exact)
+    assert "closed-form" in out
+    assert "SN-7" in out
+    assert "Converged after" in out
+    assert "Residuals over sigma: rms" in out
+    assert "-o FILE.json" in out
+    # Progress went elsewhere.
+    assert re.fullmatch(r"(unit-7: play-back \d+, largest correction \d\.\de-\d\d\n)+", err)
+
+
+@pytest.mark.parametrize("more", [[], ["--budget"], ["--no-asymmetry"], ["--estimator", "least-squares"], ["--truth"]])
+def test_report_fits_80_columns_without_escape_codes(recording, capfd, more):
+    more = [*more, str(recording / "truth.json")] if more == ["--truth"] else more
+    assert main(["calibrate", str(recording), *more]) == 0
+    out = capfd.readouterr().out
+    assert "\x1b" not in out
+    # Paths are not broken: a line that holds one may be longer.
+    assert max(len(line) for line in out.splitlines() if str(recording) not in line) <= 80
+
+
+def test_contributions_are_the_largest_of_the_library(recording, calibration, capfd):
+    assert main(["calibrate", str(recording)]) == 0
+    out = capfd.readouterr().out
+    line = next(line for line in out.split("Where sigma comes from")[1].splitlines() if line.startswith(" κxx "))
+    sizes = sorted((float(v[0]) * 1e6 for v in calibration.contributions.values()), reverse=True)
+    shown = [float(number) for number in re.findall(r"\d\.\d+", line)]
+    assert shown == pytest.approx(sizes[: len(shown)], abs=0.006)
+
+
+def test_budget_adds_up_to_sigma(recording, capfd):
+    assert main(["calibrate", str(recording), "--budget"]) == 0
+    table = capfd.readouterr().out.split("Sources of sigma")[1].split("Residuals")[0]
+    row = next(line.split() for line in table.splitlines() if line.startswith(" κxx "))
+    sigma, *sizes = map(float, row[2:])
+    assert len(sizes) >= 6
+    assert np.hypot.reduce(sizes) == pytest.approx(sigma, abs=0.01)
+
+
+def test_truth_adds_error_and_error_over_sigma(recording, calibration, capfd):
+    truth = json.loads((recording / "truth.json").read_text())["parameters"]
+    assert main(["calibrate", str(recording), "--truth", str(recording / "truth.json")]) == 0
+    for name, row in rows_of(capfd.readouterr().out).items():
+        error, ratio = map(float, row[-2:])
+        i = NAMES.index(name)
+        expected = (calibration.errors[name] - truth[name]) / calibration.sigma[i]
+        assert ratio == pytest.approx(expected, abs=0.006)
+        assert error * ratio >= 0.0
+
+
+def test_result_file_is_the_librarys(recording, calibration, tmp_path, capfd):
+    path = tmp_path / "result.json"
+    assert main(["calibrate", str(recording), "-o", str(path), "--plot", str(tmp_path / "x.svg")]) == 0
+    assert srt.load_calibration(path).to_dict() == calibration.to_dict()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "x.svg"]
+    assert str(path) in capfd.readouterr().out
+
+
+def test_options_reach_the_estimator(recording, tmp_path):
+    path = tmp_path / "result.json"
+    chosen = {
+        "average": "overlapping",
+        "down": "paper",
+        "window_attitude": "integrated",
+        "gyro_bias": "pooled",
+        "step": "coefficients",
+        "start": "zero",
+        "max_playbacks": 9,
+    }
+    flags = [text for name, value in chosen.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+    flags += ["--no-asymmetry", "--hold", "accel_bias", "--hold", "gyro_scale_x"]
+    assert main(["calibrate", str(recording), "-q", "-o", str(path), *flags]) == 0
+    kept = srt.load_calibration(path).provenance["options"]
+    assert chosen.items() <= kept.items()
+    assert kept["asymmetry"] is False
+    assert kept["hold"] == ["gyro_scale_x", "accel_bias_x", "accel_bias_y", "accel_bias_z"]
+
+
+def test_held_parameters_are_marked_with_the_reason(recording, capfd):
+    assert main(["calibrate", str(recording), "--hold", "accel_bias_y"]) == 0
+    out, err = capfd.readouterr()
+    assert rows_of(out)["accel_bias_y"][3] == "held"
+    assert "accel_bias_y: held on request" in out
+    assert "Status partial" in out
+    assert err.splitlines()[-1].startswith("srt: warning: ")
+    assert err.splitlines()[-1].endswith("held, not observed: accel_bias_y: held on request.")
+
+
+@pytest.mark.parametrize("status", ["not_converged", "outside_model"])
+def test_no_convergence_is_1_and_the_file_says_so(recording, calibration, result, tmp_path, capfd, status):
+    result(replace(calibration, status=status, message="It is not done."))
+    path = tmp_path / "result.json"
+    assert main(["calibrate", str(recording), "-o", str(path)]) == 1
+    assert srt.load_calibration(path).status == status
+    out, err = capfd.readouterr()
+    assert f"Status {status.replace('_', ' ')}: It is not done." in out
+    assert err == f"srt: {recording}: It is not done; {path} holds it with that status.\n"
+
+
+def test_one_playback_is_not_enough(recording, tmp_path, capfd):
+    assert main(["calibrate", str(recording), "-q", "--max-playbacks", "1"]) == 1
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "Not converged after 1 play-back" in err
+    assert err.count("\n") == 1
+
+
+def test_several_recordings_are_kept_apart_and_a_failed_one_stops_none(recording, tmp_path, capfd):
+    for name in ("a", "b", "c"):
+        shutil.copytree(recording, tmp_path / name)
+    (tmp_path / "b" / "samples.npz").write_bytes(b"no samples")
+    paths = [str(tmp_path / name) for name in ("a", "b", "c")]
+    output = tmp_path / "results"
+    figure = tmp_path / "plot.png"
+    assert main(["calibrate", *paths, "-o", str(output), "--plot", str(figure)]) == 2
+    out, err = capfd.readouterr()
+    assert sorted(p.name for p in output.iterdir()) == ["a.json", "c.json"]
+    assert sorted(p.name for p in tmp_path.glob("*.png")) == ["plot-a.png", "plot-c.png"]
+    failures = [line for line in err.splitlines() if line.startswith("srt: ")]
+    assert len(failures) == 1
+    assert paths[1] in failures[0]
+    assert out.count("Converged after") == 2
+    assert "a: play-back 1" in err
+    assert "c: play-back 1" in err
+
+
+def test_the_worst_code_wins_and_the_recording_is_named(recording, result, tmp_path, capfd):
+    shutil.copytree(recording, tmp_path / "a")
+    result(srt.DataError("It cannot be."))
+    assert main(["calibrate", str(tmp_path / "a"), str(tmp_path / "absent")]) == 2
+    assert main(["calibrate", str(tmp_path / "a"), str(recording)]) == 1
+    err = capfd.readouterr().err.splitlines()
+    assert err[0] == f"srt: {tmp_path / 'a'}: It cannot be."
+    assert err[1].startswith(f"srt: There is no recording {tmp_path / 'absent'}")
+
+
+def test_two_recordings_of_one_name_would_replace_each_other(recording, tmp_path, capfd):
+    assert main(["calibrate", str(recording), str(recording), "-o", str(tmp_path)]) == 2
+    assert "Two recordings are named unit-7" in capfd.readouterr().err
+
+
+def test_a_folder_takes_the_result_under_the_recordings_name(recording, tmp_path):
+    assert main(["calibrate", str(recording / "recording.toml"), "-q", "-o", str(tmp_path)]) == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["unit-7.json"]
+
+
+def test_truth_of_one_recording_only(recording, capfd):
+    truth = str(recording / "truth.json")
+    assert main(["calibrate", str(recording), str(recording), "--truth", truth]) == 2
+    assert "--truth belongs to one recording" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "fragment"),
+    [
+        ("{", "not valid JSON"),
+        ("[]", "no truth of version 1"),
+        ('{"format": "srt-truth", "version": 2}', "no truth of version 1"),
+        ('{"format": "srt-truth", "version": 1, "parameters": {"gyro_scale_x": 0}}', "27 sensor errors"),
+        (
+            json.dumps({"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, "1")}),
+            "no number",
+        ),
+        (
+            json.dumps({"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, float("nan"))}),
+            "finite",
+        ),
+    ],
+)
+def test_a_wrong_truth_is_refused_first(tmp_path, capfd, text, fragment):
+    (tmp_path / "truth.json").write_text(text)
+    assert main(["calibrate", "absent", "--truth", str(tmp_path / "truth.json")]) == 2
+    err = capfd.readouterr().err
+    assert fragment in err
+    assert err.count("\n") == 1
+
+
+def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, monkeypatch, capfd):
+    from importlib.metadata import EntryPoint
+
+    class Module:
+        @staticmethod
+        def estimate(recording, options, progress=None):
+            return replace(calibration, estimator="theirs", contributions={}, residuals=())
+
+    monkeypatch.setitem(sys.modules, "their_module", Module)
+    entry = EntryPoint("theirs", "their_module:estimate", "srt.estimators")
+    monkeypatch.setattr(srt.estimation, "entry_points", lambda group: [entry])
+    assert main(["calibrate", str(recording), "--estimator", "theirs"]) == 0
+    out = capfd.readouterr().out
+    assert "theirs" in out
+    assert "Where sigma comes from" not in out
+
+
+def test_progress_on_a_terminal_is_one_moving_line(recording, monkeypatch, capfd):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert main(["calibrate", str(recording)]) == 0
+    out, err = capfd.readouterr()
+    assert "play-back 1, largest" not in out
+    assert "\x1b" not in out
+    assert err.count("\n") <= 1
+
+
+def test_progress_without_rich_is_plain(recording, monkeypatch, capfd):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setitem(sys.modules, "rich.console", None)
+    assert main(["calibrate", str(recording)]) == 0
+    assert "play-back 1, largest correction" in capfd.readouterr().err

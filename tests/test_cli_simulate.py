@@ -1,0 +1,121 @@
+"""``srt simulate``: what it writes, and what it will not write over."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import sims
+import srt
+from srt.cli import main
+from srt.cli.truth import load_truth
+from srt.sensor_errors import NAMES
+
+SCENARIO = """
+description = "Two sequences"
+seed = 5
+imu = { from = "navigation-rlg" }
+fixture = { from = "lab-1mrad" }
+site = { from = "latitude-45" }
+schedule = { sequences = ["1", "1a"], dwell_s = 1.0, rate_rad_s = 3.0 }
+recording = { sample_rate_hz = 50.0, format = "npz" }
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "scenario.toml"
+    path.write_text(SCENARIO)
+    return path
+
+
+@pytest.mark.parametrize("samples_format", ["csv", "npz", "parquet", "h5"])
+def test_recording_and_truth_are_the_simulators(scenario, tmp_path, capfd, samples_format):
+    folder = tmp_path / "out"
+    assert main(["simulate", str(scenario), "-o", str(folder), "--format", samples_format]) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "recording.toml",
+        f"samples.{samples_format}",
+        "truth.json",
+    ]
+    expected = sims.simulate(sims.load_scenario(scenario))
+    recording = srt.load_recording(folder)
+    assert (recording.gyro == expected.recording.gyro).all()
+    assert (recording.accel == expected.recording.accel).all()
+    assert load_truth(folder / "truth.json") == expected.truth
+    for text in (
+        "Two sequences",
+        f"{recording.time.size} samples",
+        "50 Hz",
+        "2 sequences: 1 1a",
+        "seed 5",
+        str(folder),
+    ):
+        assert text in out
+
+
+def test_truth_holds_what_the_library_of_truths_says(scenario, tmp_path):
+    folder = tmp_path / "out"
+    assert main(["simulate", str(scenario), "-o", str(folder), "-q"]) == 0
+    truth = json.loads((folder / "truth.json").read_text())
+    assert list(truth["parameters"]) == list(NAMES)
+    assert len(truth["frame"]["U"]) == 3
+    assert truth["fixture"]["base"]
+    assert truth["seed"] == 5
+
+
+def test_seed_makes_another_unit(scenario, tmp_path):
+    for name, more in {"a": [], "b": ["--seed", "5"], "c": ["--seed", "6"]}.items():
+        assert main(["simulate", str(scenario), "-o", str(tmp_path / name), "-q", *more]) == 0
+    a, b, c = (load_truth(tmp_path / name / "truth.json") for name in "abc")
+    assert a == b
+    assert a != c
+    assert json.loads((tmp_path / "c" / "truth.json").read_text())["seed"] == 6
+
+
+def test_files_are_not_written_over_unless_asked(scenario, tmp_path, capfd):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    assert main(["simulate", str(scenario), "-o", str(folder)]) == 2
+    assert "holds files already" in capfd.readouterr().err
+    assert [p.name for p in folder.iterdir()] == ["notes.txt"]
+    assert main(["simulate", str(scenario), "-o", str(folder), "--overwrite"]) == 0
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert (folder / "truth.json").exists()
+
+
+def test_a_failure_on_overwriting_leaves_no_old_truth(scenario, tmp_path, capfd, monkeypatch):
+    folder = tmp_path / "out"
+    assert main(["simulate", str(scenario), "-o", str(folder), "-q"]) == 0
+
+    def fail(*args, **options):
+        raise srt.InputError("The disk is full.")
+
+    monkeypatch.setattr(srt, "write_recording", fail)
+    assert main(["simulate", str(scenario), "-o", str(folder), "--overwrite"]) == 2
+    assert capfd.readouterr().err == "srt: The disk is full.\n"
+    assert not (folder / "truth.json").exists()
+
+
+@pytest.mark.parametrize("place", ["file", "file/below"])
+def test_a_place_that_cannot_be_a_folder_is_noticed_first(scenario, tmp_path, capfd, monkeypatch, place):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(sims, "simulate", lambda *_: pytest.fail("it was simulated first"))
+    assert main(["simulate", str(scenario), "-o", str(tmp_path / place)]) == 2
+    err = capfd.readouterr().err
+    assert str(tmp_path / place) in err
+    assert err.count("\n") == 1
+
+
+def test_a_scenario_that_is_wrong_is_one_sentence(tmp_path, capfd):
+    path = tmp_path / "bad.toml"
+    path.write_text(SCENARIO.replace("dwell_s", "dwel_s"))
+    assert main(["simulate", str(path), "-o", str(tmp_path / "out")]) == 2
+    err = capfd.readouterr().err
+    assert "dwel_s" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()

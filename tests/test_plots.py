@@ -1,0 +1,138 @@
+"""Figures: what they hold, that nothing overlaps, and that matplotlib's global state is left alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import combinations
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+import srt
+from srt.calibration import Residual
+from srt.plots import calibration_figure, save_figure
+from srt.sensor_errors import DISPLAY_FACTORS, NAMES
+
+COMPONENTS = ("horizontal_x", "horizontal_y", "start_down", "end_down")
+
+
+def calibration(turns=17, **changes):
+    rng = np.random.default_rng(1)
+    factors = np.array(DISPLAY_FACTORS)
+    sigma = rng.uniform(0.2, 2.0, 27) / factors
+    ids = [f"turn {k + 1}" for k in range(turns)] if turns > 17 else [str(k + 1) for k in range(turns)]
+    residuals = tuple(Residual(i, 1, c, float(rng.standard_normal()), 1.0) for i in ids for c in COMPONENTS)
+    values = rng.standard_normal(27) * 500.0 / factors
+    return replace(
+        srt.Calibration("closed-form", "converged", "", srt.SensorErrors(values), np.diag(sigma**2)),
+        corrections=(1e-3, 1e-6, 1e-12),
+        residuals=residuals,
+        **changes,
+    )
+
+
+def held(result, *names):
+    covariance = result.covariance.copy()
+    for name in names:
+        i = NAMES.index(name)
+        covariance[i] = covariance[:, i] = 0.0
+    return replace(result, covariance=covariance, held=dict.fromkeys(names, "held on request"), status="partial")
+
+
+def panels(figure):
+    return [axes for part in figure.subfigs for axes in part.axes]
+
+
+CASES = {
+    "with truth": lambda: calibration_figure(calibration(), truth=srt.SensorErrors(), title="unit"),
+    "without truth": lambda: calibration_figure(calibration()),
+    "held": lambda: calibration_figure(held(calibration(), "gyro_scale_x", "accel_bias_z")),
+    "all of a unit held": lambda: calibration_figure(held(calibration(), *(n for n in NAMES if "gyro_bias" in n))),
+    "many turns": lambda: calibration_figure(calibration(turns=120)),
+    "no residuals": lambda: calibration_figure(calibration(turns=0)),
+    "one correction of nothing": lambda: calibration_figure(replace(calibration(), corrections=(0.0,))),
+    "no correction": lambda: calibration_figure(replace(calibration(), corrections=())),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_texts_neither_overlap_nor_leave_the_figure(case):
+    figure = CASES[case]()
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    boxes = []
+    for axes in panels(figure):
+        texts = [axes._left_title, axes.xaxis.label, axes.yaxis.label]
+        texts += [] if axes.get_legend() is None else axes.get_legend().get_texts()
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = axis.get_view_interval()
+            ticks = axis.get_major_ticks()
+            texts += [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_visible()]
+        boxes += [(t.get_text(), t.get_window_extent(renderer)) for t in texts if t.get_text() and t.get_visible()]
+    header = figure.subfigs[0]
+    boxes += [(t.get_text(), t.get_window_extent(renderer)) for t in header.texts]
+    boxes += [(t.get_text(), t.get_window_extent(renderer)) for legend in header.legends for t in legend.get_texts()]
+    assert len(boxes) > 40
+    for (a, first), (b, second) in combinations(boxes, 2):
+        assert not first.overlaps(second), (a, b)
+    for text, box in boxes:
+        assert box.x0 >= 0.0, text
+        assert box.y0 >= 0.0, text
+        assert box.x1 <= figure.bbox.x1, text
+        assert box.y1 <= figure.bbox.y1, text
+
+
+def test_error_bars_are_one_sigma_in_display_units():
+    result = calibration()
+    truth = srt.SensorErrors(result.errors.vector * 0.9)
+    figure = calibration_figure(result, truth=truth)
+    lower = panels(figure)[4:8]
+    seen = np.concatenate([axes.containers[0].lines[0].get_ydata() for axes in lower])
+    bars = np.concatenate(
+        [[np.ptp(segment[:, 1]) / 2 for segment in axes.containers[0].lines[2][0].get_segments()] for axes in lower]
+    )
+    order = np.argsort([["ppm", "µrad", "µg", "°/h"].index(u) for u in srt.sensor_errors.DISPLAY_UNITS], kind="stable")
+    factors = np.array(DISPLAY_FACTORS)
+    np.testing.assert_allclose(seen, (0.1 * result.errors.vector * factors)[order], rtol=1e-9)
+    np.testing.assert_allclose(bars, (result.sigma * factors)[order], rtol=1e-9)
+
+
+def test_it_is_1200_pixels_wide_at_least(tmp_path):
+    save_figure(calibration_figure(calibration()), tmp_path / "x.png")
+    data = (tmp_path / "x.png").read_bytes()
+    assert int.from_bytes(data[16:20], "big") >= 1200
+
+
+@pytest.mark.parametrize(("suffix", "magic"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
+def test_files_by_their_ending(tmp_path, suffix, magic):
+    save_figure(calibration_figure(calibration()), tmp_path / f"x{suffix}")
+    assert (tmp_path / f"x{suffix}").read_bytes().startswith(magic)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    with pytest.raises(srt.InputError, match="Cannot write"):
+        save_figure(calibration_figure(calibration()), tmp_path / "absent" / "x.png")
+
+
+def test_global_state_is_left_alone():
+    before = dict(mpl.rcParams)
+    calibration_figure(calibration(), truth=srt.SensorErrors())
+    assert dict(mpl.rcParams) == before
+    code = "import srt.plots, sys; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0  # noqa: S603 - our own
+
+
+def test_an_absent_matplotlib_says_what_to_install():
+    code = (
+        "import sys; sys.modules['matplotlib'] = None\n"
+        "import srt\ntry:\n    import srt.plots\nexcept srt.MissingExtraError as error:\n    print(error)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603 - our own
+    assert "pip install 'strapdown-rotation-test[plot]'" in done.stdout
