@@ -12,13 +12,42 @@ Conventions, everywhere in this package:
 * Arrays of samples have the shape (n, 3), states (27,), covariances (27, 27).
 """
 
-from srt.calibration import Calibration, load_calibration
-from srt.estimation import calibrate, estimators
-from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
-from srt.options import Options
-from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
-from srt.recording_io import load_recording, write_recording
-from srt.sensor_errors import SensorErrors
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from srt.calibration import Calibration, load_calibration
+    from srt.estimation import calibrate, estimators
+    from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
+    from srt.options import Options
+    from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+    from srt.recording_io import load_recording, write_recording
+    from srt.segmentation import find_turns
+    from srt.sensor_errors import SensorErrors
+
+_HOME = {
+    "Calibration": "calibration",
+    "load_calibration": "calibration",
+    "calibrate": "estimation",
+    "estimators": "estimation",
+    "DataError": "exceptions",
+    "InputError": "exceptions",
+    "MissingExtraError": "exceptions",
+    "SrtError": "exceptions",
+    "Options": "options",
+    "Fixture": "recording",
+    "ImuNoise": "recording",
+    "Recording": "recording",
+    "SequenceLabel": "recording",
+    "Site": "recording",
+    "load_recording": "recording_io",
+    "write_recording": "recording_io",
+    "find_turns": "segmentation",
+    "SensorErrors": "sensor_errors",
+}
+"""Where each public name lives; loaded on first use, so that `srt --help` need not wait for numpy."""
 
 __all__ = [
     "Calibration",
@@ -35,7 +64,20 @@ __all__ = [
     "SrtError",
     "calibrate",
     "estimators",
+    "find_turns",
     "load_calibration",
     "load_recording",
     "write_recording",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'srt' has no attribute {name!r}")
+    value = getattr(import_module(f"srt.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

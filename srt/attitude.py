@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 BLOCK: Final = 16384
 _SMOOTHING_S: Final = 0.2
+_OCTANT_SEARCH: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -307,17 +308,31 @@ def _compensate(
     octant = _octant(judged)
     D = np.take(table, octant, axis=2)  # contiguous, unlike fancy indexing
     theta = _apply(D, y)
-    # One look back: the first judgement left the asymmetry out, and the solution may lie in another octant.
-    if smooth is not None and sigma is not None:
-        judged = np.where(np.abs(theta) < sigma, _apply(D, smooth), theta)
-    else:
-        judged = theta
-    new = _octant(judged)
-    changed = np.flatnonzero(new != octant)
-    if changed.size:
-        D[:, :, changed] = table[:, :, new[changed]]
-        theta[:, changed] = _apply(D[:, :, changed], y[:, changed])
+    # The first judgement left the asymmetry out: the solution may lie in another octant, and that one lead to a third.
+    new = _octant(_judge(theta, D, smooth, sigma))
+    at = np.flatnonzero(new != octant)
+    new = new[at]
+    for _ in range(_OCTANT_SEARCH):
+        if at.size == 0:
+            break
+        octant[at] = new
+        part = table[:, :, new]
+        D[:, :, at] = part
+        theta[:, at] = solved = _apply(part, y[:, at])
+        judged = _judge(
+            solved, part, None if smooth is None else smooth[:, at], None if sigma is None else sigma[:, at]
+        )
+        new = _octant(judged)
+        at, new = at[new != octant[at]], new[new != octant[at]]
     return theta, D
+
+
+def _judge(theta: Array, D: Array, smooth: Array | None, sigma: Array | None) -> Array:
+    """Values whose signs decide the octant: the compensated increments, the smoothed ones where noise may rule."""
+    if smooth is None or sigma is None:
+        return theta
+    near_zero = np.abs(theta) < sigma
+    return np.where(near_zero, _apply(D, smooth), theta) if near_zero.any() else theta
 
 
 def _octant(v: Array) -> NDArray[np.intp]:

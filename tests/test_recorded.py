@@ -7,6 +7,7 @@ from scipy.linalg import rq
 import srt
 from sims import recorded
 from srt.compensation import accel_triad, gyro_triad
+from srt.segmentation import find_windows
 from srt.sensor_errors import GROUP_SLICES
 
 FOLDER = recorded.data_folder()
@@ -74,14 +75,14 @@ def test_xsens_agrees_with_the_factory_certificate(xsens):
 
 
 def test_xsens_poses_and_turns():
-    assert len(srt.segmentation.find_windows(recorded.xsens_mti(FOLDER))) in range(38, 43)
+    assert len(find_windows(recorded.xsens_mti(FOLDER))) in range(38, 43)
 
 
 @pytest.mark.parametrize("unit", [0, 1])
 def test_mpu9150_is_calibrated(unit):
     """22 poses and 21 turns in hand; gravity and turns close far better than before."""
     recording = recorded.mpu9150(FOLDER, unit)
-    labelled = recording.with_sequences(srt.segmentation.find_turns(recording))
+    labelled = recording.with_sequences(srt.find_turns(recording))
     assert len(labelled.sequences) == 21
     calibration = srt.calibrate(recording)
     assert calibration.status in ("converged", "partial")
