@@ -1,0 +1,115 @@
+"""Speed and memory figures: medians, and ratios to reading the samples once, timed in the same run on one core.
+
+``python benchmarks/speed.py`` runs all; ``--long`` adds 20 million samples.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import time
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+
+import srt
+from sims import campaigns, recorded
+from srt.attitude import gyro_stream, integrate
+from srt.compensation import gyro_triad
+
+REPEATS = 15
+
+
+def timed(call: Callable[[], object], repeats: int = REPEATS) -> float:
+    """Median wall time, s."""
+    spans = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        spans.append(time.perf_counter() - began)
+    return float(np.median(spans))
+
+
+def table_1() -> None:
+    recording, _ = campaigns.noisy_recording(1, "navigation", sample_rate_hz=200.0)
+    srt.calibrate(recording)
+    whole = timed(lambda: srt.calibrate(recording))
+    playbacks = len(srt.calibrate(recording).corrections)
+    read = timed(lambda: (recording.gyro.sum(), recording.accel.sum()))
+    print(
+        f"closed form, 17 sequences, {len(recording.time)} samples at 200 Hz: {whole * 1e3:.1f} ms "
+        f"({playbacks} play-backs), {whole / read:.0f} times summing the samples once"
+    )
+
+
+def play_back() -> None:
+    recording, truth = campaigns.noisy_recording(1, "navigation", sample_rate_hz=200.0)
+    n = len(recording.time)
+    spans = np.linspace(0, n, 18).astype(int)
+    spans = np.stack([spans[:-1], spans[1:]], axis=1)
+    stream = gyro_stream(recording.gyro, recording.interval_s, spans, spans, rates=True)
+    earth = np.zeros((17, 3))
+    triad = gyro_triad(truth)
+    one = timed(lambda: integrate(stream, triad, earth))
+    read = timed(lambda: (recording.gyro.sum(axis=0), recording.accel.sum(axis=0)))
+    print(
+        f"one play-back with Jacobian: {one / n * 1e9:.0f} ns per integrated sample, "
+        f"{one / read:.1f} times reading all columns once ({read / n * 1e9:.0f} ns)"
+    )
+
+
+def free_recording() -> None:
+    folder = recorded.data_folder()
+    if folder is None:
+        print("recorded sets not found: xsens_mti not timed")
+        return
+    recording = recorded.xsens_mti(folder)
+    arrays = recording.time, recording.gyro, recording.accel
+
+    def whole() -> object:
+        fresh = srt.Recording(*arrays, recording.site)
+        return srt.calibrate(fresh)
+
+    whole()
+    print(f"xsens_mti, {len(recording.time)} samples from arrays, segmentation included: {timed(whole) * 1e3:.0f} ms")
+
+
+def scaling(sizes: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    for n in sizes:
+        recording = long_recording(n, rng)
+        tracemalloc.start()
+        began = time.perf_counter()
+        calibration = srt.calibrate(recording, "closed-form")
+        span = time.perf_counter() - began
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        samples = sum(a.nbytes for a in (recording.time, recording.gyro, recording.accel))
+        print(
+            f"{len(recording.time):>9d} samples: {span:6.2f} s, {span / len(recording.time) * 1e9:4.0f} ns per sample, "
+            f"peak memory {1.0 + peak / samples:.2f} times the samples ({calibration.status})"
+        )
+
+
+def long_recording(n: int, rng: np.random.Generator) -> srt.Recording:
+    """The 17 sequences at the sample rate that gives about n samples."""
+    rate = n / 456.0
+    recording, _ = campaigns.noisy_recording(int(rng.integers(1 << 30)), "tactical", sample_rate_hz=float(round(rate)))
+    return recording
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--long", action="store_true", help="up to 20 million samples")
+    arguments = parser.parse_args()
+    table_1()
+    play_back()
+    free_recording()
+    scaling((100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000))
+
+
+if __name__ == "__main__":
+    main()
