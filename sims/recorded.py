@@ -1,4 +1,4 @@
-"""Readers of three public sets of recorded data, for tests and benchmarks (the data themselves are not part of the project).
+"""Readers of three public sets of recorded data, for tests and benchmarks; the data are not part of the project.
 
 xsens_mti (Tedaldi, Pretto and Menegatti, ICRA 2014), mpu9150 (mikoff/imu-calib) and imucal's Ferraris example.
 """
@@ -56,7 +56,7 @@ def from_counts(time: NDArray[np.float64], gyro: NDArray[np.float64], accel: NDA
 def mpu9150(folder: Path, unit: int) -> Recording:
     """InvenSense MPU-9150, 100 Hz, 21 turns by hand; place unknown, so no latitude and gravity to 5e-3 m/s²."""
     table = np.loadtxt(folder / "mpu9150" / f"imu{unit}.log")
-    time = 0.01 * np.arange(1, len(table) + 1)
+    time = 0.01 * np.arange(1.0, len(table) + 1)
     return Recording(time, table[:, 3:], table[:, :3], Site(9.81, 5e-3), sample_rate_hz=100.0)
 
 
@@ -64,7 +64,7 @@ def ferraris(folder: Path) -> Recording:
     """Wearable unit, 102.4 Hz: six faces and a full turn about each axis made of four hand turns."""
     table = np.loadtxt(folder / "ferraris" / "example_ferraris_session.csv", delimiter=",", skiprows=1)
     rate = 102.4
-    time = np.arange(1, len(table) + 1) / rate
+    time = np.asarray(np.arange(1, len(table) + 1) / rate, dtype=np.float64)
     return Recording(time, table[:, 1:4] * DEG, table[:, 4:7], Site(9.81, 5e-3), sample_rate_hz=rate)
 
 

@@ -17,6 +17,7 @@ from sims.motion import RateProfile
 from sims.scenario import MRAD
 from sims.table_motion import Schedule, run_schedule
 from srt.constants import DEG
+from srt.exceptions import InputError
 from srt.recording import Fixture
 from srt.sensor_errors import GROUPS, SensorErrors
 
@@ -90,8 +91,13 @@ class Simulation:
         """Write the truth as JSON, whole or not at all."""
         target = Path(path)
         partial = target.with_name(target.name + ".part")
-        partial.write_text(json.dumps(self.truth_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        partial.replace(target)
+        try:
+            partial.write_text(json.dumps(self.truth_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            partial.replace(target)
+        except OSError as error:
+            raise InputError(f"The truth cannot be written to {target}: {error.strerror}.") from None
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 def draw_errors(

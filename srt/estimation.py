@@ -11,6 +11,7 @@ from importlib.metadata import entry_points, version
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
+from scipy.stats import chi2
 
 from srt.calibration import Calibration, Residual
 from srt.exceptions import InputError, MissingExtraError
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     Progress = Callable[[int, float], None]
 
 GROUP: Final = "srt.estimators"
+MISFIT_PROBABILITY: Final = 1e-3
 _BUILT_IN: Final = {
     "closed-form": "srt.closed_form_estimator:estimate",
     "least-squares": "srt.least_squares_estimator:estimate",
@@ -156,6 +158,14 @@ def assemble(
     covariance = np.where(mask, sum(solution.covariance.values()), 0.0) * inflation**2
     covariance = 0.5 * (covariance + covariance.T)
     status, message = solution.status, solution.message
+    statistic, freedom = chi_square(solution, ~observed)
+    if inflation == 1.0 and status == "converged" and is_misfit(statistic, freedom):
+        warnings = (
+            *warnings,
+            f"The measurements contradict each other more than their noise explains (chi-square {statistic:.0f} for "
+            f"{freedom} degrees of freedom): some error source is not in the sigmas, which are too small by a factor "
+            f"of about {np.sqrt(statistic / freedom):.2g} or more (bias instability, g-sensitivity, a bumped window?).",
+        )
     if status == "converged" and held:
         status = "partial"
         message = f"{message} Held, not observed: {', '.join(held)}."
@@ -176,7 +186,7 @@ def assemble(
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
         residuals=_residuals(data, solution),
         site=_site(data),
-        noise=_noise(data, solution, inflation),
+        noise=_noise(data, solution, inflation) | {"chi_square": statistic, "degrees_of_freedom": freedom},
         alignment=_alignment(data),
         temperature=_temperature(data),
         provenance={
@@ -191,6 +201,23 @@ def assemble(
     )
 
 
+def chi_square(solution: Solution, held: NDArray[np.bool_]) -> tuple[float, int]:
+    """Smallest weighted square sum of the residuals over all values of the parameters not held; degrees of freedom."""
+    R, z = solution.measurement_covariance, solution.playback.z
+    scale = 1.0 / np.sqrt(np.diag(R))
+    L = np.linalg.cholesky(R * np.outer(scale, scale))
+    H = np.linalg.solve(L, solution.playback.H[:, ~held] * scale[:, None])
+    y = np.linalg.solve(L, z * scale)
+    orthonormal, _ = np.linalg.qr(H / np.linalg.norm(H, axis=0))
+    y = y - orthonormal @ (orthonormal.T @ y)
+    return float(y @ y), len(z) - int((~held).sum())
+
+
+def is_misfit(statistic: float, freedom: int) -> bool:
+    """Whether residuals are larger than chance makes them once in a thousand recordings."""
+    return freedom > 0 and statistic > float(chi2.isf(MISFIT_PROBABILITY, freedom))
+
+
 def _version() -> str:
     try:
         return version("strapdown-rotation-test")
@@ -199,8 +226,10 @@ def _version() -> str:
 
 
 def _residuals(data: PlaybackData, solution: Solution) -> tuple[Residual, ...]:
-    """What the last play-back left, with the sigma that it should have by the noise of the measurement."""
-    z, sigma = solution.playback.z, np.sqrt(np.diag(solution.measurement_covariance))
+    """What the last play-back left, with the sigma it should have: zero where a component is solved exactly."""
+    z, sigma = solution.playback.z, np.sqrt(np.maximum(np.diag(solution.residual_covariance), 0.0))
+    own = np.sqrt(np.diag(solution.measurement_covariance))
+    sigma[sigma < 1e-6 * own] = 0.0
     rows = []
     for k, name in enumerate(data.ids):
         sequence = data.catalogue[k]
@@ -228,8 +257,8 @@ def _noise(data: PlaybackData, solution: Solution, inflation: float) -> dict[str
         "accel_noise_m_s2_sqrt_s": noise.accel_white.tolist(),
         "gyro_reading_error_rad": noise.gyro_edge.tolist(),
         "accel_reading_error_m_s": noise.accel_edge.tolist(),
-        "gyro_bias_instability_rad_s": solution.instability.tolist(),
-        "accel_bias_instability_m_s2": noise.accel_instability.tolist(),
+        "gyro_bias_wander_rad_s": solution.wander.tolist(),
+        "accel_bias_wander_m_s2": noise.accel_wander.tolist(),
         "estimated": list(noise.estimated),
         "floored": list(noise.floored),
         "sigma_inflation": inflation,

@@ -68,7 +68,8 @@ class Solution:
     U : ndarray, shape (3, 3)
     covariance : dict of str to ndarray, shape (27, 27)
         By source of error.
-    measurement_covariance : ndarray, shape (n_z, n_z)
+    measurement_covariance, residual_covariance : ndarray, shape (n_z, n_z)
+        Of z before the estimate, and of what the estimate leaves of it.
     gain : ndarray, shape (27, n_z)
     playback : Playback
         The last one.
@@ -77,8 +78,8 @@ class Solution:
     status, message : str
     integrated : tuple of int
         Windows that did not stand still and were integrated.
-    instability : ndarray, shape (3,), rad/s
-        Gyro bias instability that was used.
+    wander : ndarray, shape (3,), rad/s
+        One sigma of a sequence's gyro bias about the test's that was used, raw channels.
     bias_by_sequence : ndarray, shape (K, 3), rad/s
         Bias of each sequence less the common one, as used.
     """
@@ -87,13 +88,14 @@ class Solution:
     U: Array
     covariance: dict[str, Array]
     measurement_covariance: Array
+    residual_covariance: Array
     gain: Array
     playback: Playback
     corrections: tuple[float, ...]
     status: str
     message: str
     integrated: tuple[int, ...]
-    instability: Array
+    wander: Array
     bias_by_sequence: Array
 
 
@@ -112,11 +114,11 @@ class Iteration:
         self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
         self.noise: Array | None = None
         self.offset = np.zeros((data.K, 3))
-        self.instability = np.zeros(3) if data.noise.gyro_instability is None else data.noise.gyro_instability
+        self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         if resume is not None:
             self.integrated, self.offset = resume.playback.integrated, resume.bias_by_sequence
-            self.instability = resume.instability
+            self.wander = resume.wander
         self.first = start if resume is None else resume.errors
         self.resumed = resume is not None
         self.before = () if resume is None else resume.corrections
@@ -206,8 +208,8 @@ class Iteration:
 
     def _update_offsets(self, playback: Playback, sigma: Array) -> bool:
         """Renew the sequences' own biases; True once they have stopped moving."""
-        if self.data.noise.gyro_instability is None and self.options.gyro_bias == "auto":
-            self.instability = self._scatter(playback)
+        if self.data.noise.gyro_wander is None and self.options.gyro_bias == "auto":
+            self.wander = self._scatter(playback)
         gain = self._bias_gain(playback)
         new = gain * playback.bias_by_sequence
         change = np.abs(new - self.offset).max() if new.size else 0.0
@@ -218,10 +220,10 @@ class Iteration:
         return measurement_noise.bias_gain(playback, self.data, self.options.gyro_bias, self._compensated(playback))
 
     def _compensated(self, playback: Playback) -> Array:
-        return np.asarray(np.sqrt(np.linalg.inv(playback.gyro.matrix) ** 2 @ self.instability**2))
+        return np.asarray(np.sqrt(np.linalg.inv(playback.gyro.matrix) ** 2 @ self.wander**2))
 
     def _scatter(self, playback: Playback) -> Array:
-        """Bias instability that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
+        """Wander of the bias that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
         deviation = playback.bias_by_sequence
         n = len(deviation) - 1
         if n < 2:
@@ -250,20 +252,29 @@ class Iteration:
         return True
 
     def _moved(self, playback: Playback) -> NDArray[np.bool_]:
-        """Chi-square test (6 degrees of freedom) of the angles turned in the two halves of every window."""
+        """Chi-square tests of the two halves of every window against each other: angle turned, and tilt.
+
+        A steady rate is no sign of motion by itself: a bias that changes from pose to pose (g-sensitivity, instability)
+        looks the same to the gyros. What turns steadily about a horizontal axis shows in the accelerometers.
+        """
         data, noise = self.data, self.data.noise
         T = 0.5 * data.windows.duration_s[:, None]
         D2 = np.linalg.inv(playback.gyro.matrix) ** 2
-        rest = playback.rest_rate
-        halves = playback.gyro.compensate(data.windows.gyro_halves) - playback.rate[:, None] + rest[:, None]
-        own = self.offset[playback.window_sequence] + playback.pool @ rest
-        angle = (halves - own[:, None]) * T[:, None]
-        variance = (noise.gyro_white**2 * T + 2.0 * noise.gyro_edge**2) @ D2.T
-        slow = self._compensated(playback) ** 2 + self._earth_rate_doubt() ** 2
-        pooled = measurement_noise.rest_rate_variance(playback, data)
-        variance = variance + (slow + pooled) * T**2
-        statistic = np.sum(angle**2 / variance[:, None], axis=(1, 2))
-        return np.asarray(statistic > chi2.isf(STILLNESS_PROBABILITY, 6))
+        halves = playback.gyro.compensate(data.windows.gyro_halves)
+        angle = (halves[:, 1] - halves[:, 0]) * T
+        # Three readings of the angle make the difference of two adjoining halves: 1, -2, 1.
+        variance = (2.0 * noise.gyro_white**2 * T + 6.0 * noise.gyro_edge**2) @ D2.T
+        variance = variance + 2.0 * (self._compensated(playback) * T) ** 2
+        turned = np.sum(angle**2 / variance, axis=1)
+        A2 = np.linalg.inv(playback.accel.matrix) ** 2
+        force = playback.accel.compensate(data.windows.accel_halves)
+        up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
+        change = force[:, 1] - force[:, 0]
+        change -= up * np.einsum("wa,wa->w", up, change)[:, None]
+        variance = (2.0 * noise.accel_white**2 / T + 6.0 * (noise.accel_edge / T) ** 2) @ A2.T
+        variance = variance + 2.0 * noise.accel_wander**2
+        tilted = np.sum(change**2 / variance, axis=1)
+        return np.asarray((turned > chi2.isf(STILLNESS_PROBABILITY, 3)) | (tilted > chi2.isf(STILLNESS_PROBABILITY, 2)))
 
     def _total(self, playback: Playback) -> Array:
         return np.asarray(sum(self._by_source(playback).values()))
@@ -274,9 +285,7 @@ class Iteration:
         return np.diag(np.concatenate([np.full(2 * K + W, 1e-4), np.full(3, 1e-12)]))
 
     def _by_source(self, playback: Playback) -> dict[str, Array]:
-        return measurement_noise.covariances(
-            playback, self.data, self.instability, self._bias_gain(playback), self.excess
-        )
+        return measurement_noise.covariances(playback, self.data, self.wander, self._bias_gain(playback), self.excess)
 
     def _finish(
         self,
@@ -290,18 +299,25 @@ class Iteration:
         by_source = self._by_source(playback)
         total = np.asarray(sum(by_source.values()))
         gain = self.solver.gain(playback, total, near=True)
+        covariance = {name: gain @ R @ gain.T for name, R in by_source.items()}
+        # The bias reported is the unit's; that of this test is one draw of it.
+        for group, wander in (("gyro_bias", self.wander), ("accel_bias", self.data.noise.accel_wander)):
+            bias = np.arange(N_PARAMETERS)[GROUP_SLICES[group]]
+            covariance[f"{group}_instability"][bias, bias] += wander**2
+        left = np.eye(len(playback.z)) - playback.H @ gain
         return Solution(
             errors,
             U,
-            {name: gain @ R @ gain.T for name, R in by_source.items()},
+            covariance,
             total,
+            left @ total @ left.T,
             gain,
             playback,
             (*self.before, *corrections),
             status,
             message,
             tuple(np.flatnonzero(self.integrated).tolist()),
-            self.instability,
+            self.wander,
             self.offset,
         )
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.stats import chi2
 
 from srt import measurement_noise
-from srt.estimation import assemble
+from srt.estimation import assemble, chi_square, is_misfit
 from srt.iteration import iterate
 from srt.segmentation import find_turns
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, expand_names
@@ -55,7 +54,6 @@ _PRIOR_SIGMA: Final = {
     "gyro_bias": 0.3,
 }
 _OBSERVED_BELOW: Final = 1.0 / 3.0
-_MISFIT_PROBABILITY: Final = 1e-3
 _ROUNDS: Final = 3
 
 
@@ -174,23 +172,15 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     return assemble("least-squares", data, options, solution, held, warnings=warnings, inflation=inflation)
 
 
-def _chi_square(solution: Solution, held: NDArray[np.bool_]) -> tuple[float, int]:
-    R, z = solution.measurement_covariance, solution.playback.z
-    scale = 1.0 / np.sqrt(np.diag(R))
-    y = np.linalg.solve(np.linalg.cholesky(R * np.outer(scale, scale)), z * scale)
-    return float(y @ y), len(z) - int((~held).sum())
-
-
 def _misfit(solution: Solution, held: NDArray[np.bool_]) -> bool:
-    statistic, freedom = _chi_square(solution, held)
-    return freedom > 0 and statistic > chi2.isf(_MISFIT_PROBABILITY, freedom)
+    return is_misfit(*chi_square(solution, held))
 
 
 def _inflation(solution: Solution, held: NDArray[np.bool_]) -> float:
     """Factor on the sigmas where residuals stay larger than all noise explains (Birge)."""
     if solution.status != "converged" or not _misfit(solution, held):
         return 1.0
-    statistic, freedom = _chi_square(solution, held)
+    statistic, freedom = chi_square(solution, held)
     return float(np.sqrt(statistic / freedom))
 
 

@@ -97,7 +97,7 @@ def _per_rate(playback: Playback) -> Array:
     return out
 
 
-def bias_gain(playback: Playback, data: PlaybackData, mode: str, instability: Array) -> Array:
+def bias_gain(playback: Playback, data: PlaybackData, mode: str, wander: Array) -> Array:
     """Share of a sequence's own rest rate to be taken as its bias, shape (3,).
 
     With a bias that differs from sequence to sequence by σ and rest rates known to s, the best linear estimate takes
@@ -108,7 +108,7 @@ def bias_gain(playback: Playback, data: PlaybackData, mode: str, instability: Ar
     if data.K < 2:
         return np.zeros(3)
     own = rest_rate_variance(playback, data)
-    return np.asarray(instability**2 / np.maximum(instability**2 + own, 1e-300))
+    return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
 def rest_rate_variance(playback: Playback, data: PlaybackData) -> Array:
@@ -121,7 +121,7 @@ def rest_rate_variance(playback: Playback, data: PlaybackData) -> Array:
 
 
 def disturbances(
-    playback: Playback, data: PlaybackData, instability: Array, excess: tuple[float, float] = (0.0, 0.0)
+    playback: Playback, data: PlaybackData, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Disturbance]:
     """All sources, by the names in :data:`SOURCES`.
 
@@ -130,8 +130,8 @@ def disturbances(
     playback : Playback
         Played with ``with_noise=True``.
     data : PlaybackData
-    instability : ndarray, shape (3,), rad/s
-        Gyro bias instability, raw channels.
+    wander : ndarray, shape (3,), rad/s
+        One sigma of a sequence's gyro bias about the test's, raw channels.
     excess : (float, float)
         Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
     """
@@ -140,12 +140,12 @@ def disturbances(
     D_force = playback.accel.sensitivity(playback.force)
     white = noise.accel_white * np.sqrt(windows.white_factor)[:, None]
     edge = noise.accel_edge * np.sqrt(windows.edge_factor)[:, None]
-    fixed = np.broadcast_to(noise.accel_instability, (len(T), 3))
+    fixed = np.broadcast_to(noise.accel_wander, (len(T), 3))
     up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
     return {
         "gyro_noise": _gyro_noise(playback, data),
         "gyro_quantization": _gyro_quantization(playback, data),
-        "gyro_bias_instability": _instability(playback, data, instability),
+        "gyro_bias_instability": _instability(playback, data, wander),
         "accel_noise": Disturbance(force=_own_draw(D_force * white[:, None, :])),
         "accel_quantization": Disturbance(force=_own_draw(D_force * edge[:, None, :])),
         "accel_bias_instability": Disturbance(force=_own_draw(D_force * fixed[:, None, :])),
@@ -159,13 +159,13 @@ def disturbances(
 def covariances(
     playback: Playback,
     data: PlaybackData,
-    instability: Array,
+    wander: Array,
     gain: Array,
     excess: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, Array]:
     """Covariance of z, source by source; their sum is the covariance of z."""
     out = {}
-    for name, source in disturbances(playback, data, instability, excess).items():
+    for name, source in disturbances(playback, data, wander, excess).items():
         G = project(playback, data, source, gain)
         out[name] = G @ G.T
     return out
@@ -219,9 +219,9 @@ def _gyro_quantization(playback: Playback, data: PlaybackData) -> Disturbance:
     return Disturbance(phi=phi.reshape(K, 3, -1), rate=rate.reshape(len(T), 3, -1))
 
 
-def _instability(playback: Playback, data: PlaybackData, instability: Array) -> Disturbance:
+def _instability(playback: Playback, data: PlaybackData, wander: Array) -> Disturbance:
     """A bias of its own in every sequence."""
-    D = np.linalg.inv(playback.gyro.matrix) * instability
+    D = np.linalg.inv(playback.gyro.matrix) * wander
     own = _own_draw(np.broadcast_to(D, (data.K, 3, 3)))
     return Disturbance(phi=_per_rate(playback) @ own, rate=own[playback.window_sequence])
 

@@ -42,9 +42,11 @@ class NoiseModel:
         Random walk of the integral, rad/√s and m/s²·√s.
     gyro_edge, accel_edge : ndarray, shape (3,)
         One-sigma error of one reading of the integral, rad and m/s.
-    gyro_instability : ndarray, shape (3,), rad/s, or None
-        None: not stated, to be judged from the scatter of the windows.
-    accel_instability : ndarray, shape (3,), m/s²
+    gyro_wander : ndarray, shape (3,), rad/s, or None
+        One sigma of the bias in one sequence about that of the whole test; None: no bias instability is stated, the
+        scatter of the windows is to show it.
+    accel_wander : ndarray, shape (3,), m/s²
+        Likewise of a window.
     estimated, floored : tuple of str
         Which figures come from the windows, and which had to be raised to a floor.
     """
@@ -53,8 +55,8 @@ class NoiseModel:
     accel_white: Array
     gyro_edge: Array
     accel_edge: Array
-    gyro_instability: Array | None
-    accel_instability: Array
+    gyro_wander: Array | None
+    accel_wander: Array
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
 
@@ -95,13 +97,26 @@ def noise_model(recording: Recording, windows: NDArray[np.intp]) -> NoiseModel:
             floored.append(f"{sensor}_noise")
         figures[f"{sensor}_white"] = np.maximum(figures[f"{sensor}_white"], least)
     instability = stated.gyro_bias_instability
+    spread = flicker_spread(windows)
     return NoiseModel(
         **figures,
-        gyro_instability=None if instability is None else np.full(3, instability),
-        accel_instability=np.full(3, stated.accel_bias_instability or 0.0),
+        gyro_wander=None if instability is None else np.full(3, instability * spread),
+        accel_wander=np.full(3, (stated.accel_bias_instability or 0.0) * spread),
         estimated=tuple(estimated),
         floored=tuple(floored),
     )
+
+
+def flicker_spread(windows: NDArray[np.intp]) -> float:
+    """One sigma of a window's bias about its mean over the test, in units of the stated bias instability.
+
+    The instability B_A of data sheets is the floor of the Allan deviation. Flicker noise with that floor,
+    ``S(f) = B_A² / (4 ln 2 f)`` (two-sided), has the variance ``B_A² ln(T / T_w) / (2 ln 2)`` between the frequencies 1/T
+    and 1/T_w, what averages over T_w scatter by within a test of length T.
+    """
+    lengths = windows[:, 1] - windows[:, 0]
+    ratio = (int(windows[:, 1].max()) - int(windows[:, 0].min())) / float(np.median(lengths))
+    return math.sqrt(max(1.0, math.log(ratio) / (2.0 * math.log(2.0))))
 
 
 def _fit(recording: Recording, windows: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -29,6 +29,7 @@ LEGAL_RATIO: Final = (0.35, 1.8)
 """Reading over truth of an uncalibrated unit: 50 % of scale factor, and 1 m/s² or its like of bias."""
 
 _MATCH = math.log(1.8)  # a unit is recognised through the errors of an uncalibrated sensor
+_COUNTS_ABOVE = 60.0  # no factor above a right angle in degrees is told for sure from counts
 _AS_GOOD = math.log(1.25)  # causes that lie so close to the best one are named with it
 
 _G = STANDARD_GRAVITY_M_S2
@@ -309,7 +310,10 @@ def _likely_cause(ratio: float, causes: tuple[tuple[float, str], ...], interval_
     nearest = distance[0][0]
     if nearest > _MATCH:
         return None
-    return ", or ".join(text for d, text in distance[:2] if d - nearest <= _AS_GOOD)
+    named = [text for d, text in distance[:2] if d - nearest <= _AS_GOOD]
+    if ratio > _COUNTS_ABOVE:
+        named.append("raw counts declared as a unit")
+    return ", or ".join(named)
 
 
 def _unknown_cause(ratio: float, sensor: str) -> str:

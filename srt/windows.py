@@ -43,7 +43,7 @@ class Windows:
     duration_s : ndarray, shape (W,)
     gyro_mean : ndarray, shape (W, 3), rad/s
         Linear mean.
-    gyro_halves : ndarray, shape (W, 2, 3), rad/s
+    gyro_halves, accel_halves : ndarray, shape (W, 2, 3), rad/s and m/s²
         Means of the first and the second half, for the test of stillness.
     accel_mean : ndarray, shape (W, 3), m/s²
         By the averaging algorithm.
@@ -57,6 +57,7 @@ class Windows:
     duration_s: Array
     gyro_mean: Array
     gyro_halves: Array
+    accel_halves: Array
     accel_mean: Array
     white_factor: Array
     edge_factor: Array
@@ -73,7 +74,7 @@ def average_windows(recording: Recording, samples: NDArray[np.intp], algorithm: 
     """
     W = len(samples)
     duration, white, edge = np.empty(W), np.empty(W), np.empty(W)
-    gyro, accel, halves = np.empty((W, 3)), np.empty((W, 3)), np.empty((W, 2, 3))
+    gyro, accel, halves = np.empty((W, 3)), np.empty((W, 3)), np.empty((2, W, 2, 3))
     rates = recording.kind == "rate"
     interval = recording.interval_s
     cache: dict[int, Array] = {}
@@ -88,9 +89,10 @@ def average_windows(recording: Recording, samples: NDArray[np.intp], algorithm: 
         accel[w] = (weights if rates else density) @ recording.accel[a:b]
         first, second = steps[: middle - a], steps[middle - a :]
         for h, (lo, hi, s) in enumerate(((a, middle, first), (middle, b, second))):
-            angle = (s if rates else np.ones(hi - lo)) @ recording.gyro[lo:hi]
-            halves[w, h] = angle / s.sum()
-        gyro[w] = (halves[w, 0] * first.sum() + halves[w, 1] * second.sum()) / duration[w]
+            per_sample = (s if rates else np.ones(hi - lo)) / s.sum()
+            halves[0, w, h] = per_sample @ recording.gyro[lo:hi]
+            halves[1, w, h] = per_sample @ recording.accel[lo:hi]
+        gyro[w] = (halves[0, w, 0] * first.sum() + halves[0, w, 1] * second.sum()) / duration[w]
         white[w] = float(density**2 @ steps)
         edge[w] = float(np.sum(np.diff(density, prepend=0.0, append=0.0) ** 2))
-    return Windows(samples, duration, gyro, halves, accel, white, edge)
+    return Windows(samples, duration, gyro, halves[0], halves[1], accel, white, edge)

@@ -68,7 +68,7 @@ def test_xsens_agrees_with_the_factory_certificate(xsens):
     found = in_accelerometer_gauge(xsens)
     for name, certified in gains.items():
         norms = np.linalg.norm(found[name], axis=1)
-        # imu_tk itself is 0.24 % (accelerometers) and 0.16 % (gyros) off the certificate; three axes, rounding of 0.1 %.
+        # imu_tk itself is 0.24 % (accelerometers) and 0.16 % (gyros) off the certificate.
         np.testing.assert_allclose(norms, certified, rtol=3e-3)
     offsets = np.array([33123.0, 33276.0, 32360.0])
     np.testing.assert_allclose(found["accel_offset"], offsets, atol=0.015 * recorded.XSENS_ACCEL_PER_M_S2)
