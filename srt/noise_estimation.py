@@ -111,8 +111,8 @@ def flicker_spread(windows: NDArray[np.intp]) -> float:
     """One sigma of a window's bias about its mean over the test, in units of the stated bias instability.
 
     The instability B_A of data sheets is the floor of the Allan deviation. Flicker noise with that floor,
-    ``S(f) = B_A² / (4 ln 2 f)`` (two-sided), has the variance ``B_A² ln(T / T_w) / (2 ln 2)`` between the frequencies 1/T
-    and 1/T_w, what averages over T_w scatter by within a test of length T.
+    ``S(f) = B_A² / (4 ln 2 f)`` (two-sided), has the variance ``B_A² ln(T / T_w) / (2 ln 2)`` between the frequencies
+    1/T and 1/T_w, what averages over T_w scatter by within a test of length T.
     """
     lengths = windows[:, 1] - windows[:, 0]
     ratio = (int(windows[:, 1].max()) - int(windows[:, 0].min())) / float(np.median(lengths))

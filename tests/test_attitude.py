@@ -382,22 +382,25 @@ def test_sign_of_a_resting_noisy_channel_is_that_of_its_smoothed_rate():
     rng = np.random.default_rng(3)
     n, dt, sigma = 4000, 0.01, 2e-3  # rad/s per sample
     asymmetry = 0.01
-    triad = Triad(np.eye(3), np.full(3, asymmetry), np.zeros(3))
-    drift = np.array([0.3e-3, -0.3e-3, 0.0])  # what the channels really turn at, far below the noise of a sample
+    bias = np.array([-5e-3, 5e-3, 2e-3])  # comes off before the signs are judged
+    triad = Triad(np.eye(3), np.full(3, asymmetry), bias)
+    drift = np.array([1e-3, -1e-3, 0.0])  # what the channels really turn at, below the noise of a sample
     rates = triad.read(drift) + sigma * rng.normal(size=(n, 3))
     whole = np.array([[0, n]])
     stream = gyro_stream(rates, dt, whole, whole, rates=True)
     white = np.full(3, sigma * math.sqrt(dt))
     without, _ = integrate(stream, triad, np.zeros((1, 3)))
     smoothed, _ = integrate(stream, triad, np.zeros((1, 3)), noise_rad_sqrt_s=white)
-    mean = rates.mean(axis=0)
-    # Rectified: asymmetry · σ √(2/π) off the true mean, less the |ω| that is really there.
+    mean = rates.mean(axis=0) - bias
+    seen_without = mean - without.turned[0] / (n * dt)
+    seen_smoothed = mean - smoothed.turned[0] / (n * dt)
+    # What asymmetry really adds is asymmetry · |ω|. By samples it is the mean of |ω + noise|: σ √(2/π) at rest.
     rectified = asymmetry * sigma * math.sqrt(2 / math.pi)
-    bias_without = mean - without.turned[0] / (n * dt)
-    bias_smoothed = mean - smoothed.turned[0] / (n * dt)
-    # Smoothed over 20 samples, the noise that decides the signs is √20 smaller, and mostly cancels.
-    assert np.all(bias_without > 0.8 * rectified)
-    assert np.all(np.abs(bias_smoothed) < 0.5 * rectified)
+    assert seen_without[2] > 0.8 * rectified
+    # Smoothed over 20 samples the noise is √20 smaller: a quarter of that where nothing turns, and nothing where the
+    # rate stands above it. A sign judged with the bias still in it would be off by 2 · 1e-3 of the asymmetry.
+    assert np.all(np.abs(seen_smoothed - asymmetry * np.abs(drift)) < 0.3 * rectified)
+    assert 2 * asymmetry * 1e-3 > rectified
 
 
 # --- weights of windows, eq. 21 --------------------------------------------------------------------------------------
@@ -522,3 +525,50 @@ def test_sample_rate_with_the_earth_turning():
         truth = np.array([before.T @ after for before, after in motion.attitudes])
         # A ramp's corner inside a sample: β̈ ω_e dt³/12, 10 · 7.3e-5 · 8e-6 / 12 = 5e-10 rad at 50 Hz, twice per leg.
         assert np.abs(found.C_end - truth).max() < 16 * bound_rad
+
+
+def test_attitude_and_integrals_on_the_turning_earth():
+    """A body at rest but for one quick turn: Ĉ in its windows is known, and so is ∫ F Ĉ dt.
+
+    Attitudes are exact; the integrals take the Earth's turn of a sequence by its mean, so that less than half of
+    ω_e T is left of what would be all of it.
+    """
+    motion = sims.run_schedule(
+        sims.Schedule(
+            sims.table_sequences(("7", "12", "4")), sims.RateProfile(1.0, 10.0), dwell_s=20.0, leg_dwell_s=0.1
+        ),
+        site=Site(G, latitude_rad=0.8),
+        sample_rate_hz=100.0,
+        heading_rad=0.4,
+    )
+    recording = sims.read_out(motion, SensorErrors())
+    data = prepare(recording, recording.sequences, Options())
+    stream, _, weights = data.stream(np.ones(6, dtype=bool))
+    earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
+    found, attitudes = integrate(stream, PERFECT, earth, with_noise=True)
+    still, _ = integrate(stream, PERFECT, np.zeros((3, 3)), with_noise=True)
+    for k, (before, after) in enumerate(motion.attitudes):
+        C = before.T @ after
+        np.testing.assert_allclose(found.C_end[k], C, rtol=0, atol=1e-9)
+        s, e = stream.starts[k : k + 2]
+        first, last = stream.rotation[k]
+        # Mean of a sample's ends: (ω_e dt)² is nothing. 1e-9 for ramps' corners, as above.
+        np.testing.assert_allclose(attitudes[:, :, s:first], np.eye(3)[:, :, None] * np.ones(first - s), atol=1e-12)
+        np.testing.assert_allclose(attitudes[:, :, last:e], C[:, :, None] * np.ones(e - last), rtol=0, atol=1e-9)
+        # The truth of ∫ F Ĉ dt, sample by sample: the windows as above, the rotation from where it starts.
+        F, dt = stream.F, stream.interval_s
+        alone = gyro_stream(
+            recording.gyro,
+            recording.interval_s,
+            data.rotation[k : k + 1],
+            data.rotation[k : k + 1],
+            rates=True,
+        )
+        turn, _ = integrate(alone, PERFECT, earth[k : k + 1])
+        expected = turn.time[0] + np.eye(3) * (F * dt)[s:first].sum() + C * (F * dt)[last:e].sum()
+        elapsed = dt[s:e].sum()
+        part = 7.292115e-5 * elapsed * found.weight_s[k]
+        assert np.abs(found.time[k] - expected).max() < 0.5 * part
+        # And without turning the Earth back the whole of it would be left.
+        assert np.abs(still.time[k] - expected).max() > np.abs(found.time[k] - expected).max()
+    assert weights is not None
