@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
     from srt.recording_io import load_recording, write_recording
     from srt.segmentation import find_turns
-    from srt.sensor_errors import SensorErrors
+    from srt.sensor_errors import INDEX, NAMES, SensorErrors
 
 _HOME = {
     "Calibration": "calibration",
@@ -45,11 +45,15 @@ _HOME = {
     "load_recording": "recording_io",
     "write_recording": "recording_io",
     "find_turns": "segmentation",
+    "INDEX": "sensor_errors",
+    "NAMES": "sensor_errors",
     "SensorErrors": "sensor_errors",
 }
 """Where each public name lives; loaded on first use, so that `srt --help` need not wait for numpy."""
 
 __all__ = [
+    "INDEX",
+    "NAMES",
     "Calibration",
     "DataError",
     "Fixture",

@@ -58,7 +58,8 @@ class ClosedFormSolver:
             )
         self.components = closed_form.components(self.formulas)
         self.missing = tuple(n for n in closed_form.missing_parameters(supported) if n not in held)
-        self.kept = np.array([INDEX[f.parameter] for f in self.formulas] + list(range(*_BIAS.indices(N_PARAMETERS))))
+        self.rest_axes = [i for i, name in enumerate(NAMES[_BIAS]) if name not in held]
+        self.kept = np.array([INDEX[f.parameter] for f in self.formulas] + [_BIAS.start + i for i in self.rest_axes])
 
     @cached_property
     def held(self) -> NDArray[np.bool_]:
@@ -69,19 +70,18 @@ class ClosedFormSolver:
 
     @cached_property
     def selection(self) -> Array:
-        """S: what the formulas see of the measurements, shape (number of formulas + 3, n_z).
+        """S: what the formulas see of the measurements, shape (number of kept parameters, n_z).
 
-        One row per formula: its own combination of components, averaged over the occurrences of a sequence.
+        One row per formula: its own combination of components, averaged over the occurrences of a sequence. Then the
+        rest rates.
         """
         own = np.zeros((len(self.formulas), len(self.components)))
         order = {c: j for j, c in enumerate(self.components)}
         for row, formula in enumerate(self.formulas):
             for coefficient, component in formula.components:
                 own[row, order[component]] = coefficient
-        S = np.zeros((len(self.formulas) + 3, self._averaged.shape[1]))
-        S[:-3] = own @ self._averaged
-        S[-3:, -3:] = np.eye(3)
-        return S
+        n_z = self._averaged.shape[1]
+        return np.concatenate([own @ self._averaged, np.eye(n_z)[[n_z - 3 + i for i in self.rest_axes]]])
 
     @cached_property
     def _averaged(self) -> Array:
@@ -116,7 +116,8 @@ class ClosedFormSolver:
     def coefficients(self) -> Array:
         """Eq. 13 on the averaged components, and the rest rate as the gyro bias, shape (27, n_z)."""
         A = closed_form.inversion_matrix(self.formulas, self.data.gravity) @ self._averaged
-        A[_BIAS, -3:] = np.eye(3)
+        for i in self.rest_axes:
+            A[_BIAS.start + i, A.shape[1] - 3 + i] = 1.0
         return A
 
 

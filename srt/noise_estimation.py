@@ -175,16 +175,22 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
 def _resolution(recording: Recording, windows: NDArray[np.intp], sensor: str) -> Array:
     """Smallest step between distinct readings of a column, as a rate; 0 where readings hardly repeat."""
     table = getattr(recording, sensor)
-    dt = recording.nominal_interval_s
     stride = max(1, sum(b - a for a, b in windows.tolist()) // _MAX_SAMPLES_FOR_RESOLUTION)
     still = np.concatenate([table[a:b:stride] for a, b in windows.tolist()])
-    step = np.zeros(3)
-    for axis in range(3):
-        values = np.unique(still[:, axis])
-        if len(values) == 1:  # nothing moves at rest: the motion shows the step
-            values = np.unique(table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION), axis])
-        if 1 < len(values) <= 0.5 * min(len(still), _MAX_SAMPLES_FOR_RESOLUTION):
-            gaps = np.diff(values)
-            step[axis] = gaps[gaps > 1e-9 * np.abs(values).max()].min(initial=np.inf)
+    step = smallest_step(still)
+    constant = np.all(still == still[0], axis=0)
+    if constant.any():  # nothing moves at rest: the motion shows the step
+        step = np.where(constant, smallest_step(table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)]), step)
+    return step if recording.kind == "rate" else step / recording.nominal_interval_s
+
+
+def smallest_step(values: Array) -> Array:
+    """Smallest difference between distinct readings, per column of an (n, 3) table; 0 where readings hardly repeat."""
+    step = np.zeros(values.shape[1])
+    for axis in range(values.shape[1]):
+        distinct = np.unique(values[:, axis])
+        if 1 < len(distinct) <= 0.5 * len(values):
+            gaps = np.diff(distinct)
+            step[axis] = gaps[gaps > 1e-9 * np.abs(distinct).max()].min(initial=np.inf)
     step[~np.isfinite(step)] = 0.0
-    return step if recording.kind == "rate" else step / dt
+    return step

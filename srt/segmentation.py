@@ -17,6 +17,7 @@ from scipy.stats import chi2
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
+from srt.noise_estimation import smallest_step
 from srt.recording import SequenceLabel
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ _LOUD: Final = 10.0
 near by, a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
 _SHAKEN: Final = 400.0
 """Variance of specific force over the quiet level, beyond which a block is a knock and no rest."""
+_MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
+_ROUNDING: Final = 1e-9
 _SPREAD: Final = 6.0
 """Sigmas of a block mean within which it counts as the rest rate."""
 _EARTH_SPREAD: Final = 3.0 * EARTH_RATE_RAD_S
@@ -43,13 +46,17 @@ _EARTH_SPREAD: Final = 3.0 * EARTH_RATE_RAD_S
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blocks:
-    """Means and variances of consecutive blocks, gyro then accelerometer columns, as rates."""
+    """Means and variances of consecutive blocks, gyro then accelerometer columns, as rates.
+
+    ``floor`` is the variance below which nothing is told from rest: that of the readings' resolution, and rounding.
+    """
 
     first: NDArray[np.intp]
     size: int
     mean: Array
     variance: Array
     piece: NDArray[np.intp]
+    floor: Array
 
 
 def find_windows(recording: Recording) -> NDArray[np.intp]:
@@ -152,7 +159,11 @@ def _blocks(recording: Recording) -> _Blocks:
         raise DataError(
             f"The recording has {len(recording.time)} samples, too few to find stillness: at least {size} are needed."
         )
-    return _Blocks(np.concatenate(first), size, np.concatenate(mean), np.concatenate(variance), np.concatenate(piece))
+    stride = max(1, len(recording.time) // _MAX_SAMPLES_FOR_RESOLUTION)
+    step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)]) * factor
+    centre = np.concatenate(mean)
+    floor = np.maximum(step**2 / 12.0, (_ROUNDING * np.abs(centre).max(axis=0)) ** 2 + 1e-300)
+    return _Blocks(np.concatenate(first), size, centre, np.concatenate(variance), np.concatenate(piece), floor)
 
 
 def _still(blocks: _Blocks) -> NDArray[np.bool_]:
@@ -161,13 +172,12 @@ def _still(blocks: _Blocks) -> NDArray[np.bool_]:
     upper = max(_LOUD, float(chi2.isf(_FALSE_ALARM, n - 1)) / (n - 1))
     middle = float(chi2.median(n - 1)) / (n - 1)
     # The quietest tenth is at rest if anything is; the loop then takes the level from all blocks that agree.
-    level = np.quantile(blocks.variance, 0.1, axis=0)
-    level = np.maximum(level, 1e-300)
+    level = np.maximum(np.quantile(blocks.variance, 0.1, axis=0), blocks.floor)
     quiet = np.all(blocks.variance <= upper * level, axis=1)
     for _ in range(5):
         if not quiet.any():
             break
-        level = np.maximum(np.median(blocks.variance[quiet], axis=0) / middle, 1e-300)
+        level = np.maximum(np.median(blocks.variance[quiet], axis=0) / middle, blocks.floor)
         new = np.all(blocks.variance <= upper * level, axis=1)
         if np.array_equal(new, quiet):
             break

@@ -125,7 +125,7 @@ def test_global_state_is_left_alone():
     calibration_figure(calibration(), truth=srt.SensorErrors())
     assert dict(mpl.rcParams) == before
     code = "import srt.plots, sys; sys.exit('matplotlib.pyplot' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0  # noqa: S603 - our own
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_an_absent_matplotlib_says_what_to_install():
@@ -134,5 +134,5 @@ def test_an_absent_matplotlib_says_what_to_install():
         "import srt\ntry:\n    import srt.plots\nexcept srt.MissingExtraError as error:\n    print(error)"
     )
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603 - our own
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert "pip install 'strapdown-rotation-test[plot]'" in done.stdout

@@ -1,0 +1,188 @@
+"""The calibration: statuses, file, apply."""
+
+import json
+
+import numpy as np
+import pytest
+
+import srt
+from sims import campaigns
+from sims.imu import read_out
+from sims.table_motion import table1_motion
+from srt.compensation import accel_triad, gyro_triad
+from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
+
+
+@pytest.fixture(scope="module")
+def unit():
+    rng = np.random.default_rng(11)
+    truth = campaigns.normal_errors(rng, 1e-2, 1e-3)
+    motion = table1_motion(site=campaigns.SITE, sample_rate_hz=50.0, dwell_s=4.0)
+    return read_out(motion, truth), truth
+
+
+@pytest.fixture(scope="module")
+def calibration(unit):
+    return srt.calibrate(unit[0])
+
+
+def test_file_round_trip(calibration, tmp_path):
+    calibration.save(tmp_path / "unit.json")
+    again = srt.load_calibration(tmp_path / "unit.json")
+    assert again.to_dict() == calibration.to_dict()
+    np.testing.assert_array_equal(again.covariance, calibration.covariance)
+    text = (tmp_path / "unit.json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert "Infinity" not in text
+
+
+def test_covariance_is_the_sum_of_its_contributions(calibration):
+    total = np.sqrt(sum(s**2 for s in calibration.contributions.values()))
+    np.testing.assert_allclose(total, calibration.sigma, rtol=1e-9)
+
+
+def edited(calibration, **changes):
+    return calibration.to_dict() | changes
+
+
+@pytest.mark.parametrize(
+    ("change", "fragment"),
+    [
+        ({"format": "other"}, "no calibration file"),
+        ({"version": 2}, "version"),
+        ({"status": "fine"}, "status"),
+        ({"covariance": [[0.0]]}, "covariance"),
+        ({"parameters": []}, "27 sensor errors"),
+    ],
+)
+def test_inconsistent_files_are_refused(calibration, tmp_path, change, fragment):
+    path = tmp_path / "unit.json"
+    path.write_text(json.dumps(edited(calibration, **change)), encoding="utf-8")
+    with pytest.raises(srt.InputError, match=fragment):
+        srt.load_calibration(path)
+
+
+def test_truncated_and_absent_files_are_refused(calibration, tmp_path):
+    path = tmp_path / "unit.json"
+    calibration.save(path)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(srt.InputError, match="truncated"):
+        srt.load_calibration(path)
+    with pytest.raises(srt.InputError, match="cannot be read"):
+        srt.load_calibration(tmp_path / "none.json")
+
+
+def test_a_sigma_that_contradicts_the_covariance_is_refused(calibration, tmp_path):
+    document = calibration.to_dict()
+    document["parameters"][3]["sigma"] *= 2.0
+    (tmp_path / "unit.json").write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(srt.InputError, match="gyro_asymmetry_x"):
+        srt.load_calibration(tmp_path / "unit.json")
+
+
+def test_apply_inverts_the_reading_model(calibration):
+    rng = np.random.default_rng(5)
+    omega, force = rng.normal(size=(200, 3)), 10.0 * rng.normal(size=(200, 3))
+    readings = gyro_triad(calibration.errors).read(omega), accel_triad(calibration.errors).read(force)
+    gyro, accel = calibration.apply(*readings)
+    np.testing.assert_allclose(gyro, omega, rtol=0.0, atol=8 * 2 * np.finfo(float).eps * np.abs(omega).max())
+    np.testing.assert_allclose(accel, force, rtol=0.0, atol=8 * 2 * np.finfo(float).eps * np.abs(force).max())
+    # Increments, one sample, output arrays and the table frame are the same arithmetic.
+    dt = 0.01
+    increments = calibration.apply(*(r * dt for r in readings), kind="increment", dt=dt)
+    np.testing.assert_allclose(increments[0], gyro * dt, rtol=1e-12, atol=1e-17)
+    single = calibration.apply(readings[0][0], readings[1][0])
+    np.testing.assert_array_equal(single[0], gyro[0])
+    out = np.empty_like(gyro), np.empty_like(accel)
+    returned = calibration.apply(*readings, out=out)
+    assert returned[0] is out[0]
+    np.testing.assert_array_equal(out[1], accel)
+    table = calibration.apply(*readings, frame="table")
+    np.testing.assert_allclose(table[0] @ calibration.U.T, gyro, atol=1e-14)
+
+
+def test_apply_refuses_what_does_not_fit(calibration):
+    good = np.zeros((4, 3))
+    for arguments, options in (
+        ((np.zeros((4, 2)), good), {}),
+        ((good, good), {"kind": "increment"}),
+        ((good, good), {"dt": 0.01}),
+        ((good * np.nan, good), {}),
+        ((good, good), {"frame": "body"}),
+    ):
+        with pytest.raises(srt.InputError):
+            calibration.apply(*arguments, **options)
+
+
+def test_too_few_playbacks_is_a_status(unit):
+    result = srt.calibrate(unit[0], max_playbacks=1)
+    assert result.status == "not_converged"
+    assert "Not converged after 1 play-backs" in result.message
+
+
+def test_coplanar_accelerometers_are_outside_the_model(unit):
+    """Axes that hardly see the space diagonal: every face of the cube still reads 0.8 g."""
+    recording = unit[0]
+    n = np.ones(3) / np.sqrt(3.0)
+    flat = recording.accel @ (np.eye(3) - 0.9 * np.outer(n, n))
+    broken = srt.Recording(
+        recording.time, recording.gyro, flat, recording.site, fixture=recording.fixture, sequences=recording.sequences
+    )
+    result = srt.calibrate(broken)
+    assert result.status == "outside_model"
+    assert "coplanar" in result.message
+
+
+def without(recording, *ids):
+    return recording.with_sequences(tuple(s for s in recording.sequences if s.id not in ids))
+
+
+def test_a_missing_sequence_costs_only_its_parameters(unit, calibration):
+    recording, truth = unit
+    result = srt.calibrate(without(recording, "13"))
+    assert result.status == "partial"
+    assert set(result.held) == {"accel_bias_y", "accel_asymmetry_y"}
+    assert "13" in result.held["accel_bias_y"]
+    seen = result.observed
+    assert np.all(result.covariance[~seen] == 0.0)
+    # The others do not read what is held to first order; here the held values come from a perfect fixture's start.
+    error = np.abs(campaigns.error_in_quoted_units(result, truth))
+    assert error[seen][:22].max() < 1e-4
+
+
+def test_repeated_sequences_are_all_used(unit):
+    recording, _ = unit
+    twice = recording.with_sequences(recording.sequences + recording.sequences[:1])
+    assert [r.occurrence for r in srt.calibrate(twice).residuals if r.sequence == "1"] == [1] * 4 + [2] * 4
+
+
+def test_held_parameters_keep_the_given_values(unit):
+    recording, truth = unit
+    result = srt.calibrate(recording, hold=("accel_asymmetry", "gyro_bias_x"), start=truth)
+    for name in ("accel_asymmetry_y", "gyro_bias_x"):
+        assert result.errors[name] == truth[name]
+        assert result.held[name] == "held on request"
+        assert np.isnan(result.sigma[INDEX[name]])
+
+
+def test_no_asymmetry_is_equation_14(unit):
+    recording, _ = unit
+    result = srt.calibrate(without(recording, "1a", "2a", "3a"), asymmetry=False)
+    assert set(result.held) == set(NAMES[GROUP_SLICES["gyro_asymmetry"]])
+    assert result.status == "partial"
+
+
+def test_unknown_options_and_estimators_are_named(unit):
+    with pytest.raises(srt.InputError, match="averaging"):
+        srt.calibrate(unit[0], averaging="linear")
+    with pytest.raises(srt.InputError, match="median"):
+        srt.calibrate(unit[0], average="median")
+    with pytest.raises(srt.InputError, match="closed-form"):
+        srt.calibrate(unit[0], "closedform")
+
+
+def test_estimators_agree_noise_free(unit, calibration):
+    """All 68 components by least squares, 24 of them in closed form: the same 27 errors."""
+    other = srt.calibrate(unit[0], "least-squares")
+    difference = np.abs(other.errors.vector - calibration.errors.vector) / campaigns.IN_G
+    assert difference[:24].max() < 1e-8

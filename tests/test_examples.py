@@ -1,0 +1,40 @@
+"""Every example runs, and the README shows what the examples are and print."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def run(example, folder):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
+    return subprocess.run(
+        [sys.executable, "-W", "error", str(example)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        encoding="utf-8",
+        check=True,
+    ).stdout
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda p: p.name)
+def test_example_runs(example, tmp_path):
+    assert run(example, tmp_path)
+
+
+def test_readme_shows_the_quickstart_and_its_output(tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = re.search(r"<!-- example: (\S+) -->\n```python\n(.*?)```", readme, re.DOTALL)
+    printed = re.search(r"<!-- output -->\n```\n(.*?)```", readme, re.DOTALL)
+    assert shown
+    assert printed
+    source = (ROOT / shown[1]).read_text(encoding="utf-8")
+    assert shown[2] in source
+    assert run(ROOT / shown[1], tmp_path) == printed[1]

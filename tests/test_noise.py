@@ -1,0 +1,116 @@
+"""Noise estimated from the windows, its floors, and noise components estimated from residuals."""
+
+import numpy as np
+import pytest
+
+import srt
+from sims import campaigns
+from srt.noise_estimation import ACCEL_FLOOR, GYRO_FLOOR, flicker_spread, noise_model
+from srt.variance_components import restricted_likelihood
+
+N, RATE = 2000, 200.0
+WINDOWS = np.array([[k * N, (k + 1) * N] for k in range(34)])
+
+
+def recording(gyro, accel, **noise):
+    time = np.arange(1, len(gyro) + 1) / RATE
+    return srt.Recording(time, gyro, accel, campaigns.SITE, noise=srt.ImuNoise(**noise))
+
+
+def still(rng, white, pulse=0.0, drift=3.3e-5):
+    """Readings of a unit at rest: random walk of the integral, counted in pulses."""
+    n = WINDOWS[-1, 1]
+    increments = (drift * np.array([1.0, -0.7, 0.4]) + rng.standard_normal((n, 3)) * white * np.sqrt(RATE)) / RATE
+    if pulse:
+        increments = np.diff(np.floor(np.cumsum(increments, axis=0) / pulse) * pulse, axis=0, prepend=0.0)
+    return increments * RATE
+
+
+def test_white_noise_is_found():
+    rng = np.random.default_rng(1)
+    found = noise_model(recording(still(rng, 1e-4), still(rng, 2e-3)), WINDOWS)
+    # From 34 000 differences of single samples: √(3/m) of the variance, half of it for the deviation.
+    bound = 3.5 * 0.5 * np.sqrt(3.0 / 34000.0)
+    np.testing.assert_allclose(found.gyro_white, 1e-4, rtol=bound + 0.005)
+    np.testing.assert_allclose(found.accel_white, 2e-3, rtol=bound + 0.005)
+    assert found.estimated == ("gyro_noise", "gyro_quantization", "accel_noise", "accel_quantization")
+
+
+def test_pulses_are_told_from_random_walk():
+    """0.5″ pulses and 0.002 °/√h at 200 Hz: single samples scatter by pulses alone, 25 times the random walk."""
+    rng = np.random.default_rng(2)
+    white, pulse = 0.002 * np.pi / 180.0 / 60.0, 0.5 * np.pi / 180.0 / 3600.0
+    found = noise_model(recording(still(rng, white, pulse), still(rng, 2e-3)), WINDOWS)
+    # Three pooled axes, 34 windows, octaves of 2.5 and 5 s: some 300 differences, √(3/300) of the variance, quantised.
+    np.testing.assert_allclose(found.gyro_white, white, rtol=3.5 * 0.5 * 0.1)
+    np.testing.assert_allclose(found.gyro_edge, pulse / np.sqrt(12.0), rtol=0.5)
+
+
+def test_stated_noise_is_believed():
+    rng = np.random.default_rng(3)
+    found = noise_model(
+        recording(still(rng, 1e-4), still(rng, 2e-3), gyro_noise=3e-4, accel_quantization=1e-3), WINDOWS
+    )
+    np.testing.assert_array_equal(found.gyro_white, 3e-4)
+    np.testing.assert_allclose(found.accel_edge, 1e-3 / np.sqrt(12.0))
+    assert found.estimated == ("gyro_quantization", "accel_noise")
+
+
+def test_floors():
+    n = WINDOWS[-1, 1]
+    constant = np.full((n, 3), 1e-5)
+    found = noise_model(recording(constant, np.tile([0.0, 0.0, -9.8], (n, 1))), WINDOWS)
+    np.testing.assert_array_equal(found.gyro_white, GYRO_FLOOR)
+    np.testing.assert_array_equal(found.accel_white, ACCEL_FLOOR)
+    assert found.floored == ("gyro_noise", "accel_noise")
+
+
+def test_resolution_is_a_floor():
+    """A coarse unit that reads the same count at rest is not noise-free: its steps show in the motion."""
+    n = WINDOWS[-1, 1]
+    step = 1e-2
+    gyro = np.tile([0.0, step, -step], (n + N, 1))
+    gyro[n:] += step * np.round(50.0 * np.sin(np.arange(N) / 100.0))[:, None]
+    accel = np.tile([0.0, 0.0, -9.8], (n + N, 1))
+    found = noise_model(recording(gyro, accel), WINDOWS)
+    np.testing.assert_allclose(found.gyro_white, step / np.sqrt(12.0) / np.sqrt(RATE))
+
+
+def test_flicker_spread_against_simulated_flicker():
+    """Window means of flicker noise with Allan floor 1 scatter by the spread."""
+    rng = np.random.default_rng(6)
+    n, trials, window = 1 << 14, 200, 1 << 9
+    f = np.fft.rfftfreq(n, 1.0)
+    S = 1.0 / (4.0 * np.log(2.0) * np.maximum(f, f[1]))  # two-sided
+    amplitude = np.sqrt(S * n / 2.0)
+    means = []
+    for _ in range(trials):
+        spectrum = amplitude * (rng.standard_normal(len(f)) + 1j * rng.standard_normal(len(f)))
+        spectrum[0] = 0.0
+        means.append(np.fft.irfft(spectrum, n).reshape(-1, window).mean(axis=1))
+    windows = np.arange(0, n, window)[:, None] + np.array([0, window])
+    # The formula cuts the spectrum sharply at 1/T_w, an average does so gradually: within a fifth.
+    assert np.std(means) == pytest.approx(flicker_spread(windows), rel=0.2)
+
+
+def test_restricted_likelihood_recovers_components():
+    """Mean over 200 draws within 3.5 standard errors of the truth, and 10 % for the bias of clipping at zero."""
+    rng = np.random.default_rng(9)
+    n, p = 120, 25
+    H = rng.standard_normal((n, p))
+    R0 = np.diag(rng.uniform(0.5, 1.5, n))
+    turn, pose = np.diag(np.r_[np.ones(80), np.zeros(40)]), np.diag(np.r_[np.zeros(80), np.ones(40)])
+    L = np.linalg.cholesky(R0 + 9.0 * turn + 4.0 * pose)
+    W = np.linalg.inv(R0)
+    residual = np.eye(n) - H @ np.linalg.solve(H.T @ W @ H, H.T @ W)
+    found = np.array(
+        [restricted_likelihood(residual @ L @ rng.standard_normal(n), H, R0, (turn, pose)) for _ in range(200)]
+    )
+    error = 3.5 * found.std(axis=0) / np.sqrt(200)
+    np.testing.assert_allclose(found.mean(axis=0), [9.0, 4.0], atol=0.0, rtol=0.1 + (error / [9.0, 4.0]).max())
+
+
+def test_restricted_likelihood_finds_nothing_in_nothing():
+    rng = np.random.default_rng(10)
+    H, R0 = rng.standard_normal((60, 10)), np.eye(60)
+    assert np.all(restricted_likelihood(np.zeros(60), H, R0, (np.eye(60),)) == 0.0)

@@ -1,0 +1,86 @@
+"""Stillness and turns of unlabelled recordings: noise from none to a consumer unit's, biases that look like turning."""
+
+import numpy as np
+import pytest
+
+import srt
+from sims import campaigns
+from sims.free_motion import free_motion, random_attitude, random_turns
+from sims.imu import ImuModel, read_out
+from sims.table_motion import table1_motion
+from srt.constants import DEG, DEG_PER_SQRT_H, MICRO_G
+from srt.segmentation import find_turns, find_windows
+from srt.sensor_errors import SensorErrors
+
+UNITS = {
+    "noise-free": ImuModel(),
+    "navigation": campaigns.GRADES["navigation"],
+    "consumer": ImuModel(gyro_noise=0.6 * DEG_PER_SQRT_H, accel_noise=300.0 * MICRO_G),
+    "coarse": ImuModel(gyro_noise=0.3 * DEG_PER_SQRT_H, accel_noise=100.0 * MICRO_G, gyro_resolution=1e-3),
+}
+BIASED = SensorErrors.from_dict({"gyro_bias_x": 1.0 * DEG, "gyro_bias_y": -0.7 * DEG, "gyro_scale_z": 0.3})
+
+
+def overlap(found, true):
+    return max(0.0, min(found[1], true[1]) - max(found[0], true[0])) / (true[1] - true[0])
+
+
+@pytest.mark.parametrize("peak", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("name", list(UNITS))
+def test_free_turns_are_found(name, peak):
+    rng = np.random.default_rng(17)
+    motion = free_motion(
+        random_turns(rng, 12, smallest_rad=0.8, largest_rad=2.0),
+        site=campaigns.SITE,
+        attitude=random_attitude(rng),
+        peak_rate_rad_s=peak,
+        dwell_s=4.0,
+        sample_rate_hz=100.0,
+    )
+    recording = read_out(motion, BIASED, UNITS[name], rng)
+    turns = find_turns(recording)
+    assert len(turns) == len(motion.windows)
+    for turn, (before, after) in zip(turns, motion.windows, strict=True):
+        # The windows found lie inside rest, but for slow onsets that no sensor of the grade could tell from rest.
+        assert overlap(turn.start_static_s, before) > 0.7
+        assert overlap(turn.end_static_s, after) > 0.7
+
+
+def test_windows_of_the_seventeen_sequences():
+    motion = table1_motion(site=campaigns.SITE, sample_rate_hz=100.0, dwell_s=5.0)
+    recording = read_out(motion, BIASED, UNITS["navigation"], np.random.default_rng(3)).with_sequences(())
+    windows = find_windows(recording)
+    true = [w for pair in motion.windows for w in pair]
+    assert len(windows) == len(true)
+    found = [(recording.time[a], recording.time[b - 1]) for a, b in windows]
+    assert min(overlap(f, t) for f, t in zip(found, true, strict=True)) > 0.9
+
+
+def test_a_recording_without_turns_is_refused():
+    rng = np.random.default_rng(4)
+    n = 4000
+    still = srt.Recording(
+        np.arange(1, n + 1) * 0.01,
+        1e-3 * rng.standard_normal((n, 3)),
+        np.array([0.0, 0.0, -9.8]) + 1e-2 * rng.standard_normal((n, 3)),
+        campaigns.SITE,
+    )
+    with pytest.raises(srt.DataError, match=r"stationary window"):
+        srt.calibrate(still)
+
+
+def test_a_recording_without_rest_is_refused():
+    n = 4000
+    t = np.arange(1, n + 1) * 0.01
+    gyro = np.stack([np.sin(2.1 * t), np.cos(1.7 * t), np.sin(1.3 * t + 1.0)], axis=1)
+    accel = 9.8 * np.stack([np.sin(t), np.cos(t), 0.0 * t], axis=1)
+    with pytest.raises(srt.DataError):
+        srt.calibrate(srt.Recording(t, gyro, accel, campaigns.SITE))
+
+
+def test_a_bump_between_two_rests_in_one_pose_makes_no_turn():
+    rng = np.random.default_rng(8)
+    turns = np.array([[1.2, 0.0, 0.0], [0.004, 0.0, 0.0], [0.0, 1.3, 0.0]])
+    motion = free_motion(turns, site=campaigns.SITE, dwell_s=4.0, peak_rate_rad_s=0.5, sample_rate_hz=100.0)
+    recording = read_out(motion, SensorErrors(), UNITS["navigation"], rng)
+    assert len(find_turns(recording)) == 2
