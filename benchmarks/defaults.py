@@ -22,6 +22,7 @@ ALTERNATIVES = (
     {"gyro_bias": "per-sequence"},
     {"step": "coefficients", "max_playbacks": 20},
     {"measured_vertical": False},
+    {"measured_vertical": False, "down": "paper"},
 )
 SHOWN = {
     "κ": "gyro_scale",

@@ -159,15 +159,22 @@ class Calibration:
             raise InputError(f"frame is {frame!r}; it must be 'mars' or 'table'.")
         if (kind == "increment") != (dt is not None):
             raise InputError("Give dt, the duration of the samples in seconds, with increments and only with them.")
-        step = 1.0 if dt is None else np.asarray(dt, dtype=np.float64)
-        if np.ndim(step) == 1:
-            step = np.asarray(step)[:, None]
+        if kind not in ("rate", "increment"):
+            raise InputError(f"kind is {kind!r}; it must be 'rate' or 'increment'.")
+        if np.shape(gyro) != np.shape(accel):
+            raise InputError(
+                f"The gyro readings have the shape {np.shape(gyro)}, the accelerometers {np.shape(accel)}."
+            )
+        step = _durations(dt, np.shape(gyro))
         results = []
         for name, values, triad, target in (
             ("gyro", gyro, gyro_triad(self.errors), None if out is None else out[0]),
             ("accel", accel, accel_triad(self.errors), None if out is None else out[1]),
         ):
-            y = np.asarray(values, dtype=np.float64)
+            try:
+                y = np.asarray(values, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(f"The {name} readings are not numbers in an array of shape (n, 3) or (3,).") from None
             if y.shape[-1:] != (3,) or y.ndim > 2:
                 raise InputError(f"The {name} readings have the shape {y.shape}; (n, 3) or (3,) is expected.")
             if not np.isfinite(y.sum()):
@@ -178,6 +185,8 @@ class Calibration:
             if frame == "table" and self.U is not None:
                 corrected = corrected @ self.U
             if target is not None:
+                if np.shape(target) != corrected.shape:
+                    raise InputError(f"out for {name} has the shape {np.shape(target)}, not {corrected.shape}.")
                 target[...] = corrected
                 corrected = target
             results.append(corrected)
@@ -235,6 +244,20 @@ class Calibration:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
         atomic_write_text(path, json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def _durations(dt: float | ArrayLike | None, shape: tuple[int, ...]) -> Array:
+    """Durations of increments, to broadcast against readings of that shape; 1 for rates."""
+    if dt is None:
+        return np.ones(1)
+    step = np.asarray(dt, dtype=np.float64)
+    if not np.all(np.isfinite(step)) or not np.all(step > 0.0):
+        raise InputError("dt must be positive seconds.")
+    if step.ndim == 0:
+        return step.reshape(1)
+    if len(shape) != 2 or step.shape != shape[:1]:
+        raise InputError(f"dt has the shape {step.shape}, which does not go with readings of shape {shape}.")
+    return step[:, None]
 
 
 def load_calibration(path: str | PathLike[str]) -> Calibration:

@@ -11,6 +11,7 @@ from srt import closed_form
 from srt.catalogue import AXES, SEQUENCES
 from srt.estimation import assemble
 from srt.exceptions import DataError
+from srt.held import held_sigma, request_reason
 from srt.iteration import iterate
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 from srt.session import open_session
@@ -138,8 +139,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     data = open_session(recording, labels, options)
     solver = ClosedFormSolver(data, options)
     start, U = first_estimate(data, options)
-    solution = iterate(data, options, solver, start, U, progress)
-    held = dict.fromkeys(options.held_names, "held on request")
+    uncertain = held_sigma(data, options)
+    solution = iterate(data, options, solver, start, U, progress, held_sigma=uncertain)
+    held = {name: request_reason(name, uncertain) for name in options.held_names}
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
         held[name] = (
@@ -147,4 +149,6 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             if options.start == "auto"
             else f"sequence {', '.join(absent)} is missing or void; the value is the given start's"
         )
-    return assemble("closed-form", data, options, solution, held)
+    unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
+    warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
+    return assemble("closed-form", data, options, solution, held, warnings=warnings)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 GROUP: Final = "srt.estimators"
 MISFIT_PROBABILITY: Final = 1e-3
+_GROSS_RATIO: Final = 100.0
+_GROSS_G: Final = 0.01
 _BUILT_IN: Final = {
     "closed-form": "srt.closed_form_estimator:estimate",
     "least-squares": "srt.least_squares_estimator:estimate",
@@ -108,13 +110,12 @@ def calibrate(
     from srt.options import Options as _Options
 
     if options is None:
-        try:
-            options = _Options(**choices)
-        except TypeError:
-            unknown = sorted(set(choices) - set(_Options.__dataclass_fields__))
+        unknown = sorted(set(choices) - set(_Options.__dataclass_fields__))
+        if unknown:
             raise InputError(
                 f"Unknown option {unknown[0]!r}; the options are {', '.join(_Options.__dataclass_fields__)}."
-            ) from None
+            )
+        options = _Options(**choices)
     elif choices:
         raise InputError("Give either options or single choices, not both.")
     name = automatic_estimator(recording) if estimator == "auto" else estimator
@@ -153,13 +154,23 @@ def assemble(
     inflation : float
         Factor on all sigmas (least squares whose residuals are larger than the noise explains).
     """
+    if solution.status == "outside_model":
+        held = dict.fromkeys(NAMES, "the iteration ended where the model does not hold")
     observed = np.array([name not in held for name in NAMES])
     mask = np.outer(observed, observed)
     covariance = np.where(mask, sum(solution.covariance.values()), 0.0) * inflation**2
     covariance = 0.5 * (covariance + covariance.T)
     status, message = solution.status, solution.message
     statistic, freedom = chi_square(solution, ~observed)
-    if inflation == 1.0 and status == "converged" and is_misfit(statistic, freedom):
+    misfit = inflation == 1.0 and status == "converged" and is_misfit(statistic, freedom)
+    if misfit and _is_gross(data, solution, statistic / freedom):
+        status = "not_converged"
+        message = (
+            f"The iteration came to rest after {len(solution.corrections)} play-backs, but the measurements contradict "
+            f"the result grossly (chi-square {statistic:.2g} for {freedom} degrees of freedom): a wrong minimum, a "
+            "wrong label, or a unit that the model does not describe."
+        )
+    elif misfit:
         warnings = (
             *warnings,
             f"The measurements contradict each other more than their noise explains (chi-square {statistic:.0f} for "
@@ -201,9 +212,17 @@ def assemble(
     )
 
 
+def _is_gross(data: PlaybackData, solution: Solution, ratio: float) -> bool:
+    """Whether a misfit is no matter of noise: a hundred times its variance, and a hundredth of g in the mean."""
+    components = solution.playback.z[: 2 * data.K]
+    return ratio > _GROSS_RATIO and float(np.sqrt(np.mean(components**2))) > _GROSS_G * data.gravity
+
+
 def chi_square(solution: Solution, held: NDArray[np.bool_]) -> tuple[float, int]:
     """Smallest weighted square sum of the residuals over all values of the parameters not held; degrees of freedom."""
     R, z = solution.measurement_covariance, solution.playback.z
+    if held.all():
+        return 0.0, 0
     scale = 1.0 / np.sqrt(np.diag(R))
     L = np.linalg.cholesky(R * np.outer(scale, scale))
     H = np.linalg.solve(L, solution.playback.H[:, ~held] * scale[:, None])

@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from srt import measurement_noise
 from srt.compensation import compose, outside_model
 from srt.constants import EARTH_RATE_RAD_S
+from srt.exceptions import DataError
 from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 CONVERGED_CORRECTION: Final = 1e-9
 CONVERGED_SIGMAS: Final = 0.01
 STILLNESS_PROBABILITY: Final = 1e-3
+"""Of calling a still window moving, by both tests of it together."""
 _UNIT: Final = np.ones(N_PARAMETERS)
 _UNIT[GROUP_SLICES["accel_bias"]] = 9.80665
 _MAX_STEP: Final = 0.7
@@ -99,6 +101,10 @@ class Solution:
     bias_by_sequence: Array
 
 
+class _DivergenceError(Exception):
+    """The iteration cannot go on; the message says why."""
+
+
 class Iteration:
     """State of one run of play-backs; :func:`iterate` is the way in."""
 
@@ -110,8 +116,10 @@ class Iteration:
         start: SensorErrors,
         excess: tuple[float, float],
         resume: Solution | None,
+        held_sigma: Array,
     ) -> None:
         self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
+        self.held_sigma = held_sigma
         self.noise: Array | None = None
         self.offset = np.zeros((data.K, 3))
         self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
@@ -133,6 +141,7 @@ class Iteration:
         near = self.resumed
         status, message = "not_converged", ""
         final: Playback | None = None
+        U = self._first_orientation(U)
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
             # Once near, the full weights are taken, and kept: they change with the estimate by parts in a thousand.
@@ -143,23 +152,21 @@ class Iteration:
             )
             if fresh and self._release_moving(playback):
                 continue
-            if fresh:
-                self.noise = playback.integrals.noise
-                weights = self._total(playback)
-            gain = self.solver.gain(playback, self._rough(playback) if weights is None else weights, near=near)
-            if weights is not None:
-                sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
-            errors, U, correction = self._correct(errors, playback, gain)
-            size = float(np.max(np.abs(correction) / _UNIT))
-            corrections.append(size)
-            if progress is not None:
-                progress(i + 1, size)
-            reason = outside_model(errors)
-            if reason is not None or not np.isfinite(size):
-                status, message = (
-                    "outside_model",
-                    f"After play-back {i + 1} {reason or 'the correction is not finite'}.",
-                )
+            try:
+                if fresh:
+                    self.noise = playback.integrals.noise
+                    weights = self._total(playback)
+                gain = self._gain(playback, self._rough(playback) if weights is None else weights, near=near)
+                if weights is not None:
+                    sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
+                errors, U, correction = self._correct(errors, playback, gain)
+                size = float(np.max(np.abs(correction) / _UNIT))
+                corrections.append(size)
+                if progress is not None:
+                    progress(i + 1, size)
+                _require_inside(errors)
+            except _DivergenceError as reason:
+                status, message = "outside_model", f"After play-back {i + 1} {reason}."
                 break
             settled = self._update_offsets(playback, sigma)
             negligible = np.all(
@@ -178,8 +185,8 @@ class Iteration:
                 weights = None
         else:
             message = (
-                f"Not converged after {len(corrections)} play-backs: the last correction was {corrections[-1]:.2e} "
-                "(largest parameter, accelerometer bias in g)."
+                f"Not converged after {len(corrections)} play-backs: the last correction was "
+                f"{corrections[-1] if corrections else np.inf:.2e} (largest parameter, accelerometer bias in g)."
             )
         if final is None:
             final = self.player.play(
@@ -191,20 +198,42 @@ class Iteration:
             )
         return self._finish(final, errors, U, corrections, status, message)
 
+    def _first_orientation(self, U: Array) -> Array:
+        """Orientation of MARS on the table for errors that were given, or none: as the data show it under them."""
+        if self.options.start == "auto" or self.resumed or self.data.nominal is None:
+            return U
+        return self.player.play(self.first, U=U, nominal_vertical=True).U
+
+    def _gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
+        try:
+            gain = self.solver.gain(playback, covariance, near=near)
+        except (np.linalg.LinAlgError, ValueError):
+            gain = np.full((N_PARAMETERS, len(playback.z)), np.nan)
+        if not np.all(np.isfinite(gain)):
+            raise _DivergenceError("the equations are singular (a sequence labelled wrongly, or not turned?)")
+        return gain
+
     def _correct(self, errors: SensorErrors, playback: Playback, gain: Array) -> tuple[SensorErrors, Array, Array]:
         # U follows the data (axes and verticals), so that no mounting error is left in the nominal attitudes.
-        U_seen = playback.U
-        if self.options.step == "coefficients" and self.solver.coefficients is not None:
-            delta = self.solver.coefficients @ playback.z
-            corrected, turn = compose(errors, delta)
-            return corrected, turn @ U_seen, corrected.vector - errors.vector
-        delta = gain @ playback.z
+        U = playback.U
+        composed = self.options.step == "coefficients" and self.solver.coefficients is not None
+        coefficients = self.solver.coefficients
+        delta = (coefficients if composed and coefficients is not None else gain) @ playback.z
+        if not np.all(np.isfinite(delta)):
+            raise _DivergenceError("the correction is not finite")
         largest = float(np.max(np.abs(delta) / _UNIT))
         if largest > _MAX_STEP:  # far from the solution a linear step of that size means nothing but a direction
             delta *= _MAX_STEP / largest
-        vector = errors.vector + delta
+        if composed:
+            try:
+                corrected, turn = compose(errors, delta)
+            except DataError as error:
+                raise _DivergenceError("the composed gyro triad is left-handed") from error
+            vector, U = corrected.vector.copy(), turn @ U
+        else:
+            vector = errors.vector + delta
         vector[self.solver.held] = self.start.vector[self.solver.held]
-        return SensorErrors(vector), U_seen, vector - errors.vector
+        return SensorErrors(vector), U, vector - errors.vector
 
     def _update_offsets(self, playback: Playback, sigma: Array) -> bool:
         """Renew the sequences' own biases; True once they have stopped moving."""
@@ -298,8 +327,15 @@ class Iteration:
     ) -> Solution:
         by_source = self._by_source(playback)
         total = np.asarray(sum(by_source.values()))
-        gain = self.solver.gain(playback, total, near=True)
+        try:
+            gain = self._gain(playback, total, near=True)
+        except _DivergenceError:
+            gain, status = np.zeros((N_PARAMETERS, len(playback.z))), "outside_model"
         covariance = {name: gain @ R @ gain.T for name, R in by_source.items()}
+        # What is held is not known exactly, and its error goes into what is estimated with it.
+        by_held = playback.H * np.where(self.solver.held, self.held_sigma, 0.0)
+        covariance["held_values"] = gain @ by_held @ by_held.T @ gain.T
+        total = total + by_held @ by_held.T
         # The bias reported is the unit's; that of this test is one draw of it.
         for group, wander in (("gyro_bias", self.wander), ("accel_bias", self.data.noise.accel_wander)):
             bias = np.arange(N_PARAMETERS)[GROUP_SLICES[group]]
@@ -322,6 +358,13 @@ class Iteration:
         )
 
 
+def _require_inside(errors: SensorErrors) -> None:
+    """Raise where errors are no IMU's."""
+    reason = outside_model(errors)
+    if reason is not None:
+        raise _DivergenceError(reason)
+
+
 def iterate(
     data: PlaybackData,
     options: Options,
@@ -332,6 +375,7 @@ def iterate(
     *,
     excess: tuple[float, float] = (0.0, 0.0),
     resume: Solution | None = None,
+    held_sigma: Array | None = None,
 ) -> Solution:
     """Iterate play-backs from a first estimate.
 
@@ -350,5 +394,8 @@ def iterate(
         Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
     resume : Solution, optional
         Go on from where this solution on the same data ended (its errors, windows, biases and nearness).
+    held_sigma : ndarray, shape (27,), optional
+        One sigma of each parameter's first value, for those that are held; zero means exact.
     """
-    return Iteration(data, options, solver, errors, excess, resume).run(U, progress)
+    uncertain = np.zeros(N_PARAMETERS) if held_sigma is None else held_sigma
+    return Iteration(data, options, solver, errors, excess, resume, uncertain).run(U, progress)

@@ -14,9 +14,11 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt import measurement_noise
 from srt.estimation import assemble, chi_square, is_misfit
+from srt.exceptions import InputError
+from srt.held import held_sigma, prior_sigma, request_reason
 from srt.iteration import iterate
 from srt.segmentation import find_turns
-from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, expand_names
+from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, expand_names
 from srt.session import open_session
 from srt.start import first_estimate
 from srt.variance_components import restricted_likelihood
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from srt.playback import Playback
     from srt.playback_data import PlaybackData
     from srt.recording import Recording
+    from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]
 
@@ -42,24 +45,17 @@ _ADMISSION: Final = (
     + expand_names(["gyro_asymmetry"])
 )
 
-# One sigma of each group before any data: a parameter counts as observed if the recording cuts it to a third.
-_PRIOR_SIGMA: Final = {
-    "gyro_scale": 0.3,
-    "gyro_asymmetry": 0.01,
-    "gyro_orthogonality": 0.3,
-    "accel_bias": 3.0,
-    "accel_scale": 0.3,
-    "accel_asymmetry": 0.01,
-    "accel_misalignment": 0.3,
-    "gyro_bias": 0.3,
-}
+# A parameter counts as observed if the recording cuts its prior sigma to a third.
 _OBSERVED_BELOW: Final = 1.0 / 3.0
 _ROUNDS: Final = 3
 
 
-def prior_sigma() -> Array:
-    """Prior one sigma of the 27 parameters, SI."""
-    return np.array([next(s for g, s in _PRIOR_SIGMA.items() if n.startswith(g + "_")) for n in NAMES])
+def admission_sigma() -> Array:
+    """Prior one sigma by which a parameter is judged observed: the general prior, asymmetries to 1 %."""
+    sigma = prior_sigma()
+    for group in ("gyro_asymmetry", "accel_asymmetry"):
+        sigma[GROUP_SLICES[group]] = 0.01
+    return sigma
 
 
 class LeastSquaresSolver:
@@ -76,7 +72,7 @@ class LeastSquaresSolver:
     def __init__(self, requested: tuple[str, ...]) -> None:
         self.requested = np.array([n in requested for n in NAMES])
         self.held = self.requested.copy()
-        self._prior = prior_sigma()
+        self._prior = admission_sigma()
         self._selected = False
 
     def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
@@ -143,13 +139,44 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If no usable stillness-turn-stillness is found, or readings are impossible.
     """
+    if options.step != "jacobian":
+        raise InputError("Option step='coefficients' is the closed form's; least squares has no such coefficients.")
     labels = recording.sequences or find_turns(recording)
     data = open_session(recording, labels, options)
-    start, U = first_estimate(data, options)
-    solver = LeastSquaresSolver(options.held_names)
-    solution = iterate(data, options, solver, start, U, progress)
-    excess = (0.0, 0.0)
+    first = first_estimate(data, options)
+    uncertain = held_sigma(data, options)
+    held = {n: request_reason(n, uncertain) for n in options.held_names}
+    for _ in range(_ROUNDS):
+        solution, solver, excess = _solve(data, options, tuple(held), first, uncertain, progress)
+        sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
+        weak = ~solver.held & (sigma > _OBSERVED_BELOW * admission_sigma())
+        for n, is_held, is_weak in zip(NAMES, solver.held, weak, strict=True):
+            if (is_held or is_weak) and n not in held:
+                held[n] = "the poses and turns of this recording do not show it apart from the others"
+        if solution.status != "converged" or not weak.any():
+            break
     warnings: tuple[str, ...] = ()
+    if any(excess):
+        warnings = (
+            f"Residuals are larger than the sensors' noise explains: {np.degrees(excess[0]):.2g}° per turn and "
+            f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
+        )
+    inflation = _inflation(solution, solver.held)
+    return assemble("least-squares", data, options, solution, held, warnings=warnings, inflation=inflation)
+
+
+def _solve(
+    data: PlaybackData,
+    options: Options,
+    requested: tuple[str, ...],
+    first: tuple[SensorErrors, Array],
+    uncertain: Array,
+    progress: Progress | None,
+) -> tuple[Solution, LeastSquaresSolver, tuple[float, float]]:
+    """Iterate with given parameters held; where residuals ask for it again, with noise beyond the sensors' own."""
+    solver = LeastSquaresSolver(requested)
+    solution = iterate(data, options, solver, *first, progress, held_sigma=uncertain)
+    excess = (0.0, 0.0)
     for _ in range(_ROUNDS):
         if solution.status != "converged" or not _misfit(solution, solver.held):
             break
@@ -157,19 +184,19 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         if np.allclose(new, excess, rtol=0.1, atol=1e-6):
             break
         excess = new
-        solver = LeastSquaresSolver(options.held_names)
-        solution = iterate(data, options, solver, start, solution.U, progress, excess=excess, resume=solution)
-    if any(excess):
-        warnings = (
-            f"Residuals are larger than the sensors' noise explains: {np.degrees(excess[0]):.2g}° per turn and "
-            f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
+        solver = LeastSquaresSolver(requested)
+        solution = iterate(
+            data,
+            options,
+            solver,
+            first[0],
+            solution.U,
+            progress,
+            excess=excess,
+            resume=solution,
+            held_sigma=uncertain,
         )
-    inflation = _inflation(solution, solver.held)
-    held = dict.fromkeys(options.held_names, "held on request")
-    for n, is_held in zip(NAMES, solver.held, strict=True):
-        if is_held and n not in held:
-            held[n] = "the poses and turns of this recording do not show it apart from the others"
-    return assemble("least-squares", data, options, solution, held, warnings=warnings, inflation=inflation)
+    return solution, solver, excess
 
 
 def _misfit(solution: Solution, held: NDArray[np.bool_]) -> bool:

@@ -36,6 +36,7 @@ SOURCES: Final = (
     "gravity",
     "turn_excess",
     "pose_excess",
+    "held_values",
 )
 """Contributions to the covariance, in the order they are reported."""
 
@@ -192,7 +193,7 @@ def _gyro_noise(playback: Playback, data: PlaybackData) -> Disturbance:
         for k, w in enumerate(which.tolist()):
             if playback.integrated[w]:
                 # F averages 1/2 over the window: that part of φ is the window's own mean, the rest is independent.
-                C = playback.window_attitude[w] if which is data.end else np.eye(3)
+                C = playback.integrals.C_end[k] if which is data.end else np.eye(3)
                 A = C @ D
                 outer[k] -= 0.25 * T[w] * np.einsum("ab,cb->acb", A, A)
                 shared[k] += 0.5 * T[w] * C @ means[w]
@@ -205,18 +206,15 @@ def _gyro_noise(playback: Playback, data: PlaybackData) -> Disturbance:
 
 
 def _gyro_quantization(playback: Playback, data: PlaybackData) -> Disturbance:
-    """Errors of the four readings of the angle at the edges of start window, rotation and end window."""
-    K, T = data.K, data.windows.duration_s
+    """Errors of the readings of the angle at both edges of every window, where the rotations begin and end too."""
+    K, W, T = data.K, len(data.windows.duration_s), data.windows.duration_s
     A = np.linalg.inv(playback.gyro.matrix) * data.noise.gyro_edge
-    phi, rate = np.zeros((K, 3, K, 4, 3)), np.zeros((len(T), 3, K, 4, 3))
-    for k in range(K):
-        s, e = int(data.start[k]), int(data.end[k])
-        C = playback.integrals.C_end[k]
-        phi[k, :, k, 1], phi[k, :, k, 2] = -A, C @ A
-        for w, first in ((s, 0), (e, 2)):
-            if playback.window_sequence[w] == k:
-                rate[w, :, k, first], rate[w, :, k, first + 1] = -A / T[w], A / T[w]
-    return Disturbance(phi=phi.reshape(K, 3, -1), rate=rate.reshape(len(T), 3, -1))
+    phi, rate = np.zeros((K, 3, W, 2, 3)), np.zeros((W, 3, W, 2, 3))
+    windows, turns = np.arange(W), np.arange(K)
+    rate[windows, :, windows, 0], rate[windows, :, windows, 1] = -A / T[:, None, None], A / T[:, None, None]
+    phi[turns, :, data.start, 1] = -A
+    phi[turns, :, data.end, 0] = playback.integrals.C_end @ A
+    return Disturbance(phi=phi.reshape(K, 3, -1), rate=rate.reshape(W, 3, -1))
 
 
 def _instability(playback: Playback, data: PlaybackData, wander: Array) -> Disturbance:
@@ -261,7 +259,7 @@ def _unknown_earth_rate(playback: Playback, data: PlaybackData) -> Array:
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
         size, directions = EARTH_RATE_RAD_S / math.sqrt(3.0), 3
-    elif fixture is None or fixture.heading_rad is None:
+    elif data.nominal is None or fixture is None or fixture.heading_rad is None:
         size, directions = EARTH_RATE_RAD_S * math.cos(site.latitude_rad) / math.sqrt(2.0), 2
     else:
         return np.zeros((data.K, 3, 0))

@@ -156,6 +156,8 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
     """Fit (N², q²) to one Allan variance; also the relative doubt of N²."""
     if variance.max() == 0.0:
         return np.zeros(2), 0.0
+    if len(tau) < 2:  # windows of a few samples: one octave cannot tell pulses from white noise
+        return np.array([variance[0] * tau[0], 0.0]), 1.0
     design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1)
     solution = np.zeros(2)
     for _ in range(2):

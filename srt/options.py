@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -61,9 +62,17 @@ class Options:
     measured_vertical: bool = True
 
     def __post_init__(self) -> None:
+        for name, kind in (("max_playbacks", int), ("asymmetry", bool), ("measured_vertical", bool)):
+            value = getattr(self, name)
+            if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+                raise InputError(f"Option {name} is {value!r}; it must be of type {kind.__name__}.")
+        if isinstance(self.hold, str) or not all(isinstance(name, str) for name in _iterable(self.hold)):
+            raise InputError(f"Option hold is {self.hold!r}; it must be a sequence of names of parameters or groups.")
         for name, allowed in _CHOICES.items():
             value = getattr(self, name)
-            if value not in allowed and not (name == "start" and isinstance(value, SensorErrors)):
+            if name == "start" and isinstance(value, SensorErrors):
+                continue
+            if not isinstance(value, str) or value not in allowed:
                 raise InputError(f"Option {name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}.")
         object.__setattr__(self, "hold", expand_names(self.hold))
         if self.max_playbacks < 1:
@@ -82,6 +91,11 @@ class Options:
             "hold": list,
         }
         return {f.name: convert.get(f.name, lambda v: v)(getattr(self, f.name)) for f in fields(self)}
+
+
+def _iterable(value: object) -> Iterable[object]:
+    """The value's elements; one that is no name for a value without any."""
+    return value if isinstance(value, Iterable) else (None,)
 
 
 _CHOICES = {

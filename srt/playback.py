@@ -292,6 +292,9 @@ class Player:
                 in_T.append(np.sign(angle) * sequence.axes)
                 in_B.append(turned[None] / np.linalg.norm(turned))
         B = np.concatenate(in_B).T @ np.concatenate(in_T)
-        left, _, right = np.linalg.svd(B)
+        left, singular, right = np.linalg.svd(B)
+        if singular[1] < 0.1 * singular[0]:
+            # Parallel verticals and no turn of one axis leave the rotation about them open: there the last U decides.
+            left, _, right = np.linalg.svd(B + 0.1 * singular[0] * U)
         out: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
         return out

@@ -30,7 +30,7 @@ def sequence_of_label(label: SequenceLabel) -> Sequence | None:
     """Catalogue entry of a label: Table 1, its own description, or None for a free turn."""
     if label.id is None:
         return None
-    if label.id in SEQUENCES and not label.rotations:
+    if label.id in SEQUENCES:
         return SEQUENCES[label.id]
     if label.down is None or label.along_outer is None:
         return None

@@ -232,6 +232,8 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
                 high[i] = _RANGE_MARGIN * stated * per_sample
                 low[i] = -high[i]
                 continue
+            if s == 0 and recording.fixture is not None:
+                continue  # a fixture turns at one rate, which pulses repeat exactly: only a stated range tells
             channel = values[:, axis]
             top, bottom = float(channel.max()), float(channel.min())
             suspects = [top] * (top > least * per_sample) + [bottom] * (-bottom > least * per_sample)

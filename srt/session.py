@@ -58,6 +58,7 @@ def open_session(recording: Recording, labels: tuple[SequenceLabel, ...], option
         else:
             usable.append(label)
     data = prepare(recording, usable, options, voided=voided)
+    _check_overlap(data)
     dt = recording.nominal_interval_s
     check_rest(data.windows.accel_mean, data.gravity, _window_titles(data), interval_s=dt)
     _check_turned(data)
@@ -65,6 +66,17 @@ def open_session(recording: Recording, labels: tuple[SequenceLabel, ...], option
         # Windows found by the segmentation are as still as the unit ever was; what moves in them is integrated.
         _check_stillness(data)
     return data
+
+
+def _check_overlap(data: PlaybackData) -> None:
+    """Refuse rotations that share samples: they would count as independent data."""
+    order = np.argsort(data.rotation[:, 0])
+    ends = np.maximum.accumulate(data.rotation[order, 1])
+    for k in np.flatnonzero(data.rotation[order[1:], 0] < ends[:-1]).tolist():
+        raise DataError(
+            f"{data.labels[order[k + 1]].title} begins to rotate while {data.labels[order[k]].title} still does: the "
+            "same samples must not be labelled twice; correct the windows' times."
+        )
 
 
 def _window_titles(data: PlaybackData) -> list[str]:

@@ -84,9 +84,9 @@ def average_windows(recording: Recording, samples: NDArray[np.intp], algorithm: 
         duration[w] = steps.sum()
         if n not in cache:
             cache[n] = averaging_weights(n, algorithm)
-        weights = cache[n]
-        density = weights / steps  # the mean is the integral of density times reading
-        accel[w] = (weights if rates else density) @ recording.accel[a:b]
+        # The mean is the integral of density times reading: weights belong to time, not to samples.
+        density = cache[n] / float(cache[n] @ steps)
+        accel[w] = (density * steps if rates else density) @ recording.accel[a:b]
         first, second = steps[: middle - a], steps[middle - a :]
         for h, (lo, hi, s) in enumerate(((a, middle, first), (middle, b, second))):
             per_sample = (s if rates else np.ones(hi - lo)) / s.sum()

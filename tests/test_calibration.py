@@ -8,6 +8,7 @@ import pytest
 import srt
 from sims import campaigns
 from sims.imu import read_out
+from sims.sequences import TABLE_1
 from sims.table_motion import table1_motion
 from srt.compensation import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
@@ -151,9 +152,24 @@ def test_a_missing_sequence_costs_only_its_parameters(unit, calibration):
 
 
 def test_repeated_sequences_are_all_used(unit):
-    recording, _ = unit
-    twice = recording.with_sequences(recording.sequences + recording.sequences[:1])
-    assert [r.occurrence for r in srt.calibrate(twice).residuals if r.sequence == "1"] == [1] * 4 + [2] * 4
+    """Sequence 1 run twice; the same samples labelled twice are refused, as they are no independent data."""
+    recording, truth = unit
+    motion = table1_motion(site=campaigns.SITE, sample_rate_hz=50.0, dwell_s=4.0, sequences=(*TABLE_1, "1"))
+    result = srt.calibrate(read_out(motion, truth))
+    assert [r.occurrence for r in result.residuals if r.sequence == "1"] == [1] * 4 + [2] * 4
+    assert np.abs(campaigns.error_in_quoted_units(result, truth))[:24].max() < 1e-8
+    with pytest.raises(srt.DataError, match="labelled twice"):
+        srt.calibrate(recording.with_sequences(recording.sequences + recording.sequences[:1]))
+
+
+def test_held_values_widen_what_reads_them():
+    """Without 1a-3a a true asymmetry of 1e-3 falls on the scale factors: their sigma says so (prior 1e-3)."""
+    recording, truth = campaigns.noisy_recording(7, "navigation")
+    result = srt.calibrate(without(recording, "1a", "2a", "3a"))
+    scale = GROUP_SLICES["gyro_scale"]
+    assert np.all(result.sigma[scale] > 0.9e-3)
+    trial = campaigns.score(result, truth)
+    assert np.all(np.abs(trial.error[scale] / trial.sigma[scale]) < 3.5)
 
 
 def test_held_parameters_keep_the_given_values(unit):
@@ -161,7 +177,7 @@ def test_held_parameters_keep_the_given_values(unit):
     result = srt.calibrate(recording, hold=("accel_asymmetry", "gyro_bias_x"), start=truth)
     for name in ("accel_asymmetry_y", "gyro_bias_x"):
         assert result.errors[name] == truth[name]
-        assert result.held[name] == "held on request"
+        assert result.held[name] == "held on request, taken as exact"
         assert np.isnan(result.sigma[INDEX[name]])
 
 

@@ -1,0 +1,64 @@
+"""How well the values of held parameters are known: they go into the covariance of all that is estimated with them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.constants import EARTH_RATE_RAD_S
+from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.options import Options
+    from srt.playback_data import PlaybackData
+
+    Array = NDArray[np.float64]
+
+PRIOR_SIGMA: Final = {
+    "gyro_scale": 0.3,
+    "gyro_asymmetry": 1e-3,
+    "gyro_orthogonality": 0.3,
+    "accel_bias": 3.0,
+    "accel_scale": 0.3,
+    "accel_asymmetry": 3e-3,
+    "accel_misalignment": 0.3,
+    "gyro_bias": 0.3,
+}
+"""One sigma of each group before any data, SI. Asymmetries: above those of any grade in the configurations."""
+
+
+def prior_sigma() -> Array:
+    """Prior one sigma of the 27 parameters."""
+    out = np.empty(N_PARAMETERS)
+    for group, sigma in PRIOR_SIGMA.items():
+        out[GROUP_SLICES[group]] = sigma
+    return out
+
+
+def held_sigma(data: PlaybackData, options: Options) -> Array:
+    """One sigma of every parameter's start value, should it be held, shape (27,), SI.
+
+    Values given by the user, and asymmetries held on request, are taken as exact. A start from the fixture is as good
+    as the fixture (its accelerometer bias also takes in half of an asymmetry it leaves out); any other is the prior.
+    """
+    if isinstance(options.start, SensorErrors):
+        return np.zeros(N_PARAMETERS)
+    sigma = prior_sigma()
+    fixture = data.recording.fixture
+    if options.start == "auto" and fixture is not None and data.nominal is not None:
+        accuracy = float(np.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad))
+        for group in ("gyro_scale", "gyro_orthogonality", "accel_scale", "accel_misalignment"):
+            sigma[GROUP_SLICES[group]] = accuracy
+        sigma[GROUP_SLICES["accel_bias"]] = data.gravity * float(np.hypot(accuracy, PRIOR_SIGMA["accel_asymmetry"]))
+        sigma[GROUP_SLICES["gyro_bias"]] = EARTH_RATE_RAD_S
+    exact = [INDEX[name] for name in options.held_names if "asymmetry" in name]
+    sigma[exact] = 0.0
+    return sigma
+
+
+def request_reason(name: str, sigma: Array) -> str:
+    """Why a parameter is held that the user asked to hold."""
+    return "held on request" + (", taken as exact" if sigma[INDEX[name]] == 0.0 else "")
