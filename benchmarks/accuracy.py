@@ -16,7 +16,7 @@ from sims.campaigns import GRADES, Trial, normalised, run
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.sensor_errors import GROUP_SLICES, GROUPS, NAMES
 
-console = Console(width=140)
+console = Console(width=150)
 ERRORS = slice(0, 24)
 
 
@@ -85,7 +85,7 @@ def _table(title: str) -> Table:
     table = Table(title=title)
     table.add_column("unit", no_wrap=True)
     for column in (*(g.name.replace("_", " ") for g in GROUPS), "NEES/27"):
-        table.add_column(column)
+        table.add_column(column, min_width=9)
     return table
 
 

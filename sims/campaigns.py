@@ -171,7 +171,7 @@ def score(calibration: Calibration, truth: SensorErrors) -> Trial:
     seen = calibration.observed
     scaled = d[seen] / sigma[seen]
     correlation = calibration.covariance[np.ix_(seen, seen)] / np.outer(sigma[seen], sigma[seen])
-    nees = float(scaled @ np.linalg.solve(correlation, scaled)) / int(seen.sum())
+    nees = float(scaled @ np.linalg.solve(correlation, scaled)) / int(seen.sum()) if seen.any() else float("nan")
     return Trial(d / IN_G, sigma / IN_G, nees, calibration.status, len(calibration.corrections))
 
 

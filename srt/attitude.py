@@ -112,7 +112,7 @@ def integrate(
     earth_rate: Array,
     *,
     bias_offset: Array | None = None,
-    noise_rad_sqrt_s: Array | None = None,
+    sample_noise_rad: Array | None = None,
     with_noise: bool = False,
 ) -> tuple[RotationIntegrals, Array]:
     """Integrate the attitude of every sequence and gather its error integrals.
@@ -126,8 +126,8 @@ def integrate(
         ω̂e in each sequence's B_Strt.
     bias_offset : ndarray, shape (K, 3), rad/s, optional
         Left-over bias of each sequence, taken off the compensated rate.
-    noise_rad_sqrt_s : ndarray, shape (3,), optional
-        Angle random walk of the raw channels: below three sigma of a sample the sign in the asymmetry term
+    sample_noise_rad : ndarray, shape (3,), optional
+        One sigma of a raw sample's angle, random walk and pulses: below three of them the sign in the asymmetry term
         is that of the smoothed rate, so that noise is not rectified.
     with_noise : bool
         Gather the noise integral too.
@@ -154,7 +154,7 @@ def integrate(
         k_of, dt = sequence_of[a:b], stream.interval_s[a:b]
         # One sample more on either side, for the change of the rate at the block's edges.
         lo, hi = max(a - 1, 0), min(b + 1, n)
-        theta, D = _compensate(stream, slice(lo, hi), gyro, inverses, noise_rad_sqrt_s)
+        theta, D = _compensate(stream, slice(lo, hi), gyro, inverses, sample_noise_rad)
         if bias_offset is not None and bias_offset.any():
             theta -= bias_offset.T[:, sequence_of[lo:hi]] * stream.interval_s[lo:hi]
         change = _change(theta, sequence_of[lo:hi])
@@ -290,7 +290,7 @@ def _times(C: Array, D: Array) -> Array:
 
 
 def _compensate(
-    stream: GyroStream, block: slice, gyro: Triad, inverses: Array, noise_rad_sqrt_s: Array | None
+    stream: GyroStream, block: slice, gyro: Triad, inverses: Array, sample_noise_rad: Array | None
 ) -> tuple[Array, Array]:
     """Compensated increments of a block, (3, m), and the matrices that made them, (3, 3) or (3, 3, m)."""
     dt = stream.interval_s[block]
@@ -301,8 +301,8 @@ def _compensate(
     table = np.ascontiguousarray(np.moveaxis(inverses, 0, 2))
     smooth = sigma = None
     judged = mean_inverse @ y
-    if noise_rad_sqrt_s is not None:
-        sigma = 3.0 * np.sqrt(mean_inverse**2 @ noise_rad_sqrt_s**2)[:, None] * np.sqrt(dt)
+    if sample_noise_rad is not None:
+        sigma = np.broadcast_to(3.0 * np.sqrt(mean_inverse**2 @ sample_noise_rad**2)[:, None], y.shape)
         smooth = stream.smooth[:, block] - gyro.bias[:, None] * dt
         np.copyto(judged, mean_inverse @ smooth, where=np.abs(judged) < sigma)
     octant = _octant(judged)

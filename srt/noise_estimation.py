@@ -60,6 +60,11 @@ class NoiseModel:
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
 
+    def gyro_sample(self, interval_s: float) -> Array:
+        """One sigma of a single sample's angle, random walk and pulses, shape (3,), rad."""
+        out: Array = np.hypot(self.gyro_white * math.sqrt(interval_s), math.sqrt(2.0) * self.gyro_edge)
+        return out
+
 
 def noise_model(recording: Recording, windows: NDArray[np.intp]) -> NoiseModel:
     """Complete the stated noise of a unit from its stationary windows.

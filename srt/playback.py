@@ -177,7 +177,7 @@ class Player:
             gyro,
             earth_rate,
             bias_offset=bias_offset,
-            noise_rad_sqrt_s=noise.gyro_white,
+            sample_noise_rad=noise.gyro_sample(data.recording.nominal_interval_s),
             with_noise=with_noise,
         )
         C = integrals.C_end

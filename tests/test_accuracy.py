@@ -9,7 +9,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+import srt
 from sims import campaigns
+from sims.imu import read_out
+from sims.table_motion import table1_motion
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 ERRORS = slice(0, 24)  # gyro bias is a nuisance
@@ -125,6 +128,21 @@ def test_sigmas_are_true_when_the_noise_is_estimated(count):
     low, high = variance_band(count)
     assert np.all(ratio < high * 1.2)
     assert np.all(ratio > low / 1.2)
+
+
+def test_large_asymmetry_does_not_rectify_pulses():
+    """5 % errors, asymmetry included, and pulses a hundred times the random walk of a sample: sigmas stay true.
+
+    Pulses in |ω| of a resting channel would add asymmetry · √(2/π) · noise: 2e-5 rad over a turn, 10 sigma.
+    """
+    nees = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        truth = campaigns.normal_errors(rng, 0.05, 1e-3)
+        motion = table1_motion(site=campaigns.SITE, sample_rate_hz=100.0)
+        recording = read_out(motion, truth, campaigns.GRADES["navigation"], rng)
+        nees.append(campaigns.score(srt.calibrate(recording), truth).nees)
+    assert abs(np.mean(nees) - 1.0) < 3.5 * np.sqrt(2.0 / 27.0 / 8)
 
 
 @sized(15, 300)

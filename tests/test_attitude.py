@@ -390,7 +390,7 @@ def test_sign_of_a_resting_noisy_channel_is_that_of_its_smoothed_rate():
     stream = gyro_stream(rates, dt, whole, whole, rates=True)
     white = np.full(3, sigma * math.sqrt(dt))
     without, _ = integrate(stream, triad, np.zeros((1, 3)))
-    smoothed, _ = integrate(stream, triad, np.zeros((1, 3)), noise_rad_sqrt_s=white)
+    smoothed, _ = integrate(stream, triad, np.zeros((1, 3)), sample_noise_rad=white * np.sqrt(dt))
     mean = rates.mean(axis=0) - bias
     seen_without = mean - without.turned[0] / (n * dt)
     seen_smoothed = mean - smoothed.turned[0] / (n * dt)
