@@ -284,7 +284,8 @@ class Iteration:
         """Chi-square tests of the two halves of every window against each other: angle turned, and tilt.
 
         A steady rate is no sign of motion by itself: a bias that changes from pose to pose (g-sensitivity, instability)
-        looks the same to the gyros. What turns steadily about a horizontal axis shows in the accelerometers.
+        looks the same to the gyros. What turns steadily about a horizontal axis shows in the accelerometers, too; where
+        these change alone, it is their own drift.
         """
         data, noise = self.data, self.data.noise
         T = 0.5 * data.windows.duration_s[:, None]
@@ -302,8 +303,11 @@ class Iteration:
         change -= up * np.einsum("wa,wa->w", up, change)[:, None]
         variance = (2.0 * noise.accel_white**2 / T + 6.0 * (noise.accel_edge / T) ** 2) @ A2.T
         variance = variance + 2.0 * noise.accel_wander**2
-        tilted = np.sum(change**2 / variance, axis=1)
-        return np.asarray((turned > chi2.isf(STILLNESS_PROBABILITY, 3)) | (tilted > chi2.isf(STILLNESS_PROBABILITY, 2)))
+        tilted = np.sum(change**2 / variance, axis=1) > chi2.isf(0.5 * STILLNESS_PROBABILITY, 2)
+        rate = playback.rest_rate - playback.pool @ playback.rest_rate
+        by_gyros = np.cross(playback.force, rate) * T
+        tilted &= np.linalg.norm(change - by_gyros, axis=1) < 0.5 * np.linalg.norm(change, axis=1)
+        return np.asarray(tilted | (turned > chi2.isf(0.5 * STILLNESS_PROBABILITY, 3)))
 
     def _total(self, playback: Playback) -> Array:
         return np.asarray(sum(self._by_source(playback).values()))
