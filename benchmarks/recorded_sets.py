@@ -1,0 +1,66 @@
+"""Figures on the recorded sets: gains, offsets and sigmas beside published ones; residuals before and after."""
+
+import numpy as np
+from scipy.linalg import rq
+
+import srt
+from sims import recorded
+from srt.compensation import accel_triad, gyro_triad
+from srt.sensor_errors import GROUP_SLICES
+
+IMU_TK = {
+    "accelerometer gain, counts/(m/s²)": (414.46, 412.01, 414.65),
+    "accelerometer offset, counts": (33124.2, 33275.2, 32364.4),
+    "gyro gain, counts/(rad/s)": (4777.96, 4764.21, 4773.66),
+}
+CERTIFICATE = {
+    "accelerometer gain, counts/(m/s²)": (415.0, 413.0, 415.0),
+    "accelerometer offset, counts": (33123.0, 33276.0, 32360.0),
+    "gyro gain, counts/(rad/s)": (4778.0, 4758.0, 4766.0),
+}
+
+
+def xsens(recording: srt.Recording) -> None:
+    """Gains in imu_tk's frame: the accelerometer matrix upper triangular."""
+    result = srt.calibrate(recording, hold=("gyro_asymmetry", "accel_asymmetry"))
+    upper, turn = rq(recorded.XSENS_ACCEL_PER_M_S2 * accel_triad(result.errors).matrix)
+    signs = np.diag(np.sign(np.diag(upper)))
+    gyro = recorded.XSENS_GYRO_PER_RAD_S * gyro_triad(result.errors).matrix @ (signs @ turn).T
+    offset = recorded.XSENS_ACCEL_OFFSET + recorded.XSENS_ACCEL_PER_M_S2 * result.errors.group("accel_bias")
+    found = (np.diag(upper @ signs), offset, 1.0 / np.diag(np.linalg.inv(gyro)))
+    sigma = (
+        recorded.XSENS_ACCEL_PER_M_S2 * result.sigma[GROUP_SLICES["accel_scale"]],
+        recorded.XSENS_ACCEL_PER_M_S2 * result.sigma[GROUP_SLICES["accel_bias"]],
+        recorded.XSENS_GYRO_PER_RAD_S * result.sigma[GROUP_SLICES["gyro_scale"]],
+    )
+    print(f"xsens_mti, latitude {recorded.XSENS_LATITUDE_DEG}° assumed: {result.message}")
+    for (name, published), values, sigmas in zip(IMU_TK.items(), found, sigma, strict=True):
+        print(f"  {name}: {np.round(values, 2)} ± {np.round(sigmas, 2)}")
+        print(f"    imu_tk {published}, certificate {CERTIFICATE[name]}")
+    for warning in result.warnings:
+        print(f"  {warning}")
+
+
+def before_and_after(name: str, recording: srt.Recording) -> None:
+    result = srt.calibrate(recording)
+    labelled = recording.with_sequences(srt.find_turns(recording))
+    before, after = (recorded.residuals(labelled, errors) for errors in (None, result.errors))
+    print(
+        f"{name}: {len(labelled.sequences)} turns, "
+        f"gravity {before['gravity_m_s2']:.4f} -> {after['gravity_m_s2']:.4f} m/s², "
+        f"turns {before['turn_deg']:.2f} -> {after['turn_deg']:.2f}°, {result.status}"
+    )
+
+
+def main() -> None:
+    folder = recorded.data_folder()
+    if folder is None:
+        raise SystemExit(f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder")
+    xsens(recorded.xsens_mti(folder))
+    before_and_after("xsens_mti", recorded.xsens_mti(folder))
+    for unit in (0, 1):
+        before_and_after(f"mpu9150 unit {unit}", recorded.mpu9150(folder, unit))
+
+
+if __name__ == "__main__":
+    main()
