@@ -12,7 +12,7 @@ from importlib.metadata import entry_points, version
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from srt.calibration import Calibration, Residual
 from srt.exceptions import InputError, MissingExtraError
@@ -234,7 +234,7 @@ def chi_square(solution: Solution, held: NDArray[np.bool_]) -> tuple[float, int]
 
 def is_misfit(statistic: float, freedom: int) -> bool:
     """Whether residuals are larger than chance makes them once in a thousand recordings."""
-    return freedom > 0 and statistic > float(chi2.isf(MISFIT_PROBABILITY, freedom))
+    return freedom > 0 and statistic > float(chdtri(freedom, MISFIT_PROBABILITY))
 
 
 @cache

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from srt import measurement_noise
 from srt.compensation import compose, outside_model
@@ -259,7 +259,7 @@ class Iteration:
             return np.zeros(3)
         expected = measurement_noise.rest_rate_variance(playback, self.data) + self._earth_rate_doubt() ** 2
         seen = np.sum(deviation**2, axis=0) / n
-        excess = np.where(seen > expected * chi2.isf(STILLNESS_PROBABILITY, n) / n, seen - expected, 0.0)
+        excess = np.where(seen > expected * chdtri(n, STILLNESS_PROBABILITY) / n, seen - expected, 0.0)
         return np.asarray(np.sqrt(playback.gyro.matrix**2 @ excess))
 
     def _earth_rate_doubt(self) -> float:
@@ -303,11 +303,11 @@ class Iteration:
         change -= up * np.einsum("wa,wa->w", up, change)[:, None]
         variance = (2.0 * noise.accel_white**2 / T + 6.0 * (noise.accel_edge / T) ** 2) @ A2.T
         variance = variance + 2.0 * noise.accel_wander**2
-        tilted = np.sum(change**2 / variance, axis=1) > chi2.isf(0.5 * STILLNESS_PROBABILITY, 2)
+        tilted = np.sum(change**2 / variance, axis=1) > chdtri(2, 0.5 * STILLNESS_PROBABILITY)
         rate = playback.rest_rate - playback.pool @ playback.rest_rate
         by_gyros = np.cross(playback.force, rate) * T
         tilted &= np.linalg.norm(change - by_gyros, axis=1) < 0.5 * np.linalg.norm(change, axis=1)
-        return np.asarray(tilted | (turned > chi2.isf(0.5 * STILLNESS_PROBABILITY, 3)))
+        return np.asarray(tilted | (turned > chdtri(3, 0.5 * STILLNESS_PROBABILITY)))
 
     def _total(self, playback: Playback) -> Array:
         return np.asarray(sum(self._by_source(playback).values()))

@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
@@ -169,8 +169,8 @@ def _blocks(recording: Recording) -> _Blocks:
 def _still(blocks: _Blocks) -> NDArray[np.bool_]:
     """Which blocks are at rest."""
     n = blocks.size
-    upper = max(_LOUD, float(chi2.isf(_FALSE_ALARM, n - 1)) / (n - 1))
-    middle = float(chi2.median(n - 1)) / (n - 1)
+    upper = max(_LOUD, float(chdtri(n - 1, _FALSE_ALARM)) / (n - 1))
+    middle = float(chdtri(n - 1, 0.5)) / (n - 1)
     # The quietest tenth is at rest if anything is; the loop then takes the level from all blocks that agree.
     level = np.maximum(np.quantile(blocks.variance, 0.1, axis=0), blocks.floor)
     quiet = np.all(blocks.variance <= upper * level, axis=1)
