@@ -192,8 +192,9 @@ def prepare(
         If no sequence is left, or a rotation would have no samples.
     """
     if not labels:
-        reasons = "; ".join(f"{k}: {v}" for k, v in (voided or {}).items())
-        raise DataError("No usable sequence is left in the recording" + (f" ({reasons})." if reasons else "."))
+        reasons = [f"{k}: {v}" for k, v in (voided or {}).items()]
+        shown = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if len(reasons) > 2 else "")
+        raise DataError(f"No usable sequence is left in the recording ({shown or 'none is labelled'}).")
     slices: dict[tuple[int, int], int] = {}
     ends: list[list[int]] = [[], []]
     for label in labels:

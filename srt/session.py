@@ -42,30 +42,36 @@ def open_session(recording: Recording, labels: tuple[SequenceLabel, ...], option
         stationary window.
     """
     check_interval(recording)
-    levels = clipping_levels(recording)
     voided: dict[str, str] = {}
-    usable = []
+    whole = []
     for label in labels:
-        begin = recording.window_indices(*label.start_static_s)
-        end = recording.window_indices(*label.end_static_s)
-        whole = slice(begin.start, end.stop)
-        clipped = clipped_samples(recording, whole, levels)
-        if gap_inside(recording, whole).size:
-            at = recording.time[int(gap_inside(recording, whole)[0])]
-            voided[label.title] = f"samples are missing before {at:.6g} s"
-        elif clipped:
-            voided[label.title] = str(clipped[0])
+        gaps = gap_inside(recording, _part(recording, label))
+        if gaps.size:
+            voided[label.title] = f"samples are missing before {recording.time[int(gaps[0])]:.6g} s"
         else:
-            usable.append(label)
-    data = prepare(recording, usable, options, voided=voided)
+            whole.append(label)
+    data = prepare(recording, whole, options, voided=voided)
     _check_overlap(data)
+    # Units before clipping: degrees taken for radians are beyond any range.
     dt = recording.nominal_interval_s
     check_rest(data.windows.accel_mean, data.gravity, _window_titles(data), interval_s=dt)
     _check_turned(data)
+    levels = clipping_levels(recording)
+    clipped = {label.title: clipped_samples(recording, _part(recording, label), levels) for label in whole}
+    voided |= {title: str(channels[0]) for title, channels in clipped.items() if channels}
+    if any(clipped.values()):
+        data = prepare(recording, [s for s in whole if not clipped[s.title]], options, voided=voided)
     if recording.sequences:
         # Windows found by the segmentation are as still as the unit ever was; what moves in them is integrated.
         _check_stillness(data)
     return data
+
+
+def _part(recording: Recording, label: SequenceLabel) -> slice:
+    """Samples of a sequence, from the start of its first window to the end of its last."""
+    return slice(
+        recording.window_indices(*label.start_static_s).start, recording.window_indices(*label.end_static_s).stop
+    )
 
 
 def _check_overlap(data: PlaybackData) -> None:
