@@ -62,6 +62,12 @@ def test_xsens_agrees_with_imu_tk(xsens):
         assert np.all(difference <= FAIR[name] + two_sigma[name]), (name, difference)
 
 
+def test_xsens_gyro_gains_agree_like_for_like():
+    """With one gyro bias for the whole recording, as imu_tk has it, gains are within the fair amount unwidened."""
+    result = srt.calibrate(recorded.xsens_mti(FOLDER), hold=("gyro_asymmetry", "accel_asymmetry"), gyro_bias="pooled")
+    np.testing.assert_allclose(in_accelerometer_gauge(result)["gyro_gain"], IMU_TK["gyro_gain"], rtol=FAIR["gyro_gain"])
+
+
 def test_xsens_agrees_with_the_factory_certificate(xsens):
     """The certificate prints gains to a count and alignment to 0.01; it is some years older than the recording."""
     gains = {"accel_rows": (415.0, 413.0, 415.0), "gyro_rows": (4778.0, 4758.0, 4766.0)}
