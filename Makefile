@@ -19,7 +19,7 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The full-size statistics (about half an hour on two cores)
+# The full-size statistics (about eight minutes on two cores)
 slow: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m slow
 
