@@ -129,23 +129,18 @@ def octants(v: Array) -> NDArray[np.intp]:
 
 def gyro_triad(errors: SensorErrors) -> Triad:
     """Reading model of the gyros: Mg, κ_Asym, κ_Bias."""
-    x = errors.vector
-    linear = np.concatenate([x[GROUP_SLICES["gyro_scale"]], x[GROUP_SLICES["gyro_orthogonality"]]])
-    return Triad(
-        np.eye(3) + np.tensordot(linear, GYRO_BASIS, 1),
-        x[GROUP_SLICES["gyro_asymmetry"]],
-        x[GROUP_SLICES["gyro_bias"]],
-    )
+    return _triad(errors, "gyro", "orthogonality", GYRO_BASIS)
 
 
 def accel_triad(errors: SensorErrors) -> Triad:
     """Reading model of the accelerometers: Ma, λ_Asym, λ_Bias."""
-    x = errors.vector
-    linear = np.concatenate([x[GROUP_SLICES["accel_scale"]], x[GROUP_SLICES["accel_misalignment"]]])
+    return _triad(errors, "accel", "misalignment", ACCEL_BASIS)
+
+
+def _triad(errors: SensorErrors, sensor: str, angles: str, basis: Array) -> Triad:
+    linear = np.concatenate([errors.group(f"{sensor}_scale"), errors.group(f"{sensor}_{angles}")])
     return Triad(
-        np.eye(3) + np.tensordot(linear, ACCEL_BASIS, 1),
-        x[GROUP_SLICES["accel_asymmetry"]],
-        x[GROUP_SLICES["accel_bias"]],
+        np.eye(3) + np.tensordot(linear, basis, 1), errors.group(f"{sensor}_asymmetry"), errors.group(f"{sensor}_bias")
     )
 
 

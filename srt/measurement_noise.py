@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,21 +24,6 @@ if TYPE_CHECKING:
     from srt.playback_data import PlaybackData
 
     Array = NDArray[np.float64]
-
-SOURCES: Final = (
-    "gyro_noise",
-    "gyro_quantization",
-    "gyro_bias_instability",
-    "accel_noise",
-    "accel_quantization",
-    "accel_bias_instability",
-    "earth_rate_alignment",
-    "gravity",
-    "turn_excess",
-    "pose_excess",
-    "held_values",
-)
-"""Contributions to the covariance, in the order they are reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +109,7 @@ def rest_rate_variance(playback: Playback, data: PlaybackData) -> Array:
 def disturbances(
     playback: Playback, data: PlaybackData, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Disturbance]:
-    """All sources, by the names in :data:`SOURCES`.
+    """All sources of noise by name, in the order they are reported.
 
     Parameters
     ----------
