@@ -81,6 +81,8 @@ class Calibration:
     site, noise, alignment, provenance : dict
     temperature : dict or None
         Mean and range per sequence, °C.
+    diagnostics : dict
+        What else the estimator reports, such as the innovations of every sequence; JSON values.
     warnings : tuple of str
     """
 
@@ -100,6 +102,7 @@ class Calibration:
     alignment: Mapping[str, Any] = field(default_factory=dict)
     temperature: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     @property
@@ -239,6 +242,7 @@ class Calibration:
                 for r in self.residuals
             ],
             "provenance": dict(self.provenance),
+            "diagnostics": dict(self.diagnostics),
         }
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -324,5 +328,6 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         alignment=document["alignment"],
         temperature=document["temperature"],
         provenance=document["provenance"],
+        diagnostics=document.get("diagnostics", {}),
         warnings=tuple(document.get("warnings", ())),
     )

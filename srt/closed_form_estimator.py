@@ -9,7 +9,7 @@ import numpy as np
 
 from srt import closed_form
 from srt.catalogue import AXES, SEQUENCES
-from srt.estimation import assemble
+from srt.estimation import assemble, outcome_of
 from srt.exceptions import DataError
 from srt.held import held_sigma, request_reason
 from srt.iteration import iterate
@@ -151,4 +151,4 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         )
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    return assemble("closed-form", data, options, solution, held, warnings=warnings)
+    return assemble("closed-form", data, options, outcome_of(data, solution, held), held, warnings=warnings)

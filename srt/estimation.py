@@ -7,6 +7,7 @@ Estimators are functions ``(recording, options, progress) -> Calibration`` regis
 from __future__ import annotations
 
 import importlib
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points, version
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from srt.options import Options
     from srt.playback_data import PlaybackData
     from srt.recording import Recording
+    from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]
     Progress = Callable[[int, float], None]
@@ -130,11 +132,80 @@ def automatic_estimator(recording: Recording) -> str:
     return "closed-form" if recording.fixture is not None and labelled else "least-squares"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What any estimator hands over to be made a calibration.
+
+    Attributes
+    ----------
+    errors : SensorErrors
+    U : ndarray, shape (3, 3)
+        T to MARS components; ignored without a fixture.
+    covariance : mapping of str to ndarray, shape (27, 27)
+        By source of error.
+    corrections : tuple of float
+        Largest correction of each play-back.
+    status, message : str
+    residuals : tuple of Residual
+    statistic : float
+        Smallest weighted square sum of the residuals.
+    freedom : int
+        Its degrees of freedom.
+    gross : bool
+        Whether a misfit is no matter of noise.
+    integrated : tuple of int
+        Windows whose attitude was integrated.
+    wander : ndarray, shape (3,), rad/s
+        One sigma of a sequence's gyro bias about the test's, raw channels.
+    bias_by_sequence : ndarray, shape (K, 3), rad/s
+    total : ndarray, shape (27, 27), optional
+        Covariance as the estimator itself has it; default the sum over the sources.
+    diagnostics : mapping
+        What else the estimator reports, as JSON values.
+    """
+
+    errors: SensorErrors
+    U: Array
+    covariance: Mapping[str, Array]
+    corrections: tuple[float, ...]
+    status: str
+    message: str
+    residuals: tuple[Residual, ...]
+    statistic: float
+    freedom: int
+    gross: bool
+    integrated: tuple[int, ...]
+    wander: Array
+    bias_by_sequence: Array
+    total: Array | None = None
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+
+def outcome_of(data: PlaybackData, solution: Solution, held: Mapping[str, str]) -> Outcome:
+    """Outcome of a solution by play-back."""
+    statistic, freedom = chi_square(solution, np.array([name in held for name in NAMES]))
+    return Outcome(
+        solution.errors,
+        solution.U,
+        solution.covariance,
+        solution.corrections,
+        solution.status,
+        solution.message,
+        _residuals(data, solution),
+        statistic,
+        freedom,
+        freedom > 0 and _is_gross(data, solution, statistic / freedom),
+        solution.integrated,
+        solution.wander,
+        solution.bias_by_sequence,
+    )
+
+
 def assemble(
     estimator: str,
     data: PlaybackData,
     options: Options,
-    solution: Solution,
+    outcome: Outcome,
     held: Mapping[str, str],
     *,
     warnings: tuple[str, ...] = (),
@@ -147,26 +218,27 @@ def assemble(
     estimator : str
     data : PlaybackData
     options : Options
-    solution : Solution
+    outcome : Outcome
     held : mapping of str to str
         Parameters not observed and the reason.
     warnings : tuple of str
     inflation : float
         Factor on all sigmas (least squares whose residuals are larger than the noise explains).
     """
-    if solution.status == "outside_model":
+    if outcome.status == "outside_model":
         held = dict.fromkeys(NAMES, "the iteration ended where the model does not hold")
     observed = np.array([name not in held for name in NAMES])
     mask = np.outer(observed, observed)
-    covariance = np.where(mask, sum(solution.covariance.values()), 0.0) * inflation**2
+    total = sum(outcome.covariance.values()) if outcome.total is None else outcome.total
+    covariance = np.where(mask, total, 0.0) * inflation**2
     covariance = 0.5 * (covariance + covariance.T)
-    status, message = solution.status, solution.message
-    statistic, freedom = chi_square(solution, ~observed)
+    status, message = outcome.status, outcome.message
+    statistic, freedom = outcome.statistic, outcome.freedom
     misfit = inflation == 1.0 and status == "converged" and is_misfit(statistic, freedom)
-    if misfit and _is_gross(data, solution, statistic / freedom):
+    if misfit and outcome.gross:
         status = "not_converged"
         message = (
-            f"The iteration came to rest after {len(solution.corrections)} play-backs, but the measurements contradict "
+            f"The iteration came to rest after {len(outcome.corrections)} play-backs, but the measurements contradict "
             f"the result grossly (chi-square {statistic:.2g} for {freedom} degrees of freedom): a wrong minimum, a "
             "wrong label, or a unit that the model does not describe."
         )
@@ -185,19 +257,19 @@ def assemble(
         estimator=estimator,
         status=status,
         message=message,
-        errors=solution.errors,
+        errors=outcome.errors,
         covariance=covariance,
-        corrections=solution.corrections,
+        corrections=outcome.corrections,
         held={name: held[name] for name in NAMES if name in held},
         contributions={
             source: np.where(observed, np.sqrt(np.maximum(np.diag(P), 0.0)) * inflation, 0.0)
-            for source, P in solution.covariance.items()
+            for source, P in outcome.covariance.items()
         },
-        U=None if data.nominal is None else solution.U,
+        U=None if data.nominal is None else outcome.U,
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
-        residuals=_residuals(data, solution),
+        residuals=outcome.residuals,
         site=_site(data),
-        noise=_noise(data, solution, inflation) | {"chi_square": statistic, "degrees_of_freedom": freedom},
+        noise=_noise(data, outcome, inflation) | {"chi_square": statistic, "degrees_of_freedom": freedom},
         alignment=_alignment(data),
         temperature=_temperature(data),
         provenance={
@@ -208,7 +280,8 @@ def assemble(
             "options": options.as_dict(),
             "voided": dict(data.voided),
         },
-        warnings=(*warnings, *_warnings(data, solution, observed)),
+        diagnostics=outcome.diagnostics,
+        warnings=(*warnings, *_warnings(data, outcome, observed)),
     )
 
 
@@ -270,19 +343,19 @@ def _site(data: PlaybackData) -> dict[str, Any]:
     }
 
 
-def _noise(data: PlaybackData, solution: Solution, inflation: float) -> dict[str, Any]:
+def _noise(data: PlaybackData, outcome: Outcome, inflation: float) -> dict[str, Any]:
     noise = data.noise
     return {
         "gyro_noise_rad_per_sqrt_s": noise.gyro_white.tolist(),
         "accel_noise_m_s2_sqrt_s": noise.accel_white.tolist(),
         "gyro_reading_error_rad": noise.gyro_edge.tolist(),
         "accel_reading_error_m_s": noise.accel_edge.tolist(),
-        "gyro_bias_wander_rad_s": solution.wander.tolist(),
+        "gyro_bias_wander_rad_s": outcome.wander.tolist(),
         "accel_bias_wander_m_s2": noise.accel_wander.tolist(),
         "estimated": list(noise.estimated),
         "floored": list(noise.floored),
         "sigma_inflation": inflation,
-        "gyro_bias_by_sequence_rad_s": solution.bias_by_sequence.tolist(),
+        "gyro_bias_by_sequence_rad_s": outcome.bias_by_sequence.tolist(),
     }
 
 
@@ -318,10 +391,10 @@ def _temperature(data: PlaybackData) -> dict[str, Any] | None:
     return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
 
 
-def _warnings(data: PlaybackData, solution: Solution, observed: NDArray[np.bool_]) -> tuple[str, ...]:
+def _warnings(data: PlaybackData, outcome: Outcome, observed: NDArray[np.bool_]) -> tuple[str, ...]:
     said = [f"{title} is void: {reason}." for title, reason in data.voided.items()]
-    if solution.integrated and len(solution.integrated) < len(data.windows.duration_s):
-        times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in solution.integrated)
+    if outcome.integrated and len(outcome.integrated) < len(data.windows.duration_s):
+        times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in outcome.integrated)
         said.append(
             f"The unit did not stand quite still in the windows from {times}: their attitude was integrated, not held."
         )

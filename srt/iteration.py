@@ -7,7 +7,6 @@ the compensated data, so it is composed with the estimate, not added.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -16,7 +15,6 @@ from scipy.special import chdtri
 
 from srt import measurement_noise
 from srt.compensation import compose, outside_model
-from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
 from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
@@ -254,22 +252,12 @@ class Iteration:
     def _scatter(self, playback: Playback) -> Array:
         """Wander of the bias that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
         deviation = playback.bias_by_sequence
-        n = len(deviation) - 1
-        if n < 2:
+        if len(deviation) < 3:
             return np.zeros(3)
-        expected = measurement_noise.rest_rate_variance(playback, self.data) + self._earth_rate_doubt() ** 2
-        seen = np.sum(deviation**2, axis=0) / n
-        excess = np.where(seen > expected * chdtri(n, STILLNESS_PROBABILITY) / n, seen - expected, 0.0)
+        doubt = measurement_noise.earth_rate_doubt(self.data)
+        expected = measurement_noise.rest_rate_variance(playback, self.data) + doubt**2
+        excess = measurement_noise.excess_scatter(deviation, expected)
         return np.asarray(np.sqrt(playback.gyro.matrix**2 @ excess))
-
-    def _earth_rate_doubt(self) -> float:
-        """One-sigma error of the Earth's rate in a pose, rad/s."""
-        site, fixture = self.data.recording.site, self.data.recording.fixture
-        if site.latitude_rad is None:
-            return EARTH_RATE_RAD_S / math.sqrt(3.0)
-        if fixture is None or fixture.heading_rad is None:
-            return EARTH_RATE_RAD_S * math.cos(site.latitude_rad) / math.sqrt(2.0)
-        return EARTH_RATE_RAD_S * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
 
     def _release_moving(self, playback: Playback) -> bool:
         """Stop holding the attitude in windows that turned beyond their noise; True if there are new ones."""

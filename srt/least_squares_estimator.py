@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt import measurement_noise
-from srt.estimation import assemble, chi_square, is_misfit
+from srt.estimation import assemble, chi_square, is_misfit, outcome_of
 from srt.exceptions import InputError
 from srt.held import held_sigma, prior_sigma, request_reason
 from srt.iteration import iterate
@@ -46,7 +46,7 @@ _ADMISSION: Final = (
 )
 
 # A parameter counts as observed if the recording cuts its prior sigma to a third.
-_OBSERVED_BELOW: Final = 1.0 / 3.0
+OBSERVED_BELOW: Final = 1.0 / 3.0
 _ROUNDS: Final = 3
 
 
@@ -125,7 +125,7 @@ def admit(A: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
             for q in basis:
                 column -= (q @ column) * q
         norm = float(np.linalg.norm(column))
-        if norm > 1.0 / _OBSERVED_BELOW:
+        if norm > 1.0 / OBSERVED_BELOW:
             admitted[j] = True
             basis.append(column / norm)
     return admitted
@@ -149,7 +149,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     for _ in range(_ROUNDS):
         solution, solver, excess = _solve(data, options, tuple(held), first, uncertain, progress)
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
-        weak = ~solver.held & (sigma > _OBSERVED_BELOW * admission_sigma())
+        weak = ~solver.held & (sigma > OBSERVED_BELOW * admission_sigma())
         for n, is_held, is_weak in zip(NAMES, solver.held, weak, strict=True):
             if (is_held or is_weak) and n not in held:
                 held[n] = "the poses and turns of this recording do not show it apart from the others"
@@ -162,7 +162,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
         )
     inflation = _inflation(solution, solver.held)
-    return assemble("least-squares", data, options, solution, held, warnings=warnings, inflation=inflation)
+    outcome = outcome_of(data, solution, held)
+    return assemble("least-squares", data, options, outcome, held, warnings=warnings, inflation=inflation)
 
 
 def _solve(

@@ -11,6 +11,11 @@ with ``δf = δMa f + δλ_Asym ∘ |f| + δλ_Bias``. Neglected: products of tw
 of the vertical (parts in 1e3 of a coefficient). Away from zero error the same expressions hold with each triad's error
 multiplied by D, the inverse slope of its reading model at the current estimate.
 
+Joint estimation takes the same measurements one level earlier, with the attitudes of the windows as unknowns: the mean
+specific force and the mean rate of a window, and the rotation between two windows (:func:`pose_force`,
+:func:`pose_rate`, :func:`turn`, :func:`start_attitude`). ``A`` takes B-components to the local level frame L (z down),
+which turns with the Earth; attitude errors are small rotations of B, ``A exp(a×)``.
+
 Closed form, least squares, Kalman filter and factor graph all take their Jacobians from here.
 """
 
@@ -21,7 +26,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.compensation import ACCEL_BASIS, GYRO_BASIS
-from srt.quaternion import cross_matrix
+from srt.quaternion import cross_matrix, inverse_right_jacobian, rotation_matrix, rotation_vector
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -126,4 +131,144 @@ def down_jacobian(f: Array, accel: Triad) -> Array:
     """Derivative of a_Down = g − |f| with respect to the 27 errors (eq. 5, u · δf), shape (n, 27)."""
     u = -f / np.linalg.norm(f, axis=1, keepdims=True)
     out: Array = np.einsum("na,nap->np", u, force_error_jacobian(f, accel))
+    return out
+
+
+def pose_force(force: Array, attitude: Array, gravity: float) -> tuple[Array, Array, Array]:
+    """Specific force of windows against their attitudes: ``f + g u`` with ``u = Aᵀ e_z`` down.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n, 3), m/s²
+        Compensated mean specific force in B.
+    attitude : ndarray, shape (n, 3, 3)
+        A, B to L.
+    gravity : float, m/s²
+
+    Returns
+    -------
+    residual : ndarray, shape (n, 3), m/s²
+    by_attitude : ndarray, shape (n, 3, 3)
+        Derivative with respect to a rotation a of B.
+    by_gravity : ndarray, shape (n, 3)
+
+    Notes
+    -----
+    The derivative with respect to errors in the estimate is minus :func:`force_error_jacobian`.
+    """
+    down = attitude[:, 2]
+    return force + gravity * down, gravity * cross_matrix(down), down
+
+
+def pose_rate(rate: Array, attitude: Array, earth_rate: Array) -> tuple[Array, Array, Array]:
+    """Rate of windows against the Earth's: ``ω − Aᵀ ω_L``.
+
+    Parameters
+    ----------
+    rate : ndarray, shape (n, 3), rad/s
+        Compensated mean rate in B.
+    attitude : ndarray, shape (n, 3, 3)
+    earth_rate : ndarray, shape (n, 3), rad/s
+        ω_L, in L.
+
+    Returns
+    -------
+    residual : ndarray, shape (n, 3), rad/s
+    by_attitude, by_earth_rate : ndarray, shape (n, 3, 3)
+
+    Notes
+    -----
+    The derivative with respect to errors in the estimate is minus :func:`rate_error_jacobian`.
+    """
+    to_body = np.swapaxes(attitude, 1, 2)
+    earth = np.einsum("nab,nb->na", to_body, earth_rate)
+    return rate - earth, -cross_matrix(earth), -to_body
+
+
+def turn(
+    turned: Array, start: Array, end: Array, earth_rate: Array, duration_s: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Attitudes around turns against what the gyros integrated: ``Log(A_Strtᵀ exp(ω_L T) A_End Ĉᵀ)``.
+
+    Parameters
+    ----------
+    turned : ndarray, shape (n, 3, 3)
+        Ĉ, B_End to B_Strt against inertial space.
+    start, end : ndarray, shape (n, 3, 3)
+        A of the windows before and after.
+    earth_rate : ndarray, shape (n, 3), rad/s
+        ω_L, in L.
+    duration_s : ndarray, shape (n,)
+
+    Returns
+    -------
+    residual : ndarray, shape (n, 3), rad
+        In B_Strt.
+    by_start, by_end : ndarray, shape (n, 3, 3)
+        Derivatives with respect to rotations of B_Strt and of B_End.
+    by_turned : ndarray, shape (n, 3, 3)
+        To be multiplied by :func:`attitude_error_jacobian` for the derivative with respect to errors in the estimate.
+    by_earth_rate : ndarray, shape (n, 3, 3)
+    """
+    earth_turn = earth_rate * duration_s[:, None]
+    to_start = np.swapaxes(start, 1, 2)
+    residual = rotation_vector(to_start @ rotation_matrix(earth_turn) @ end @ np.swapaxes(turned, 1, 2))
+    right = inverse_right_jacobian(residual)
+    left = np.swapaxes(right, 1, 2)
+    # The Earth's own left Jacobian to first order: it turns by 1e-3 rad in a sequence, and parts in 1e-6 are left.
+    of_earth = np.eye(3) + 0.5 * cross_matrix(earth_turn)
+    by_earth = left @ to_start @ of_earth * duration_s[:, None, None]
+    return residual, -left, right @ turned, right, by_earth
+
+
+def start_attitude(
+    attitude: Array, nominal: Array, base: Array, U: Array, heading_rad: float
+) -> tuple[Array, Array, Array, Array]:
+    """Attitudes at the start of sequences against the fixture's: errors of the inner and the outer angle.
+
+    ``C = (R_z(heading) C_base)ᵀ A U`` takes T-components to the base's, and on a fixture it is ``R_y(outer) R_z(inner)``.
+
+    Parameters
+    ----------
+    attitude : ndarray, shape (n, 3, 3)
+        A, B to L (north, east, down).
+    nominal : ndarray, shape (n, 3, 3)
+        C_nom, table-mounted frame T to fixture base.
+    base : ndarray, shape (3, 3)
+        True to nominal base: levelling and north.
+    U : ndarray, shape (3, 3)
+        T to B components.
+    heading_rad : float
+
+    Returns
+    -------
+    residual : ndarray, shape (n, 3), rad
+        Inner angle and outer angle less nominal, and the inner axis's lean from square to the outer one, which the
+        model has at zero.
+    by_attitude, by_base, by_U : ndarray, shape (n, 3, 3)
+        Derivatives with respect to small rotations behind A, ``base`` and ``U`` each.
+    """
+    to_base = (rotation_matrix(np.array([0.0, 0.0, heading_rad])) @ base).T
+    C = to_base @ attitude @ U
+    inner, outer = _fixture_angles(C)
+    inner_nominal, outer_nominal = _fixture_angles(nominal)
+    residual = np.stack([_wrapped(inner - inner_nominal), _wrapped(outer - outer_nominal), C[:, 1, 2]], axis=1)
+    # C (I + v×) for a small rotation v behind C.
+    behind = np.zeros_like(C)
+    across, along = C[:, 1, 0] ** 2 + C[:, 1, 1] ** 2, C[:, 0, 2] ** 2 + C[:, 2, 2] ** 2
+    behind[:, 0, 0], behind[:, 0, 1] = -C[:, 1, 0] * C[:, 1, 2] / across, -C[:, 1, 1] * C[:, 1, 2] / across
+    behind[:, 0, 2] = 1.0
+    behind[:, 1, 0] = (C[:, 0, 2] * C[:, 2, 1] - C[:, 2, 2] * C[:, 0, 1]) / along
+    behind[:, 1, 1] = (C[:, 2, 2] * C[:, 0, 0] - C[:, 0, 2] * C[:, 2, 0]) / along
+    behind[:, 2, 0], behind[:, 2, 1] = -C[:, 1, 1], C[:, 1, 0]
+    return residual, behind @ U.T, -behind @ np.swapaxes(C, 1, 2), behind
+
+
+def _fixture_angles(C: Array) -> tuple[Array, Array]:
+    """Inner and outer angle of ``R_y(outer) R_z(inner)``, rad."""
+    return np.arctan2(C[:, 1, 0], C[:, 1, 1]), np.arctan2(C[:, 0, 2], C[:, 2, 2])
+
+
+def _wrapped(angle: Array) -> Array:
+    out: Array = np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
     return out

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import chdtri
 
 from srt import measurement_model as model
 from srt.constants import EARTH_RATE_RAD_S
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from srt.playback_data import PlaybackData
 
     Array = NDArray[np.float64]
+
+_SCATTER_PROBABILITY: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +107,31 @@ def rest_rate_variance(playback: Playback, data: PlaybackData) -> Array:
     raw = data.noise.gyro_white**2 / T[:, None] + 2.0 * (data.noise.gyro_edge / T[:, None]) ** 2
     out: Array = D2 @ np.mean(playback.share**2 @ raw, axis=0)
     return out
+
+
+def earth_rate_doubt(data: PlaybackData) -> float:
+    """One-sigma error of the Earth's rate in a pose, rad/s."""
+    site, fixture = data.recording.site, data.recording.fixture
+    if site.latitude_rad is None:
+        return EARTH_RATE_RAD_S / math.sqrt(3.0)
+    if fixture is None or fixture.heading_rad is None:
+        return EARTH_RATE_RAD_S * math.cos(site.latitude_rad) / math.sqrt(2.0)
+    return EARTH_RATE_RAD_S * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
+
+
+def excess_scatter(deviation: Array, expected: Array) -> Array:
+    """Variance of biases between sequences beyond what their noise explains, shape (3,), (rad/s)².
+
+    Parameters
+    ----------
+    deviation : ndarray, shape (K, 3), rad/s
+        Rest rate of each sequence less the mean one.
+    expected : ndarray, shape (3,), (rad/s)²
+        Variance that noise alone gives; an axis whose scatter it explains (chi-square, 1e-3) has no excess.
+    """
+    n = len(deviation) - 1
+    seen = np.sum(deviation**2, axis=0) / n
+    return np.asarray(np.where(seen > expected * chdtri(n, _SCATTER_PROBABILITY) / n, seen - expected, 0.0))
 
 
 def disturbances(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from srt.exceptions import InputError
+from srt.prior import Prior
 from srt.sensor_errors import SensorErrors, expand_names
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ WindowAttitude = Literal["held", "integrated"]
 GyroBias = Literal["auto", "pooled", "per-sequence"]
 Step = Literal["jacobian", "coefficients"]
 Start = Literal["auto", "zero"]
+Loss = Literal["squared", "huber", "cauchy"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,13 @@ class Options:
     measured_vertical : bool
         After the first play-back, take the vertical of each pose from the measured specific force; False keeps
         the nominal one throughout.
+    loss : "squared", "huber" or "cauchy"
+        What the factor graph minimises of each measurement: the squares are efficient, the others forgive a bad one.
+    fixture_states : bool
+        Whether Kalman filter and factor graph estimate levelling, north, mounting and gravity; False takes north and
+        gravity as they are stated, and level from the accelerometers.
+    prior : Prior, optional
+        What is known of the unit beforehand, for Kalman filter and factor graph; default next to nothing.
     """
 
     average: Average = "linear"
@@ -60,12 +69,18 @@ class Options:
     hold: tuple[str, ...] = ()
     max_playbacks: int = 12
     measured_vertical: bool = True
+    loss: Loss = "squared"
+    fixture_states: bool = True
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in (("max_playbacks", int), ("asymmetry", bool), ("measured_vertical", bool)):
+        kinds = {"max_playbacks": int, "asymmetry": bool, "measured_vertical": bool, "fixture_states": bool}
+        for name, kind in kinds.items():
             value = getattr(self, name)
             if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
                 raise InputError(f"Option {name} is {value!r}; it must be of type {kind.__name__}.")
+        if self.prior is not None and not isinstance(self.prior, Prior):
+            raise InputError(f"Option prior is {self.prior!r}; it must be a Prior, or None for none.")
         if isinstance(self.hold, str) or not all(isinstance(name, str) for name in _iterable(self.hold)):
             raise InputError(f"Option hold is {self.hold!r}; it must be a sequence of names of parameters or groups.")
         for name, allowed in _CHOICES.items():
@@ -89,6 +104,7 @@ class Options:
         convert: dict[str, Callable[[Any], Any]] = {
             "start": lambda v: v.as_dict() if isinstance(v, SensorErrors) else v,
             "hold": list,
+            "prior": lambda v: None if v is None else v.as_dict(),
         }
         return {f.name: convert.get(f.name, lambda v: v)(getattr(self, f.name)) for f in fields(self)}
 
@@ -105,4 +121,5 @@ _CHOICES = {
     "gyro_bias": get_args(GyroBias),
     "step": get_args(Step),
     "start": get_args(Start),
+    "loss": get_args(Loss),
 }

@@ -16,7 +16,7 @@ from srt import measurement_model as model
 from srt.attitude import integrate
 from srt.catalogue import AXES
 from srt.compensation import accel_triad, gyro_triad
-from srt.quaternion import cross_matrix
+from srt.quaternion import cross_matrix, smallest_rotation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,6 +46,8 @@ class Playback:
         Horizontal directions of the components, in B_Strt.
     acceleration : ndarray, shape (K, 3), m/s²
         Mean of â at start and end, in B_Strt.
+    carried : ndarray, shape (K, 2, 3), m/s²
+        Mean of â over the start and the end window, in B_Strt.
     force : ndarray, shape (W, 3), m/s²
         Compensated specific force of the windows, in B.
     rate : ndarray, shape (W, 3), rad/s
@@ -75,6 +77,7 @@ class Playback:
     integrals: RotationIntegrals
     basis: Array
     acceleration: Array
+    carried: Array
     force: Array
     rate: Array
     rest_rate: Array
@@ -202,6 +205,7 @@ class Player:
             integrals,
             basis,
             0.5 * (a_start + a_end),
+            np.stack([a_start, a_end], axis=1),
             force,
             rate,
             rest,
@@ -228,11 +232,7 @@ class Player:
         if nominal_vertical:
             return nominal, nominal_down
         # The smallest rotation from the nominal to the measured vertical: north alone stays nominal.
-        v = np.cross(nominal_down, down)
-        c = np.einsum("ka,ka->k", nominal_down, down)
-        vx = cross_matrix(v)
-        R = np.eye(3) + vx + vx @ vx / np.maximum(1.0 + c, 1e-6)[:, None, None]
-        return np.einsum("kab,kb->ka", R, nominal), nominal_down
+        return np.einsum("kab,kb->ka", smallest_rotation(nominal_down, down), nominal), nominal_down
 
     def _basis(self, down: Array, U: Array) -> Array:
         """Two horizontal directions per sequence: nominal axes of T made horizontal, or any two for a free turn."""

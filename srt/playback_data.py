@@ -63,6 +63,8 @@ class PlaybackData:
     noise : NoiseModel
     voided : dict of str to str
         Sequences left out, with the reason.
+    poses : tuple of (SequenceLabel, int)
+        Windows of sequences that lost their end, which joint estimation uses alone: label and window.
     """
 
     recording: Recording
@@ -74,6 +76,7 @@ class PlaybackData:
     noise: NoiseModel
     average: str
     voided: dict[str, str]
+    poses: tuple[tuple[SequenceLabel, int], ...] = ()
 
     @property
     def K(self) -> int:
@@ -183,8 +186,9 @@ def prepare(
     options: Options,
     *,
     voided: dict[str, str] | None = None,
+    poses: SequenceOf[SequenceLabel] = (),
 ) -> PlaybackData:
-    """Average the windows and set up the sequences.
+    """Average the windows and set up the sequences; of ``poses`` the start windows alone.
 
     Raises
     ------
@@ -206,6 +210,11 @@ def prepare(
                     f"{s.stop - s.start} samples; a stationary window needs at least 2: correct its times."
                 )
             ends[which].append(slices.setdefault((s.start, s.stop), len(slices)))
+    alone = []
+    for label in poses:
+        s = recording.window_indices(*label.start_static_s)
+        if s.stop - s.start >= 2:
+            alone.append((label, slices.setdefault((s.start, s.stop), len(slices))))
     samples = np.array(list(slices), dtype=np.intp)
     start, end = (np.array(e, dtype=np.intp) for e in ends)
     for k, label in enumerate(labels):
@@ -225,4 +234,5 @@ def prepare(
         noise_model(recording, samples),
         options.average,
         dict(voided or {}),
+        tuple(alone),
     )

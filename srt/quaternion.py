@@ -99,6 +99,52 @@ def rotation_matrix(phi: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(C, 2, 0)).reshape(*vectors.shape[:-1], 3, 3)
 
 
+def rotation_vector(C: Array) -> Array:
+    """Rotation vectors of direction cosine matrices of shape (n, 3, 3), the inverse of :func:`rotation_matrix`; (n, 3).
+
+    Exact to rounding for every angle up to π: the quaternion's largest element is found first, and divided by.
+    """
+    d = np.einsum("nii->ni", C)
+    # Row i of four times the outer product of the quaternion (x, y, z, w) with itself, for each of its elements.
+    outer = np.empty((len(C), 4, 4))
+    outer[:, :3, :3] = C + np.swapaxes(C, 1, 2)
+    trace = d.sum(axis=1)
+    for i in range(3):
+        outer[:, i, i] = 1.0 + 2.0 * d[:, i] - trace
+    outer[:, 3, 3] = 1.0 + trace
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        outer[:, i, 3] = outer[:, 3, i] = C[:, k, j] - C[:, j, k]
+    row = np.argmax(np.einsum("nii->ni", outer), axis=1)
+    q = outer[np.arange(len(C)), row]
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    q[q[:, 3] < 0.0] *= -1.0
+    sine = np.linalg.norm(q[:, :3], axis=1)
+    angle = 2.0 * np.arctan2(sine, q[:, 3])
+    factor = np.where(sine > 1e-8, angle / np.maximum(sine, 1e-300), 2.0)
+    return np.asarray(q[:, :3] * factor[:, None])
+
+
+def inverse_right_jacobian(phi: Array) -> Array:
+    """Jr⁻¹ of rotation vectors of shape (n, 3): Log(exp(φ×) exp(δ×)) = φ + Jr⁻¹ δ; shape (n, 3, 3).
+
+    The left one, for a rotation in front, is its transpose.
+    """
+    squared = np.einsum("na,na->n", phi, phi)
+    angle = np.sqrt(squared)
+    half = 0.5 * np.where(angle > 1e-3, angle, 1.0)
+    exact = (1.0 - half / np.tan(half)) / (4.0 * half * half)
+    factor = np.where(angle > 1e-3, exact, 1.0 / 12.0 + squared / 720.0)
+    X = cross_matrix(phi)
+    return np.asarray(np.eye(3) + 0.5 * X + factor[:, None, None] * (X @ X))
+
+
+def smallest_rotation(before: Array, after: Array) -> Array:
+    """Matrices of the smallest rotations that take unit vectors ``before`` to ``after``, (n, 3) each; (n, 3, 3)."""
+    X = cross_matrix(np.cross(before, after))
+    cosine = np.einsum("na,na->n", before, after)
+    return np.asarray(np.eye(3) + X + X @ X / np.maximum(1.0 + cosine, 1e-6)[:, None, None])
+
+
 def cross_matrix(v: Array) -> Array:
     """Skew matrix (v×) of vectors of shape (..., 3); shape (..., 3, 3)."""
     out = np.zeros((*v.shape, 3))

@@ -30,8 +30,14 @@ _MOTION_RAD: Final = 5e-3
 _MOTION_SIGMAS: Final = 8.0
 
 
-def open_session(recording: Recording, labels: tuple[SequenceLabel, ...], options: Options) -> PlaybackData:
-    """Check a labelled recording and prepare it for play-back.
+def open_session(
+    recording: Recording,
+    labels: tuple[SequenceLabel, ...],
+    options: Options,
+    *,
+    poses: tuple[SequenceLabel, ...] = (),
+) -> PlaybackData:
+    """Check a labelled recording and prepare it for play-back; of ``poses`` the start windows alone.
 
     Sequences with a gap or clipped samples are voided; the result says so.
 
@@ -50,7 +56,7 @@ def open_session(recording: Recording, labels: tuple[SequenceLabel, ...], option
             voided[label.title] = f"samples are missing before {recording.time[int(gaps[0])]:.6g} s"
         else:
             whole.append(label)
-    data = prepare(recording, whole, options, voided=voided)
+    data = prepare(recording, whole, options, voided=voided, poses=poses)
     _check_overlap(data)
     # Units before clipping: degrees taken for radians are beyond any range.
     dt = recording.nominal_interval_s
@@ -60,7 +66,8 @@ def open_session(recording: Recording, labels: tuple[SequenceLabel, ...], option
     clipped = {label.title: clipped_samples(recording, _part(recording, label), levels) for label in whole}
     voided |= {title: str(channels[0]) for title, channels in clipped.items() if channels}
     if any(clipped.values()):
-        data = prepare(recording, [s for s in whole if not clipped[s.title]], options, voided=voided)
+        left = [s for s in whole if not clipped[s.title]]
+        data = prepare(recording, left, options, voided=voided, poses=poses)
     if recording.sequences:
         # Windows found by the segmentation are as still as the unit ever was; what moves in them is integrated.
         _check_stillness(data)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 COMMANDS: Final = {
     "simulate": ("srt.cli.simulate:simulate", "Make a recording, and the truth behind it, from a scenario."),
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
+    "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }
 """Where each command is (module:attribute), and its line in the help: all that a new one needs here."""

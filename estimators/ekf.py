@@ -1,0 +1,246 @@
+"""Extended Kalman filter (filterpy) over the sequences of a recording, iterated by play-back.
+
+State: sensor errors, gyro bias with a random walk between sequences, levelling and north of the base, orientation of
+MARS on the table, gravity, the Earth's rate where it is unknown, and, in a free recording, the attitude of the pose
+that one turn hands on to the next. Every iteration restarts from the prior: only the point of linearisation is kept,
+or the data would count twice.
+
+The filter's coordinates are those in which the prior is white, and it is a square-root filter
+(:mod:`estimators.root_ekf`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import chdtrc
+
+from estimators.driver import Step, run
+from estimators.problem import open_problem
+from estimators.sequential import blocks, global_columns
+from estimators.system import N_ERRORS
+from srt.exceptions import InputError
+from srt.least_squares_estimator import admission_sigma
+from srt.prior import Prior
+from srt.sensor_errors import N_PARAMETERS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from estimators.problem import Point, Problem
+    from estimators.root_ekf import RootExtendedKalmanFilter
+    from estimators.sequential import Block
+    from estimators.system import System
+    from srt.calibration import Calibration
+    from srt.estimation import Progress
+    from srt.options import Options
+    from srt.recording import Recording
+
+    Array = NDArray[np.float64]
+
+_POSE: Final = 3
+_MEAN: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterRun:
+    """One pass of the filter.
+
+    Attributes
+    ----------
+    delta : ndarray, shape (n,)
+        Correction of the system's columns: every bias gets the last one's, attitudes are those that go with it.
+    correction : ndarray, shape (27,)
+        Of the reported parameters.
+    covariance : ndarray, shape (27, 27)
+    sequences : tuple of int
+        In the order of processing.
+    innovations : tuple of ndarray
+        Of every sequence, normalised and decorrelated: white with unit variance if the model holds.
+    sigma : ndarray, shape (number of sequences, 27)
+        After every sequence; the prior's for what is not yet seen.
+    """
+
+    delta: Array
+    correction: Array
+    covariance: Array
+    sequences: tuple[int, ...]
+    innovations: tuple[Array, ...]
+    sigma: Array
+
+    @property
+    def nis(self) -> Array:
+        """Normalised innovation squared of every sequence."""
+        return np.array([float(v @ v) for v in self.innovations])
+
+
+def default_prior() -> Prior:
+    """Next to no knowledge: a third of full scale, 1 % of asymmetry."""
+    return Prior.from_sigma(admission_sigma())
+
+
+def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> FilterRun:
+    """Run the filter once over a linearised problem.
+
+    Parameters
+    ----------
+    problem : Problem
+    system : System
+        Linearised at ``point``, without a prior of the sensor errors.
+    point : Point
+    prior : Prior
+    """
+    from estimators.root_ekf import RootExtendedKalmanFilter
+
+    shared = global_columns(system)
+    L, start = _prior_root(system, point, prior, shared)
+    n = len(shared)
+    inverse = solve_triangular(L, np.eye(n), lower=True)
+    root = np.zeros((n + _POSE + _MEAN, n + _POSE + _MEAN))
+    root[:n, :n] = np.eye(n)
+    ekf = RootExtendedKalmanFilter(np.concatenate([inverse @ start, np.zeros(_POSE + _MEAN)]), root)
+    bias = np.flatnonzero((shared >= system.columns["bias"].start) & (shared < system.columns["bias"].stop))
+    axes = shared[bias] - system.columns["bias"].start
+    walk = problem.walk_sigma() if problem.walks else None
+    E = _report_map(shared, axes, L)
+    parts = blocks(problem, system)
+    innovations, history = [], []
+    for i, part in enumerate(parts):
+        if i and walk is not None:
+            step = np.zeros((len(ekf.x), len(axes)))
+            step[:n] = inverse[:, bias] * walk[i - 1][axes]
+            ekf.predict(F=np.eye(len(ekf.x)), noise_root=step)
+        H = np.concatenate([part.H @ L, part.H_pose, np.zeros((len(part.b), _MEAN))], axis=1)
+        ekf.update(-part.b, lambda _, H=H: H, lambda x, H=H: H @ x)  # type: ignore[misc]
+        innovations.append(ekf.whitened)
+        if part.pose is not None:
+            _hand_on(ekf, part, L, n)
+        _take_mean(ekf, L[bias], axes, i, n)
+        spread = E @ ekf.root
+        history.append(np.sqrt(np.einsum("pi,pi->p", spread, spread)))
+    delta = np.zeros(system.A.shape[1])
+    delta[shared] = g = L @ ekf.x[:n]
+    handed_in = np.zeros(_POSE)
+    for part in parts:
+        values, handed_on = part.own_unknowns(g, handed_in)
+        delta[part.local[0]], delta[part.pose_columns] = values, handed_on[part.pose_active]
+        handed_in = handed_on
+    by_sequence = delta[system.columns["bias"]].reshape(-1, 3)
+    by_sequence[:] = by_sequence[0]
+    return FilterRun(
+        delta,
+        E @ ekf.x,
+        spread @ spread.T,
+        tuple(part.sequence for part in parts),
+        tuple(innovations),
+        np.array(history),
+    )
+
+
+def _prior_root(system: System, point: Point, prior: Prior, shared: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Cholesky factor of the prior covariance of the shared columns, and the prior's mean less the point."""
+    n = system.A.shape[1]
+    P, mean = np.zeros((n, n)), np.zeros(n)
+    at = np.concatenate([system.of("errors"), system.of("bias")[:3]])
+    P[np.ix_(at, at)] = prior.covariance
+    mean[at] = prior.mean.vector - point.errors.vector
+    # The priors of the fixture and the site are rows of the system: white, and square on their own columns.
+    for rows in system.rows:
+        if rows.kind in {"base", "mounting", "gravity"} or rows.kind.startswith("earth_rate"):
+            members = rows.index.ravel()
+            columns = np.flatnonzero(system.A[members].any(axis=0))
+            inverse = np.linalg.inv(system.A[np.ix_(members, columns)])
+            P[np.ix_(columns, columns)] = inverse @ inverse.T
+            mean[columns] = -inverse @ system.b[members]
+    return np.asarray(np.linalg.cholesky(P[np.ix_(shared, shared)]), dtype=np.float64), mean[shared]
+
+
+def _report_map(shared: NDArray[np.intp], axes: NDArray[np.intp], L: Array) -> Array:
+    """Reported parameters from the filter's state, shape (27, n + 6): the bias is the mean over the sequences."""
+    E = np.zeros((N_PARAMETERS, len(shared) + _POSE + _MEAN))
+    errors = np.flatnonzero(shared < N_ERRORS)
+    E[shared[errors], : len(shared)] = L[errors]
+    E[N_ERRORS + axes, len(shared) + _POSE + axes] = 1.0
+    return E
+
+
+def _hand_on(ekf: RootExtendedKalmanFilter, part: Block, L: Array, n: int) -> None:
+    """The attitude handed on takes the place of the one handed in."""
+    assert part.pose is not None
+    R, G, G_pose, c = part.pose
+    inverse = np.linalg.inv(R)
+    at = n + np.flatnonzero(part.pose_active)
+    F = np.eye(len(ekf.x))
+    F[n : n + _POSE] = 0.0
+    F[at, :n] = -inverse @ G @ L
+    F[np.ix_(at, np.arange(n, n + _POSE))] = -inverse @ G_pose
+    noise, constant = np.zeros((len(ekf.x), len(at))), np.zeros(len(ekf.x))
+    noise[at], constant[at] = inverse, -inverse @ c
+    ekf.predict(constant, F=F, noise_root=noise)
+
+
+def _take_mean(ekf: RootExtendedKalmanFilter, bias: Array, axes: NDArray[np.intp], count: int, n: int) -> None:
+    """Keep the mean of the biases of the sequences so far."""
+    F = np.eye(len(ekf.x))
+    at = n + _POSE + axes
+    F[at, at] = count / (count + 1.0)
+    F[at, :n] = bias / (count + 1.0)
+    ekf.predict(F=F)
+
+
+class EkfStep(Step):
+    """One iteration of the filter: a pass from the prior over the sequences, linearised anew."""
+
+    name = "ekf"
+
+    def __init__(self, prior: Prior) -> None:
+        self.prior: Prior = prior
+        self.last: FilterRun | None = None
+
+    def solve(self, problem: Problem, system: System, point: Point) -> tuple[Array, Array, Array]:
+        """Corrections of the columns and of the parameters, and the parameters' covariance."""
+        self.last = run_filter(problem, system, point, self.prior)
+        return self.last.delta, self.last.correction, self.last.covariance
+
+    def diagnostics(self, problem: Problem) -> dict[str, Any]:
+        """Innovations and sigmas, sequence by sequence."""
+        if self.last is None:
+            return {}
+        return {"filter": history(problem, self.last)}
+
+
+def history(problem: Problem, found: FilterRun) -> list[dict[str, Any]]:
+    """What the filter reports after every sequence, as JSON values."""
+    data, rows = problem.data, []
+    for i, k in enumerate(found.sequences):
+        nis, freedom = float(found.nis[i]), len(found.innovations[i])
+        rows.append(
+            {
+                "sequence": data.ids[k],
+                "occurrence": data.occurrences[k],
+                "nis": nis,
+                "degrees_of_freedom": freedom,
+                "probability": float(chdtrc(freedom, nis)),
+                "innovations": found.innovations[i].tolist(),
+                "sigma": found.sigma[i].tolist(),
+            }
+        )
+    return rows
+
+
+def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
+    """Calibrate by the iterated extended Kalman filter.
+
+    Raises
+    ------
+    InputError
+        Options that are another estimator's.
+    DataError
+        As :func:`srt.session.open_session`.
+    """
+    if options.loss != "squared":
+        raise InputError(f"Option loss={options.loss!r} is the factor graph's; the Kalman filter has no robust loss.")
+    return run(open_problem(recording, options), EkfStep(options.prior or default_prior()), options, progress)

@@ -1,0 +1,90 @@
+"""What is known of a unit before the test: mean and covariance of its sensor errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+
+    Array = NDArray[np.float64]
+
+_SYMMETRY = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Gaussian prior of the 27 sensor errors.
+
+    Attributes
+    ----------
+    mean : SensorErrors
+    covariance : ndarray, shape (27, 27), SI units
+        Positive definite.
+
+    Raises
+    ------
+    InputError
+        A covariance of another shape, with values that are not finite, not symmetric or not positive definite.
+    """
+
+    mean: SensorErrors
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        P = np.array(self.covariance, dtype=np.float64)
+        if P.shape != (N_PARAMETERS, N_PARAMETERS):
+            raise InputError(
+                f"The prior's covariance has shape {P.shape}; give {N_PARAMETERS} by {N_PARAMETERS} numbers, in the "
+                "order of the parameters."
+            )
+        if not np.all(np.isfinite(P)):
+            row, column = np.argwhere(~np.isfinite(P))[0].tolist()
+            raise InputError(
+                f"The prior's covariance of {NAMES[row]} and {NAMES[column]} is {P[row, column]}: give finite numbers."
+            )
+        variance = np.diag(P)
+        if np.any(variance <= 0.0):
+            name = NAMES[int(np.argmin(variance))]
+            raise InputError(
+                f"The prior's variance of {name} is {variance.min():.3g}: give a positive one, or hold the parameter."
+            )
+        unit = P / np.sqrt(np.outer(variance, variance))
+        if np.abs(unit - unit.T).max() > _SYMMETRY:
+            raise InputError("The prior's covariance is not symmetric: give a covariance matrix.")
+        smallest = float(np.linalg.eigvalsh(0.5 * (unit + unit.T))[0])
+        if smallest <= 0.0:
+            raise InputError(
+                f"The prior's covariance is indefinite (smallest eigenvalue of its correlations {smallest:.3g}): "
+                "give a positive definite one."
+            )
+        P = 0.5 * (P + P.T)
+        P.flags.writeable = False
+        object.__setattr__(self, "covariance", P)
+
+    @classmethod
+    def from_sigma(cls, sigma: Array, mean: SensorErrors | None = None) -> Prior:
+        """Build an uncorrelated prior from one sigma per parameter, shape (27,)."""
+        return cls(mean or SensorErrors(), np.diag(np.asarray(sigma, dtype=np.float64) ** 2))
+
+    @classmethod
+    def from_calibration(cls, calibration: Calibration, *, growth: float = 1.0) -> Prior:
+        """Take an earlier calibration as the prior, its sigmas times ``growth``; what it held gets the wide default."""
+        from srt.held import prior_sigma
+
+        unseen = ~calibration.observed
+        P = calibration.covariance * growth**2
+        P[unseen, unseen] = prior_sigma()[unseen] ** 2
+        return cls(calibration.errors, P)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values that a calibration's provenance stores."""
+        return {"mean": self.mean.as_dict(), "covariance": self.covariance.tolist()}

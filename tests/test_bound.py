@@ -1,0 +1,367 @@
+"""The Cramér-Rao bound: derivatives and noise against the simulator, signatures against the paper's, and its limits."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sims
+import srt
+from sims.bound import END_ACCEL, FIXTURE_SIGMAS, ROTATION, START_ACCEL, bayesian_bound, linearise, scenario_bound
+from sims.campaigns import GRADES, SITE, noisy_recording, normal_errors
+from sims.imu import ImuModel, exact_increments, gyro_matrix
+from sims.motion import RateProfile
+from sims.simulation import schedule_of
+from srt.constants import ARCSEC, DEG_PER_SQRT_H
+from srt.exceptions import DataError, InputError
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS, SensorErrors
+
+G = SITE.gravity_m_s2
+BIASES = (("κx", 1e-3), ("κy", 1e-3), ("κz", 1e-3), ("λx", 1e-2), ("λy", 1e-2), ("λz", 1e-2))
+NAVIGATION = GRADES["navigation"]
+NOISES = ("gyro_noise", "accel_noise", "gyro_quantization", "accel_quantization")
+TEN_TIMES = replace(NAVIGATION, **{name: 10.0 * getattr(NAVIGATION, name) for name in NOISES})
+SMOOTH = ImuModel(NAVIGATION.gyro_noise, NAVIGATION.accel_noise)
+
+# Δa_H by component from [P] eqs. 3-5: factor and symbol in turn; times g, but for accelerometer biases.
+SIGNATURES = {
+    "1": {"x": "-2π κyy -2π κyyy"},
+    "2": {"y": "2π κxx 2π κxxx"},
+    "3": {"y": "-2π κzz -2π κzzz"},
+    "1a": {"x": "2π κyy -2π κyyy"},
+    "2a": {"y": "-2π κxx 2π κxxx"},
+    "3a": {"y": "2π κzz -2π κzzz"},
+    "4": {"y": "4 υyz"},
+    "5": {"x": "4 υzx"},
+    "6": {"y": "4 υxy"},
+    "7": {"x": "2 μxy 1 υxy", "z": "-2 λz -1π κxx -1π κxxx"},
+    "8": {"x": "2 μxz 1 υzx", "y": "-2 λy 1π κxx 1π κxxx"},
+    "9": {"z": "2 μzx 1 υzx", "y": "-2 λy -1π κzz -1π κzzz"},
+    "10": {"z": "2 μzy 1 υyz", "x": "-2 λx 1π κzz 1π κzzz"},
+    "11": {"y": "2 μyz 1 υyz", "x": "-2 λx -1π κyy -1π κyyy"},
+    "12": {"y": "2 μyx 1 υxy", "z": "-2 λz 1π κyy 1π κyyy"},
+    "13": {"y": "-2 λy -2 υyz", "x": "2 μxz -1 υzx 1π κyy 1π κyyy"},
+    "14": {"x": "-2 λx -2 υzx", "y": "2 μyz -1 υyz -1π κxx -1π κxxx"},
+}
+
+
+def coefficients(text):
+    out = np.zeros(N_PARAMETERS)
+    words = text.split()
+    for factor, symbol in zip(words[::2], words[1::2], strict=True):
+        value = float(factor.removesuffix("π")) * (math.pi if factor.endswith("π") else 1.0)
+        out[SYMBOLS.index(symbol)] = value * (1.0 if symbol in {"λx", "λy", "λz"} else G)
+    return out
+
+
+def table(*ids, **options):
+    return sims.Schedule(sims.table_sequences(ids or tuple(sims.TABLE_1)), **options)
+
+
+def fixture(sigma):
+    return dict.fromkeys(FIXTURE_SIGMAS, sigma)
+
+
+@cache
+def linear(imu=NAVIGATION, **options):
+    """Table 1 linearised, once for each unit and options."""
+    return linearise(table(), site=SITE, imu=imu, sample_rate_hz=100.0, **options)
+
+
+def turned(angles):
+    """Rotation by increments one after the other, shape (..., n, 3) to (..., 3, 3)."""
+    steps = Rotation.from_rotvec(angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
+    while (n := steps.shape[-3]) > 1:
+        pairs = steps[..., 0 : n - 1 : 2, :, :] @ steps[..., 1::2, :, :]
+        steps = np.concatenate([pairs, steps[..., n - 1 :, :, :]], axis=-3) if n % 2 else pairs
+    return steps[..., 0, :, :]
+
+
+def measured(motion, gyro, accel, angles):
+    """Window means (K, 12) of increments, and rotations (K, 3, 3) from the angles taken for true."""
+    edges = np.searchsorted(motion.time, np.array(motion.windows) + 0.5 * motion.interval, side="right")
+    means = [
+        increments[a:b].mean(axis=0) / motion.interval
+        for windows in edges
+        for a, b in windows
+        for increments in (gyro, accel)
+    ]
+    rotations = [turned(angles[windows[0, 1] : windows[1, 0]]) for windows in edges]
+    return np.reshape(means, (len(edges), 12)), np.array(rotations)
+
+
+def compensated(motion, gyro, errors):
+    """True angles behind gyro increments, by fixed-point iteration on the simulator's reading."""
+    angles = gyro
+    for _ in range(12):
+        guess = replace(motion, angle=angles, angle_abs=np.abs(angles), velocity=0 * gyro, velocity_abs=0 * gyro)
+        angles = angles + gyro - exact_increments(guess, errors)[0]
+    return angles
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01])
+def test_derivatives_predict_what_the_simulator_measures(size):
+    """Errors, fixture, start and end attitudes changed at once, by 1e-7: what is quadratic in them is 1e-12 at most."""
+    rng = np.random.default_rng(1)
+    schedule = table("1", "6", "8", "13")
+    errors = normal_errors(rng, size)
+    turn_of_body = sims.rotation([0.1, -0.2, 0.3])
+    where = {"heading_rad": 0.4, "U": turn_of_body}
+    model = linearise(schedule, site=SITE, imu=NAVIGATION, errors=errors, **where)
+    change = rng.standard_normal(N_PARAMETERS) * 1e-7
+    draw = sims.draw_fixture(rng, schedule.sequences, **fixture(1e-7))
+    gravity = 1e-6
+
+    still, moved = (
+        sims.run_schedule(schedule, site=replace(SITE, gravity_m_s2=G + more), fixture_draw=drawn, **where)
+        for more, drawn in ((0.0, None), (gravity, draw))
+    )
+    results = []
+    for motion, added in ((still, 0.0 * change), (moved, change)):
+        gyro, accel = exact_increments(motion, errors.plus(added))
+        results.append(measured(motion, gyro, accel, compensated(motion, gyro, errors)))
+    (means, rotations), (new_means, new_rotations) = results
+
+    e = Rotation.from_matrix(still.attitudes[:, 1].transpose(0, 2, 1) @ moved.attitudes[:, 1]).as_rotvec()
+    unknowns = np.array([*draw.base, *draw.mounting, draw.non_orthogonality, gravity])
+    unknowns = np.hstack([np.tile(unknowns, (4, 1)), draw.starts])
+    predicted = model.errors @ change
+    predicted += np.einsum("krp,kp->kr", model.fixture, unknowns) + np.einsum("krp,kp->kr", model.end, e)
+    np.testing.assert_allclose(new_means - means, predicted[:, :12], rtol=0.0, atol=1e-11)
+    rho = Rotation.from_matrix(new_rotations @ rotations.transpose(0, 2, 1)).as_rotvec()
+    # Where a rate changes its sign within a sample, half of one at most has the wrong slope of |ω|, for each rotation.
+    tolerance = 1e-11 + 8.0 * size * np.abs(change).max() / 200.0
+    np.testing.assert_allclose(rho, predicted[:, ROTATION], rtol=0.0, atol=tolerance)
+    assert np.abs(rho).max() > 1e3 * tolerance
+    # The Earth turns by a milliradian meanwhile; what does not commute in a sample is (β̇ dt / 2)² for each rotation.
+    between = Rotation.from_matrix(model.turn.transpose(0, 2, 1) @ rotations).magnitude()
+    assert between.max() < 8.0 * (0.5 / 200.0) ** 2
+
+
+def test_noise_is_that_of_noisy_readings():
+    """Measurements of noisy readings, whitened with the covariance, are independent and of unit variance."""
+    vector = np.array(normal_errors(np.random.default_rng(2), 0.05).vector)
+    vector[GROUP_SLICES["gyro_asymmetry"]] = 0.0  # which is compensated by the sign of a rate: no matter of noise
+    errors = SensorErrors(vector)
+    schedule = table("8", "13", dwell_s=2.0)
+    # Pulses make most of the variance of the means and of the rotation, so that what they share is seen.
+    imu = ImuModel(gyro_noise=3e-6, accel_noise=3e-5, gyro_quantization=2e-5, accel_quantization=2e-4)
+    model = linearise(schedule, site=SITE, imu=imu, errors=errors, sample_rate_hz=400.0)
+    motion = sims.run_schedule(schedule, site=SITE, sample_rate_hz=400.0)
+    to_true = np.linalg.inv(gyro_matrix(errors)).T
+    dt = motion.interval
+
+    def measure(gyro, accel, biases):
+        gyro, accel = gyro - biases[0] * dt, accel - biases[1] * dt
+        return measured(motion, gyro, accel, gyro @ to_true)
+
+    stems = ("gyro_bias", "accel_bias")
+    means, rotations = measure(*exact_increments(motion, errors), [errors.group(stem) for stem in stems])
+    trials, off = 400, []
+    for rng in np.random.default_rng(3).spawn(trials):
+        # Known biases of many pulses in a window, so that each edge is rounded anew.
+        unit = errors.plus(sum(rng.uniform(-size, size) * (np.array(SYMBOLS) == symbol) for symbol, size in BIASES))
+        noisy = sims.read_out(motion, unit, imu, rng, kind="increment")
+        noisy_means, noisy_rotations = measure(noisy.gyro, noisy.accel, [unit.group(stem) for stem in stems])
+        rho = Rotation.from_matrix(noisy_rotations @ rotations.transpose(0, 2, 1)).as_rotvec()
+        off.append(np.hstack([noisy_means - means, rho]))
+    white = np.linalg.solve(np.linalg.cholesky(model.noise), np.array(off)[..., np.newaxis])[..., 0]
+    correlation = np.einsum("tki,tkj->kij", white, white) / trials
+    # 450 numbers: the largest is below 4.5 standard errors, √(2/n) on the diagonal and √(1/n) off it.
+    assert (np.abs(correlation - np.eye(15)) < 4.5 * np.sqrt((1.0 + np.eye(15)) / trials)).all()
+    assert abs((white**2).mean() - 1.0) < 3.5 * math.sqrt(2.0 / white.size)
+
+
+def test_bound_is_the_inverse_information_of_all_unknowns_at_once():
+    """Nothing eliminated, the bias of each sequence an unknown of its own: 24, 3K, 8, 2K and 3K unknowns."""
+    model, K = linear(), len(sims.TABLE_1)
+    known = dict(zip(FIXTURE_SIGMAS, (2e-4, 1e-3, 5e-4, 3e-4, 7e-4), strict=True))
+    level, north, mounting, skew, rotation = known.values()
+    walk = 2e-8
+    blocks = np.zeros((K, 15, K, 3 + 2 + 3))
+    blocks[range(K), :, range(K)] = np.concatenate(
+        [model.errors[:, :, 24:], model.fixture[:, :, 8:], model.end], axis=2
+    )
+    J = np.concatenate([model.errors[:, :, :24], model.fixture[:, :, :8], blocks.reshape(K, 15, -1)], axis=2)
+    information = np.einsum("kri,krs,ksj->ij", J, np.linalg.inv(model.noise), J, optimize=True)
+    variance = np.square([level, level, north, mounting, mounting, mounting, skew, 5e-6])
+    information[range(24, 32), range(24, 32)] += 1.0 / variance
+    bias = 32 + 8 * np.arange(K)[:, np.newaxis] + np.arange(3)
+    start = 32 + 8 * np.arange(K)[:, np.newaxis] + np.arange(3, 5)
+    information[start, start] += 1.0 / rotation**2
+    step = np.zeros((K - 1, 3, len(information)))
+    step[np.arange(K - 1)[:, np.newaxis], np.arange(3), bias[1:]] = 1.0 / walk
+    step[np.arange(K - 1)[:, np.newaxis], np.arange(3), bias[:-1]] = -1.0 / walk
+    information += np.einsum("kai,kaj->ij", step, step)
+    scale = np.sqrt(np.diag(information))
+    covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    reported = np.zeros((N_PARAMETERS, len(information)))
+    reported[range(24), range(24)] = 1.0
+    reported[np.arange(24, 27)[np.newaxis], bias] = 1.0 / K
+    expected = reported @ covariance @ reported.T
+    got = model.bound(known, 5e-6, walk).covariance
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(got / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", SIGNATURES)
+def test_change_of_the_carried_back_force_has_the_papers_signature(name):
+    model = still_earth()
+    k = list(SIGNATURES).index(name)
+    sequence = sims.TABLE_1[name]
+    down = np.eye(3)["xyz".index(sequence.down)]
+    errors = model.errors[k, :, :24]
+    # C f at the end less f at the start; a rotation error ρ adds ρ × C f, and C f is f at the start.
+    change = model.turn[k] @ errors[END_ACCEL] + np.cross(errors[ROTATION].T, -G * down).T - errors[START_ACCEL]
+    # Two rotations that meet inside a sample commute but for (β̇ dt / 2)².
+    tolerance = G * len(sequence.rotations) * (0.5 / 100.0) ** 2
+    for axis, row in zip("xyz", change, strict=True):
+        if axis != sequence.down:
+            expected = coefficients(SIGNATURES[name].get(axis, ""))[:24]
+            np.testing.assert_allclose(row, expected, rtol=0.0, atol=tolerance, err_msg=f"{name} {axis}")
+
+
+@cache
+def still_earth():
+    return linear(earth_rate=False)
+
+
+@pytest.mark.parametrize("name", FIXTURE_SIGMAS)
+def test_a_worse_fixture_never_lowers_the_bound(name):
+    known = fixture(3e-4)
+    chain = [linear().bound(known | {name: s}, 5e-6).covariance for s in (0.0, 1e-5, 1e-3, 0.1)]
+    for better, worse in pairwise(chain):
+        assert_not_below(worse, better)
+    assert not np.allclose(chain[0], chain[-1], rtol=1e-6, atol=0.0)
+
+
+def assert_not_below(worse, better):
+    scale = np.sqrt(np.outer(np.diag(worse), np.diag(worse)))
+    assert np.linalg.eigvalsh((worse - better) / scale)[0] > -1e-9
+
+
+def test_an_unknown_north_is_the_limit_of_a_poor_one():
+    north = {"north_sigma_rad": 30.0}
+    poor, unknown = (
+        linear().bound(fixture(1e-3) | sigma, 5e-6).sigma for sigma in (north, {"north_sigma_rad": math.inf})
+    )
+    np.testing.assert_allclose(unknown, poor, rtol=1e-4)
+
+
+@pytest.mark.parametrize("known", [{}, fixture(1e3) | {"north_sigma_rad": math.inf}], ids=["exact", "free"])
+def test_noise_scales_the_bound_where_no_prior_does(known):
+    quiet, noisy = (linear(imu).bound(known, 0.0).sigma for imu in (NAVIGATION, TEN_TIMES))
+    np.testing.assert_allclose(noisy, 10.0 * quiet, rtol=1e-6)
+
+
+@pytest.mark.parametrize("pulse", [{"gyro_quantization": ARCSEC}, {"accel_quantization": 1e-3}])
+def test_pulses_add_to_the_bound(pulse):
+    better, worse = (linear(imu).bound(fixture(1e-3), 5e-6).covariance for imu in (SMOOTH, replace(SMOOTH, **pulse)))
+    assert_not_below(worse, better)
+    assert (np.diag(worse) / np.diag(better)).max() > 1.1
+
+
+def test_a_walking_bias_adds_to_the_bound():
+    known = fixture(1e-3)
+    chain = [linear().bound(known, 5e-6, walk).covariance for walk in (0.0, 1e-8, 1e-5)]
+    for better, worse in pairwise(chain):
+        assert_not_below(worse, better)
+    # A bias that each sequence has of its own, known from two windows of 10 s: the mean of 17 of them.
+    bias = np.sqrt(np.diag(chain[-1]))[GROUP_SLICES["gyro_bias"]]
+    own = math.hypot(NAVIGATION.gyro_noise * math.sqrt(20.0), NAVIGATION.gyro_quantization * math.sqrt(4.0 / 12.0))
+    np.testing.assert_allclose(bias, own / 20.0 / math.sqrt(17.0), rtol=0.2)
+
+
+def test_gravity_is_a_common_error_of_the_scales():
+    exact, known = (linear().bound({}, sigma).covariance for sigma in (0.0, 5e-5))
+    part = GROUP_SLICES["accel_scale"]
+    np.testing.assert_allclose((known - exact)[part, part], (5e-5 / G) ** 2, rtol=1e-3)
+
+
+def test_errors_that_no_sequence_shows_are_named():
+    without = [name for name in sims.TABLE_1 if name != "3a"]
+    with pytest.raises(DataError, match=r"do not determine gyro_scale_z, gyro_asymmetry_z:"):
+        bayesian_bound(table(*without), site=SITE, imu=NAVIGATION, fixture_sigma=fixture(1e-3), earth_rate=False)
+    # The Earth's rate in the windows tells them apart after all, as well as N/√(20 s) against 5e-5 rad/s does.
+    bound = bayesian_bound(
+        table(*without), site=SITE, imu=NAVIGATION, fixture_sigma=fixture(1e-3), sample_rate_hz=100.0
+    )
+    assert 1e-4 < bound["gyro_scale_z"] < 1e-2
+
+
+def test_an_axis_that_never_sees_gravity_is_named():
+    """Its force is rounding, 6e-17 g, and must not count as a measurement however small the noise."""
+    names = "accel_scale_y, accel_asymmetry_y, accel_misalignment_xy, accel_misalignment_zy"
+    with pytest.raises(DataError, match=f"do not determine {names}:"):
+        bayesian_bound(table("8", "9"), site=SITE, imu=NAVIGATION, fixture_sigma=fixture(1e-3))
+
+
+def test_differences_do_not_depend_on_their_step():
+    errors = normal_errors(np.random.default_rng(5), 0.05)
+    one, half = (
+        linear(errors=errors, step=step).bound(fixture(1e-3), 5e-6, 1e-8).covariance for step in (1e-4, 0.5e-4)
+    )
+    scale = np.sqrt(np.outer(np.diag(one), np.diag(one)))
+    np.testing.assert_allclose(half / scale, one / scale, rtol=0.0, atol=1e-5)
+    np.testing.assert_allclose(np.diag(half), np.diag(one), rtol=1e-5)
+
+
+def test_bound_of_the_papers_gyro():
+    """0.002 °/√h over two full turns of 6.4 s ([P] §9: 0.59 ppm over one and 40 s), lowered by the other sequences."""
+    noise = 0.002 * DEG_PER_SQRT_H
+    imu = ImuModel(gyro_noise=noise, accel_noise=1e-9)
+    bound = bayesian_bound(table(), site=SITE, imu=imu, fixture_sigma=fixture(1e-3), sample_rate_hz=100.0)
+    pair = noise * math.sqrt(RateProfile().duration_s(2.0 * math.pi)) / (2.0 * math.pi * math.sqrt(2.0))
+    assert 0.15e-6 < pair < 0.17e-6
+    scales = bound.sigma[GROUP_SLICES["gyro_scale"]]
+    assert ((scales > 0.8 * pair) & (scales < pair)).all()
+    assert bound["gyro_scale_x"] == scales[0]
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_closed_form_is_not_better_than_the_bound(grade):
+    recording, truth = noisy_recording(11, grade)
+    known = fixture(1e-3) | {"non_orthogonality_sigma_rad": 0.0}
+    bound = bayesian_bound(
+        table(), site=SITE, imu=GRADES[grade], fixture_sigma=known, errors=truth, sample_rate_hz=100.0
+    )
+    ratio = srt.calibrate(recording, "closed-form").sigma / bound.sigma
+    assert ratio.min() > 0.99
+    assert ratio[GROUP_SLICES["gyro_scale"]].max() < 1.3
+
+
+def test_bound_of_a_scenario():
+    scenario = sims.load_scenario("navigation-rlg")
+    scenario = scenario.model_copy(
+        update={"recording": scenario.recording.model_copy(update={"sample_rate_hz": 100.0})}
+    )
+    sigma = scenario.fixture.draw_sizes()
+    sigma["mounting_sigma_rad"] = math.hypot(sigma["mounting_sigma_rad"], 0.5e-3)
+    expected = bayesian_bound(
+        schedule_of(scenario.schedule),
+        site=scenario.site.site(),
+        imu=ImuModel(**scenario.imu.noise.si()),
+        fixture_sigma=sigma,
+        heading_rad=math.radians(30.0),
+        sample_rate_hz=100.0,
+    )
+    np.testing.assert_allclose(scenario_bound(scenario).sigma, expected.sigma, rtol=1e-9)
+    blind = scenario.model_copy(update={"fixture": scenario.fixture.model_copy(update={"state_heading": False})})
+    assert_not_below(scenario_bound(blind).covariance, expected.covariance)
+
+
+def test_what_cannot_be_bounded_is_refused():
+    with pytest.raises(InputError, match="free recording"):
+        scenario_bound(sims.load_scenario("free-mems"))
+    with pytest.raises(InputError, match="no accel noise"):
+        bayesian_bound(table("1"), site=SITE, imu=ImuModel(gyro_noise=1e-6), fixture_sigma={})
+    with pytest.raises(InputError, match="no fixture sigma 'level'"):
+        linear().bound({"level": 1e-3}, 5e-6)
+    with pytest.raises(InputError, match="level_sigma_rad is inf"):
+        linear().bound({"level_sigma_rad": math.inf}, 5e-6)
+    with pytest.raises(InputError, match="walk"):
+        linear().bound({}, 5e-6, -1.0)

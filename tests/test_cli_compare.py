@@ -1,0 +1,318 @@
+"""``srt compare``: tables, files, and the exit code of every outcome."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import srt
+import srt.comparison
+import srt.estimation
+from srt.cli import main
+from srt.cli.calibrate import calibrate
+from srt.cli.compare import SHARED_OPTIONS, compare
+from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES
+
+SCENARIO = """
+seed = 3
+imu = { from = "navigation-rlg" }
+fixture = { from = "lab-1mrad" }
+site = { from = "latitude-45" }
+schedule = { dwell_s = 4.0, rate_rad_s = 3.0, acceleration_rad_s2 = 30.0, settle_s = 0.1, leg_dwell_s = 0.2 }
+recording = { sample_rate_hz = 100.0, format = "npz", serial = "SN-7" }
+"""
+BOTH = ("--estimator", "closed-form", "--estimator", "least-squares")
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory):
+    """Make a noisy recording with its truth."""
+    folder = tmp_path_factory.mktemp("compared")
+    (folder / "scenario.toml").write_text(SCENARIO)
+    assert main(["simulate", str(folder / "scenario.toml"), "-o", str(folder / "unit-7"), "-q"]) == 0
+    return folder / "unit-7"
+
+
+@pytest.fixture(scope="session")
+def calibrations(recording):
+    loaded = srt.load_recording(recording)
+    return {name: srt.calibrate(loaded, name) for name in ("closed-form", "least-squares")}
+
+
+@pytest.fixture
+def results(monkeypatch):
+    """Let estimators return, or raise, what a test says; those not named are not installed."""
+
+    def install(**values):
+        by_name = {name.replace("_", "-"): value for name, value in values.items()}
+
+        def find(name):
+            def estimate(recording, options, progress=None):
+                if isinstance(by_name[name], Exception):
+                    raise by_name[name]
+                return by_name[name]
+
+            if name not in by_name:
+                raise srt.MissingExtraError("some-package", "all", f"The estimator {name!r}")
+            return estimate
+
+        for module in (srt.estimation, srt.comparison):
+            monkeypatch.setattr(module, "find_estimator", find)
+
+    return install
+
+
+def rows_of(out):
+    """Give the rows of the table of parameters by name."""
+    rows = [line.split() for line in out.splitlines()]
+    return {cells[0]: cells for cells in reversed(rows) if cells and cells[0] in NAMES}
+
+
+def one_sentence(err):
+    assert err.startswith("srt: ")
+    assert err.count("\n") == 1
+    assert not re.search(r"[.?!] [A-Z]", err), err
+    return err
+
+
+def test_table_holds_estimates_and_differences_as_the_library_finds_them(recording, calibrations, capfd):
+    assert main(["compare", str(recording), *BOTH]) == 0
+    out, err = capfd.readouterr()
+    expected = srt.comparison.compare(calibrations).pairs["closed-form"]
+    rows = rows_of(out)
+    assert list(rows) == list(reversed(NAMES))
+    for name, (_, _, *estimates, normalised) in rows.items():
+        i = INDEX[name]
+        for text, calibration in zip(estimates, calibrations.values(), strict=True):
+            value, sigma = map(float, text.split("±"))
+            exact = calibration.sigma[i] * DISPLAY_FACTORS[i]
+            assert sigma == pytest.approx(exact, rel=0.06)  # two digits
+            assert value == pytest.approx(calibration.errors[name] * DISPLAY_FACTORS[i], abs=0.06 * exact)
+        assert float(normalised) == pytest.approx(expected.normalised[i], abs=0.051)
+    assert "SN-7" in out
+    assert re.search(r"least-squares +converged +\d+ +\d+\.\d\d +27 +1\.00 .* reference", out)
+    assert re.search(r"closed-form +converged .* agrees", out)
+    assert "least-squares and closed-form agree: largest difference" in out
+    # Progress went elsewhere, each line with the estimator's name.
+    assert re.fullmatch(
+        r"(unit-7, (closed-form|least-squares): play-back \d+, largest correction \d\.\de-\d\d\n)+", err
+    )
+
+
+def test_truth_adds_errors_over_sigma(recording, calibrations, capfd):
+    truth = recording / "truth.json"
+    assert main(["compare", str(recording), *BOTH, "--truth", str(truth)]) == 0
+    table = capfd.readouterr().out.split("Errors over sigma")[1]
+    true = json.loads(truth.read_text())["parameters"]
+    for name, (_, _, _, *ratios) in rows_of(table).items():
+        for text, calibration in zip(ratios, calibrations.values(), strict=True):
+            error = calibration.errors[name] - true[name]
+            assert float(text) == pytest.approx(error / calibration.sigma[INDEX[name]], abs=0.006)
+
+
+def test_files(recording, calibrations, tmp_path, capfd):
+    result, figure = tmp_path / "result.json", tmp_path / "figure.svg"
+    truth = str(recording / "truth.json")
+    arguments = [*BOTH, "--reference", "closed-form", "-o", str(result), "--plot", str(figure), "--truth", truth]
+    assert main(["compare", str(recording / "recording.toml"), *arguments]) == 0
+    document = json.loads(result.read_text(encoding="utf-8"))
+    assert (document["agree"], document["reference"]) == (True, "closed-form")
+    for estimate in document["estimators"]:
+        expected = calibrations[estimate["name"]]
+        assert estimate["value"] == expected.errors.vector.tolist()
+        assert estimate["seconds"] > 0.0
+        assert np.isfinite(estimate["error_over_sigma"]).all()
+    assert document["provenance"]["serial"] == "SN-7"
+    assert figure.read_bytes().startswith(b"<?xml")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["figure.svg", "result.json"]
+    out, err = capfd.readouterr()
+    assert f"Written: {result}, {figure}" in out
+    # The closed form is not the efficient one of the two: said, but no reason to fail.
+    assert "closed-form is not the efficient one" in err
+
+
+def test_four_estimators_fit_120_columns(recording, calibrations, results, capfd):
+    best = calibrations["least-squares"]
+    results(closed_form=calibrations["closed-form"], least_squares=best, ekf=best, graph=best)
+    assert main(["compare", str(recording), "--truth", str(recording / "truth.json")]) == 0
+    out = capfd.readouterr().out
+    assert "\x1b" not in out
+    # Paths are not broken: a line that holds one may be longer.
+    assert max(len(line) for line in out.splitlines() if str(recording) not in line) <= 120
+    assert "graph, closed-form, least-squares and ekf agree" in " ".join(out.split())
+
+
+def test_options_reach_the_estimators(recording, tmp_path):
+    chosen = {"average": "overlapping", "window_attitude": "integrated", "start": "zero", "max_playbacks": 9}
+    flags = [text for name, value in chosen.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+    flags += ["--no-asymmetry", "--hold", "accel_bias"]
+    assert main(["compare", str(recording), "-q", "-o", str(tmp_path / "x.json"), *BOTH, *flags]) == 0
+    document = json.loads((tmp_path / "x.json").read_text())
+    kept = document["provenance"]["options"]
+    assert chosen.items() <= kept.items()
+    assert kept["asymmetry"] is False
+    assert kept["hold"] == ["accel_bias_x", "accel_bias_y", "accel_bias_z"]
+    assert document["estimators"][0]["observed"] == 21
+
+
+def test_shared_options_are_those_of_calibrate():
+    there = {p.name: p for p in calibrate.params}
+    here = {p.name: p for p in compare.params}
+    assert all(here[name] is there[name] for name in SHARED_OPTIONS)
+
+
+def test_quiet_says_nothing_of_what_is_well(recording, capfd):
+    assert main(["compare", str(recording), "-q", *BOTH]) == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_those_left_out_are_named_with_what_to_install(recording, calibrations, results, tmp_path, capfd):
+    results(**{name.replace("-", "_"): c for name, c in calibrations.items()})
+    assert main(["compare", str(recording), "-o", str(tmp_path / "x.json")]) == 0
+    out, err = capfd.readouterr()
+    for name in ("ekf", "graph"):
+        sentence = f"{name} is left out: The estimator {name!r} needs the package 'some-package'"
+        assert sentence in " ".join(out.split())
+        assert sentence in err
+    assert [e["name"] for e in json.loads((tmp_path / "x.json").read_text())["left_out"]] == ["ekf", "graph"]
+
+
+def test_disagreement_is_1_and_written_all_the_same(recording, calibrations, results, tmp_path, capfd):
+    best = calibrations["least-squares"]
+    delta = np.zeros(27)
+    delta[INDEX["accel_scale_z"]] = 20.0 * best.sigma[INDEX["accel_scale_z"]]
+    results(closed_form=replace(calibrations["closed-form"], errors=best.errors.plus(delta)), least_squares=best)
+    path, figure = tmp_path / "x.json", tmp_path / "x.png"
+    assert main(["compare", str(recording), *BOTH, "-o", str(path), "--plot", str(figure)]) == 1
+    out, err = capfd.readouterr()
+    assert json.loads(path.read_text())["agree"] is False
+    assert figure.exists()
+    assert rows_of(out)["accel_scale_z"][-1].endswith("*")
+    assert "differs" in out
+    assert "closed-form differs from least-squares: accel_scale_z by" in one_sentence(err)
+
+
+def test_a_failed_estimator_stops_none_and_is_1(recording, calibrations, results, tmp_path, capfd):
+    results(ekf=srt.DataError("It cannot be."), **{n.replace("-", "_"): c for n, c in calibrations.items()})
+    path = tmp_path / "x.json"
+    assert main(["compare", str(recording), *BOTH, "--estimator", "ekf", "--reference", "ekf", "-o", str(path)]) == 1
+    out, err = capfd.readouterr()
+    assert re.search(r"ekf +failed .* no result", out)
+    assert "ekf failed: It cannot be." in out
+    assert "least-squares and closed-form agree" in out
+    assert f"srt: {recording}: ekf failed: It cannot be.\n" in err
+    assert "gave no usable result; it is least-squares instead" in err
+    assert json.loads(path.read_text())["failed"] == [{"name": "ekf", "message": "It cannot be."}]
+
+
+def test_no_convergence_is_1(recording, tmp_path, capfd):
+    path, figure = tmp_path / "x.json", tmp_path / "x.png"
+    arguments = [*BOTH, "--max-playbacks", "1", "-o", str(path), "--plot", str(figure)]
+    assert main(["compare", str(recording), *arguments]) == 1
+    out, err = capfd.readouterr()
+    assert "no estimator gave a usable result" in " ".join(out.split())
+    assert "no estimator gave a usable result" in err
+    assert json.loads(path.read_text())["reference"] is None
+    # Nothing is drawn, and nothing is said to be.
+    assert not figure.exists()
+    assert str(figure) not in out
+
+
+def test_a_recording_for_fewer_than_two_is_1(recording, calibrations, results, tmp_path, capfd):
+    free = tmp_path / "free"
+    shutil.copytree(recording, free)
+    text = (free / "recording.toml").read_text().split("[[sequence]]")[0]
+    (free / "recording.toml").write_text(re.sub(r"\[fixture\][^\[]*", "", text))
+    results(**{name.replace("-", "_"): c for name, c in calibrations.items()})
+    assert main(["compare", str(free), "-q"]) == 1
+    sentence = one_sentence(capfd.readouterr().err)
+    assert "Fewer than two estimators can run" in sentence
+    assert "closed-form is left out: The closed form needs labelled sequences of Table 1" in sentence
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (["--estimator", "magic", "--estimator", "least-squares"], ["no estimator 'magic'", "closed-form"]),
+        (["--estimator", "closed-form"], ["two estimators", "closed-form"]),
+        (["--estimator", "closed-form", "--estimator", "closed-form"], ["two estimators"]),
+        ([*BOTH, "--reference", "graph"], ["'graph' is not among", "closed-form, least-squares"]),
+        (["--reference", "magic"], ["'magic' is not among", "ekf, graph"]),
+        (["-o", "x.txt"], ["x.txt", ".json"]),
+        (["-o", "absent/x.json"], ["absent/x.json", "No such file"]),
+        (["--plot", "x.gif"], ["x.gif", ".png"]),
+        (["--hold", "gyro_scal"], ["gyro_scal", "gyro_scale"]),
+        ([*BOTH, "--truth", "absent.json"], ["absent.json", "No such file"]),
+    ],
+)
+def test_wrong_usage_is_one_sentence_and_2_before_the_work(
+    recording, arguments, fragments, tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(srt, "load_recording", lambda path: pytest.fail(f"{path} was read first"))
+    assert main(["compare", str(recording), *arguments]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    for fragment in fragments:
+        assert fragment in one_sentence(err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_reference_that_cannot_run_here_is_2(recording, calibrations, results, capfd):
+    results(**{name.replace("-", "_"): c for name, c in calibrations.items()})
+    assert main(["compare", str(recording), "--reference", "graph"]) == 2
+    assert "The reference graph cannot run here: The estimator 'graph' needs" in one_sentence(capfd.readouterr().err)
+
+
+def later(document):
+    document["windows"] = (np.array(document["windows"]) + 1.0).tolist()
+
+
+def other_serial(document):
+    document["scenario"]["recording"]["serial"] = "SN-8"
+
+
+def no_windows(document):
+    document["windows"] = 3
+
+
+@pytest.mark.parametrize(
+    ("spoil", "fragment"),
+    [(later, "not that of this recording"), (other_serial, "not that of this recording"), (no_windows, "as simulate")],
+)
+def test_the_truth_of_another_recording_is_refused(recording, tmp_path, capfd, spoil, fragment):
+    document = json.loads((recording / "truth.json").read_text())
+    spoil(document)
+    (tmp_path / "truth.json").write_text(json.dumps(document))
+    assert main(["compare", str(recording), *BOTH, "--truth", str(tmp_path / "truth.json")]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert fragment in one_sentence(err)
+
+
+def test_the_truth_of_another_unit_of_the_same_schedule_is_suspected(recording, tmp_path, capfd):
+    document = json.loads((recording / "truth.json").read_text())
+    document["parameters"] = {name: -value for name, value in document["parameters"].items()}
+    (tmp_path / "truth.json").write_text(json.dumps(document))
+    assert main(["compare", str(recording), "-q", *BOTH, "--truth", str(tmp_path / "truth.json")]) == 0
+    assert "is it the truth of another recording?" in one_sentence(capfd.readouterr().err)
+
+
+def test_an_absent_recording_is_2(tmp_path, capfd):
+    assert main(["compare", str(tmp_path / "absent"), *BOTH]) == 2
+    assert "There is no recording" in one_sentence(capfd.readouterr().err)
+
+
+def test_help_is_light():
+    code = (
+        "import sys\nfrom srt.cli import main\nassert main(['compare', '--help']) == 0\n"
+        "sys.exit(bool({'numpy', 'scipy', 'matplotlib', 'rich'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, capture_output=True).returncode == 0

@@ -1,0 +1,389 @@
+"""Comparison of estimators: its statistics on a linear model, whose estimates and covariances are exactly known."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from scipy.stats import binom, chi2, norm
+
+import srt
+import srt.comparison
+from srt.comparison import FALSE_ALARM, LEAST_SPREAD, compare, default_estimators, run_estimators
+from srt.comparison_plot import comparison_figure
+from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
+
+DRAWS = 2000
+UNITS = 1.0 / np.array(DISPLAY_FACTORS)
+
+
+def calibration(values, covariance, name="closed-form", **changes):
+    result = srt.Calibration(name, "converged", "Converged.", srt.SensorErrors(values), covariance, corrections=(1e-9,))
+    return replace(result, **changes)
+
+
+def hold(result, *names):
+    covariance = result.covariance.copy()
+    for name in names:
+        covariance[INDEX[name]] = covariance[:, INDEX[name]] = 0.0
+    return replace(result, covariance=covariance, held=dict.fromkeys(names, "held on request"), status="partial")
+
+
+@dataclass
+class LinearModel:
+    """White noise of one on A x, in display units; estimated from all rows, and from the first half of them."""
+
+    A: np.ndarray
+    rng: np.random.Generator
+
+    def gain(self, rows):
+        gain = np.zeros((N_PARAMETERS, len(self.A)))
+        gain[:, :rows] = np.linalg.pinv(self.A[:rows])
+        gain *= UNITS[:, None]
+        return gain, gain @ gain.T
+
+    def draw(self):
+        """Give the estimates of one recording, whose truth is zero."""
+        noise = self.rng.standard_normal(len(self.A))
+        return {
+            name: calibration(gain @ noise, covariance, name)
+            for name, (gain, covariance) in {"closed-form": self.half, "least-squares": self.all}.items()
+        }
+
+    def __post_init__(self):
+        self.half, self.all = self.gain(len(self.A) // 2), self.gain(len(self.A))
+
+
+@pytest.fixture
+def model():
+    rng = np.random.default_rng(4)
+    # Columns of unequal size that lean on each other, as those of the rotation test do.
+    mix = np.eye(N_PARAMETERS) + 0.1 * rng.standard_normal((N_PARAMETERS, N_PARAMETERS))
+    return LinearModel(rng.standard_normal((100, N_PARAMETERS)) @ mix * rng.uniform(0.3, 3.0, N_PARAMETERS), rng)
+
+
+@pytest.fixture
+def pair(model):
+    return model.draw()
+
+
+def shifted(result, name, amount):
+    delta = np.zeros(N_PARAMETERS)
+    delta[INDEX[name]] = amount
+    return replace(result, errors=result.errors.plus(delta))
+
+
+def test_normalised_differences_are_standard_normal_and_false_alarms_as_stated(model):
+    comparisons = [compare(model.draw()) for _ in range(DRAWS)]
+    pairs = [c.pairs["closed-form"] for c in comparisons]
+    assert {c.reference for c in comparisons} == {"least-squares"}
+    normalised = np.array([p.normalised for p in pairs])
+    # Sums of squares of 27 parameters, each within a band that all keep with probability 0.9997.
+    sums = np.sum(normalised**2, axis=0)
+    edge = 1e-4 / N_PARAMETERS
+    assert chi2.ppf(edge, DRAWS) < sums.min()
+    assert sums.max() < chi2.isf(edge, DRAWS)
+    # The shape, by the counts beyond one and two sigma.
+    for limit in (1.0, 2.0):
+        counts = np.sum(np.abs(normalised) > limit, axis=0)
+        expected = 2.0 * norm.sf(limit)
+        assert binom.ppf(edge, DRAWS, expected) <= counts.min()
+        assert counts.max() <= binom.isf(edge, DRAWS, expected)
+    # No eigenvalue needs its floor here: the chi-square has its 27 degrees of freedom.
+    statistic = sum(p.chi_square for p in pairs)
+    assert chi2.ppf(1e-4, DRAWS * N_PARAMETERS) < statistic < chi2.isf(1e-4, DRAWS * N_PARAMETERS)
+    # The joint test alone gives half of the false alarms; with the other half there are FALSE_ALARM at most.
+    alarms = sum(not c.agree for c in comparisons)
+    assert binom.ppf(1e-3, DRAWS, 0.5 * FALSE_ALARM) <= alarms <= binom.isf(1e-3, DRAWS, FALSE_ALARM)
+
+
+def test_exchanged_roles_raise_no_false_alarm_and_are_noted(model):
+    comparisons = [compare(model.draw(), reference="closed-form") for _ in range(300)]
+    assert sum(not c.agree for c in comparisons) <= binom.isf(1e-3, 300, FALSE_ALARM)
+    assert comparisons[0].pairs["least-squares"].smaller_sigma == NAMES
+    assert "closed-form is not the efficient one" in comparisons[0].notes[0]
+    np.testing.assert_array_equal(
+        comparisons[0].pairs["least-squares"].spread,
+        compare(comparisons[0].calibrations).pairs["closed-form"].spread,
+    )
+
+
+def test_the_reference_needs_to_be_clearly_less_efficient_for_a_note(pair):
+    twin = replace(pair["least-squares"], covariance=0.96 * pair["least-squares"].covariance)
+    assert compare({"a": pair["least-squares"], "b": twin}, reference="a").notes == ()
+    twin = replace(twin, covariance=0.94 * pair["least-squares"].covariance)
+    assert len(compare({"a": pair["least-squares"], "b": twin}, reference="a").notes) == 1
+
+
+@pytest.mark.parametrize("name", ["gyro_scale_x", "accel_scale_z", "gyro_bias_y"])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_planted_difference_is_found_and_named(pair, name, sign):
+    before = compare(pair).pairs["closed-form"]
+    assert before.agrees
+    # Six spreads from where the two agree exactly.
+    wanted = sign * 6.0 * before.spread[INDEX[name]] - before.difference[INDEX[name]]
+    comparison = compare(pair | {"closed-form": shifted(pair["closed-form"], name, wanted)})
+    after = comparison.pairs["closed-form"]
+    assert after.normalised[INDEX[name]] == pytest.approx(sign * 6.0)
+    assert [NAMES[i] for i in np.flatnonzero(after.differing)] == [name]
+    assert not comparison.agree
+    assert f"closed-form differs from least-squares: {name} by 6.0 expected spreads" in comparison.verdict
+
+
+def test_a_difference_of_all_together_is_found_though_none_alone_is_large(pair):
+    D = pair["closed-form"].covariance - pair["least-squares"].covariance
+    scale = pair["closed-form"].sigma
+    eigenvalues, vectors = np.linalg.eigh(D / np.outer(scale, scale))
+    # Nine of its own sigmas along the direction in which the two should differ least.
+    delta = 9.0 * np.sqrt(eigenvalues[0]) * vectors[:, 0] * scale
+    values = pair["least-squares"].errors.plus(delta)
+    comparison = compare(pair | {"closed-form": replace(pair["closed-form"], errors=values)})
+    assert comparison.pairs["closed-form"].chi_square == pytest.approx(81.0)
+    assert not comparison.pairs["closed-form"].differing.any()
+    assert not comparison.agree
+    assert "in all parameters together, though in none alone" in comparison.verdict
+    assert comparison.pairs["closed-form"].p_value == pytest.approx(chi2.sf(81.0, 27))
+
+
+def test_efficient_twins_may_differ_by_a_few_twentieths_of_sigma(pair):
+    best = pair["least-squares"]
+    sigma = float(best.sigma[INDEX["accel_bias_x"]])
+    for share, agree in ((0.1, True), (0.3, False)):
+        comparison = compare({"least-squares": best, "graph": shifted(best, "accel_bias_x", share * sigma)})
+        assert comparison.reference == "graph"
+        assert comparison.agree is agree
+        normalised = comparison.pairs["least-squares"].normalised[INDEX["accel_bias_x"]]
+        assert normalised == pytest.approx(-share / LEAST_SPREAD)
+
+
+def test_the_limit_is_for_all_parameters_of_all_pairs(pair):
+    four = pair | {"ekf": pair["least-squares"], "graph": hold(pair["least-squares"], "gyro_bias_x")}
+    comparison = compare(four)
+    limit = comparison.pairs["closed-form"].limit
+    assert {p.limit for p in comparison.pairs.values()} == {limit}
+    assert (2.0 * norm.cdf(limit) - 1.0) ** (3 * 26) == pytest.approx(1.0 - 0.5 * FALSE_ALARM, rel=1e-12)
+    assert {p.least_p_value for p in comparison.pairs.values()} == {0.5 * FALSE_ALARM / 3}
+
+
+def test_agreement_is_a_sentence(pair):
+    comparison = compare(pair | {"ekf": pair["least-squares"]})
+    worst = max(abs(comparison.pairs["closed-form"].normalised))
+    assert comparison.verdict.startswith("ekf, closed-form and least-squares agree: largest difference ")
+    assert f"{worst:.1f} expected spreads ({NAMES[comparison.pairs['closed-form'].largest]} of closed-form; " in (
+        comparison.verdict
+    )
+    assert comparison.pairs["closed-form"].efficiency == pytest.approx(
+        np.sqrt(np.mean((pair["closed-form"].sigma / pair["least-squares"].sigma) ** 2))
+    )
+
+
+def test_order_of_references():
+    names = ["theirs", "closed-form", "least-squares", "ekf", "graph"]
+    rest = {name: calibration(np.zeros(27), np.eye(27), name) for name in names}
+    for expected in (*reversed(names[1:]), "theirs"):
+        assert compare(rest).reference == expected
+        del rest[expected]
+
+
+def test_held_parameters_are_not_compared_but_named(pair):
+    comparison = compare({"closed-form": hold(pair["closed-form"], "gyro_scale_x"), "graph": pair["least-squares"]})
+    one = comparison.pairs["closed-form"]
+    assert int(one.compared.sum()) == 26
+    assert np.isnan(one.difference[0])
+    assert np.isnan(one.normalised[0])
+    assert comparison.notes == ("Held by closed-form and not by the others: gyro_scale_x.",)
+    both = {name: hold(result, "gyro_scale_x") for name, result in pair.items()}
+    assert compare(both).notes == ()
+    # What is compared is judged as if there were no more: the marginal difference.
+    everything = compare(pair).pairs["closed-form"]
+    np.testing.assert_allclose(one.normalised[1:], everything.normalised[1:])
+
+
+def test_nothing_in_common_is_no_agreement(pair):
+    gyro, accel = (tuple(n for n in NAMES if n.startswith(kind)) for kind in ("gyro", "accel"))
+    comparison = compare({"closed-form": hold(pair["closed-form"], *gyro), "ekf": hold(pair["least-squares"], *accel)})
+    assert not comparison.agree
+    assert comparison.verdict == "closed-form and ekf observed no parameter in common."
+    json.dumps(comparison.as_dict(), allow_nan=False)
+
+
+def test_a_sigma_of_zero_is_not_compared(pair):
+    exact = replace(pair["least-squares"], covariance=np.zeros((27, 27)))
+    assert not compare({"closed-form": pair["closed-form"], "graph": exact}).pairs["closed-form"].compared.any()
+
+
+def test_what_did_not_converge_is_shown_but_not_compared(pair):
+    lost = replace(pair["least-squares"], status="not_converged", message="Not converged after 3 play-backs.")
+    comparison = compare(pair | {"graph": lost}, reference="graph")
+    assert comparison.reference == "least-squares"
+    assert set(comparison.pairs) == {"closed-form"}
+    assert comparison.agree
+    assert not comparison.complete
+    assert "The reference asked for, graph, gave no usable result; it is least-squares instead." in comparison.notes
+    assert any("Not converged after 3" in note for note in comparison.notes)
+    assert "graph" in comparison.calibrations
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_results_are_no_agreement(pair, count):
+    comparison = compare(dict(list(pair.items())[:count]), failures={"ekf": "It cannot be."})
+    assert not comparison.agree
+    assert comparison.verdict.startswith("There is nothing to compare: ")
+    assert comparison.as_dict()["failed"] == [{"name": "ekf", "message": "It cannot be."}]
+
+
+def test_wrong_references_and_recordings_are_refused(pair):
+    with pytest.raises(srt.InputError, match=r"'graph' is not among .*: closed-form, least-squares\."):
+        compare(pair, reference="graph")
+    marked = {n: replace(c, provenance={"data_sha256": n}) for n, c in pair.items()}
+    with pytest.raises(srt.InputError, match="different recordings"):
+        compare(marked)
+
+
+def test_json_is_finite_and_holds_what_was_found(pair, tmp_path):
+    comparison = compare(
+        {"closed-form": hold(pair["closed-form"], "accel_bias_z"), "least-squares": pair["least-squares"]},
+        seconds={"closed-form": 0.5},
+        failures={"ekf": "It cannot be."},
+        left_out={"graph": "It is not installed."},
+        truth=srt.SensorErrors(),
+    )
+    comparison.save(tmp_path / "x.json")
+    document = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
+    assert document == comparison.as_dict()
+    assert (document["format"], document["version"]) == ("srt-comparison", 1)
+    assert document["verdict"] == comparison.verdict
+    assert [p["name"] for p in document["parameters"]] == list(NAMES)
+    first, second = document["estimators"]
+    assert (first["name"], first["seconds"], second["seconds"]) == ("closed-form", 0.5, None)
+    assert (first["observed"], first["status"], first["playbacks"]) == (26, "partial", 1)
+    assert second["comparison"] is None
+    i = INDEX["accel_bias_z"]
+    one = comparison.pairs["closed-form"]
+    for key in ("difference", "spread", "normalised"):
+        assert first["comparison"][key][i] is None
+        assert first["comparison"][key][0] == getattr(one, key)[0]
+    assert first["sigma"][i] is None
+    assert first["error_over_sigma"][0] == pair["closed-form"].errors.vector[0] / pair["closed-form"].sigma[0]
+    assert document["failed"][0]["name"] == "ekf"
+    assert document["left_out"] == [{"name": "graph", "message": "It is not installed."}]
+
+
+@pytest.fixture
+def registry(monkeypatch, pair):
+    """Let the estimators be what a test says."""
+
+    def fails(recording, options, progress=None):
+        raise srt.DataError("It cannot be.")
+
+    def answers(recording, options, progress=None):
+        if progress is not None:
+            progress(1, 1e-3)
+        return pair["least-squares"]
+
+    def find(name):
+        if name == "absent":
+            raise srt.MissingExtraError("absent", "all", "The estimator 'absent'")
+        return fails if name == "ekf" else answers
+
+    monkeypatch.setattr(srt.comparison, "find_estimator", find)
+
+
+def test_estimators_run_in_order_and_one_that_fails_stops_none(registry, pair):
+    said = []
+    calibrations, seconds, failures = run_estimators(
+        None, ["graph", "ekf", "least-squares"], progress=lambda *step: said.append(step)
+    )
+    assert list(calibrations) == ["graph", "least-squares"]
+    assert failures == {"ekf": "It cannot be."}
+    assert list(seconds) == ["graph", "ekf", "least-squares"]
+    assert all(0.0 <= s < 1.0 for s in seconds.values())
+    assert said == [("graph", 1, 1e-3), ("least-squares", 1, 1e-3)]
+    assert compare(calibrations, failures=failures).failures == failures
+
+
+def test_an_estimator_that_is_not_installed_is_refused_first(registry):
+    with pytest.raises(srt.MissingExtraError, match="pip install"):
+        run_estimators(None, ["graph", "absent"])
+
+
+def test_default_estimators_are_those_that_fit(monkeypatch, registry):
+    monkeypatch.setattr(srt.comparison, "ESTIMATORS", ("closed-form", "absent", "graph"))
+    for automatic, left in (("closed-form", {"absent"}), ("least-squares", {"closed-form", "absent"})):
+        monkeypatch.setattr(srt.comparison, "automatic_estimator", lambda recording, name=automatic: name)
+        names, left_out = default_estimators(None)
+        assert set(left_out) == left
+        assert "pip install" in left_out["absent"]
+        assert set(names) == {"closed-form", "absent", "graph"} - left
+
+
+def figures(pair):
+    best = pair["least-squares"]
+    four = pair | {"ekf": best, "graph": hold(best, "gyro_scale_x")}
+    far = shifted(best, "accel_bias_y", 300.0 * best.sigma[INDEX["accel_bias_y"]])
+    return {
+        "two": (compare(pair), "unit"),
+        "four with truth": (compare(four, truth=srt.SensorErrors()), None),
+        "all far apart": (compare(four | {"ekf": far, "theirs": far}), "unit"),
+        "one": (compare({"graph": best}), "unit"),
+    }
+
+
+@pytest.mark.parametrize("case", ["two", "four with truth", "all far apart", "one"])
+def test_texts_of_the_figure_neither_overlap_nor_leave_it(pair, case):
+    comparison, title = figures(pair)[case]
+    before = dict(mpl.rcParams)
+    figure = comparison_figure(comparison, title=title)
+    assert dict(mpl.rcParams) == before
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    texts = [figure._suptitle, *figure.legends[0].get_texts()]
+    for axes in figure.axes:
+        texts += [axes.yaxis.label, *axes.texts]
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = axis.get_view_interval()
+            ticks = axis.get_major_ticks()
+            texts += [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_visible()]
+    boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in texts if t.get_text() and t.get_visible()]
+    assert len(boxes) > 27 + len(GROUP_SLICES)
+    for (a, first), (b, second) in combinations(boxes, 2):
+        assert not first.overlaps(second), (a, b)
+    for text, box in boxes:
+        assert box.x0 >= 0.0, text
+        assert box.y0 >= 0.0, text
+        assert box.x1 <= figure.bbox.x1, text
+        assert box.y1 <= figure.bbox.y1, text
+
+
+def test_marks_of_the_figure_are_the_differences_in_sigmas_of_the_reference(pair):
+    comparison = compare(pair)
+    figure = comparison_figure(comparison)
+    differences, ratios = figure.axes
+    drawn = differences.containers[-1].lines[0].get_ydata()
+    one = comparison.pairs["closed-form"]
+    np.testing.assert_allclose(drawn, one.difference / pair["least-squares"].sigma)
+    bands = [patch.get_height() for patch in differences.patches]
+    np.testing.assert_allclose(bands, 2.0 * one.spread / pair["least-squares"].sigma)
+    np.testing.assert_allclose(ratios.lines[-1].get_ydata(), one.sigma_ratio)
+
+
+def test_nothing_usable_is_nothing_to_draw():
+    with pytest.raises(srt.InputError, match="nothing to draw"):
+        comparison_figure(compare({}, failures={"ekf": "It cannot be."}))
+
+
+def test_an_absent_matplotlib_says_what_to_install():
+    code = (
+        "import sys; sys.modules['matplotlib'] = None\nimport srt\n"
+        "try:\n    import srt.comparison_plot\nexcept srt.MissingExtraError as error:\n    print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert "pip install 'strapdown-rotation-test[plot]'" in done.stdout
