@@ -52,7 +52,7 @@ class FilterRun:
     Attributes
     ----------
     delta : ndarray, shape (n,)
-        Correction of the system's columns: every bias gets the last one's, attitudes are those that go with it.
+        Correction of the system's columns: every bias gets the mean, attitudes go with the last state.
     correction : ndarray, shape (27,)
         Of the reported parameters.
     covariance : ndarray, shape (27, 27)
@@ -128,11 +128,11 @@ def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> 
         values, handed_on = part.own_unknowns(g, handed_in)
         delta[part.local[0]], delta[part.pose_columns] = values, handed_on[part.pose_active]
         handed_in = handed_on
-    by_sequence = delta[system.columns["bias"]].reshape(-1, 3)
-    by_sequence[:] = by_sequence[0]
+    correction = E @ ekf.x
+    delta[system.columns["bias"]].reshape(-1, 3)[:] = correction[N_ERRORS:]
     return FilterRun(
         delta,
-        E @ ekf.x,
+        correction,
         spread @ spread.T,
         tuple(part.sequence for part in parts),
         tuple(innovations),

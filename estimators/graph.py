@@ -215,7 +215,10 @@ class GraphBuilder:
 
     def _priors(self, prior: Prior | None) -> None:
         problem, graph = self.problem, self.graph
-        isotropic: Any = gtsam.noiseModel.Isotropic.Sigma
+
+        def isotropic(size: int, sigma: float) -> Any:
+            return _gaussian(sigma**2 * np.eye(size))
+
         if problem.fixture_states:
             tight = isotropic(3, problem.alignment_sigma)
             graph.add(gtsam.PriorFactorRot3(F(0), gtsam.Rot3(), tight))
@@ -227,7 +230,7 @@ class GraphBuilder:
             if self.earth_key(c) is not None:
                 # Known components stay by a sigma a million times below the unknown ones.
                 sigmas = np.where(chain.unknown_sigma > 0.0, chain.unknown_sigma, 1e-6 * chain.unknown_sigma.max())
-                graph.add(gtsam.PriorFactorVector(E(c), np.zeros(3), gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+                graph.add(gtsam.PriorFactorVector(E(c), np.zeros(3), _gaussian(np.diag(sigmas**2))))
         for w in fixed_headings(problem).tolist():
             keep = np.array(self.values.atRot3(A(w)).matrix())
             noise = isotropic(1, _HEADING_SIGMA)
@@ -235,12 +238,12 @@ class GraphBuilder:
         for number in range(int(self.edges.max()) + 1):
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), isotropic(3, 1.0)))
         if problem.walks and len(self.axes):
-            step = np.maximum(problem.walk_sigma()[:, self.axes], 1e-15)
+            step = problem.walk_sigma()[:, self.axes]
             for i, (before, after) in enumerate(
                 zip(problem.order[:-1].tolist(), problem.order[1:].tolist(), strict=True)
             ):
                 done = self.point.bias_deviation[after] - self.point.bias_deviation[before]
-                noise = gtsam.noiseModel.Diagonal.Sigmas(step[i])
+                noise = _gaussian(np.diag(step[i] ** 2))
                 graph.add(gtsam.BetweenFactorVector(B(before), B(after), -done[self.axes], noise))
         if prior is not None:
             self._error_prior(prior)
@@ -259,11 +262,12 @@ class GraphBuilder:
 
 
 def _gaussian(covariance: Array) -> Any:
-    """Noise model by its square root: gtsam inverts a covariance, and a start attitude's has three decades of sigma.
+    """Noise model by its square root, the upper triangle of which is what gtsam reads.
 
-    Of a square root it reads the upper triangle alone.
+    Neither by the covariance, which gtsam inverts (a start attitude's spans eight decades), nor as a diagonal one, which
+    it takes for a hard constraint where a sigma is below 1e-8 (as gyro biases in rad/s are).
     """
-    return gtsam.noiseModel.Gaussian.SqrtInformation(np.linalg.qr(whiten(covariance[None])[0], mode="r"))
+    return gtsam.noiseModel.Gaussian.SqrtInformation(np.linalg.qr(whiten(covariance[None])[0], mode="r"), False)
 
 
 class _Terms:

@@ -242,7 +242,9 @@ class Problem:
 
     def walk_sigma(self) -> Array:
         """One sigma of the bias steps between sequences in time order, shape (K − 1, 3), rad/s."""
-        return np.asarray(np.sqrt(self.walk_share)[:, None] * self.wander)
+        # An axis without a walk of its own still has its columns: its steps are a thousandth of what a window shows.
+        shown = self.data.noise.gyro_white / math.sqrt(float(self.data.windows.duration_s.max()))
+        return np.asarray(np.maximum(np.sqrt(self.walk_share)[:, None] * self.wander, 1e-3 * shown))
 
     @property
     def walks(self) -> bool:

@@ -395,7 +395,7 @@ def _priors(build: _Builder, problem: Problem, point: Point, edges: NDArray[np.i
         before, after = problem.order[:-1], problem.order[1:]
         step = point.bias_deviation[after] - point.bias_deviation[before]
         unit = np.broadcast_to(np.eye(3), (len(step), 3, 3))
-        variance = np.maximum(problem.walk_sigma() ** 2, 1e-30)
+        variance = problem.walk_sigma() ** 2
         build.add(
             "walk",
             np.full(len(step), -1),
