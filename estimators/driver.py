@@ -14,6 +14,7 @@ import numpy as np
 
 from estimators.statistics import deletion_table, excess_noise, residuals, suspects
 from estimators.system import N_ERRORS, by_source, linearise, solve, weighted
+from estimators.targets import PARAMETER_UNITS
 from srt.compensation import outside_model
 from srt.estimation import Outcome, assemble, is_misfit
 from srt.exceptions import InputError
@@ -35,13 +36,36 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_UNIT: Final = np.ones(N_PARAMETERS)
-_UNIT[GROUP_SLICES["accel_bias"]] = 9.80665
 _MAX_STEP: Final = 0.7
-_ROUNDS: Final = 3
+_ROUNDS: Final = 5
+_RENEWALS: Final = 2
 _NEAR: Final = 1e-2
 _GROSS_RATIO: Final = 100.0
 _GROSS_G: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """A solution of the linearised problem.
+
+    Attributes
+    ----------
+    point : Point
+        What the correction is to be applied to: the point of linearisation, or one with better attitudes.
+    system : System
+        Linearised there.
+    delta : ndarray, shape (n,)
+        Correction of all columns.
+    correction : ndarray, shape (27,)
+    covariance : ndarray, shape (27, 27)
+        Of the reported parameters.
+    """
+
+    point: Point
+    system: System
+    delta: Array
+    correction: Array
+    covariance: Array
 
 
 class Step(ABC):
@@ -67,9 +91,12 @@ class Step(ABC):
         """Weight of each measurement, by kind and number, where it is not one."""
         return {}
 
+    def restart(self) -> None:  # noqa: B027 - most have nothing to do
+        """Begin anew, the measurements having changed."""
+
     @abstractmethod
-    def solve(self, problem: Problem, system: System, point: Point) -> tuple[Array, Array, Array]:
-        """Correction of all columns (n), correction (27) and covariance (27, 27) of the reported parameters."""
+    def solve(self, problem: Problem, system: System, point: Point) -> Solved:
+        """Solve a problem linearised at a point."""
 
     def diagnostics(self, problem: Problem) -> dict[str, Any]:  # noqa: ARG002 - for those that have some
         """What else the estimator reports, as JSON values."""
@@ -145,6 +172,7 @@ def iterate(
     requested: NDArray[np.bool_],
     progress: Progress | None = None,
     converged: tuple[float, float] = (CONVERGED_CORRECTION, CONVERGED_SIGMAS),
+    max_step: float = _MAX_STEP,
 ) -> State:
     """Play back, linearise and solve until the correction is negligible.
 
@@ -159,8 +187,11 @@ def iterate(
     progress : callable, optional
     converged : (float, float)
         Largest negligible correction, absolute and in sigmas.
+    max_step : float
+        Longest step; longer ones are shortened, as far from the solution they mean nothing but a direction.
     """
     corrections: list[float] = [] if state.corrections is None else state.corrections
+    renewed = 0
     selected = not state.free.all() or bool(requested.any() and not (state.free | requested).all())
     for _ in range(problem.options.max_playbacks):
         played = problem.play(state.point)
@@ -168,36 +199,38 @@ def iterate(
         if point.attitude is None:
             point = problem.place(point, played)
         near = bool(corrections) and corrections[-1] < _NEAR
-        if near:
+        if near and renewed < _RENEWALS:  # no more, or a scatter on the border of being noise would go on and off
             problem.update_wander(point, played)
+            renewed += 1
         system = linearise(problem, point, played, state.free)
         if near and not selected and step.prior is None:
             state.free = admitted(system, requested)
             selected = True
             system = linearise(problem, point, played, state.free)
         try:
-            delta, correction, covariance = step.solve(problem, system, point)
+            solved = step.solve(problem, system, point)
         except np.linalg.LinAlgError as error:
             state.status, state.message = "outside_model", f"The equations are singular ({error})."
             break
+        delta, correction, covariance = solved.delta, solved.correction, solved.covariance
         if not np.all(np.isfinite(delta)) or not np.all(np.isfinite(covariance)):
             state.status, state.message = "outside_model", "The correction is not finite."
             break
-        size = float(np.max(np.abs(correction) / _UNIT))
-        if size > _MAX_STEP:  # far from the solution a linear step of that size means nothing but a direction
-            delta, correction = delta * (_MAX_STEP / size), correction * (_MAX_STEP / size)
+        size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
+        if size > max_step:
+            delta, correction = delta * (max_step / size), correction * (max_step / size)
         corrections.append(size)
         if progress is not None:
             progress(len(corrections), size)
-        state.point = corrected(point, system, delta)
-        state.linearised_at, state.played, state.system = point, played, system
+        state.point = corrected(solved.point, solved.system, delta)
+        state.linearised_at, state.played, state.system = solved.point, played, solved.system
         state.covariance = covariance
         reason = outside_model(state.point.errors)
         if reason is not None:
             state.status, state.message = "outside_model", f"After play-back {len(corrections)} {reason}."
             break
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        if np.all(np.abs(correction) <= np.maximum(converged[0] * _UNIT, converged[1] * sigma)) and (
+        if np.all(np.abs(correction) <= np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)) and (
             step.settled and (selected or step.prior is not None)
         ):
             state.status, state.message = "converged", f"Converged after {len(corrections)} play-backs."
@@ -242,18 +275,26 @@ def run(problem: Problem, step: Step, options: Options, progress: Progress | Non
     uncertain = held_sigma(problem.data, options)
     held = {name: request_reason(name, uncertain) for name in options.held_names}
     state = State(problem.start, ~requested)
+    diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS):
         state = iterate(problem, step, state, requested=requested, progress=progress)
         if state.status != "converged" or state.system is None or state.covariance is None:
             break
         if _add_excess(problem, step, state):
             continue
+        moved = problem.moved(state.point, state.played) if state.played is not None else None
+        if moved is not None and moved.any():
+            held_before = _judge(problem, step, state, uncertain)
+            diagnostics["held"] = {"sequences": list(held_before.table)} | step.diagnostics(problem)
+            problem.release(moved)
+            step.restart()
+            continue
         sigma = np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
         weak = state.free & (sigma > OBSERVED_BELOW * admission_sigma())
         if not weak.any() or step.prior is not None:
             break
         state.free = state.free & ~weak
-    return _result(problem, step, options, state, held, uncertain)
+    return _result(problem, step, options, state, held, uncertain, diagnostics)
 
 
 def _check(options: Options) -> None:
@@ -279,7 +320,13 @@ def _add_excess(problem: Problem, step: Step, state: State) -> bool:
 
 
 def _result(
-    problem: Problem, step: Step, options: Options, state: State, held: dict[str, str], uncertain: Array
+    problem: Problem,
+    step: Step,
+    options: Options,
+    state: State,
+    held: dict[str, str],
+    uncertain: Array,
+    diagnostics: dict[str, Any],
 ) -> Calibration:
     """Put the calibration together."""
     data = problem.data
@@ -310,8 +357,9 @@ def _result(
         tuple(np.flatnonzero(problem.integrated).tolist()),
         problem.wander,
         state.point.bias_deviation,
+        np.tile(np.eye(3), (data.K, 1, 1)) if state.played is None else state.played.turned,
         judged.total,
-        {"sequences": judged.table} | step.diagnostics(problem),
+        {"sequences": list(judged.table)} | step.diagnostics(problem) | diagnostics,
     )
     return assemble(step.name, data, options, outcome, held, warnings=tuple(warnings))
 

@@ -11,17 +11,18 @@ The filter's coordinates are those in which the prior is white, and it is a squa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
-from estimators.driver import Step, run
+from estimators.driver import Solved, Step, corrected, run
 from estimators.problem import open_problem
 from estimators.sequential import blocks, global_columns
-from estimators.system import N_ERRORS
+from estimators.system import N_ERRORS, attitude_columns, linearise
+from estimators.targets import PARAMETER_UNITS, targets_met
 from srt.exceptions import InputError
 from srt.least_squares_estimator import admission_sigma
 from srt.prior import Prior
@@ -41,6 +42,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+_PASSES: Final = 8
+_NEAR: Final = 1e-5
+_SETTLED_SIGMAS: Final = 1e-3
 _POSE: Final = 3
 _MEAN: Final = 3
 
@@ -200,16 +204,36 @@ class EkfStep(Step):
         self.prior: Prior = prior
         self.last: FilterRun | None = None
 
-    def solve(self, problem: Problem, system: System, point: Point) -> tuple[Array, Array, Array]:
-        """Corrections of the columns and of the parameters, and the parameters' covariance."""
-        self.last = run_filter(problem, system, point, self.prior)
-        return self.last.delta, self.last.correction, self.last.covariance
+    def solve(self, problem: Problem, system: System, point: Point) -> Solved:
+        """Run the filter; once the sensor errors are near, again with the attitudes it found, until these settle.
+
+        A heading of milliradians times a lean of milliradians is more than the accelerometers' noise: where the first
+        pass was linearised matters, and a play-back is not needed to find out.
+        """
+        found = run_filter(problem, system, point, self.prior)
+        for _ in range(_PASSES - 1):
+            if np.abs(found.correction).max() > _NEAR:
+                break
+            better = corrected(point, system, np.where(attitude_columns(system), found.delta, 0.0))
+            again = linearise(problem, better, system.played, system.free)
+            before, found = found, run_filter(problem, again, better, self.prior)
+            point, system = better, again
+            sigma = np.sqrt(np.diag(found.covariance))
+            if np.all(np.abs(found.correction - before.correction) <= _SETTLED_SIGMAS * sigma):
+                break
+        self.last = found
+        return Solved(point, system, found.delta, found.correction, found.covariance)
 
     def diagnostics(self, problem: Problem) -> dict[str, Any]:
         """Innovations and sigmas, sequence by sequence."""
         if self.last is None:
             return {}
-        return {"filter": history(problem, self.last)}
+        out: dict[str, Any] = {"filter": history(problem, self.last)}
+        targets = problem.options.targets
+        if targets:
+            ids = [problem.data.ids[k] for k in self.last.sequences]
+            out["targets"] = targets_met(ids, self.last.sigma, targets)
+        return out
 
 
 def history(problem: Problem, found: FilterRun) -> list[dict[str, Any]]:
@@ -243,4 +267,17 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     """
     if options.loss != "squared":
         raise InputError(f"Option loss={options.loss!r} is the factor graph's; the Kalman filter has no robust loss.")
-    return run(open_problem(recording, options), EkfStep(options.prior or default_prior()), options, progress)
+    step = EkfStep(options.prior or default_prior())
+    if not options.live:
+        return run(open_problem(recording, options), step, options, progress)
+    from estimators.live import LiveFilter, run_live
+
+    live = LiveFilter(options)
+    reports = []
+    for report in run_live(recording, live):
+        reports.append(report.as_dict())
+        if progress is not None:
+            progress(len(reports), float(np.max(report.sigma / PARAMETER_UNITS)))
+    assert live.problem is not None
+    calibration = run(live.problem, step, options, None)
+    return replace(calibration, diagnostics={**calibration.diagnostics, "live": reports})

@@ -9,15 +9,17 @@ fixture's attitude at its start. Residuals and Jacobians are those of :mod:`srt.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, B, E, F, G, Q, U, X
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
+from scipy.special import chdtri
 
-from estimators.driver import Step, run
+from estimators.driver import Solved, Step, run
 from estimators.problem import open_problem
 from estimators.system import N_ERRORS, edge_numbers, fixed_headings, fixture_starts, total, whiten
 from srt import measurement_model as model
@@ -40,12 +42,13 @@ if TYPE_CHECKING:
     Linearised = tuple[Array, list[Array]]
     ErrorFunction = Callable[[Any, Any, Any], Array]
 
-ROBUST: Final[dict[str, Callable[[], Any]]] = {
-    "huber": lambda: gtsam.noiseModel.mEstimator.Huber.Create(2.8),
-    "cauchy": lambda: gtsam.noiseModel.mEstimator.Cauchy.Create(4.5),
+ROBUST: Final[dict[str, Callable[[float], Any]]] = {
+    "huber": gtsam.noiseModel.mEstimator.Huber.Create,
+    "cauchy": lambda size: gtsam.noiseModel.mEstimator.Cauchy.Create(1.5 * size),
 }
-"""Losses on the norm of a factor's three whitened residuals: at 2.8 these stand with 95 %."""
-_ROBUST_STEPS: Final = 30
+"""Losses on the norm of a factor's whitened residuals; ``size`` is what that norm stays under in 95 of 100."""
+_STEPS: Final = {"squared": 8, "huber": 30, "cauchy": 30}
+_NEAR: Final = 1e-5
 _SETTLED_SIGMAS: Final = 1e-3
 _HEADING_SIGMA: Final = 1e-8
 """One sigma, rad, of a heading that is given: across the Earth's rate far below any noise."""
@@ -80,7 +83,9 @@ class GraphBuilder:
         self.problem, self.point, self.played = problem, point, played
         self.errors = np.flatnonzero(free[:N_ERRORS])
         self.axes = np.flatnonzero(free[N_ERRORS:])
-        self.loss: Any = None if loss == "squared" else ROBUST[loss]()
+        self.losses: dict[int, Any] = {}
+        if loss != "squared":
+            self.losses = {n: ROBUST[loss](math.sqrt(chdtri(n, 0.05))) for n in (3, 6)}
         self.gravity = problem.options.fixture_states
         self.edges = edge_numbers(problem, played)
         self.graph: Any = gtsam.NonlinearFactorGraph()
@@ -130,8 +135,8 @@ class GraphBuilder:
     def _add(self, kind: str, number: int, covariance: Array, terms: _Terms) -> None:
         """Add a measurement factor; held variables are left out of it."""
         noise = _gaussian(covariance)
-        if self.loss is not None:
-            noise = gtsam.noiseModel.Robust.Create(self.loss, noise)
+        if self.losses:
+            noise = gtsam.noiseModel.Robust.Create(self.losses[len(covariance)], noise)
         self.measured.append((kind, number))
         self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
 
@@ -145,39 +150,27 @@ class GraphBuilder:
         return out
 
     def _windows(self) -> None:
+        """One factor for the force and the rate of a window: what is wrong with a window is wrong with both."""
         problem, played = self.problem, self.played
-        data, T = problem.data, problem.data.windows.duration_s
+        T = problem.data.windows.duration_s
         force_noise, rate_noise = total(played.force_noise), total(played.rate_noise)
         known = np.stack([c.earth_rate for c in problem.chains])
         for w in range(len(T)):
-            sequence, chain = int(problem.window_sequence[w]), int(problem.window_chain[w])
-            extra = [int(G(0))] if self.gravity else []
-            self._add(
-                "force",
-                w,
-                force_noise[w],
-                _Terms(
-                    self._linear(-played.force_jacobian[w], None),
-                    [int(A(w)), *extra],
-                    _force(played.force[w], data.gravity),
-                ),
-            )
-            linear = self._linear(-played.rate_jacobian[w], sequence)
+            chain = int(problem.window_chain[w])
+            jacobian = -np.concatenate([played.force_jacobian[w], played.rate_jacobian[w]])
+            linear = self._linear(jacobian, int(problem.window_sequence[w]))
             slope = played.edge_slope / T[w]
             linear += [
-                (int(Q(number)), sign * slope)
+                (int(Q(number)), np.concatenate([np.zeros((3, 3)), sign * slope]))
                 for number, sign in zip(self.edges[w].tolist(), (1.0, -1.0), strict=True)
                 if number >= 0
             ]
             earth = self.earth_key(chain)
-            self._add(
-                "rate",
-                w,
-                rate_noise[w],
-                _Terms(
-                    linear, [int(A(w))] + ([earth] if earth is not None else []), _rate(played.rate[w], known[chain])
-                ),
+            others = [int(A(w))] + ([int(G(0))] if self.gravity else []) + ([earth] if earth is not None else [])
+            function = _pose(
+                played.force[w], played.rate[w], problem.data.gravity, known[chain], gravity_free=self.gravity
             )
+            self._add("window", w, block_diag(force_noise[w], rate_noise[w]), _Terms(linear, others, function))
 
     def _turns(self) -> None:
         problem, played = self.problem, self.played
@@ -264,8 +257,8 @@ class GraphBuilder:
 def _gaussian(covariance: Array) -> Any:
     """Noise model by its square root, the upper triangle of which is what gtsam reads.
 
-    Neither by the covariance, which gtsam inverts (a start attitude's spans eight decades), nor as a diagonal one, which
-    it takes for a hard constraint where a sigma is below 1e-8 (as gyro biases in rad/s are).
+    Neither by the covariance, which gtsam inverts (a start attitude's spans eight decades), nor as a diagonal one,
+    which it takes for a hard constraint where a sigma is below 1e-8 (as gyro biases in rad/s are).
     """
     return gtsam.noiseModel.Gaussian.SqrtInformation(np.linalg.qr(whiten(covariance[None])[0], mode="r"), False)
 
@@ -304,20 +297,20 @@ class _Terms:
         return np.ascontiguousarray(residual)
 
 
-def _force(force: Array, gravity: float) -> Callable[..., Linearised]:
+def _pose(force: Array, rate: Array, gravity: float, known: Array, *, gravity_free: bool) -> Callable[..., Linearised]:
     def evaluate(values: Any, keys: list[int]) -> Linearised:
-        g = gravity + (float(values.atVector(keys[1])[0]) if len(keys) > 1 else 0.0)
-        r, by_attitude, by_gravity = model.pose_force(force[None], values.atRot3(keys[0]).matrix()[None], g)
-        return r[0], [by_attitude[0], by_gravity[0][:, None]][: len(keys)]
-
-    return evaluate
-
-
-def _rate(rate: Array, known: Array) -> Callable[..., Linearised]:
-    def evaluate(values: Any, keys: list[int]) -> Linearised:
-        earth = known + values.atVector(keys[1]) if len(keys) > 1 else known
-        r, *jacobians = model.pose_rate(rate[None], values.atRot3(keys[0]).matrix()[None], earth[None])
-        return r[0], [J[0] for J in jacobians][: len(keys)]
+        others = list(keys[1:])
+        g = gravity + (float(values.atVector(others.pop(0))[0]) if gravity_free else 0.0)
+        earth = known + values.atVector(others[0]) if others else known
+        attitude = values.atRot3(keys[0]).matrix()[None]
+        r_force, force_by_attitude, by_gravity = model.pose_force(force[None], attitude, g)
+        r_rate, rate_by_attitude, by_earth = model.pose_rate(rate[None], attitude, earth[None])
+        jacobians = [np.concatenate([force_by_attitude[0], rate_by_attitude[0]])]
+        if gravity_free:
+            jacobians.append(np.concatenate([by_gravity[0], np.zeros(3)])[:, None])
+        if others:
+            jacobians.append(np.concatenate([np.zeros((3, 3)), by_earth[0]]))
+        return np.concatenate([r_force[0], r_rate[0]]), jacobians
 
     return evaluate
 
@@ -412,22 +405,23 @@ class GraphStep(Step):
         """Whether the loss asked for has been reached."""
         return self.calls >= len(self.stages)
 
-    def solve(self, problem: Problem, system: System, point: Point) -> tuple[Array, Array, Array]:
-        """Corrections of the columns and of the parameters, and the parameters' covariance."""
+    def solve(self, problem: Problem, system: System, point: Point) -> Solved:
+        """Relinearise the attitudes until they settle, once the sensor errors are near, and reweight with them."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
         built = GraphBuilder(problem, point, system.played, system.free, prior=self.prior, loss=loss)
         last = built.reported_keys()
         values = built.values
         solution = None
-        for _ in range(1 if loss == "squared" else _ROBUST_STEPS):
+        for _ in range(_STEPS[loss]):
             try:
                 solution = solve_linear(built.graph, values, last)
             except RuntimeError as error:  # gtsam's indeterminate linear system
                 raise np.linalg.LinAlgError(str(error).strip().split("\n")[0]) from None
             values = values.retract(solution.delta)
             step = np.concatenate([solution.delta.at(key) for key in solution.keys])
-            if np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))):
+            far = loss == "squared" and np.abs(step).max() > _NEAR
+            if far or np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))):
                 break
         assert solution is not None
         self._weigh(built, values)
@@ -439,18 +433,21 @@ class GraphStep(Step):
             columns = _columns_of(built, system, key)
             spread[:, at : at + len(columns)] = E[:, columns]
             at += len(columns)
-        return delta, E @ delta, spread @ solution.covariance @ spread.T
+        return Solved(point, system, delta, E @ delta, spread @ solution.covariance @ spread.T)
 
     def _weigh(self, built: GraphBuilder, values: Any) -> None:
         """Keep the weight that the loss gave each measurement."""
-        if built.loss is None:
+        if not built.losses:
             self.robust_weights = {}
             return
         for i, key in enumerate(built.measured):
             factor: Any = built.graph.at(i)
-            gaussian = factor.noiseModel().noise()
-            size = float(np.linalg.norm(gaussian.whiten(factor.unwhitenedError(values))))
-            self.robust_weights[key] = float(built.loss.weight(size))
+            residual = factor.noiseModel().noise().whiten(factor.unwhitenedError(values))
+            self.robust_weights[key] = float(built.losses[len(residual)].weight(float(np.linalg.norm(residual))))
+
+    def restart(self) -> None:
+        """Approach the loss by its stages again."""
+        self.calls = 0
 
     def weights(self) -> dict[tuple[str, int], float]:
         """Weights by kind and number of measurement; empty for squares."""

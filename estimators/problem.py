@@ -27,6 +27,8 @@ from srt.segmentation import find_turns
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 from srt.session import open_session
 from srt.start import first_estimate
+from srt.stillness import PROBABILITY as STILLNESS_PROBABILITY
+from srt.stillness import moved_windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -353,6 +355,21 @@ class Problem:
                 attitude[e], placed[e] = level(turn @ attitude[s] @ played.turned[k], e), True
         return replace(point, attitude=attitude)
 
+    def moved(self, point: Point, played: Played) -> NDArray[np.bool_]:
+        """Windows held so far in which the unit moved, shape (W,)."""
+        assert point.attitude is not None
+        gyro = gyro_triad(point.errors)
+        rest, _, _ = model.pose_rate(played.rate, point.attitude, self.earth_rate(point))
+        wander = np.sqrt(np.linalg.inv(gyro.matrix) ** 2 @ self.wander**2)
+        chance = STILLNESS_PROBABILITY / len(rest)
+        moved = moved_windows(self.data, gyro, accel_triad(point.errors), rest, wander, chance)
+        return np.asarray(moved & ~self.integrated)
+
+    def release(self, windows: NDArray[np.bool_]) -> None:
+        """Integrate the attitude over windows instead of holding it."""
+        self.integrated = self.integrated | windows
+        self.player = Player(self.data, self.options, self.integrated)
+
     def update_wander(self, point: Point, played: Played) -> None:
         """Estimate the bias scatter between sequences from the rest rates, if no bias instability is stated."""
         if self.data.noise.gyro_wander is not None or self.options.gyro_bias != "auto" or self.data.K < 3:
@@ -370,7 +387,7 @@ class Problem:
         variance = noise.gyro_white**2 / T[:, None] + 2.0 * (noise.gyro_edge / T[:, None]) ** 2
         expected = np.mean(share**2 @ variance, axis=0) + earth_rate_doubt(self.data) ** 2
         own = share @ rest
-        self.wander = np.sqrt(excess_scatter(own - T / T.sum() @ rest, expected))
+        self.wander = np.sqrt(excess_scatter(own, expected))
 
 
 def open_problem(recording: Recording, options: Options) -> Problem:

@@ -123,6 +123,14 @@ class BatchSolution:
     root: Array
 
 
+def attitude_columns(system: System) -> NDArray[np.bool_]:
+    """Columns of fixture, site and attitudes: what a play-back does not depend on, shape (n,)."""
+    out = np.zeros(system.A.shape[1], dtype=np.bool_)
+    for name in ("base", "mounting", "gravity", "earth_rate", "attitude"):
+        out[system.columns[name]] = True
+    return out
+
+
 def whiten(covariance: Array) -> Array:
     """Matrices W with ``W R Wᵀ = I`` of covariances R, (n, d, d)."""
     scale = np.sqrt(np.einsum("naa->na", covariance))
@@ -461,12 +469,13 @@ def weighted(system: System, weights: dict[tuple[str, int], float]) -> System:
     ----------
     system : System
     weights : dict of (str, int) to float
-        By kind of row and number of window or turn; "start" by window, in the order of the rows.
+        By kind and number: "window" (force and rate), "turn", and "start" by window, in the order of the rows.
     """
     factor = np.ones(len(system.b))
-    for kind in {kind for kind, _ in weights}:
-        numbers = [n for k, n in weights if k == kind]
-        rows = system.rows_of(kind).index
-        members = np.arange(len(rows)) if kind == "start" else np.array(numbers)
-        factor[rows[members]] = np.sqrt([weights[kind, n] for n in numbers])[:, None]
+    for group in {kind for kind, _ in weights}:
+        numbers = [n for kind, n in weights if kind == group]
+        root = np.sqrt([weights[group, n] for n in numbers])[:, None]
+        for kind in ("force", "rate") if group == "window" else (group,):
+            rows = system.rows_of(kind).index
+            factor[rows if group == "start" else rows[numbers]] = root
     return replace(system, A=system.A * factor[:, None], b=system.b * factor)

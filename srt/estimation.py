@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from srt.calibration import Calibration, Residual
 from srt.exceptions import InputError, MissingExtraError
+from srt.executed import wrong_turns
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -158,6 +159,8 @@ class Outcome:
     wander : ndarray, shape (3,), rad/s
         One sigma of a sequence's gyro bias about the test's, raw channels.
     bias_by_sequence : ndarray, shape (K, 3), rad/s
+    turned : ndarray, shape (K, 3, 3)
+        C_End of every sequence as the gyros measured it.
     total : ndarray, shape (27, 27), optional
         Covariance as the estimator itself has it; default the sum over the sources.
     diagnostics : mapping
@@ -177,6 +180,7 @@ class Outcome:
     integrated: tuple[int, ...]
     wander: Array
     bias_by_sequence: Array
+    turned: Array
     total: Array | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
 
@@ -198,6 +202,7 @@ def outcome_of(data: PlaybackData, solution: Solution, held: Mapping[str, str]) 
         solution.integrated,
         solution.wander,
         solution.bias_by_sequence,
+        solution.playback.integrals.C_end,
     )
 
 
@@ -398,6 +403,8 @@ def _warnings(data: PlaybackData, outcome: Outcome, observed: NDArray[np.bool_])
         said.append(
             f"The unit did not stand quite still in the windows from {times}: their attitude was integrated, not held."
         )
+    if outcome.status in ("converged", "partial", "not_converged"):
+        said += wrong_turns(data, outcome.turned, outcome.U)
     if data.recording.site.latitude_rad is None:
         said.append("No latitude is given: the Earth's rate is a bounded unknown in the gyro-bias sigma.")
     if data.noise.floored:

@@ -15,7 +15,7 @@ import numpy as np
 
 from srt.compensation import Triad, to_mars
 from srt.exceptions import DataError
-from srt.quaternion import rotation_matrix
+from srt.executed import end_attitude
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,7 +69,7 @@ def start_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorEr
     if nominal is None:
         raise DataError("A start from the fixture needs nominal attitudes; this recording has none.")
     down = nominal[:, 2]
-    down_end = np.stack([_end_attitude(s).T @ u for s, u in zip(data.catalogue, down, strict=True) if s is not None])
+    down_end = np.stack([end_attitude(s).T @ u for s, u in zip(data.catalogue, down, strict=True) if s is not None])
     force = data.windows.accel_mean
     vertical = np.concatenate([down, down_end])
     readings = np.concatenate([force[data.start], force[data.end]])
@@ -83,14 +83,6 @@ def start_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorEr
     vector = errors.vector.copy()
     vector[-3:] = (rest[data.start] - earth @ (Mg @ U.T).T).mean(axis=0)
     return type(errors)(vector), U
-
-
-def _end_attitude(sequence: Sequence) -> Array:
-    """Nominal C_End of a sequence: B_End to B_Strt."""
-    C = np.eye(3)
-    for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
-        C = C @ rotation_matrix(axis * angle)
-    return C
 
 
 def split_legs(stream: GyroStream, k: int, sequence: Sequence, bias: Array) -> Array | None:

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
-from scipy.special import chdtri
 
 from srt import measurement_noise
 from srt.compensation import compose, outside_model
 from srt.exceptions import DataError
 from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+from srt.stillness import moved_windows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 CONVERGED_CORRECTION: Final = 1e-9
 CONVERGED_SIGMAS: Final = 0.01
-STILLNESS_PROBABILITY: Final = 1e-3
-"""Of calling a still window moving, by both tests of it together."""
 _UNIT: Final = np.ones(N_PARAMETERS)
 _UNIT[GROUP_SLICES["accel_bias"]] = 9.80665
 _MAX_STEP: Final = 0.7
@@ -261,41 +259,14 @@ class Iteration:
 
     def _release_moving(self, playback: Playback) -> bool:
         """Stop holding the attitude in windows that turned beyond their noise; True if there are new ones."""
-        moving = self._moved(playback) & ~self.integrated
+        rest = playback.rest_rate - playback.pool @ playback.rest_rate
+        moving = moved_windows(self.data, playback.gyro, playback.accel, rest, self._compensated(playback))
+        moving &= ~self.integrated
         if not moving.any():
             return False
         self.integrated = self.integrated | moving
         self.player = Player(self.data, self.options, self.integrated)
         return True
-
-    def _moved(self, playback: Playback) -> NDArray[np.bool_]:
-        """Chi-square tests of the two halves of every window against each other: angle turned, and tilt.
-
-        A steady rate is no sign of motion by itself: a bias that changes from pose to pose (g-sensitivity, instability)
-        looks the same to the gyros. What turns steadily about a horizontal axis shows in the accelerometers, too; where
-        these change alone, it is their own drift.
-        """
-        data, noise = self.data, self.data.noise
-        T = 0.5 * data.windows.duration_s[:, None]
-        D2 = np.linalg.inv(playback.gyro.matrix) ** 2
-        halves = playback.gyro.compensate(data.windows.gyro_halves)
-        angle = (halves[:, 1] - halves[:, 0]) * T
-        # Three readings of the angle make the difference of two adjoining halves: 1, -2, 1.
-        variance = (2.0 * noise.gyro_white**2 * T + 6.0 * noise.gyro_edge**2) @ D2.T
-        variance = variance + 2.0 * (self._compensated(playback) * T) ** 2
-        turned = np.sum(angle**2 / variance, axis=1)
-        A2 = np.linalg.inv(playback.accel.matrix) ** 2
-        force = playback.accel.compensate(data.windows.accel_halves)
-        up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
-        change = force[:, 1] - force[:, 0]
-        change -= up * np.einsum("wa,wa->w", up, change)[:, None]
-        variance = (2.0 * noise.accel_white**2 / T + 6.0 * (noise.accel_edge / T) ** 2) @ A2.T
-        variance = variance + 2.0 * noise.accel_wander**2
-        tilted = np.sum(change**2 / variance, axis=1) > chdtri(2, 0.5 * STILLNESS_PROBABILITY)
-        rate = playback.rest_rate - playback.pool @ playback.rest_rate
-        by_gyros = np.cross(playback.force, rate) * T
-        tilted &= np.linalg.norm(change - by_gyros, axis=1) < 0.5 * np.linalg.norm(change, axis=1)
-        return np.asarray(tilted | (turned > chdtri(3, 0.5 * STILLNESS_PROBABILITY)))
 
     def _total(self, playback: Playback) -> Array:
         return np.asarray(sum(self._by_source(playback).values()))

@@ -226,7 +226,7 @@ def start_attitude(
 ) -> tuple[Array, Array, Array, Array]:
     """Attitudes at the start of sequences against the fixture's: errors of the inner and the outer angle.
 
-    ``C = (R_z(heading) C_base)ᵀ A U`` takes T-components to the base's, and on a fixture it is ``R_y(outer) R_z(inner)``.
+    ``C = (R_z(heading) C_base)ᵀ A U`` takes T-components to the base's; on a fixture it is ``R_y(outer) R_z(inner)``.
 
     Parameters
     ----------

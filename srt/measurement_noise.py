@@ -119,19 +119,30 @@ def earth_rate_doubt(data: PlaybackData) -> float:
     return EARTH_RATE_RAD_S * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
 
 
-def excess_scatter(deviation: Array, expected: Array) -> Array:
+def excess_scatter(rates: Array, expected: Array) -> Array:
     """Variance of biases between sequences beyond what their noise explains, shape (3,), (rad/s)².
 
     Parameters
     ----------
-    deviation : ndarray, shape (K, 3), rad/s
-        Rest rate of each sequence less the mean one.
+    rates : ndarray, shape (K, 3), rad/s
+        Rest rate of each sequence.
     expected : ndarray, shape (3,), (rad/s)²
-        Variance that noise alone gives; an axis whose scatter it explains (chi-square, 1e-3) has no excess.
+        Variance that noise alone gives; an axis whose scatter it explains (chi-square, 1e-3), without the sequence
+        that is farthest off, has no excess.
     """
-    n = len(deviation) - 1
-    seen = np.sum(deviation**2, axis=0) / n
-    return np.asarray(np.where(seen > expected * chdtri(n, _SCATTER_PROBABILITY) / n, seen - expected, 0.0))
+    n = len(rates) - 1
+
+    def scatters(values: Array) -> NDArray[np.bool_]:
+        m = len(values) - 1
+        squares = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+        return np.asarray(squares > expected * chdtri(m, _SCATTER_PROBABILITY))
+
+    wanders = scatters(rates)
+    if n > 2:
+        # A bias that wanders shows in many sequences; what one of them alone brings is a fault of that one.
+        order = np.argsort(np.abs(rates - np.median(rates, axis=0)), axis=0)
+        wanders &= scatters(np.take_along_axis(rates, order, axis=0)[:-1])
+    return np.asarray(np.where(wanders, np.var(rates, axis=0, ddof=1) - expected, 0.0))
 
 
 def disturbances(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from srt.exceptions import InputError
@@ -57,6 +57,10 @@ class Options:
         gravity as they are stated, and level from the accelerometers.
     prior : Prior, optional
         What is known of the unit beforehand, for Kalman filter and factor graph; default next to nothing.
+    live : bool
+        Run the Kalman filter as the test would: after every sequence all so far, from the prior.
+    targets : mapping of str to float
+        Sigma wanted of parameters or groups, SI; the Kalman filter says after which sequence all are met.
     """
 
     average: Average = "linear"
@@ -72,9 +76,12 @@ class Options:
     loss: Loss = "squared"
     fixture_states: bool = True
     prior: Prior | None = None
+    live: bool = False
+    targets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         kinds = {"max_playbacks": int, "asymmetry": bool, "measured_vertical": bool, "fixture_states": bool}
+        kinds["live"] = bool
         for name, kind in kinds.items():
             value = getattr(self, name)
             if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
@@ -90,6 +97,7 @@ class Options:
             if not isinstance(value, str) or value not in allowed:
                 raise InputError(f"Option {name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}.")
         object.__setattr__(self, "hold", expand_names(self.hold))
+        object.__setattr__(self, "targets", _targets(self.targets))
         if self.max_playbacks < 1:
             raise InputError(f"max_playbacks is {self.max_playbacks}; at least one play-back is needed.")
 
@@ -104,9 +112,23 @@ class Options:
         convert: dict[str, Callable[[Any], Any]] = {
             "start": lambda v: v.as_dict() if isinstance(v, SensorErrors) else v,
             "hold": list,
+            "targets": dict,
             "prior": lambda v: None if v is None else v.as_dict(),
         }
         return {f.name: convert.get(f.name, lambda v: v)(getattr(self, f.name)) for f in fields(self)}
+
+
+def _targets(targets: object) -> dict[str, float]:
+    """Sigma wanted of every parameter that a target names, itself or its group."""
+    if not isinstance(targets, Mapping):
+        raise InputError(f"Option targets is {targets!r}; it must map names of parameters or groups to sigmas.")
+    out: dict[str, float] = {}
+    for name, sigma in targets.items():
+        if isinstance(sigma, bool) or not isinstance(sigma, (int, float)) or not 0.0 < sigma < float("inf"):
+            raise InputError(f"The target of {name} is {sigma!r}; it must be a positive sigma in SI units.")
+        for parameter in expand_names([name]):
+            out[parameter] = min(float(sigma), out.get(parameter, float("inf")))
+    return out
 
 
 def _iterable(value: object) -> Iterable[object]:

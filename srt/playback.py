@@ -122,11 +122,15 @@ class Player:
         for k, w in enumerate(data.end.tolist()):
             if self._sequence[w] < 0:
                 self._sequence[w], self._is_end[w] = k, True
-        self._pool = duration / duration.sum()
+        # Of a window that moved the mean rate is no rest rate; where all are integrated, none was found moving.
+        rested = duration if self.integrated.all() else np.where(self.integrated, 0.0, duration)
+        self._pool = rested / rested.sum()
         self._share = np.zeros((data.K, W))
         for k in range(data.K):
             for w in {int(data.start[k]), int(data.end[k])}:
-                self._share[k, w] = duration[w]
+                self._share[k, w] = rested[w]
+            if not self._share[k].any():
+                self._share[k] = self._pool
         self._share /= self._share.sum(axis=1, keepdims=True)
         # For free turns, the axis of B that a horizontal direction is built from: one choice for all play-backs, as the
         # weights of the measurements go with it.

@@ -1,0 +1,108 @@
+"""How near the estimators come to the Cramér-Rao bound, and what the closed form leaves: docs/design/efficiency.md.
+
+``python benchmarks/efficiency.py`` runs 2,000 units of each grade; ``--units N`` that many, ``--grade NAME`` (which may
+be repeated) one grade, ``--workers N`` in so many processes. The exit code is 1 if a criterion is missed.
+"""
+
+import os
+
+# One thread for each process, their children included: the matrices are small.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
+import argparse
+import math
+import sys
+import time
+from functools import partial
+
+from rich.console import Console
+from rich.table import Table
+
+from sims import efficiency
+from sims.campaigns import GRADES, run
+from sims.efficiency import ESTIMATORS, STANDARD_ERRORS, Criterion, Efficiency, Unit
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, SYMBOLS
+
+console = Console(width=150)
+BATCH = 200
+FIRST_SEED = {grade: 10_000 * (1 + i) for i, grade in enumerate(GRADES)}
+
+
+def study(grade: str, count: int, workers: int) -> list[Unit]:
+    """Units in batches, with a line after each."""
+    units: list[Unit] = []
+    began = time.monotonic()
+    while len(units) < count:
+        first = FIRST_SEED[grade] + len(units)
+        seeds = range(first, first + min(BATCH, count - len(units)))
+        units += run(partial(efficiency.unit, grade=grade), seeds, workers=workers)
+        found, claims = efficiency.summarise(grade, units)
+        spent = time.monotonic() - began
+        means = ", ".join(f"{name} {e.mean:.3f}" for name, e in found.items())
+        missed = sum(not c.holds for c in claims)
+        console.print(
+            f"{grade}: {len(units)} of {count} units, {spent:.0f} s, {spent * (count / len(units) - 1.0):.0f} s to go; "
+            f"mean rms / bound {means}; {missed} criteria missed"
+        )
+    return units
+
+
+def parameters(grade: str, found: dict[str, Efficiency]) -> Table:
+    count = next(iter(found.values())).units
+    table = Table(
+        title=f"{grade}, {count} units: rms of error and own sigma over the bound "
+        f"(standard error of an rms {100.0 / (2.0 * count) ** 0.5:.1f} %)"
+    )
+    table.add_column("parameter")
+    table.add_column("bound, 1 sigma", justify="right")
+    for name in found:
+        table.add_column(f"{name}\nrms", justify="right")
+        table.add_column("\nsigma", justify="right")
+    bound = efficiency.bound_sigma(grade) * efficiency.IN_G
+    for i, symbol in enumerate(SYMBOLS):
+        ratios = (f"{value[i]:.3f}" for e in found.values() for value in (e.rms, e.own))
+        table.add_row(symbol, f"{bound[i] * DISPLAY_FACTORS[i]:#.3g} {DISPLAY_UNITS[i]}", *ratios)
+    table.add_section()
+    means = (f"{value.mean():.3f}" for e in found.values() for value in (e.rms, e.own))
+    table.add_row("mean", "", *means)
+    return table
+
+
+def limits(criterion: Criterion) -> str:
+    low, high = criterion.low, criterion.high
+    if low == high:
+        return f"{low:g}"
+    if math.isinf(low) or math.isinf(high):
+        return f"at most {high:g}" if math.isinf(low) else f"at least {low:g}"
+    return f"{low:g} to {high:g}"
+
+
+def judged(grade: str, claims: list[Criterion]) -> Table:
+    table = Table(title=f"{grade}: criteria; a limit may be passed by {STANDARD_ERRORS} standard errors")
+    for column in ("criterion", "value", "standard error", "limits", "holds"):
+        table.add_column(column, justify="left" if column == "criterion" else "right")
+    for c in claims:
+        table.add_row(c.name, f"{c.value:.4f}", f"{c.standard_error:.4f}", limits(c), "yes" if c.holds else "NO")
+    return table
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--units", type=int, default=2000, help="of each grade (default 2000)")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--grade", action="append", choices=list(GRADES))
+    arguments = parser.parse_args()
+    missed = 0
+    for grade in arguments.grade or GRADES:
+        console.rule(f"{grade}: {', '.join(ESTIMATORS)}")
+        found, claims = efficiency.summarise(grade, study(grade, arguments.units, arguments.workers))
+        console.print(parameters(grade, found))
+        console.print(judged(grade, claims))
+        missed += sum(not c.holds for c in claims)
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,114 @@
+"""Whether the unit stood still in a stationary window: chi-square tests of the window's halves against each other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import chdtri
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.compensation import Triad
+    from srt.playback_data import PlaybackData
+
+    Array = NDArray[np.float64]
+
+PROBABILITY: Final = 1e-3
+"""Of calling a still window moving, by both tests of it together."""
+_PARTS: Final = 16
+_MEDIAN_OF_SQUARE: Final = 0.4549
+"""Median of chi-square with one degree of freedom."""
+
+
+def moved_windows(
+    data: PlaybackData,
+    gyro: Triad,
+    accel: Triad,
+    rest_rate: Array,
+    wander: Array,
+    probability: float = PROBABILITY,
+) -> NDArray[np.bool_]:
+    """Test every window for motion: angle turned, and tilt.
+
+    A steady rate is no sign of motion by itself: a bias that changes from pose to pose (g-sensitivity, instability)
+    looks the same to the gyros. What turns steadily about a horizontal axis shows in the accelerometers, too; where
+    these change alone, it is their own drift. Nor is noise a motion: what fails is judged again by the noise that the
+    window itself shows from sample to sample.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    gyro, accel : Triad
+        Reading models at the estimate.
+    rest_rate : ndarray, shape (W, 3), rad/s
+        Compensated mean rate of every window less the Earth's and the common bias.
+    wander : ndarray, shape (3,), rad/s
+        One sigma of the bias between sequences, compensated.
+    probability : float
+        Of calling a still window moving.
+
+    Returns
+    -------
+    ndarray of bool, shape (W,)
+    """
+    moved = _fails(data, gyro, accel, rest_rate, wander, probability, np.ones((2, len(rest_rate), 3)))
+    if moved.any():
+        moved &= _fails(data, gyro, accel, rest_rate, wander, probability, _own_noise(data, moved))
+    return moved
+
+
+def _fails(
+    data: PlaybackData, gyro: Triad, accel: Triad, rest_rate: Array, wander: Array, probability: float, ratio: Array
+) -> NDArray[np.bool_]:
+    """Both tests, the stated noise of gyros and accelerometers multiplied by ``ratio``, shape (2, W, 3)."""
+    noise = data.noise
+    T = 0.5 * data.windows.duration_s[:, None]
+    D2 = np.linalg.inv(gyro.matrix) ** 2
+    halves = gyro.compensate(data.windows.gyro_halves)
+    angle = (halves[:, 1] - halves[:, 0]) * T
+    # Three readings of the angle make the difference of two adjoining halves: 1, -2, 1.
+    variance = ((2.0 * noise.gyro_white**2 * T + 6.0 * noise.gyro_edge**2) * ratio[0] ** 2) @ D2.T
+    variance = variance + 2.0 * (wander * T) ** 2
+    turned = np.sum(angle**2 / variance, axis=1)
+    A2 = np.linalg.inv(accel.matrix) ** 2
+    force = accel.compensate(data.windows.accel_halves)
+    mean = accel.compensate(data.windows.accel_mean)
+    up = mean / np.linalg.norm(mean, axis=1, keepdims=True)
+    change = force[:, 1] - force[:, 0]
+    change -= up * np.einsum("wa,wa->w", up, change)[:, None]
+    variance = ((2.0 * noise.accel_white**2 / T + 6.0 * (noise.accel_edge / T) ** 2) * ratio[1] ** 2) @ A2.T
+    variance = variance + 2.0 * noise.accel_wander**2
+    tilted = np.sum(change**2 / variance, axis=1) > chdtri(2, 0.5 * probability)
+    by_gyros = np.cross(mean, rest_rate) * T
+    tilted &= np.linalg.norm(change - by_gyros, axis=1) < 0.5 * np.linalg.norm(change, axis=1)
+    return np.asarray(tilted | (turned > chdtri(3, 0.5 * probability)))
+
+
+def _own_noise(data: PlaybackData, which: NDArray[np.bool_]) -> Array:
+    """Noise that windows show themselves over what the noise model has, at least one, shape (2, W, 3).
+
+    From second differences of the means of sixteen parts, which a steady drift does not move, by their median, which a
+    single step does not.
+    """
+    recording, noise = data.recording, data.noise
+    ratio = np.ones((2, len(which), 3))
+    sensors = (
+        (recording.gyro, noise.gyro_white, noise.gyro_edge),
+        (recording.accel, noise.accel_white, noise.accel_edge),
+    )
+    for w in np.flatnonzero(which).tolist():
+        a, b = data.windows.samples[w].tolist()
+        count = (b - a) // _PARTS
+        if count == 0:
+            continue
+        tau = float(data.windows.duration_s[w]) * count / (b - a)
+        for s, (samples, white, edge) in enumerate(sensors):
+            parts = samples[a : a + count * _PARTS].reshape(_PARTS, count, 3).sum(axis=1)
+            means = parts / (tau if recording.kind == "increment" else count)
+            bend = np.diff(means, n=2, axis=0)
+            seen = np.median(bend**2, axis=0) / _MEDIAN_OF_SQUARE
+            expected = 6.0 * white**2 / tau + 20.0 * (edge / tau) ** 2
+            ratio[s, w] = np.sqrt(np.maximum(seen / expected, 1.0))
+    return ratio
