@@ -17,7 +17,6 @@ from estimators.system import N_ERRORS, by_source, linearise, solve, weighted
 from estimators.targets import PARAMETER_UNITS
 from srt.compensation import outside_model
 from srt.estimation import Outcome, assemble, is_misfit
-from srt.exceptions import InputError
 from srt.held import held_sigma, request_reason
 from srt.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma, admit
@@ -270,7 +269,7 @@ def run(problem: Problem, step: Step, options: Options, progress: Progress | Non
     InputError
         Options that do not go with joint estimation.
     """
-    _check(options)
+    options.refuse(("step", "down", "measured_vertical"), "Joint estimation")
     requested = np.array([name in options.held_names for name in NAMES])
     uncertain = held_sigma(problem.data, options)
     held = {name: request_reason(name, uncertain) for name in options.held_names}
@@ -295,13 +294,6 @@ def run(problem: Problem, step: Step, options: Options, progress: Progress | Non
             break
         state.free = state.free & ~weak
     return _result(problem, step, options, state, held, uncertain, diagnostics)
-
-
-def _check(options: Options) -> None:
-    for name, allowed in (("step", "jacobian"), ("down", "tilt-immune")):
-        value = getattr(options, name)
-        if value != allowed:
-            raise InputError(f"Option {name}={value!r} is the closed form's; joint estimation has {allowed!r} alone.")
 
 
 def _add_excess(problem: Problem, step: Step, state: State) -> bool:

@@ -23,7 +23,6 @@ from estimators.problem import open_problem
 from estimators.sequential import blocks, global_columns
 from estimators.system import N_ERRORS, attitude_columns, linearise
 from estimators.targets import PARAMETER_UNITS, targets_met
-from srt.exceptions import InputError
 from srt.least_squares_estimator import admission_sigma
 from srt.prior import Prior
 from srt.sensor_errors import N_PARAMETERS
@@ -265,8 +264,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         As :func:`srt.session.open_session`.
     """
-    if options.loss != "squared":
-        raise InputError(f"Option loss={options.loss!r} is the factor graph's; the Kalman filter has no robust loss.")
+    options.refuse(("loss",), "The Kalman filter")
     step = EkfStep(options.prior or default_prior())
     if not options.live:
         return run(open_problem(recording, options), step, options, progress)

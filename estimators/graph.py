@@ -513,4 +513,5 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         As :func:`srt.session.open_session`.
     """
+    options.refuse(("live", "targets"), "The factor graph")
     return run(open_problem(recording, options), GraphStep(options.loss, options.prior), options, progress)

@@ -130,6 +130,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If the recording has no fixture, or its sequences are not those of Table 1.
     """
+    options.refuse(("loss", "prior", "fixture_states", "live", "targets"), "The closed form")
     labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
     if recording.fixture is None or not labels:
         raise DataError(

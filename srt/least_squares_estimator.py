@@ -14,7 +14,6 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt import measurement_noise
 from srt.estimation import assemble, chi_square, is_misfit, outcome_of
-from srt.exceptions import InputError
 from srt.held import held_sigma, prior_sigma, request_reason
 from srt.iteration import iterate
 from srt.segmentation import find_turns
@@ -139,8 +138,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If no usable stillness-turn-stillness is found, or readings are impossible.
     """
-    if options.step != "jacobian":
-        raise InputError("Option step='coefficients' is the closed form's; least squares has no such coefficients.")
+    options.refuse(("step", "loss", "prior", "fixture_states", "live", "targets"), "Least squares")
     labels = recording.sequences or find_turns(recording)
     data = open_session(recording, labels, options)
     first = first_estimate(data, options)

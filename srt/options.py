@@ -107,6 +107,28 @@ class Options:
         extra = () if self.asymmetry else ("gyro_asymmetry",)
         return expand_names((*self.hold, *extra))
 
+    def refuse(self, names: Iterable[str], who: str) -> None:
+        """Refuse options that an estimator does not have.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Options that must stand at their default.
+        who : str
+            What they do not go with, as a sentence begins.
+
+        Raises
+        ------
+        InputError
+            For the first that does not.
+        """
+        for f in fields(self):
+            default = f.default_factory() if callable(f.default_factory) else f.default
+            value = getattr(self, f.name)
+            if f.name in names and value != default:
+                shown = f"{f.name}={value!r}" if isinstance(value, (str, bool)) else f.name
+                raise InputError(f"{who} has no option {shown}: leave it out, or choose another estimator.")
+
     def as_dict(self) -> dict[str, Any]:
         """Values that a calibration's provenance stores."""
         convert: dict[str, Callable[[Any], Any]] = {

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from srt.calibration import Calibration
     from srt.options import Options
+    from srt.prior import Prior
     from srt.sensor_errors import SensorErrors
 
 # The option types of srt.options, written out: importing them here would make help wait for numpy.
@@ -26,6 +27,7 @@ CHOICES = {
     "gyro_bias": ("auto", "pooled", "per-sequence"),
     "step": ("jacobian", "coefficients"),
     "start": ("auto", "zero"),
+    "loss": ("squared", "huber", "cauchy"),
 }
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 RESULT_SUFFIXES = (".json",)
@@ -65,7 +67,7 @@ class Display:
     default="auto",
     show_default=True,
     metavar="NAME",
-    help="auto, closed-form, least-squares, or another that is installed (ekf, graph).",
+    help="auto, closed-form, least-squares, ekf, graph, or another that is installed.",
 )
 @click.option("--no-asymmetry", is_flag=True, help="Hold the gyro scale-factor asymmetries.")
 @click.option(
@@ -85,6 +87,25 @@ class Display:
 @click.option("--step", type=click.Choice(CHOICES["step"]), default="jacobian", show_default=True)
 @click.option("--start", type=click.Choice(CHOICES["start"]), default="auto", show_default=True)
 @click.option("--max-playbacks", type=click.IntRange(min=1), default=12, show_default=True, metavar="N")
+@click.option("--loss", type=click.Choice(CHOICES["loss"]), default="squared", show_default=True, help="Of graph.")
+@click.option(
+    "--prior",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="An earlier calibration of the unit that ekf or graph start from, with its sigmas.",
+)
+@click.option(
+    "--no-fixture-states",
+    is_flag=True,
+    help="ekf and graph: take north, mounting and gravity as stated instead of estimating them.",
+)
+@click.option("--live", is_flag=True, help="ekf: as the test would run, all sequences so far after each.")
+@click.option(
+    "--target",
+    multiple=True,
+    metavar="NAME=SIGMA",
+    help="ekf: sigma wanted of a parameter or group, in the table's unit, as gyro_scale=1; repeatable.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 def calibrate(
     recordings: tuple[Path, ...],
@@ -95,6 +116,9 @@ def calibrate(
     truth: Path | None,
     budget: bool,
     quiet: bool,
+    prior: Path | None,
+    no_fixture_states: bool,
+    target: tuple[str, ...],
     **choices: Any,
 ) -> int:
     """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
@@ -114,7 +138,13 @@ def calibrate(
     from srt.estimation import find_estimator
     from srt.options import Options
 
-    options = Options(asymmetry=not no_asymmetry, **choices)
+    options = Options(
+        asymmetry=not no_asymmetry,
+        fixture_states=not no_fixture_states,
+        prior=None if prior is None else load_prior(prior),
+        targets=parse_targets(target),
+        **choices,
+    )
     if estimator != "auto":
         find_estimator(estimator)
     if plot is not None:
@@ -143,6 +173,45 @@ def calibrate(
     if output is None and not quiet and min(codes) == 0:
         click.echo("\nNothing was written: -o FILE.json keeps the result.")
     return max(codes)
+
+
+def load_prior(path: Path) -> Prior:
+    """Prior from the file of an earlier calibration.
+
+    Raises
+    ------
+    InputError
+        What :func:`srt.load_calibration` raises, and a calibration that did not converge.
+    """
+    from srt.calibration import load_calibration
+    from srt.prior import Prior
+
+    calibration = load_calibration(path)
+    if calibration.status not in ("converged", "partial"):
+        raise InputError(f"The prior {path} has the status {calibration.status}: give a calibration that converged.")
+    return Prior.from_calibration(calibration)
+
+
+def parse_targets(texts: Sequence[str]) -> dict[str, float]:
+    """Targets of the command line, NAME=SIGMA in the units of the table, in SI.
+
+    Raises
+    ------
+    InputError
+        A text of another form.
+    """
+    from srt.sensor_errors import DISPLAY_FACTORS, INDEX, expand_names
+
+    targets = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        try:
+            sigma = float(number)
+        except ValueError:
+            raise InputError(f"The target {text!r} is not NAME=SIGMA, as gyro_scale=1 (ppm).") from None
+        for parameter in expand_names([name]):
+            targets[parameter] = sigma / DISPLAY_FACTORS[INDEX[parameter]]
+    return targets
 
 
 def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
 from srt.tables import WIDTH, decimals_for, fixed, text_table
@@ -24,6 +24,8 @@ SOURCE_LABELS: Final = {
     "accel_bias_instability": "acc. drift",
     "earth_rate_alignment": "Earth rate",
     "gravity": "gravity",
+    "prior": "prior",
+    "held_values": "held values",
 }
 """Short names of the sources of error; one that is not here is called by its own."""
 
@@ -62,6 +64,7 @@ def report(
         parameter_table(calibration, truth),
         "\n".join(_held(calibration)),
         budget_table(calibration) if budget else contribution_table(calibration),
+        sequence_table(calibration),
         "\n".join(_judgement(calibration)),
     ]
     return "\n\n".join(part for part in parts if part)
@@ -165,6 +168,40 @@ def _columns_that_fit(left: list[list[str]], heads: list[str], columns: list[lis
     return len(columns)
 
 
+def sequence_table(calibration: Calibration) -> str:
+    """Set what joint estimation says of every sequence; empty for other estimators.
+
+    The chi-square of each sequence against all others; for the filter that of its innovation, all sequences before it
+    being known; under a robust loss the smallest weight of its measurements.
+    """
+    against = calibration.diagnostics.get("sequences")
+    if not against:
+        return ""
+    innovations = calibration.diagnostics.get("filter") or calibration.diagnostics.get("live")
+    weights = calibration.diagnostics.get("weights")
+    headers, alignment = ["sequence", "against others\nchi2 / dof", "chance"], "lrr"
+    if innovations:
+        headers, alignment = [*headers, "as it came\nNIS / dof", "chance"], alignment + "rr"
+    if weights:
+        headers, alignment = [*headers, "smallest\nweight"], alignment + "r"
+    rows: list[list[str] | None] = []
+    for i, row in enumerate(against):
+        again = f" ({row['occurrence']})" if row["occurrence"] > 1 else ""
+        cells = [f"{row['sequence']}{again}", *_statistic(row, "chi_square")]
+        if innovations:
+            cells += _statistic(innovations[i], "nis")
+        if weights:
+            cells.append(fixed(weights[i]["smallest_weight"], 2))
+        rows.append(cells)
+    return text_table(headers, rows, alignment)
+
+
+def _statistic(row: dict[str, Any], name: str) -> list[str]:
+    """A chi-square with its degrees of freedom, and the chance of a larger one."""
+    chance = row["probability"]
+    return [f"{row[name]:.1f} / {row['degrees_of_freedom']}", f"{chance:.2g}" if chance < 0.01 else f"{chance:.2f}"]
+
+
 def residual_summary(calibration: Calibration) -> str:
     """Say in a sentence or two what the last play-back left over; empty without residuals."""
     known = [r for r in calibration.residuals if r.sigma > 0.0]
@@ -234,6 +271,15 @@ def _held(calibration: Calibration) -> Iterable[str]:
 
 
 def _judgement(calibration: Calibration) -> Iterable[str]:
+    targets = calibration.diagnostics.get("targets")
+    if targets:
+        met = targets["met_after"]
+        name, short = targets["limiting"], targets["shortfall"]
+        yield from wrap(
+            f"All targets are met after sequence {met}; {name} is nearest to its own, at {short:.2g} of it."
+            if met is not None
+            else f"The targets are not met: {name} has {short:.2g} times the sigma wanted."
+        )
     yield from wrap(residual_summary(calibration))
     for sentence in calibration.warnings:
         yield from wrap(f"Note: {sentence}")

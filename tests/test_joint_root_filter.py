@@ -1,0 +1,187 @@
+"""The square-root filter against filterpy's own, where that has digits, and against least squares where it has none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2, norm
+
+pytest.importorskip("filterpy")
+
+from filterpy.kalman import ExtendedKalmanFilter
+
+from estimators.root_ekf import RootExtendedKalmanFilter
+
+EPS = np.finfo(float).eps
+SEEDS = range(10)
+
+
+def random_root(rng, n, spread=3.0):
+    """A full square root whose covariance has sigmas that differ by up to ``spread``."""
+    return rng.uniform(1.0, spread, n)[:, None] * (np.eye(n) + 0.3 * rng.standard_normal((n, n)))
+
+
+class Measurement:
+    """A curved measurement of the state, so that it matters where it is linearised."""
+
+    def __init__(self, rng, n, m):
+        self.H, self.bend = rng.standard_normal((m, n)), 0.1 * rng.standard_normal((m, n))
+
+    def __call__(self, x):
+        return self.H @ x + self.bend @ np.sin(x)
+
+    def jacobian(self, x):
+        return self.H + self.bend * np.cos(x)
+
+
+def plain_filter(x, root, transition):
+    ekf = ExtendedKalmanFilter(dim_x=len(x), dim_z=1)
+    ekf.x, ekf.P, ekf.F, ekf.B = x.copy(), root @ root.T, transition, np.eye(len(x))
+    return ekf
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_as_the_plain_filter(seed):
+    """Eight cycles with inputs, process noise and curved measurements of changing size; ten digits of everything."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 8))
+    x, root = rng.standard_normal(n), random_root(rng, n)
+    F = np.eye(n) + 0.2 * rng.standard_normal((n, n))
+    plain, found = plain_filter(x, root, F), RootExtendedKalmanFilter(x.copy(), root)
+    for _ in range(8):
+        u, noise = rng.standard_normal(n), random_root(rng, n)[:, : int(rng.integers(1, n + 1))]
+        plain.Q = noise @ noise.T
+        plain.predict(u)
+        found.predict(u, F=F, noise_root=noise)
+        for name in ("x", "P", "x_prior", "P_prior"):
+            np.testing.assert_allclose(getattr(found, name), getattr(plain, name), rtol=0, atol=size(plain, name))
+        m = int(rng.integers(1, 6))
+        h, R = Measurement(rng, n, m), random_root(rng, m)
+        R = R @ R.T
+        z = rng.standard_normal(m)
+        plain.update(z, h.jacobian, h, R=R)
+        found.update(z, h.jacobian, h, R=R)
+        for name in ("x", "P", "y", "S", "SI", "K", "z", "x_post", "P_post", "mahalanobis", "log_likelihood"):
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(plain, name), rtol=0, atol=size(plain, name), err_msg=name
+            )
+        assert found.likelihood == pytest.approx(plain.likelihood, rel=1e-10)
+        # The innovations one after the other, each given those before it: L⁻¹ y with the Cholesky factor of S.
+        expected = np.linalg.solve(np.linalg.cholesky(plain.S), plain.y)
+        np.testing.assert_allclose(found.whitened, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
+        assert found.whitened @ found.whitened == pytest.approx(plain.mahalanobis**2, rel=1e-10)
+
+
+def size(ekf, name):
+    """1e-10 of a quantity. The covariances here span no more than a few decades: rounding is far below."""
+    return 1e-10 * max(1e-3, float(np.abs(getattr(ekf, name)).max()))
+
+
+def test_without_arguments_nothing_is_added():
+    """No process noise but what is given, white measurements of unit variance, and a transition that is kept."""
+    rng = np.random.default_rng(3)
+    root, F = random_root(rng, 3), np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+    ekf = RootExtendedKalmanFilter(np.array([1.0, 2.0, 3.0]), root)
+    ekf.predict()
+    np.testing.assert_allclose(ekf.x, [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(ekf.P, root @ root.T, rtol=1e-14)
+    for power in (1, 2):
+        ekf.predict(F=F if power == 1 else None)
+        A = np.linalg.matrix_power(F, power)
+        np.testing.assert_allclose(ekf.P, A @ root @ root.T @ A.T, rtol=1e-13)
+    H = np.array([[1.0, 0.0, 0.0]])
+    before = ekf.P[0, 0]
+    ekf.update(np.array([0.0]), lambda _: H, lambda x: H @ x)
+    assert ekf.S[0, 0] == pytest.approx(before + 1.0, rel=1e-14)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_prior_a_million_times_wider_than_the_result(seed):
+    """Least squares has the digits: its prior rows are a millionth of the others, which are well conditioned.
+
+    The root's largest element is a million times its result, so that it is left with 1e6 · ε; the covariance, with the
+    square of that, twelve decades, and filterpy shows it.
+    """
+    rng = np.random.default_rng(100 + seed)
+    n, wide = 6, 1e6
+    root, mean, truth = wide * random_root(rng, n), rng.standard_normal(n), rng.standard_normal(n)
+    plain, found = plain_filter(mean, root, np.eye(n)), RootExtendedKalmanFilter(mean.copy(), root)
+    rows, right = [np.linalg.inv(root)], [np.linalg.solve(root, mean)]
+    for _ in range(12):
+        H = rng.standard_normal((2, n))
+        z = H @ truth + rng.standard_normal(2)
+        for ekf in (plain, found):
+            ekf.update(z, lambda _, H=H: H, lambda x, H=H: H @ x, R=np.eye(2))
+        rows.append(H)
+        right.append(z)
+    Q, R = np.linalg.qr(np.concatenate(rows))
+    x, spread = solve_triangular(R, Q.T @ np.concatenate(right)), solve_triangular(R, np.eye(n))
+    P = spread @ spread.T
+    sigma = np.sqrt(np.diag(P))
+
+    def off(ekf):
+        return max(np.abs((ekf.x - x) / sigma).max(), np.abs((ekf.P - P) / np.outer(sigma, sigma)).max())
+
+    # Rounding of elements of the size of the prior: its spread of up to 3 over the results' sigmas, in every one of the
+    # twelve triangularisations of n + 2 columns.
+    ratio = np.abs(root).max() / sigma.min()
+    assert off(found) < 12 * (n + 2) * EPS * ratio
+    assert off(found) < 1e-7
+    assert off(plain) > 1e-5
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_process_noise_as_a_batch_over_the_whole_walk(seed):
+    """The last state of a random walk, from all states at once."""
+    rng = np.random.default_rng(200 + seed)
+    n, steps = 3, 6
+    F = np.eye(n) + 0.3 * rng.standard_normal((n, n))
+    start, walk = random_root(rng, n), random_root(rng, n)
+    ekf = RootExtendedKalmanFilter(np.zeros(n), start)
+    columns = n * steps
+    rows, right = [np.zeros((n, columns))], [np.zeros(n)]
+    rows[0][:, :n] = np.linalg.inv(start)
+    for k in range(steps):
+        if k:
+            ekf.predict(F=F, noise_root=walk)
+            block = np.zeros((n, columns))
+            block[:, n * k : n * (k + 1)] = np.linalg.inv(walk)
+            block[:, n * (k - 1) : n * k] = -np.linalg.solve(walk, F)
+            rows.append(block)
+            right.append(np.zeros(n))
+        H, z = rng.standard_normal((2, n)), rng.standard_normal(2)
+        ekf.update(z, lambda _, H=H: H, lambda x, H=H: H @ x)
+        block = np.zeros((2, columns))
+        block[:, n * k : n * (k + 1)] = H
+        rows.append(block)
+        right.append(z)
+    Q, R = np.linalg.qr(np.concatenate(rows))
+    spread = solve_triangular(R, np.eye(columns))[-n:]
+    np.testing.assert_allclose(ekf.x, solve_triangular(R, Q.T @ np.concatenate(right))[-n:], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(ekf.P, spread @ spread.T, rtol=0, atol=1e-11 * np.abs(ekf.P).max())
+
+
+def test_normalised_innovations_are_white_with_unit_variance():
+    """A walk of 400 steps that the filter's model describes: both sides of chi-square, at 1 % for all four checks."""
+    rng = np.random.default_rng(7)
+    n, m, steps = 4, 3, 400
+    F = 0.9 * np.eye(n) + 0.1 * rng.standard_normal((n, n))
+    start, walk, noise = random_root(rng, n), 0.3 * random_root(rng, n), random_root(rng, m)
+    x = start @ rng.standard_normal(n)
+    ekf = RootExtendedKalmanFilter(np.zeros(n), start)
+    seen = []
+    for _ in range(steps):
+        x = F @ x + walk @ rng.standard_normal(n)
+        ekf.predict(F=F, noise_root=walk)
+        H = rng.standard_normal((m, n))
+        ekf.update(H @ x + noise @ rng.standard_normal(m), lambda _, H=H: H, lambda s, H=H: H @ s, R=noise @ noise.T)
+        seen.append(ekf.whitened)
+    v = np.array(seen)
+    low, high = chi2.ppf([0.00125, 0.99875], v.size)
+    assert low < np.sum(v**2) < high
+    limit = norm.isf(0.00125)
+    assert abs(v.sum()) / np.sqrt(v.size) < limit
+    # Products of neighbours in time, and within one measurement, have mean zero and variance one.
+    for product in (v[1:] * v[:-1], v[:, 1:] * v[:, :-1]):
+        assert abs(product.sum()) / np.sqrt(product.size) < limit
