@@ -20,6 +20,7 @@ from scipy.special import chdtrc
 
 from estimators.driver import Solved, Step, corrected, run
 from estimators.problem import open_problem
+from estimators.root_ekf import RootExtendedKalmanFilter
 from estimators.sequential import blocks, global_columns
 from estimators.system import N_ERRORS, attitude_columns, linearise
 from estimators.targets import PARAMETER_UNITS, targets_met
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from estimators.problem import Point, Problem
-    from estimators.root_ekf import RootExtendedKalmanFilter
     from estimators.sequential import Block
     from estimators.system import System
     from srt.calibration import Calibration
@@ -96,8 +96,6 @@ def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> 
     point : Point
     prior : Prior
     """
-    from estimators.root_ekf import RootExtendedKalmanFilter
-
     shared = global_columns(system)
     L, start = _prior_root(system, point, prior, shared)
     n = len(shared)
