@@ -15,8 +15,8 @@ import numpy as np
 from estimators.statistics import deletion_table, excess_noise, residuals, suspects
 from estimators.system import N_ERRORS, by_source, linearise, solve, weighted
 from estimators.targets import PARAMETER_UNITS
+from srt.assembly import Outcome, assemble, is_misfit
 from srt.compensation import outside_model
-from srt.estimation import Outcome, assemble, is_misfit
 from srt.held import held_sigma, request_reason
 from srt.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma, admit

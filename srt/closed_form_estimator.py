@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt import closed_form
+from srt.assembly import assemble, outcome_of
 from srt.catalogue import AXES, SEQUENCES
-from srt.estimation import assemble, outcome_of
 from srt.exceptions import DataError
 from srt.held import held_sigma, request_reason
 from srt.iteration import iterate

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt import measurement_noise
-from srt.estimation import assemble, chi_square, is_misfit, outcome_of
+from srt.assembly import assemble, chi_square, is_misfit, outcome_of
 from srt.held import held_sigma, prior_sigma, request_reason
 from srt.iteration import iterate
 from srt.segmentation import find_turns

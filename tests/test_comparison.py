@@ -15,10 +15,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.stats import binom, chi2, norm
 
 import srt
-import srt.comparison
-from srt.comparison import FALSE_ALARM, LEAST_SPREAD, compare, default_estimators, run_estimators
+import srt.side_by_side
+from srt.comparison import compare
 from srt.comparison_plot import comparison_figure
+from srt.pairwise import FALSE_ALARM, LEAST_SPREAD
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
+from srt.side_by_side import default_estimators, run_estimators
 
 DRAWS = 2000
 UNITS = 1.0 / np.array(DISPLAY_FACTORS)
@@ -293,7 +295,7 @@ def registry(monkeypatch, pair):
             raise srt.MissingExtraError("absent", "all", "The estimator 'absent'")
         return fails if name == "ekf" else answers
 
-    monkeypatch.setattr(srt.comparison, "find_estimator", find)
+    monkeypatch.setattr(srt.side_by_side, "find_estimator", find)
 
 
 def test_estimators_run_in_order_and_one_that_fails_stops_none(registry, pair):
@@ -315,9 +317,9 @@ def test_an_estimator_that_is_not_installed_is_refused_first(registry):
 
 
 def test_default_estimators_are_those_that_fit(monkeypatch, registry):
-    monkeypatch.setattr(srt.comparison, "ESTIMATORS", ("closed-form", "absent", "graph"))
+    monkeypatch.setattr(srt.side_by_side, "ESTIMATORS", ("closed-form", "absent", "graph"))
     for automatic, left in (("closed-form", {"absent"}), ("least-squares", {"closed-form", "absent"})):
-        monkeypatch.setattr(srt.comparison, "automatic_estimator", lambda recording, name=automatic: name)
+        monkeypatch.setattr(srt.side_by_side, "automatic_estimator", lambda recording, name=automatic: name)
         names, left_out = default_estimators(None)
         assert set(left_out) == left
         assert "pip install" in left_out["absent"]

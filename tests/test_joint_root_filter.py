@@ -125,10 +125,9 @@ def test_a_prior_a_million_times_wider_than_the_result(seed):
 
     # Rounding of elements of the size of the prior: its spread of up to 3 over the results' sigmas, in every one of the
     # twelve triangularisations of n + 2 columns.
-    ratio = np.abs(root).max() / sigma.min()
-    assert off(found) < 12 * (n + 2) * EPS * ratio
-    assert off(found) < 1e-7
-    assert off(plain) > 1e-5
+    rounding = 12 * (n + 2) * EPS * np.abs(root).max() / sigma.min()
+    assert off(found) < rounding < 1e-6
+    assert off(plain) > 100 * rounding
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -163,9 +162,9 @@ def test_process_noise_as_a_batch_over_the_whole_walk(seed):
 
 
 def test_normalised_innovations_are_white_with_unit_variance():
-    """A walk of 400 steps that the filter's model describes: both sides of chi-square, at 1 % for all four checks."""
+    """A walk of 200 steps that the filter's model describes: both sides of chi-square, at 1 % for all four checks."""
     rng = np.random.default_rng(7)
-    n, m, steps = 4, 3, 400
+    n, m, steps = 4, 3, 200
     F = 0.9 * np.eye(n) + 0.1 * rng.standard_normal((n, n))
     start, walk, noise = random_root(rng, n), 0.3 * random_root(rng, n), random_root(rng, m)
     x = start @ rng.standard_normal(n)

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from srt.calibration import Calibration
-    from srt.comparison import Comparison, Pair
+    from srt.comparison import Comparison
     from srt.options import Options
+    from srt.pairwise import Pair
     from srt.recording import Recording
 
 SHARED_OPTIONS = ("no_asymmetry", "hold", "average", "window_attitude", "start", "max_playbacks")
@@ -74,8 +75,8 @@ def compare(
         check_file(output, RESULT_SUFFIXES, "The result")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
-    from srt.comparison import ESTIMATORS
     from srt.options import Options
+    from srt.side_by_side import ESTIMATORS
 
     names = tuple(dict.fromkeys(names))
     check_names(names, ESTIMATORS, reference)
@@ -145,7 +146,7 @@ def run(
     import srt
     from srt.cli.progress import playback_progress
     from srt.comparison import compare as compare_calibrations
-    from srt.comparison import default_estimators, run_estimators
+    from srt.side_by_side import default_estimators, run_estimators
 
     true_errors = None
     if truth is not None:
@@ -340,7 +341,7 @@ def truth_table(comparison: Comparison) -> str:
 
 def _legend(comparison: Comparison) -> Iterable[str]:
     from srt.cli.report import wrap
-    from srt.comparison import FALSE_ALARM
+    from srt.pairwise import FALSE_ALARM
 
     pair = next(iter(comparison.pairs.values()), None)
     if pair is None:

@@ -1,0 +1,218 @@
+"""Two calibrations of one recording against each other: the difference, and the spread it should have.
+
+Two estimates x and x_opt of the same parameters from the same data share most of their noise, so the root sum of
+squares of their sigmas says nothing about their difference d = x − x_opt. If x_opt is efficient, d is uncorrelated with
+it (else a mixture of the two would beat it), and::
+
+    cov(d) = P − P_opt
+
+(Hausman 1978, Econometrica 46, 1251). Judged are every parameter on the diagonal of that matrix, and all of them
+together on its inverse. Where P is the smaller of the two the roles are exchanged: the absolute value is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.special import chdtrc, ndtri
+
+from srt.sensor_errors import NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+
+    Array = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+
+FALSE_ALARM: Final = 0.01
+"""Probability that estimators which differ by chance alone are said to disagree: half of it for the largest difference
+of any one parameter, half for the joint tests."""
+
+LEAST_SPREAD: Final = 0.05
+"""Floor of an expected spread, in units of the larger sigma. Two efficient estimators expect no difference at all, and
+still differ by their stopping rules (0.01 sigma), by terms of second order and by how they treat shared noise: nobody
+needs to know that below a twentieth of sigma."""
+
+CLEARLY_SMALLER: Final = 0.95
+"""Ratio of variances below which the reference is not the efficient estimate of a parameter."""
+
+_NAMED: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """One estimator against the reference.
+
+    Attributes
+    ----------
+    estimator, reference : str
+    compared : ndarray of bool, shape (27,)
+        Parameters that both observed.
+    difference : ndarray, shape (27,), SI
+        Estimator less reference; NaN where not compared, as in the next three.
+    spread : ndarray, shape (27,), SI
+        One sigma that the difference should have.
+    normalised : ndarray, shape (27,)
+        Difference over spread.
+    sigma_ratio : ndarray, shape (27,)
+        Sigma over that of the reference.
+    limit : float
+        What a normalised difference exceeds by chance hardly ever, see :data:`FALSE_ALARM`.
+    chi_square, p_value : float
+        Of all differences together, with as many degrees of freedom as parameters are compared. The floor on the
+        spread can only raise the p-value.
+    least_p_value : float
+        What the p-value falls below by chance hardly ever.
+    """
+
+    estimator: str
+    reference: str
+    compared: Mask
+    difference: Array
+    spread: Array
+    normalised: Array
+    sigma_ratio: Array
+    limit: float
+    chi_square: float
+    p_value: float
+    least_p_value: float
+
+    @property
+    def differing(self) -> Mask:
+        """Parameters that differ by more than the limit, shape (27,)."""
+        out: Mask = self.compared & ~(np.abs(self.normalised) <= self.limit)
+        return out
+
+    @property
+    def agrees(self) -> bool:
+        """Whether chance explains all differences, each alone and together; False if nothing is compared."""
+        return bool(self.compared.any()) and not self.differing.any() and self.p_value >= self.least_p_value
+
+    @property
+    def largest(self) -> int | None:
+        """Index of the parameter with the largest normalised difference."""
+        return int(np.nanargmax(np.abs(self.normalised))) if self.compared.any() else None
+
+    @property
+    def efficiency(self) -> float:
+        """Root mean square of the ratio of sigmas to the reference's; NaN if nothing is compared."""
+        ratio = self.sigma_ratio[self.compared]
+        return float(np.sqrt(np.mean(ratio**2))) if ratio.size else math.nan
+
+    @property
+    def smaller_sigma(self) -> tuple[str, ...]:
+        """Parameters of which the reference is not the efficient estimate: its variance is clearly the larger."""
+        return _names(self.compared & (self.sigma_ratio**2 < CLEARLY_SMALLER))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON form; arrays in SI, None where not compared."""
+        return {
+            "reference": self.reference,
+            "agrees": self.agrees,
+            "compared": int(self.compared.sum()),
+            "sigma_ratio_rms": self.efficiency if self.compared.any() else None,
+            "difference": finite(self.difference),
+            "spread": finite(self.spread),
+            "normalised": finite(self.normalised),
+            "limit": self.limit,
+            "differing": list(_names(self.differing)),
+            "smaller_sigma": list(self.smaller_sigma),
+            "chi_square": self.chi_square,
+            "p_value": self.p_value,
+            "least_p_value": self.least_p_value,
+        }
+
+    def sentence(self) -> str:
+        """Say how the two compare, without a full stop."""
+        if not self.compared.any():
+            return f"{self.estimator} and {self.reference} observed no parameter in common"
+        if self.agrees:
+            return f"{self.estimator} agrees with {self.reference}"
+        differing = np.flatnonzero(self.differing)
+        if not differing.size:
+            return (
+                f"{self.estimator} differs from {self.reference} in all parameters together, though in none alone "
+                f"(chi-square {self.chi_square:.0f} for {int(self.compared.sum())}, probability {self.p_value:.1g})"
+            )
+        worst = differing[np.argsort(-np.abs(self.normalised[differing]), kind="stable")]
+        named = some([f"{NAMES[i]} by {abs(self.normalised[i]):.1f}" for i in worst])
+        limit = f"(limit {self.limit:.1f})"
+        return f"{self.estimator} differs from {self.reference}: {named} expected spreads {limit}"
+
+
+def make_pair(
+    name: str, other: Calibration, reference_name: str, reference: Calibration, shared: Mask, count: int, pairs: int
+) -> Pair:
+    """Compare two estimates, one of ``pairs`` with ``count`` parameters in all."""
+    scale = np.where(shared, np.fmax(other.sigma, reference.sigma), np.nan)
+    difference = np.where(shared, other.errors.vector - reference.errors.vector, np.nan)
+    excess = other.covariance - reference.covariance
+    spread = np.maximum(np.sqrt(np.abs(np.diag(excess))), LEAST_SPREAD * scale)
+    statistic, p_value = _joint((difference / scale)[shared], (excess / np.outer(scale, scale))[np.ix_(shared, shared)])
+    return Pair(
+        estimator=name,
+        reference=reference_name,
+        compared=shared,
+        difference=difference,
+        spread=spread,
+        normalised=difference / spread,
+        sigma_ratio=np.where(shared, ratio_of(other.sigma, reference.sigma), np.nan),
+        limit=_limit(count),
+        chi_square=statistic,
+        p_value=p_value,
+        least_p_value=0.5 * FALSE_ALARM / pairs,
+    )
+
+
+def _limit(count: int) -> float:
+    """Two-sided normal quantile that the largest of ``count`` draws exceeds with half of FALSE_ALARM (Šidák).
+
+    Exact for independent draws; correlated ones exceed it more rarely.
+    """
+    alone = -math.expm1(math.log1p(-0.5 * FALSE_ALARM) / max(count, 1))
+    return float(-ndtri(0.5 * alone))
+
+
+def _joint(difference: Array, covariance: Array) -> tuple[float, float]:
+    """Chi-square of differences in units of sigma, and its p-value.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+        Expected; of its eigenvalues the size counts, floored: where the two estimates are one, both are rounding.
+    """
+    if not difference.size:
+        return 0.0, 1.0
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    variance = np.maximum(np.abs(eigenvalues), LEAST_SPREAD**2)
+    statistic = float(np.sum((vectors.T @ difference) ** 2 / variance))
+    return statistic, float(chdtrc(difference.size, statistic))
+
+
+def some(names: Sequence[str]) -> str:
+    """Name the first few, and count the others."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"
+
+
+def finite(values: Array) -> list[float | None]:
+    """Numbers, and None for what JSON cannot hold."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+def _names(mask: Mask) -> tuple[str, ...]:
+    return tuple(name for name, chosen in zip(NAMES, mask, strict=True) if chosen)
+
+
+def ratio_of(a: Array, b: Array) -> Array:
+    """a/b, NaN where b is not positive."""
+    out: Array = np.divide(a, b, out=np.full(a.shape, np.nan), where=b > 0.0)
+    return out
