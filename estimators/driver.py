@@ -12,23 +12,26 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from estimators.statistics import deletion_table, excess_noise, residuals, suspects
-from estimators.system import N_ERRORS, by_source, linearise, solve, weighted
+from estimators.batch import solve
+from estimators.judgement import calibration_of, judge, with_prior
+from estimators.statistics import excess_noise
+from estimators.system import N_ERRORS, linearise
 from estimators.targets import PARAMETER_UNITS
-from srt.assembly import Outcome, assemble, is_misfit
+from srt.assembly import is_misfit
 from srt.compensation import outside_model
 from srt.held import held_sigma, request_reason
 from srt.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma, admit
 from srt.quaternion import rotation_matrix
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from estimators.problem import Played, Point, Problem
-    from estimators.system import BatchSolution, System
-    from srt.calibration import Calibration, Residual
+    from estimators.point import Played, Point
+    from estimators.problem import Problem
+    from estimators.system import System
+    from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.options import Options
     from srt.prior import Prior
@@ -39,8 +42,6 @@ _MAX_STEP: Final = 0.7
 _ROUNDS: Final = 5
 _RENEWALS: Final = 2
 _NEAR: Final = 1e-2
-_GROSS_RATIO: Final = 100.0
-_GROSS_G: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,7 +284,7 @@ def run(problem: Problem, step: Step, options: Options, progress: Progress | Non
             continue
         moved = problem.moved(state.point, state.played) if state.played is not None else None
         if moved is not None and moved.any():
-            held_before = _judge(problem, step, state, uncertain)
+            held_before = judge(problem, step, state, uncertain)
             diagnostics["held"] = {"sequences": list(held_before.table)} | step.diagnostics(problem)
             problem.release(moved)
             step.restart()
@@ -293,14 +294,14 @@ def run(problem: Problem, step: Step, options: Options, progress: Progress | Non
         if not weak.any() or step.prior is not None:
             break
         state.free = state.free & ~weak
-    return _result(problem, step, options, state, held, uncertain, diagnostics)
+    return calibration_of(problem, step, options, state, held, uncertain, diagnostics)
 
 
 def _add_excess(problem: Problem, step: Step, state: State) -> bool:
     """In a free recording, noise beyond the sensors' where the residuals ask for it; True if there is more of it."""
     if problem.data.recording.fixture is not None:
         return False  # there a misfit is a fault to be named, not the hand's
-    system = _with_prior(problem, step, state)
+    system = with_prior(problem, step, state)
     left = system.b + system.A @ solve(system).delta
     if not is_misfit(float(left @ left), len(left) - int(system.active.sum())):
         return False
@@ -309,127 +310,3 @@ def _add_excess(problem: Problem, step: Step, state: State) -> bool:
         return False
     problem.excess = new
     return True
-
-
-def _result(
-    problem: Problem,
-    step: Step,
-    options: Options,
-    state: State,
-    held: dict[str, str],
-    uncertain: Array,
-    diagnostics: dict[str, Any],
-) -> Calibration:
-    """Put the calibration together."""
-    data = problem.data
-    warnings = [problem.U_note] if problem.U_note and problem.fixture_states else []
-    if state.system is not None and state.covariance is not None:
-        sigma = np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
-        weak = ~state.free | (sigma > OBSERVED_BELOW * admission_sigma())
-        for i in np.flatnonzero(weak):
-            held.setdefault(NAMES[i], "the sequences of this recording do not show it apart from the others")
-    judged = _judge(problem, step, state, uncertain)
-    warnings += suspects(judged.table)
-    if any(problem.excess):
-        warnings.append(
-            f"Residuals are larger than the sensors' noise explains: {np.degrees(problem.excess[0]):.2g}° per turn "
-            f"and {problem.excess[1]:.2g} m/s² per pose were added, and the sigmas include them."
-        )
-    outcome = Outcome(
-        state.point.errors,
-        state.point.U,
-        judged.covariance,
-        tuple(state.corrections or ()),
-        state.status,
-        state.message,
-        judged.residuals,
-        judged.statistic,
-        judged.freedom,
-        judged.gross,
-        tuple(np.flatnonzero(problem.integrated).tolist()),
-        problem.wander,
-        state.point.bias_deviation,
-        np.tile(np.eye(3), (data.K, 1, 1)) if state.played is None else state.played.turned,
-        judged.total,
-        {"sequences": list(judged.table)} | step.diagnostics(problem) | diagnostics,
-    )
-    return assemble(step.name, data, options, outcome, held, warnings=tuple(warnings))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Judgement:
-    """Statistics of a solution: covariance by source and in all, residuals, every sequence against the others."""
-
-    covariance: dict[str, Array]
-    total: Array
-    residuals: tuple[Residual, ...] = ()
-    table: tuple[dict[str, Any], ...] = ()
-    statistic: float = 0.0
-    freedom: int = 0
-    gross: bool = False
-
-
-def _judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judgement:
-    nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
-    if state.system is None or state.covariance is None or state.status == "outside_model":
-        return Judgement({"none": nothing}, nothing)
-    system = _with_prior(problem, step, state)
-    try:
-        solution = solve(system)
-    except np.linalg.LinAlgError:
-        return Judgement({"none": nothing}, state.covariance)
-    table = tuple(deletion_table(problem, system, solution))
-    if step.weights():
-        system = weighted(system, step.weights())
-        solution = solve(system)
-    covariance = by_source(system, solution)
-    covariance["held_values"] = _held_values(system, solution, uncertain, state.free)
-    total = state.covariance + covariance["held_values"]
-    for group, wander in (("gyro_bias", problem.wander), ("accel_bias", problem.data.noise.accel_wander)):
-        at = np.arange(N_PARAMETERS)[GROUP_SLICES[group]]
-        part = covariance.setdefault(f"{group}_instability", nothing.copy())
-        # The bias reported is the unit's; that of this test is one draw of it.
-        part[at, at] += wander**2
-        total[at, at] += wander**2
-    left = system.b + system.A @ solution.delta
-    spread = system.A @ solution.root
-    measured = np.ones(len(left), dtype=np.bool_)
-    if step.prior is not None:  # what a prior costs in degrees of freedom is no whole number
-        measured[system.rows_of("prior").index.ravel()] = False
-    statistic = float(left[measured] @ left[measured])
-    number = round(float(measured.sum()) - float(np.sum(spread[measured] ** 2)))
-    force = system.rows_of("force").index
-    raw = np.linalg.solve(system.whitening["force"], left[force][..., None])
-    gross = statistic > _GROSS_RATIO * max(number, 1) and float(np.sqrt(np.mean(raw**2))) > (
-        _GROSS_G * problem.data.gravity
-    )
-    return Judgement(
-        covariance,
-        total,
-        residuals(problem, system, solution),
-        table,
-        statistic,
-        number,
-        gross,
-    )
-
-
-def _with_prior(problem: Problem, step: Step, state: State) -> System:
-    """The last linearisation, the prior of the sensor errors among its rows."""
-    assert state.system is not None
-    if step.prior is None:
-        return state.system
-    assert state.linearised_at is not None
-    assert state.played is not None
-    return linearise(problem, state.linearised_at, state.played, state.free, step.prior)
-
-
-def _held_values(system: System, solution: BatchSolution, uncertain: Array, free: NDArray[np.bool_]) -> Array:
-    """Covariance that the errors of held values bring into what is estimated with them."""
-    E = system.parameter_map()
-    effect = system.A @ E.T * np.where(free, 0.0, uncertain)
-    bias = system.columns["bias"]
-    # The map averages the biases; held ones are off by the same in every sequence.
-    effect[:, N_ERRORS:] *= (bias.stop - bias.start) // 3
-    brought = (E @ solution.root) @ (solution.root.T @ (system.A.T @ effect))
-    return np.asarray(brought @ brought.T)

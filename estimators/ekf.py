@@ -31,7 +31,8 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from estimators.problem import Point, Problem
+    from estimators.point import Point
+    from estimators.problem import Problem
     from estimators.sequential import Block
     from estimators.system import System
     from srt.calibration import Calibration

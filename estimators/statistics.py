@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from estimators.batch import BatchSolution
     from estimators.problem import Problem
-    from estimators.system import BatchSolution, System
+    from estimators.system import System
 
     Array = NDArray[np.float64]
 

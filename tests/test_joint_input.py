@@ -1,4 +1,4 @@
-"""What Kalman filter and factor graph refuse, what they say of too little data, and how they run from the command line."""
+"""What Kalman filter and factor graph refuse, what they say of too little data, and the command line around them."""
 
 import json
 import math
@@ -292,7 +292,7 @@ def test_a_missing_package_is_one_sentence(folder, tmp_path, capfd, monkeypatch,
     assert out == ""
     assert err.count("\n") == 1
     assert err.startswith("srt: ")
-    assert f"'{PACKAGE[name]}'" in err
+    assert f"needs the package '{PACKAGE[name]}" in err
     assert "pip install 'strapdown-rotation-test[" in err
     assert not output.exists()
 

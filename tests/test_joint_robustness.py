@@ -163,7 +163,7 @@ def table(seed, *, latitude=True, heading=True, labels=True, U=None):
 
 TURNED = rotation(0.2 * np.array([1.0, 2.0, -2.0]) / 3.0)
 LESS_KNOWN = {
-    "free": (free, 3000, 8),
+    "free": (free, 3000, 5),
     "free without latitude": (partial(free, latitude=False), 3000, 2),
     "no heading": (partial(table, heading=False), 0, 2),
     "no latitude": (partial(table, latitude=False), 0, 2),

@@ -1,0 +1,240 @@
+"""The factor graph of a joint problem: its variables, factors and priors.
+
+Variables: sensor errors ``x``, gyro bias of every sequence ``b`` joined by a random walk, levelling and north of the
+base ``f``, orientation of MARS on the table ``u``, gravity ``g``, the Earth's rate where it is unknown ``e``, the
+attitude of every stationary window ``a``, and the reading errors at the windows' edges ``q``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import A, B, E, F, G, Q, U, X
+from scipy.linalg import block_diag
+from scipy.special import chdtri
+
+from estimators import factors
+from estimators.system import N_ERRORS, edge_numbers, fixed_headings, fixture_starts, total
+from srt.sensor_errors import N_PARAMETERS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from estimators.point import Played, Point
+    from estimators.problem import Problem
+    from srt.prior import Prior
+
+    Array = NDArray[np.float64]
+
+ROBUST: Final[dict[str, Callable[[float], Any]]] = {
+    "huber": gtsam.noiseModel.mEstimator.Huber.Create,
+    "cauchy": lambda size: gtsam.noiseModel.mEstimator.Cauchy.Create(1.5 * size),
+}
+"""Losses on the norm of a factor's whitened residuals; ``size`` is what that norm stays under in 95 of 100."""
+_HEADING_SIGMA: Final = 1e-8
+"""One sigma, rad, of a heading that is given: across the Earth's rate far below any noise."""
+
+
+class GraphBuilder:
+    """The factor graph of a joint problem at a play-back.
+
+    Parameters
+    ----------
+    problem : Problem
+    point : Point
+        Values that the data were played back with, attitudes included.
+    played : Played
+    free : ndarray of bool, shape (27,)
+        Sensor errors that are estimated.
+    prior : Prior, optional
+    loss : "squared", "huber" or "cauchy"
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        point: Point,
+        played: Played,
+        free: NDArray[np.bool_],
+        *,
+        prior: Prior | None = None,
+        loss: str = "squared",
+    ) -> None:
+        assert point.attitude is not None
+        self.problem, self.point, self.played = problem, point, played
+        self.errors = np.flatnonzero(free[:N_ERRORS])
+        self.axes = np.flatnonzero(free[N_ERRORS:])
+        self.losses: dict[int, Any] = {}
+        if loss != "squared":
+            self.losses = {n: ROBUST[loss](math.sqrt(chdtri(n, 0.05))) for n in (3, 6)}
+        self.gravity = problem.options.fixture_states
+        self.edges = edge_numbers(problem, played)
+        self.graph: Any = gtsam.NonlinearFactorGraph()
+        self.values: Any = gtsam.Values()
+        self.measured: list[tuple[str, int]] = []
+        """Kind and number of each robust factor, which come first in the graph."""
+        self._variables()
+        self._windows()
+        self._turns()
+        self._starts()
+        self._priors(prior)
+
+    def bias_key(self, sequence: int) -> int:
+        """Variable of the gyro bias of a sequence."""
+        return int(B(sequence if self.problem.walks else 0))
+
+    def earth_key(self, chain: int) -> int | None:
+        """Variable of the Earth's rate of a chain, if it is unknown."""
+        return int(E(chain)) if self.problem.chains[chain].unknown_sigma.any() else None
+
+    def reported_keys(self) -> list[int]:
+        """Variables that the reported parameters come from: biases, then errors."""
+        biases = range(self.problem.data.K if self.problem.walks else 1)
+        return [int(B(k)) for k in biases if len(self.axes)] + ([int(X(0))] if len(self.errors) else [])
+
+    def _variables(self) -> None:
+        problem, point = self.problem, self.point
+        if len(self.errors):
+            self.values.insert(X(0), np.zeros(len(self.errors)))
+        if len(self.axes):
+            for k in range(problem.data.K if problem.walks else 1):
+                self.values.insert(B(k), np.zeros(len(self.axes)))
+        assert point.attitude is not None
+        for w, attitude in enumerate(point.attitude):
+            self.values.insert(A(w), gtsam.Rot3(attitude))
+        for number in range(int(self.edges.max()) + 1):
+            self.values.insert(Q(number), np.zeros(3))
+        for c in range(len(problem.chains)):
+            if self.earth_key(c) is not None:
+                self.values.insert(E(c), point.earth_rate[c])
+        if problem.fixture_states:
+            self.values.insert(F(0), gtsam.Rot3(point.base))
+            self.values.insert(U(0), gtsam.Rot3(point.U))
+        if self.gravity:
+            self.values.insert(G(0), np.array([point.gravity]))
+
+    def _add(self, kind: str, number: int, covariance: Array, terms: factors.Terms) -> None:
+        """Add a measurement factor; held variables are left out of it."""
+        noise = factors.gaussian(covariance)
+        if self.losses:
+            noise = gtsam.noiseModel.Robust.Create(self.losses[len(covariance)], noise)
+        self.measured.append((kind, number))
+        self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
+
+    def _linear(self, jacobian: Array, sequence: int | None) -> list[tuple[int, Array]]:
+        """Terms of sensor errors and bias, constant between play-backs."""
+        out = []
+        if len(self.errors):
+            out.append((int(X(0)), jacobian[:, self.errors]))
+        if sequence is not None and len(self.axes):
+            out.append((self.bias_key(sequence), jacobian[:, N_ERRORS + self.axes]))
+        return out
+
+    def _windows(self) -> None:
+        """One factor for the force and the rate of a window: what is wrong with a window is wrong with both."""
+        problem, played = self.problem, self.played
+        T = problem.data.windows.duration_s
+        force_noise, rate_noise = total(played.force_noise), total(played.rate_noise)
+        known = np.stack([c.earth_rate for c in problem.chains])
+        for w in range(len(T)):
+            chain = int(problem.window_chain[w])
+            jacobian = -np.concatenate([played.force_jacobian[w], played.rate_jacobian[w]])
+            linear = self._linear(jacobian, int(problem.window_sequence[w]))
+            slope = played.edge_slope / T[w]
+            linear += [
+                (int(Q(number)), np.concatenate([np.zeros((3, 3)), sign * slope]))
+                for number, sign in zip(self.edges[w].tolist(), (1.0, -1.0), strict=True)
+                if number >= 0
+            ]
+            earth = self.earth_key(chain)
+            others = [int(A(w))] + ([int(G(0))] if self.gravity else []) + ([earth] if earth is not None else [])
+            function = factors.pose(
+                played.force[w], played.rate[w], problem.data.gravity, known[chain], gravity_free=self.gravity
+            )
+            self._add("window", w, block_diag(force_noise[w], rate_noise[w]), factors.Terms(linear, others, function))
+
+    def _turns(self) -> None:
+        problem, played = self.problem, self.played
+        data, noise = problem.data, total(played.turned_noise)
+        known = np.stack([c.earth_rate for c in problem.chains])
+        for k in range(data.K):
+            start, end = int(data.start[k]), int(data.end[k])
+            chain = int(problem.sequence_chain[k])
+            linear = self._linear(played.turned_jacobian[k], k)
+            if self.edges[start, 1] >= 0:
+                linear.append((int(Q(self.edges[start, 1])), -played.edge_slope))
+            if self.edges[end, 0] >= 0:
+                linear.append((int(Q(self.edges[end, 0])), played.turned[k] @ played.edge_slope))
+            earth = self.earth_key(chain)
+            self._add(
+                "turn",
+                k,
+                noise[k],
+                factors.Terms(
+                    linear,
+                    [int(A(start)), int(A(end))] + ([earth] if earth is not None else []),
+                    factors.turn(played.turned[k], known[chain], float(played.duration_s[k])),
+                    scaled=True,
+                ),
+            )
+
+    def _starts(self) -> None:
+        problem = self.problem
+        if not problem.fixture_states:
+            return
+        variance = np.diag(problem.start_sigma**2)
+        for _, window, nominal in fixture_starts(problem):
+            keys = [int(A(window)), int(F(0)), int(U(0))]
+            self._add("start", window, variance, factors.Terms([], keys, factors.start(nominal, problem.heading_rad)))
+
+    def _priors(self, prior: Prior | None) -> None:
+        problem, graph = self.problem, self.graph
+
+        def isotropic(size: int, sigma: float) -> Any:
+            return factors.gaussian(sigma**2 * np.eye(size))
+
+        if problem.fixture_states:
+            tight = isotropic(3, problem.alignment_sigma)
+            graph.add(gtsam.PriorFactorRot3(F(0), gtsam.Rot3(), tight))
+            graph.add(gtsam.PriorFactorRot3(U(0), gtsam.Rot3(problem.U_prior), tight))
+        if self.gravity:
+            sigma = problem.data.recording.site.gravity_sigma_m_s2
+            graph.add(gtsam.PriorFactorVector(G(0), np.zeros(1), isotropic(1, sigma)))
+        for c, chain in enumerate(problem.chains):
+            if self.earth_key(c) is not None:
+                # Known components stay by a sigma a million times below the unknown ones.
+                sigmas = np.where(chain.unknown_sigma > 0.0, chain.unknown_sigma, 1e-6 * chain.unknown_sigma.max())
+                graph.add(gtsam.PriorFactorVector(E(c), np.zeros(3), factors.gaussian(np.diag(sigmas**2))))
+        for w in fixed_headings(problem).tolist():
+            keep = np.array(self.values.atRot3(A(w)).matrix())
+            noise = isotropic(1, _HEADING_SIGMA)
+            graph.add(gtsam.CustomFactor(noise, [A(w)], factors.Terms([], [int(A(w))], factors.heading(keep)).function))
+        for number in range(int(self.edges.max()) + 1):
+            graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), isotropic(3, 1.0)))
+        if problem.walks and len(self.axes):
+            step = problem.walk_sigma()[:, self.axes]
+            for i, (before, after) in enumerate(
+                zip(problem.order[:-1].tolist(), problem.order[1:].tolist(), strict=True)
+            ):
+                done = self.point.bias_deviation[after] - self.point.bias_deviation[before]
+                noise = factors.gaussian(np.diag(step[i] ** 2))
+                graph.add(gtsam.BetweenFactorVector(B(before), B(after), -done[self.axes], noise))
+        if prior is not None:
+            self._error_prior(prior)
+
+    def _error_prior(self, prior: Prior) -> None:
+        """Prior of the sensor errors: of the mean bias where it walks."""
+        problem = self.problem
+        away = self.point.errors.vector - prior.mean.vector
+        unit = np.eye(N_PARAMETERS)
+        linear = [(int(X(0)), unit[:, self.errors])]
+        number = problem.data.K if problem.walks else 1
+        linear += [(int(B(k)), unit[:, N_ERRORS + self.axes] / number) for k in range(number)]
+        noise = factors.gaussian(prior.covariance)
+        terms = factors.Terms(linear, [], lambda *_: (away, []))
+        self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
