@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from estimators.batch import solve
 from estimators.judgement import calibration_of, judge, with_prior
@@ -265,12 +266,20 @@ def admitted(system: System, requested: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def run(problem: Problem, step: Step, options: Options, progress: Progress | None) -> Calibration:
     """Calibrate: iterate, judge what the data show, and put the result together.
 
+    In one thread of linear algebra: matrices of a few hundred rows gain nothing from more, and on a busy machine
+    threads that wait for each other made it ten times slower.
+
     Raises
     ------
     InputError
         Options that do not go with joint estimation.
     """
     options.refuse(("step", "down", "measured_vertical"), "Joint estimation")
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _run(problem, step, options, progress)
+
+
+def _run(problem: Problem, step: Step, options: Options, progress: Progress | None) -> Calibration:
     requested = np.array([name in options.held_names for name in NAMES])
     uncertain = held_sigma(problem.data, options)
     held = {name: request_reason(name, uncertain) for name in options.held_names}

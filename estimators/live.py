@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.special import chdtrc
+from threadpoolctl import threadpool_limits
 
 from estimators.driver import State, iterate
 from estimators.ekf import EkfStep, default_prior
@@ -152,7 +153,8 @@ class LiveFilter:
         self.step = EkfStep(self.prior)
         requested = np.array([name in self.options.held_names for name in NAMES])
         state = State(self.problem.start, ~requested)
-        self.state = iterate(self.problem, self.step, state, requested=requested, max_step=_MAX_STEP)
+        with threadpool_limits(limits=1, user_api="blas"):
+            self.state = iterate(self.problem, self.step, state, requested=requested, max_step=_MAX_STEP)
         return self._report(data)
 
     def _report(self, data: PlaybackData) -> LiveReport:
