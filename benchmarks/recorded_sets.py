@@ -1,4 +1,10 @@
-"""Figures on the recorded sets: gains, offsets and sigmas beside published ones; residuals before and after."""
+"""Figures on the recorded sets: gains, offsets and sigmas beside published ones; residuals before and after.
+
+    python benchmarks/recorded_sets.py [ESTIMATOR...]     default: least-squares ekf graph
+"""
+
+import sys
+import time
 
 import numpy as np
 from scipy.linalg import rq
@@ -20,9 +26,11 @@ CERTIFICATE = {
 }
 
 
-def xsens(recording: srt.Recording, gyro_bias: str) -> None:
+def xsens(recording: srt.Recording, estimator: str, gyro_bias: str) -> None:
     """Gains in imu_tk's frame: the accelerometer matrix upper triangular."""
-    result = srt.calibrate(recording, hold=("gyro_asymmetry", "accel_asymmetry"), gyro_bias=gyro_bias)
+    started = time.perf_counter()
+    result = srt.calibrate(recording, estimator, hold=("gyro_asymmetry", "accel_asymmetry"), gyro_bias=gyro_bias)
+    seconds = time.perf_counter() - started
     upper, turn = rq(recorded.XSENS_ACCEL_PER_M_S2 * accel_triad(result.errors).matrix)
     signs = np.diag(np.sign(np.diag(upper)))
     gyro = recorded.XSENS_GYRO_PER_RAD_S * gyro_triad(result.errors).matrix @ (signs @ turn).T
@@ -33,7 +41,10 @@ def xsens(recording: srt.Recording, gyro_bias: str) -> None:
         recorded.XSENS_ACCEL_PER_M_S2 * result.sigma[GROUP_SLICES["accel_bias"]],
         recorded.XSENS_GYRO_PER_RAD_S * result.sigma[GROUP_SLICES["gyro_scale"]],
     )
-    print(f"xsens_mti, latitude {recorded.XSENS_LATITUDE_DEG}° assumed, gyro bias {gyro_bias}: {result.status}")
+    print(
+        f"xsens_mti, {estimator}, latitude {recorded.XSENS_LATITUDE_DEG}° assumed, gyro bias {gyro_bias}: "
+        f"{result.status}, {len(result.corrections)} play-backs, {seconds:.2f} s"
+    )
     for (name, published), values, sigmas in zip(IMU_TK.items(), found, sigma, strict=True):
         print(f"  {name}: {np.round(values, 2)} ± {np.round(sigmas, 2)}")
         print(f"    imu_tk {published}, certificate {CERTIFICATE[name]}")
@@ -41,12 +52,12 @@ def xsens(recording: srt.Recording, gyro_bias: str) -> None:
         print(f"  {warning}")
 
 
-def before_and_after(name: str, recording: srt.Recording) -> None:
-    result = srt.calibrate(recording)
+def before_and_after(name: str, recording: srt.Recording, estimator: str) -> None:
+    result = srt.calibrate(recording, estimator)
     labelled = recording.with_sequences(srt.find_turns(recording))
     before, after = (recorded.residuals(labelled, errors) for errors in (None, result.errors))
     print(
-        f"{name}: {len(labelled.sequences)} turns, "
+        f"{name}, {estimator}: {len(labelled.sequences)} turns, "
         f"gravity {before['gravity_m_s2']:.4f} -> {after['gravity_m_s2']:.4f} m/s², "
         f"turns {before['turn_deg']:.2f} -> {after['turn_deg']:.2f}°, {result.status}"
     )
@@ -56,11 +67,12 @@ def main() -> None:
     folder = recorded.data_folder()
     if folder is None:
         raise SystemExit(f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder")
-    for gyro_bias in ("auto", "pooled"):  # imu_tk has one bias for the whole recording
-        xsens(recorded.xsens_mti(folder), gyro_bias)
-    before_and_after("xsens_mti", recorded.xsens_mti(folder))
-    for unit in (0, 1):
-        before_and_after(f"mpu9150 unit {unit}", recorded.mpu9150(folder, unit))
+    for estimator in sys.argv[1:] or ("least-squares", "ekf", "graph"):
+        for gyro_bias in ("auto", "pooled"):  # imu_tk has one bias for the whole recording
+            xsens(recorded.xsens_mti(folder), estimator, gyro_bias)
+        before_and_after("xsens_mti", recorded.xsens_mti(folder), estimator)
+        for unit in (0, 1):
+            before_and_after(f"mpu9150 unit {unit}", recorded.mpu9150(folder, unit), estimator)
 
 
 if __name__ == "__main__":

@@ -114,7 +114,12 @@ def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> 
         if i and walk is not None:
             step = np.zeros((len(ekf.x), len(axes)))
             step[:n] = inverse[:, bias] * walk[i - 1][axes]
-            ekf.predict(F=np.eye(len(ekf.x)), noise_root=step)
+            # The state is the bias less what the sequence was linearised at.
+            drift = np.zeros(len(ekf.x))
+            before, after = parts[i - 1].sequence, part.sequence
+            change = point.bias_deviation[after] - point.bias_deviation[before]
+            drift[:n] = -inverse[:, bias] @ change[axes]
+            ekf.predict(drift, F=np.eye(len(ekf.x)), noise_root=step)
         H = np.concatenate([part.H @ L, part.H_pose, np.zeros((len(part.b), _MEAN))], axis=1)
         ekf.update(-part.b, lambda _, H=H: H, lambda x, H=H: H @ x)  # type: ignore[misc]
         innovations.append(ekf.whitened)

@@ -51,8 +51,9 @@ def calibration_of(
     warnings += suspects(judged.table)
     if any(problem.excess):
         warnings.append(
-            f"Residuals are larger than the sensors' noise explains: {np.degrees(problem.excess[0]):.2g}° per turn "
-            f"and {problem.excess[1]:.2g} m/s² per pose were added, and the sigmas include them."
+            f"Residuals are larger than the sensors' noise explains: {np.degrees(problem.excess[0]):.2g}° per turn, "
+            f"{problem.excess[1]:.2g} m/s² and {problem.excess[2]:.2g} rad/s per pose were added, and the sigmas "
+            "include them."
         )
     outcome = Outcome(
         state.point.errors,

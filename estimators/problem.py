@@ -21,6 +21,7 @@ from srt.compensation import accel_triad, gyro_triad
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
 from srt.measurement_noise import earth_rate_doubt, excess_scatter
+from srt.noise_estimation import flicker_spread
 from srt.playback import Player
 from srt.playback_data import nominal_attitude
 from srt.quaternion import rotation_matrix, rotation_vector, smallest_rotation
@@ -67,9 +68,12 @@ class Problem:
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         self.player = Player(data, options, self.integrated)
         self.nominal = [_executable(s) if data.recording.fixture is not None else None for s in data.catalogue]
-        self.excess = (0.0, 0.0)
+        self.excess = (0.0, 0.0, 0.0)
+        """One sigma beyond the sensors' noise: attitude per turn, rad; force and rate per window, m/s² and rad/s."""
         stated = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         self.wander = {"auto": stated, "pooled": np.zeros(3), "per-sequence": np.full(3, _ANY_BIAS)}[options.gyro_bias]
+        # The difference of neighbours under flicker of that floor, whatever their distance: twice its variance.
+        self.step = self.wander * math.sqrt(2.0) / flicker_spread(data.windows.samples)
         self._lay_out()
         self.U_prior, self.U_note = self._mounting(start[1])
         self.start = Point(start[0], np.zeros((data.K, 3)), np.eye(3), start[1], 0.0, np.zeros((len(self.chains), 3)))
@@ -161,8 +165,10 @@ class Problem:
     def walk_sigma(self) -> Array:
         """One sigma of the bias steps between sequences in time order, shape (K − 1, 3), rad/s."""
         # An axis without a walk of its own still has its columns: its steps are a thousandth of what a window shows.
-        shown = self.data.noise.gyro_white / math.sqrt(float(self.data.windows.duration_s.max()))
-        return np.asarray(np.maximum(np.sqrt(self.walk_share)[:, None] * self.wander, 1e-3 * shown))
+        least = 1e-3 * self.data.noise.gyro_white / math.sqrt(float(self.data.windows.duration_s.max()))
+        by_scatter = np.sqrt(self.walk_share)[:, None] * self.wander
+        # What differs from pose to pose (g-sensitivity, flicker) steps more than a walk of that scatter would.
+        return np.asarray(np.maximum(np.maximum(by_scatter, self.step), least))
 
     @property
     def walks(self) -> bool:
@@ -215,6 +221,7 @@ class Problem:
         rate_noise = {
             "gyro_noise": _through(D_rate, noise.gyro_white**2 / T),
             "gyro_quantization": _through(D_rate, lone * (edge / T) ** 2),
+            "rest_excess": np.broadcast_to(self.excess[2] ** 2 * np.eye(3), D_rate.shape),
         }
         if self.integrated.any():
             # While a window's attitude is integrated its gyros measure motion, not the Earth's rate.
@@ -304,6 +311,8 @@ class Problem:
         expected = np.mean(share**2 @ variance, axis=0) + earth_rate_doubt(self.data) ** 2
         own = share @ rest
         self.wander = np.sqrt(excess_scatter(own, expected))
+        steps = np.mean(np.diff(own[self.order], axis=0) ** 2, axis=0) - 2.0 * expected
+        self.step = np.where(self.wander > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
 
 
 def open_problem(recording: Recording, options: Options) -> Problem:

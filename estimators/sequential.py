@@ -81,7 +81,10 @@ def blocks(problem: Problem, system: System) -> list[Block]:
     bias = system.columns["bias"]
     data = problem.data
     rows_of: list[list[NDArray[np.intp]]] = [[] for _ in range(data.K)]
+    edges = next((r.index for r in system.rows if r.kind == "edge"), np.empty((0, 3), dtype=np.intp))
     for rows in system.rows:
+        if rows.kind == "edge":
+            continue
         for member, owner in zip(rows.index, rows.owner.tolist(), strict=True):
             if owner >= 0:
                 rows_of[owner].append(member)
@@ -91,6 +94,9 @@ def blocks(problem: Problem, system: System) -> list[Block]:
     carried = -1
     for i, k in enumerate(problem.order.tolist()):
         at = np.concatenate(rows_of[k])
+        # Readings at the edges of its windows, by their own priors; one that the next turn shares counts there anew.
+        used = system.A[np.ix_(at, system.of("edge"))].any(axis=0).reshape(-1, 3).any(axis=1)
+        at = np.concatenate([at, edges[used].ravel()])
         A, b = system.A[at], system.b[at]
         end = int(data.end[k])
         onward = end if later.get(end, -1) > i else -1

@@ -105,14 +105,21 @@ def suspects(table: SequenceOf[dict[str, Any]]) -> list[str]:
     ]
 
 
-def excess_noise(problem: Problem, system: System) -> tuple[float, float]:
-    """One sigma of attitude per turn, rad, and of specific force per pose, m/s², by restricted maximum likelihood."""
+def excess_noise(problem: Problem, system: System) -> tuple[float, float, float]:
+    """One sigma of attitude per turn, of force and of rate per window beyond the noise (restricted maximum likelihood).
+
+    Returns
+    -------
+    tuple of float
+        rad, m/s², rad/s.
+    """
     m = len(system.b)
     parts = []
     known = np.eye(m)
     for kind, present, source in (
         ("turn", problem.excess[0], "turn_excess"),
         ("force", problem.excess[1], "pose_excess"),
+        ("rate", problem.excess[2], "rest_excess"),
     ):
         rows = system.rows_of(kind)
         W = system.whitening[kind]
@@ -123,5 +130,5 @@ def excess_noise(problem: Problem, system: System) -> tuple[float, float]:
         if source in rows.sources:
             known = known - present**2 * part
         parts.append(part)
-    a, b = restricted_likelihood(system.b, system.A[:, system.active], known, tuple(parts))
-    return float(np.sqrt(a)), float(np.sqrt(b))
+    turn, force, rate = np.sqrt(restricted_likelihood(system.b, system.A[:, system.active], known, tuple(parts)))
+    return float(turn), float(force), float(rate)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
@@ -29,12 +29,16 @@ from srt.prior import Prior
 from srt.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
-gtsam = pytest.importorskip("gtsam")
+pytest.importorskip("gtsam")
 
+import gtsam
+
+from estimators.batch import solve
 from estimators.driver import corrected
-from estimators.graph import GraphBuilder, solve_linear
+from estimators.graph import solve_linear
+from estimators.graph_builder import GraphBuilder
 from estimators.problem import Problem, open_problem
-from estimators.system import N_ERRORS, edge_numbers, linearise, solve
+from estimators.system import N_ERRORS, edge_numbers, linearise
 
 EPS = np.finfo(float).eps
 G = 9.80665
@@ -165,7 +169,7 @@ def away(size, count, seed=1):
 
 def in_turn(count):
     """Rotation vectors for the members of an array, one after the other, from one vector."""
-    return lambda v: exp(np.broadcast_to(v, (count, 3)))
+    return lambda v: exp(np.tile(v, (count, 1)))
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -202,19 +206,19 @@ def sensed(speed, start, duration):
 
     Both axes turn at a constant rate of ``speed``; Magnus' integrator of fourth order in steps of 1e-3 rad.
     """
-    count = math.ceil(float(np.abs(speed).sum()) * duration / 2e-3)
+    count = math.ceil(float(np.abs(speed).sum()) * duration / 1e-3)
     dt = duration / count
-    C = Rotation.identity()
 
     def rate(t):
-        inner, outer = start + speed * t
-        turning = FIXTURE.turning_rate(np.array(inner), np.array(speed[0]), np.array(speed[1]))
-        return turning + FIXTURE.attitude(inner, outer).T @ EARTH_NED
+        inner, outer = (start + np.multiply.outer(t, speed)).T
+        turning = FIXTURE.turning_rate(inner, np.full(count, speed[0]), np.full(count, speed[1]))
+        return turning + FIXTURE.to_body((FIXTURE.base_from_ned @ EARTH_NED)[None], inner, outer)[0]
 
-    for i in range(count):
-        one, two = (rate(dt * (i + 0.5 + side * math.sqrt(3) / 6)) for side in (-1.0, 1.0))
-        C = C * Rotation.from_rotvec(0.5 * dt * (one + two) + math.sqrt(3) / 12 * dt**2 * np.cross(one, two))
-    return C.as_matrix()
+    one, two = (rate(dt * (np.arange(count) + 0.5 + side * math.sqrt(3) / 6)) for side in (-1.0, 1.0))
+    C = np.eye(3)
+    for step in exp(0.5 * dt * (one + two) + math.sqrt(3) / 12 * dt**2 * np.cross(one, two)):
+        C = C @ step
+    return C
 
 
 @pytest.fixture(scope="module")
@@ -412,7 +416,7 @@ def make(motions, variant, size, noise=NOISE, off=True):
             bias_deviation=deviation - deviation.mean(axis=0),
             base=point.base @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
             U=point.U @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
-            gravity=1e-3,
+            gravity=1e-3 * variant.fixture_states,
             earth_rate=1e-5 * rng.standard_normal(point.earth_rate.shape) * unknown,
             attitude=point.attitude @ away(a, len(point.attitude), 12),
         )
@@ -468,26 +472,25 @@ def allowed(case, kind, name, shape):
     # Left when the residual turns with a vector of the size given, by the angle h.
     turning = {"force": G, "rate": ω, "turn": 2.0, "start": 4.0, "base": 1.0, "mounting": 1.0}.get(kind, 0.0)
     rounding = {"force": G * D_accel, "rate": 1e-2 * D, "turn": 10.0}.get(kind, 10.0) * 10.0 * EPS / h
+    own = two_sided * (name == "bias" and case.problem.walks)
+    size = D * (seconds if name == "bias" else angle)
+    of_errors = {
+        "force": 3.0 * G * D_accel**4 * h**2,
+        "rate": 3.0 * ω * D**4 * h**2 + D**2 * deviation + own,
+        "turn": size * ((RATE / HZ) ** 2 / 12.0 + (h * size) ** 2) + (D**2 * deviation + own) * seconds,
+    }
+    of_earth = {"turn": seconds * ((ω * seconds) ** 2 + (h * seconds) ** 2)}
+    left = {"errors": of_errors, "bias": of_errors, "earth_rate": of_earth}.get(name, {}).get(kind, 0.0)
     if name in {"attitude", "base", "mounting"}:
-        return turning * h**2 + rounding
-    if name in {"gravity"}:
-        return rounding
-    if name == "earth_rate":
-        return (seconds * (ω * seconds) ** 2 + seconds * (h * seconds) ** 2 if kind == "turn" else 0.0) + rounding
-    if kind == "force":
-        return 3.0 * G * D_accel**4 * h**2 + rounding
-    if kind == "rate":
-        own = two_sided * (name == "bias" and case.problem.walks)
-        return 3.0 * ω * D**4 * h**2 + D**2 * deviation + own + rounding
-    if kind == "turn":
-        sample = (RATE / HZ) ** 2 / 12.0
-        size = D * (seconds if name == "bias" else angle)
-        own = two_sided * seconds * (name == "bias" and case.problem.walks)
-        return size * (sample + (h * size) ** 2) + D**2 * deviation * seconds + own + rounding
-    return rounding
+        left = turning * h**2
+    return left + rounding
 
 
-CASES = [pytest.param(v, s, id=f"{v}-{s}") for v in VARIANTS for s in ("zero", "tiny", "large")]
+CASES = [
+    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s == "tiny" and v not in {"all", "free"}))
+    for v in VARIANTS
+    for s in ("zero", "tiny", "large")
+]
 
 
 @pytest.mark.parametrize(("variant", "size"), CASES)
@@ -518,7 +521,7 @@ def test_system_against_played_back_differences(motions, variant, size):
             if block.any():
                 seen.add((kind, name))
                 # So that nothing of the size of a coefficient could hide.
-                assert np.abs(block).max() > 100.0 * np.max(tolerance), (kind, name)
+                assert np.abs(block).max() > 10.0 * np.max(tolerance), (kind, name)
     assert {("force", "attitude"), ("rate", "attitude"), ("turn", "attitude"), ("turn", "errors")} <= seen
     if VARIANTS[variant].fixture_states and not VARIANTS[variant].free:
         assert {("start", n) for n in ("attitude", "base", "mounting")} <= seen
@@ -603,7 +606,7 @@ def factor_system(case, built, i):
     factor = built.graph.at(i).linearize(built.values)
     J, right = factor.jacobian()
     A, at = np.zeros((len(J), len(case.system.active))), 0
-    for key in factor.keys():
+    for key in list(factor.keys()):
         columns, to_variable = columns_of(case, built, key)
         A[:, columns] = J[:, at : at + len(columns)] @ to_variable
         at += len(columns)
@@ -612,7 +615,7 @@ def factor_system(case, built, i):
 
 def rows_of_factor(case, built, i):
     """Rows of the system that a factor stands for; None for a heading that is given, which has no rows."""
-    system, rows = case.system, {r.kind: r for r in case.system.rows}
+    rows = {r.kind: r for r in case.system.rows}
     if i < len(built.measured):
         kind, number = built.measured[i]
         if kind == "window":
@@ -661,3 +664,75 @@ def test_factors_are_the_rows_of_the_system(motions, variant, size):
         assert abs(found[2] - expected[2]) <= 1e-12 * max(expected[2], 1.0), where
     # Rows without a factor: those that no estimated column is in.
     assert not system.A[left][:, system.active].any()
+
+
+# Of navigation grade; and a prior near enough that 3 or 4 sequences leave no direction open.
+GRADE = ImuNoise(5.8e-7, 5e-5, 2.4e-6, 1e-5, 5e-9, 1e-5)
+
+
+def known(motions, variant):
+    case = make(motions, VARIANTS[variant], "tiny", GRADE, off=False)
+    prior = Prior.from_sigma(np.full(N_PARAMETERS, 1e-5))
+    system = linearise(case.problem, case.point, case.system.played, case.system.free, prior)
+    return replace(case, prior=prior, system=system)
+
+
+def parameters(case, built, solution):
+    """Covariance of the reported parameters from that of the graph's variables."""
+    E = case.system.parameter_map()
+    spread = np.concatenate([E[:, columns_of(case, built, key)[0]] for key in solution.keys], axis=1)
+    return spread @ solution.covariance @ spread.T
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_elimination_is_the_dense_solution(motions, variant):
+    """Corrections and covariance of the parameters, by gtsam's elimination and by one QR of all rows.
+
+    Both are backward stable: what they may differ by is rounding times the condition of the scaled system. The graph
+    holds what is known of the Earth's rate by a sigma of 1e-6 of the unknown part, which adds to a bias's variance.
+    """
+    case = known(motions, variant)
+    built, E = build(case), case.system.parameter_map()
+    solution, dense = solve_linear(built.graph, built.values, built.reported_keys()), solve(case.system)
+    A = case.system.A[:, case.system.active]
+    rounding = 100.0 * EPS * np.linalg.cond(A / np.linalg.norm(A, axis=0))
+    P = (E @ dense.root) @ (E @ dense.root).T
+    sigma = np.sqrt(np.diag(P))
+    known_rate = 1e-6 * max(float(c.unknown_sigma.max()) for c in case.problem.chains)
+    held = (known_rate / sigma[GROUP_SLICES["gyro_bias"]].min()) ** 2
+    assert np.abs((parameters(case, built, solution) - P) / np.outer(sigma, sigma)).max() <= rounding + held
+    found = np.zeros(len(case.system.active))
+    for key in solution.keys:
+        found[columns_of(case, built, key)[0]] = solution.delta.at(key)
+    assert np.abs(E @ (found - dense.delta) / sigma).max() <= rounding * np.linalg.norm(case.system.b)
+    assert rounding + held < 1e-7
+
+
+@pytest.mark.parametrize("variant", ["no fixture states", "free"])
+def test_marginals_of_gtsam(motions, variant):
+    """gtsam's own marginals, by Cholesky: rounding times the square of the condition.
+
+    It gives up where pivots span more than twelve bits. So it gets the whole linear graph as one variable in units of
+    its columns' norms, and without the fixture, whose axes are square to a ten-thousandth of what its angles are known
+    to.
+    """
+    case = known(motions, variant)
+    built = build(case)
+    solution = solve_linear(built.graph, built.values, built.reported_keys())
+    keys = sorted(built.values.keys())
+    order = gtsam.Ordering()
+    for key in keys:
+        order.push_back(key)
+    A, b = built.graph.linearize(built.values).jacobian(order)
+    norm = np.linalg.norm(A, axis=0)
+    whole, at = gtsam.GaussianFactorGraph(), gtsam.VectorValues()
+    whole.add(gtsam.JacobianFactor(0, A / norm, b, gtsam.noiseModel.Unit.Create(len(b))))
+    at.insert(0, np.zeros(len(norm)))
+    P = gtsam.Marginals(whole, at).marginalCovariance(0) / np.outer(norm, norm)
+    widths = [solution.delta.at(key).size for key in keys]
+    first = dict(zip(keys, np.cumsum([0, *widths]).tolist(), strict=False))
+    kept = np.concatenate([first[key] + np.arange(solution.delta.at(key).size) for key in solution.keys])
+    sigma = np.sqrt(np.diag(solution.covariance))
+    off = np.abs((P[np.ix_(kept, kept)] - solution.covariance) / np.outer(sigma, sigma)).max()
+    rounding = EPS * np.linalg.cond(A / norm) ** 2
+    assert off <= 10.0 * rounding < 1e-5
