@@ -1,8 +1,8 @@
 """How near the estimators come to the Cramér-Rao bound, and what the closed form leaves: docs/design/efficiency.md.
 
 ``python benchmarks/efficiency.py`` runs 2,000 units of each grade; ``--units N`` that many, ``--grade NAME`` (which may
-be repeated) one grade, ``--workers N`` in so many processes. Last comes, for each grade, what the closed form would gain
-from the components that it does not read. The exit code is 1 if a criterion is missed.
+be repeated) one grade, ``--workers N`` in so many processes. Last comes, for each grade, what the closed form would
+gain from the components that it does not read. The exit code is 1 if a criterion is missed.
 """
 
 import os

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from estimators.batch import solve
 from estimators.judgement import calibration_of, judge, with_prior
-from estimators.statistics import excess_noise
+from estimators.statistics import deletion_table, excess_noise
 from estimators.system import N_ERRORS, linearise
 from estimators.targets import PARAMETER_UNITS
 from srt.assembly import is_misfit
@@ -307,14 +307,25 @@ def _run(problem: Problem, step: Step, options: Options, progress: Progress | No
 
 
 def _add_excess(problem: Problem, step: Step, state: State) -> bool:
-    """In a free recording, noise beyond the sensors' where the residuals ask for it; True if there is more of it."""
-    if problem.data.recording.fixture is not None:
-        return False  # there a misfit is a fault to be named, not the hand's
+    """Noise beyond the sensors' where the residuals of many sequences ask for it; True if there is more of it.
+
+    What one sequence alone contradicts is a fault of that one, to be named and not to be spread over all; a robust loss
+    has its own way with it.
+    """
     system = with_prior(problem, step, state)
-    left = system.b + system.A @ solve(system).delta
-    # Once some is added it may prove too much, as when a window that moved is released.
-    if not any(problem.excess) and not is_misfit(float(left @ left), len(left) - int(system.active.sum())):
+    if step.weights():
         return False
+    solution = solve(system)
+    left = system.b + system.A @ solution.delta
+    statistic, freedom = float(left @ left), len(left) - int(system.active.sum())
+    # Once some is added it may prove too much, as when a window that moved is released.
+    if not any(problem.excess):
+        if not is_misfit(statistic, freedom):
+            return False
+        # Chi-square of all is that without one sequence, and what this one adds to it.
+        worst = max(deletion_table(problem, system, solution), key=lambda row: row["chi_square"])
+        if not is_misfit(statistic - worst["chi_square"], freedom - worst["degrees_of_freedom"]):
+            return False
     new = excess_noise(problem, system)
     if np.allclose(new, problem.excess, rtol=0.1, atol=1e-6):
         return False
