@@ -111,6 +111,7 @@ def test_choices_are_those_of_the_library():
         "window_attitude": srt.options.WindowAttitude,
         "gyro_bias": srt.options.GyroBias,
         "step": srt.options.Step,
+        "loss": srt.options.Loss,
     }
     assert {name: get_args(kind) for name, kind in types.items()} | {"start": ("auto", "zero")} == CHOICES
     for name, allowed in CHOICES.items():

@@ -1,0 +1,313 @@
+"""Closed form, Kalman filter, factor graph, least squares and brute force on one linear problem: the same answer.
+
+On a planet that does not turn, with a faultless fixture, the 68 components of Table 1 and the rest rates are all that a
+recording says of a unit, and every estimator that takes the same of them must find the same. Two things keep double
+precision from showing it on any data: what is of second order in the noise, relative to it, is as large as the noise,
+and the rounding of angles of some radians, 1e-16 each, is seen through sigmas. Noise of 1e-8 leaves 1e-8 of a sigma
+both ways. The recordings here therefore state a noise of 1e-5, which sets the weights and the sigmas, and hold a
+millionth of it: second order is 1e-11 of a sigma then, and rounding 1e-10.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
+
+import sims
+from sims.campaigns import noisy_recording
+from srt import iteration
+from srt.catalogue import AXES, SEQUENCES
+from srt.closed_form_estimator import ClosedFormSolver
+from srt.constants import EARTH_RATE_RAD_S
+from srt.least_squares_estimator import LeastSquaresSolver
+from srt.options import Options
+from srt.prior import Prior
+from srt.recording import Fixture, ImuNoise, Site
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+from srt.session import open_session
+from srt.start import first_estimate
+
+pytest.importorskip("filterpy")
+pytest.importorskip("gtsam")
+
+from estimators.batch import solve
+from estimators.driver import Solved, State, Step, iterate
+from estimators.ekf import EkfStep, default_prior, run_filter
+from estimators.graph import GraphStep
+from estimators.problem import Problem, open_problem
+from estimators.system import linearise
+
+EPS = np.finfo(float).eps
+G = 9.80665
+ALL = np.ones(N_PARAMETERS, dtype=bool)
+AGREE = 1e-9
+"""Of a sigma, and of a correlation."""
+RESOLVED = (1e-18, 1e-9)
+"""Largest negligible correction, absolute and in sigmas."""
+
+IN_G = np.ones(N_PARAMETERS)
+IN_G[GROUP_SLICES["accel_bias"]] = G
+
+
+class SolveStep(Step):
+    """The linearised problem solved at once, with numpy alone."""
+
+    name = "solve"
+
+    def __init__(self, prior=None):
+        self.prior = prior
+
+    def solve(self, problem, system, point):
+        rows = system if self.prior is None else linearise(problem, point, system.played, system.free, self.prior)
+        solution, E = solve(rows), system.parameter_map()
+        spread = E @ solution.root
+        return Solved(point, system, solution.delta, E @ solution.delta, spread @ spread.T)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Estimate and covariance of the 27 parameters."""
+
+    x: np.ndarray
+    P: np.ndarray
+
+    @property
+    def sigma(self):
+        return np.sqrt(np.diag(self.P))
+
+
+def difference(a, b):
+    """Largest difference of two results: estimates in sigmas, covariances scaled to correlations."""
+    return (
+        float(np.abs((a.x - b.x) / b.sigma).max()),
+        float(np.abs((a.P - b.P) / np.outer(b.sigma, b.sigma)).max()),
+    )
+
+
+# --- a planet that does not turn ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", autouse=True)
+def resolved():
+    """Iterate to rounding, wherever the criterion is read."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(iteration, "CONVERGED_CORRECTION", RESOLVED[0])
+        patch.setattr(iteration, "CONVERGED_SIGMAS", RESOLVED[1])
+        yield
+
+
+@pytest.fixture
+def still_planet(monkeypatch):
+    """No Earth rate in any module that reads one; not quite none, as it is divided by."""
+    read = [m for name, m in sys.modules.items() if name.startswith(("srt.", "estimators.")) and name != "srt.constants"]
+    for module in read:
+        if hasattr(module, "EARTH_RATE_RAD_S"):
+            monkeypatch.setattr(module, "EARTH_RATE_RAD_S", 1e-30)
+
+
+OPTIONS = Options(gyro_bias="pooled", fixture_states=False, max_playbacks=12)
+SMALL, SHARE = 1e-5, 1e-6
+"""Stated noise, rad/√s and g √s; share of it that the data hold."""
+RATE, PAUSE_S = 1.0, 0.05
+
+
+@cache
+def motion(sample_rate_hz, dwell_s):
+    """Table 1 on a faultless fixture, a pause between two rotations so that no sample holds parts of both."""
+    return sims.run_schedule(
+        sims.Schedule(
+            sims.table_sequences(tuple(sims.TABLE_1)),
+            sims.RateProfile(RATE, 10.0 * RATE),
+            dwell_s=dwell_s,
+            leg_dwell_s=PAUSE_S,
+        ),
+        site=Site(G, 1e-15, math.radians(45.0)),
+        sample_rate_hz=sample_rate_hz,
+        stated_fixture=Fixture(0.0, 1e-12, 1e-12),
+        earth_rate=False,
+    )
+
+
+def record(seed, *, noise, share, errors=1e-11, sample_rate_hz=200.0, dwell_s=2.0):
+    """A recording that states a noise and holds a share of it; also its true errors."""
+    rng = np.random.default_rng(seed)
+    truth = errors * rng.standard_normal(N_PARAMETERS) * IN_G
+    imu = sims.ImuModel(gyro_noise=noise * share, accel_noise=noise * share * G)
+    recording = sims.read_out(motion(sample_rate_hz, dwell_s), SensorErrors(truth), imu, rng)
+    return replace(recording, noise=ImuNoise(noise, noise * G, 0.0, 0.0, 0.0, 0.0)), truth
+
+
+def by_play_back(data, solver):
+    """The srt package's iteration with one of its solvers."""
+    found = iteration.iterate(data, OPTIONS, solver, *first_estimate(data, OPTIONS))
+    assert found.status == "converged"
+    return Found(found.errors.vector, np.asarray(sum(found.covariance.values())))
+
+
+def jointly(problem, step):
+    state = State(problem.start, ALL.copy())
+    state = iterate(problem, step, state, requested=~ALL, converged=RESOLVED)
+    assert state.status == "converged"
+    assert state.free.all()
+    return Found(state.point.errors.vector, state.covariance)
+
+
+def used_components(data):
+    """Which horizontal and which Down components the closed form reads, (K, 2) and (W,)."""
+    used = np.abs(ClosedFormSolver(data, OPTIONS).selection).sum(axis=0) > 0.0
+    K = data.K
+    return used[: 2 * K].reshape(K, 2), used[2 * K : -3]
+
+
+def horizontal_basis(data, f_start):
+    """Nominal axes of each sequence, made horizontal."""
+    down = -f_start / np.linalg.norm(f_start, axis=1, keepdims=True)
+    axes = np.stack([np.eye(3)[[i for i in range(3) if AXES[i] != s.down]] for s in data.catalogue])
+    return axes - np.einsum("kia,ka->ki", axes, down)[..., None] * down[:, None, :]
+
+
+def blind(monkeypatch, data, horizontal, down, big):
+    """Give the problem's windows a noise of one sigma ``big`` along what is not to be used.
+
+    A horizontal component lives in the end window, as the start window's only levels its attitude. A variance 1e12
+    times the others' leaves 1e-12 of the information.
+    """
+    play = Problem.play
+
+    def played(self, point):
+        out = play(self, point)
+        unused = np.zeros((len(out.force), 3, 3))
+        basis = horizontal_basis(data, out.force[data.start])
+        for k, i in np.argwhere(~horizontal).tolist():
+            b = out.turned[k].T @ basis[k, i]
+            unused[data.end[k]] += np.outer(b, b)
+        for w in np.flatnonzero(~down).tolist():
+            u = out.force[w] / np.linalg.norm(out.force[w])
+            unused[w] += np.outer(u, u)
+        out.force_noise["unused"] = big**2 * unused
+        return out
+
+    monkeypatch.setattr(Problem, "play", played)
+
+
+# --- brute force ----------------------------------------------------------------------------------------------------
+
+
+class BruteForce:
+    """The components of Table 1 and the rest rates from the raw samples, and their sigmas, by hand.
+
+    Compensation by fixed-point iteration, attitude by scipy's rotations of the samples multiplied in pairs: exact, as
+    every sample turns about one axis. Then scipy's least squares with differences of fourth order. Where the attitude
+    error φ is g q √T_rot, white, every component has one sigma, and none are correlated.
+    """
+
+    def __init__(self, recording, data):
+        self.data, self.dt = data, recording.nominal_interval_s
+        noise, T = recording.noise, data.windows.duration_s
+        lengths = data.rotation[:, 1] - data.rotation[:, 0]
+        self.samples = np.zeros((data.K, 1 << int(lengths.max() - 1).bit_length(), 3))
+        self.moving = np.arange(self.samples.shape[1]) < lengths[:, None]
+        for k, (first, last) in enumerate(data.rotation.tolist()):
+            self.samples[k, : last - first] = recording.gyro[first:last]
+        self.turning_s = lengths * self.dt
+        window = noise.accel_noise / np.sqrt(T)
+        turn = G * noise.gyro_noise * np.sqrt(self.turning_s)
+        both = np.sqrt(turn**2 + window[data.start] ** 2 + window[data.end] ** 2)
+        self.sigma = np.concatenate([np.repeat(both, 2), window, np.repeat(noise.gyro_noise / np.sqrt(T), 3)])
+        self.turned = {}
+
+    @staticmethod
+    def matrices(x):
+        e = SensorErrors(x).as_dict()
+        xy, yz, zx = (0.5 * e[f"gyro_orthogonality_{pair}"] for pair in ("xy", "yz", "zx"))
+        Mg, Ma = np.array([[0.0, xy, zx], [xy, 0.0, yz], [zx, yz, 0.0]]) + np.eye(3), np.eye(3)
+        for i, a in enumerate(AXES):
+            Mg[i, i] += e[f"gyro_scale_{a}"]
+            for j, b in enumerate(AXES):
+                Ma[i, j] += e[f"accel_scale_{a}" if i == j else f"accel_misalignment_{a}{b}"]
+        return Mg, Ma
+
+    @staticmethod
+    def compensate(readings, M, asymmetry, bias):
+        inverse = np.linalg.inv(M).T
+        v = (readings - bias) @ inverse
+        for _ in range(4):  # asymmetries of 1e-3 at most: 1e-15 after four
+            v = (readings - bias - asymmetry * np.abs(v)) @ inverse
+        return v
+
+    def rotations(self, Mg, asymmetry, bias):
+        """C_End of every sequence; kept, as accelerometer errors do not change it."""
+        key = (Mg.tobytes(), asymmetry.tobytes(), bias.tobytes())
+        if key not in self.turned:
+            angle = self.compensate(self.samples, Mg, asymmetry, bias) * self.dt * self.moving[..., None]
+            C = Rotation.from_rotvec(angle.reshape(-1, 3)).as_matrix().reshape(*angle.shape[:2], 3, 3)
+            while C.shape[1] > 1:
+                C = C[:, 0::2] @ C[:, 1::2]
+            self.turned = {key: C[:, 0]}
+        return self.turned[key]
+
+    def residuals(self, x):
+        data = self.data
+        Mg, Ma = self.matrices(x)
+        asymmetry, bias = x[GROUP_SLICES["gyro_asymmetry"]], x[GROUP_SLICES["gyro_bias"]]
+        C = self.rotations(Mg, asymmetry, bias)
+        mean = data.windows.accel_mean
+        f = self.compensate(mean, Ma, x[GROUP_SLICES["accel_asymmetry"]], x[GROUP_SLICES["accel_bias"]])
+        f_start, f_end = f[data.start], np.einsum("kab,kb->ka", C, f[data.end])
+        change = np.einsum("kia,ka->ki", horizontal_basis(data, f_start), f_end - f_start)
+        rest = self.compensate(data.windows.gyro_mean, Mg, asymmetry, bias)
+        return np.concatenate([change.ravel(), G - np.linalg.norm(f, axis=1), rest.ravel()]) / self.sigma
+
+    def jacobian(self, x):
+        """Steps of 1e-4 g or rad: some 1e-3 rad over the largest turn, of which (1e-3)⁴ and 1e-15 / 1e-4 are left."""
+        h = np.full(N_PARAMETERS, 1e-4) * IN_G
+        h[GROUP_SLICES["gyro_bias"]] = 1e-5
+        out = []
+        for i in range(N_PARAMETERS):
+            d = h[i] * np.eye(N_PARAMETERS)[i]
+            r = [self.residuals(x + m * d) for m in (-2.0, -1.0, 1.0, 2.0)]
+            out.append((r[0] - 8.0 * r[1] + 8.0 * r[2] - r[3]) / (12.0 * h[i]))
+        return np.stack(out, axis=1)
+
+    def solve(self, x, J, rows):
+        """Least squares of some rows, in units of the sigmas; the problem is linear, and one Jacobian serves."""
+        sigma = np.sqrt(np.diag(np.linalg.inv(J[rows].T @ J[rows])))
+        found = least_squares(
+            lambda u: self.residuals(u * sigma)[rows],
+            x / sigma,
+            jac=lambda _: J[rows] * sigma,
+            method="lm",
+            xtol=4.0 * EPS,
+            ftol=4.0 * EPS,
+        )
+        spread = sigma[:, None] * np.linalg.inv(np.linalg.qr(J[rows] * sigma, mode="r"))
+        return Found(found.x * sigma, spread @ spread.T)
+
+    def sampling(self, found, J, rows):
+        """How far correlations may be off by the sampling of the estimators' Jacobian.
+
+        Ĉ of a sample is taken as the mean of its ends, s = (ω dt)² / 12 short across the axis: no derivative of a
+        horizontal component is off by more than s g times the turn in rad, or in s for a bias. To first order the
+        covariance P = (JᵀJ)⁻¹ then is off by P (δJᵀ J + Jᵀ δJ) P.
+        """
+        data = self.data
+        angle = np.array([np.abs(s.angles_rad).sum() for s in data.catalogue])
+        off = np.zeros_like(J)
+        share = (RATE * self.dt) ** 2 / 12.0
+        off[: 2 * data.K, :9] = np.repeat(share * G * angle, 2)[:, None]
+        off[: 2 * data.K, GROUP_SLICES["gyro_bias"]] = np.repeat(share * G * self.turning_s, 2)[:, None]
+        off = (off / self.sigma[:, None])[rows]
+        gain = np.abs(found.P @ J[rows].T)
+        one_side = gain @ off @ np.abs(found.P)
+        return (one_side + one_side.T) / np.outer(found.sigma, found.sigma)
+
+
+# --- the same answer ------------------------------------------------------------------------------------------------
