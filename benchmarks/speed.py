@@ -19,6 +19,7 @@ import srt
 from sims import campaigns, recorded
 from srt.attitude import gyro_stream, integrate
 from srt.compensation import gyro_triad
+from srt.side_by_side import default_estimators, run_estimators
 
 REPEATS = 15
 
@@ -43,6 +44,19 @@ def table_1() -> None:
         f"closed form, 17 sequences, {len(recording.time)} samples at 200 Hz: {whole * 1e3:.1f} ms "
         f"({playbacks} play-backs), {whole / read:.0f} times summing the samples once"
     )
+
+
+def side_by_side() -> None:
+    recording, _ = campaigns.noisy_recording(1, "navigation", sample_rate_hz=200.0)
+    names, left_out = default_estimators(recording)
+    run_estimators(recording, names)
+    spans = [run_estimators(recording, names)[1] for _ in range(REPEATS)]
+    medians = {name: float(np.median([span[name] for span in spans])) for name in names}
+    each = ", ".join(f"{name} {median * 1e3:.0f} ms" for name, median in medians.items())
+    together = float(np.median([sum(span.values()) for span in spans]))
+    print(f"the estimators side by side, {len(recording.time)} samples at 200 Hz: {together:.2f} s ({each})")
+    for name, reason in left_out.items():
+        print(f"  {name} left out: {reason}")
 
 
 def play_back() -> None:
@@ -106,6 +120,7 @@ def main() -> None:
     parser.add_argument("--long", action="store_true", help="up to 20 million samples")
     arguments = parser.parse_args()
     table_1()
+    side_by_side()
     play_back()
     free_recording()
     scaling((100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000))
