@@ -1,6 +1,6 @@
 """Figures on the recorded sets: gains, offsets and sigmas beside published ones; residuals before and after.
 
-    python benchmarks/recorded_sets.py [ESTIMATOR...]     default: least-squares ekf graph
+python benchmarks/recorded_sets.py [ESTIMATOR...]     default: least-squares ekf graph
 """
 
 import sys

@@ -24,19 +24,21 @@ from scipy.stats import chi2, norm
 import sims
 from sims.campaigns import noisy_recording
 from srt import iteration
-from srt.catalogue import AXES, SEQUENCES
+from srt.catalogue import AXES
 from srt.closed_form_estimator import ClosedFormSolver
 from srt.constants import EARTH_RATE_RAD_S
 from srt.least_squares_estimator import LeastSquaresSolver
 from srt.options import Options
 from srt.prior import Prior
 from srt.recording import Fixture, ImuNoise, Site
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.session import open_session
 from srt.start import first_estimate
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
+
+from threadpoolctl import threadpool_limits
 
 from estimators.batch import solve
 from estimators.driver import Solved, State, Step, iterate
@@ -97,8 +99,8 @@ def difference(a, b):
 
 @pytest.fixture(scope="module", autouse=True)
 def resolved():
-    """Iterate to rounding, wherever the criterion is read."""
-    with pytest.MonkeyPatch.context() as patch:
+    """Iterate to rounding wherever the criterion is read, in one thread: these matrices gain nothing from more."""
+    with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
         patch.setattr(iteration, "CONVERGED_CORRECTION", RESOLVED[0])
         patch.setattr(iteration, "CONVERGED_SIGMAS", RESOLVED[1])
         yield
@@ -154,9 +156,9 @@ def by_play_back(data, solver):
     return Found(found.errors.vector, np.asarray(sum(found.covariance.values())))
 
 
-def jointly(problem, step):
+def jointly(problem, step, converged=RESOLVED):
     state = State(problem.start, ALL.copy())
-    state = iterate(problem, step, state, requested=~ALL, converged=RESOLVED)
+    state = iterate(problem, step, state, requested=~ALL, converged=converged)
     assert state.status == "converged"
     assert state.free.all()
     return Found(state.point.errors.vector, state.covariance)
@@ -347,13 +349,16 @@ def linear(request, still_planet):
     return Linear(recording, data, truth, brute, brute.jacobian(truth))
 
 
-def check_agreement(results, reference, brute, sampling):
+def check_agreement(results, reference, brute, sampling, truth):
     """All against one, and brute force within what the sampling of the others' Jacobian explains."""
+    # In what the noise moved the estimates by, too, or agreement would be idle.
+    moved = float(np.abs((reference.x - truth) / reference.sigma).max())
+    limit = min(AGREE, 1e-3 * moved)
     for name, found in results.items():
         estimate, covariance = difference(found, reference)
-        assert estimate <= AGREE, name
+        assert estimate <= limit, name
         assert covariance <= AGREE, name
-    assert difference(reference, brute)[0] <= AGREE
+    assert difference(reference, brute)[0] <= limit
     off = np.abs(reference.P - brute.P) / np.outer(brute.sigma, brute.sigma)
     assert np.all(off <= sampling + AGREE)
 
@@ -369,8 +374,7 @@ def test_on_the_components_of_the_closed_form(linear, monkeypatch):
     brute, sampling = linear.by_brute_force(
         np.concatenate([horizontal.ravel(), down, np.ones(3 * len(down), dtype=bool)])
     )
-    check_agreement(found, closed, brute, sampling)
-    assert np.abs((closed.x - linear.truth) / closed.sigma).max() > 100.0 * AGREE
+    check_agreement(found, closed, brute, sampling, linear.truth)
 
 
 def test_on_all_components(linear):
@@ -381,36 +385,42 @@ def test_on_all_components(linear):
     least = by_play_back(data, LeastSquaresSolver(()))
     found = linear.by_joint_estimation(least.sigma)
     brute, sampling = linear.by_brute_force(slice(None))
-    check_agreement(found, least, brute, sampling)
-    assert np.abs((least.x - linear.truth) / least.sigma).max() > 100.0 * AGREE
+    check_agreement(found, least, brute, sampling, linear.truth)
     closed = by_play_back(data, ClosedFormSolver(data, OPTIONS))
     scaled = (closed.P - least.P) / np.outer(least.sigma, least.sigma)
     assert np.linalg.eigvalsh(scaled)[0] >= -N_PARAMETERS * AGREE
-    # Its price is seen: up to twice the sigma and more, and none for the gyro bias.
-    ratio = closed.sigma / least.sigma
-    assert ratio.max() > 2.0
-    np.testing.assert_allclose(ratio[GROUP_SLICES["gyro_bias"]], 1.0, rtol=AGREE)
+    # Its price is seen: up to twice the sigma and more.
+    assert (closed.sigma / least.sigma).max() > 2.0
 
 
 @pytest.mark.parametrize("count", [20, pytest.param(200, marks=pytest.mark.slow)])
-def test_closed_form_differs_as_its_covariance_allows(still_planet, count):
-    """x_cf − x_opt has the covariance P_cf − P_opt: largest differences and mean squares over units, at 1 % for all."""
-    differences, allowed, idle = [], [], []
-    for seed in range(count):
-        recording, _ = record(seed, noise=1e-6, share=1.0, sample_rate_hz=50.0)
+def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch, count):
+    """x_cf − x_opt has the covariance P_cf − P_opt: largest differences and mean squares over units, at 1 % for all.
+
+    The noise is all there here, and so small that what is of second order in it, 1e-6 of a sigma, is nothing beside the
+    smallest difference, 1e-3 of one. The covariances, in sigmas, are those of the linear problem.
+    """
+    recording, _ = record(0, noise=SMALL, share=SHARE, sample_rate_hz=50.0)
+    data = open_session(recording, recording.sequences, OPTIONS)
+    closed, best = by_play_back(data, ClosedFormSolver(data, OPTIONS)), by_play_back(data, LeastSquaresSolver(()))
+    variance = np.diag(closed.P - best.P) / best.sigma**2
+    assert variance.min() > 100.0 * AGREE
+    # Rounding is 1e-9 of these sigmas.
+    monkeypatch.setattr(iteration, "CONVERGED_SIGMAS", 1e-6)
+    z = []
+    for seed in range(1, count + 1):
+        recording, _ = record(seed, noise=1e-7, share=1.0, sample_rate_hz=50.0)
         data = open_session(recording, recording.sequences, OPTIONS)
-        closed = by_play_back(data, ClosedFormSolver(data, OPTIONS))
-        best = jointly(Problem(data, OPTIONS, first_estimate(data, OPTIONS)), SolveStep())
-        differences.append((closed.x - best.x) / best.sigma)
-        allowed.append(np.diag(closed.P - best.P) / best.sigma**2)
-        idle.append(np.abs(differences[-1][GROUP_SLICES["gyro_bias"]]).max())
-    # What the 44 further components say of the gyro bias is of second order: products of the noise.
-    assert max(idle) < 1e-3
-    d, variance = np.array(differences)[:, :24], np.array(allowed)[:, :24]
-    assert variance.min() > 1e-3
-    z = d / np.sqrt(variance)
+        first = first_estimate(data, OPTIONS)
+        closed = iteration.iterate(data, OPTIONS, ClosedFormSolver(data, OPTIONS), *first)
+        if closed.integrated:  # one still window in a thousand is taken for moving, and what it says is used otherwise
+            continue
+        best = jointly(Problem(data, OPTIONS, first), SolveStep(), (1e-18, 1e-6))
+        z.append((closed.errors.vector - best.x) / best.sigma / np.sqrt(variance))
+    z = np.array(z)
+    assert len(z) >= 0.9 * count
     assert np.abs(z).max() < norm.isf(0.005 / (2 * z.size))
-    low, high = chi2.ppf([0.0025 / 24, 1 - 0.0025 / 24], count)
+    low, high = chi2.ppf([0.0025 / N_PARAMETERS, 1 - 0.0025 / N_PARAMETERS], len(z))
     squares = np.sum(z**2, axis=0)
     assert np.all((low < squares) & (squares < high))
 
@@ -424,8 +434,8 @@ def navigation_problem(seed, **unit):
 
 
 def rounding(found):
-    """Rounding of an angle of one radian, in sigmas of each parameter."""
-    return EPS / (found.sigma / IN_G).min()
+    """Rounding of an angle of one radian, in sigmas of the best known parameter but the gyro biases."""
+    return EPS / (found.sigma / IN_G)[:24].min()
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -444,14 +454,15 @@ def test_full_model_with_navigation_noise(seed):
     shift = difference(dense, expected)
     assert shift[0] < 2e-5
     assert difference(ekf, expected)[0] <= 1e-3 * shift[0] + AGREE + rounding(dense)
-    assert difference(ekf, expected)[1] <= 1e-3 * shift[1] + AGREE
+    # The point of linearisation moves with it, too.
+    assert difference(ekf, dense)[1] <= 2.0 * shift[1] + AGREE
 
 
 def test_filter_and_dense_solution_where_the_bias_walks():
     """One pass of the filter at a point is the dense solution there; iterated, they differ in where they linearise.
 
     The filter's attitudes go with the last bias of its walk, and the headings of sequences whose own bias was another
-    are off by the difference over the Earth's horizontal rate. The Jacobian, and so what is found, is off by that share.
+    are off by the difference over the Earth's horizontal rate. The Jacobian is off by that share, and what is found.
     """
     make = navigation_problem(1, instability=True)
     problem = make()
@@ -469,9 +480,4 @@ def test_filter_and_dense_solution_where_the_bias_walks():
     found = Found(smooth.point.errors.vector, smooth.covariance)
     spread = np.ptp(smooth.point.bias_deviation, axis=0).max()
     heading = spread / (EARTH_RATE_RAD_S * math.cos(math.radians(45.0)))
-    print(max(difference(ekf, found)), heading, difference(a, b), rounding(b))
     assert AGREE < max(difference(ekf, found)) <= heading
-
-
-def test_sequences_of_the_comparison():
-    assert len(SEQUENCES) == 17

@@ -18,6 +18,7 @@ from srt.sensor_errors import N_PARAMETERS
 
 pytest.importorskip("gtsam")
 pytest.importorskip("filterpy")
+threadpoolctl = pytest.importorskip("threadpoolctl")
 
 ESTIMATORS = ("graph", "ekf", "closed-form")
 FIRST_SEED = {grade: 40_000 + 10_000 * i for i, grade in enumerate(GRADES)}
@@ -29,20 +30,20 @@ def missed(claims):
 
 @pytest.mark.parametrize("count", [100, pytest.param(667, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("grade", GRADES)
-def test_graph_and_filter_are_nearly_efficient(grade, count, monkeypatch):
+def test_graph_and_filter_are_nearly_efficient(grade, count):
     """All criteria in one test, or each worker would simulate the units anew; 50 Hz shows the same as 100 Hz."""
-    # In processes of their own, because only there can BLAS still be told to use one thread: on cores that are all
-    # busy, threads that wait for each other over matrices this small take ten times the processor time.
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
     trial = partial(efficiency.unit, grade=grade, estimators=ESTIMATORS, innovations_every=4, sample_rate_hz=50.0)
-    units = run(trial, range(FIRST_SEED[grade], FIRST_SEED[grade] + count), workers=2)
+    # The runner uses every core: threads waiting for each other over matrices this small would take most of the time.
+    with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
+        units = run(trial, range(FIRST_SEED[grade], FIRST_SEED[grade] + count))
     found, claims = summarise(grade, units)
     assert not missed(claims)
-    for name in LIMITS:
-        # What the errors show holds for the sigmas without any scatter.
-        assert found[name].own.mean() < LIMITS[name][0]
-        assert found[name].own.max() < LIMITS["ekf"][1]
-        assert found[name].own.min() > 0.99
+    for name, (mean, largest) in LIMITS.items():
+        # The sigmas say the same without any scatter; but for the gyro bias, which chance may take for a wandering one.
+        own = found[name].own[:24]
+        assert own.mean() < mean
+        assert own.max() < largest
+        assert own.min() > 0.99
     # Held to what is claimed of the others, the closed form fails: these samples are large enough to tell.
     as_graph = criteria("graph", found["closed-form"])
     assert [c.name.split(" (")[0] for c in missed(as_graph)] == [

@@ -405,7 +405,7 @@ def test_the_simulator_shares_no_mathematics_with_the_estimators():
     allowed = {"sensor_errors", "constants", "recording", "exceptions"}
     package = Path(sims.__file__).parent
     for path in package.glob("*.py"):
-        if path.stem in ("campaigns", "efficiency", "recorded"):  # they judge estimators; it is the physics that must not know them
+        if path.stem in ("campaigns", "efficiency", "recorded"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             modules = [node.module] if isinstance(node, ast.ImportFrom) else []
