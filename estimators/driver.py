@@ -23,6 +23,7 @@ from srt.compensation import outside_model
 from srt.held import held_sigma, request_reason
 from srt.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma, admit
+from srt.prior import Prior
 from srt.quaternion import rotation_matrix
 from srt.sensor_errors import NAMES, SensorErrors
 
@@ -35,13 +36,13 @@ if TYPE_CHECKING:
     from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.options import Options
-    from srt.prior import Prior
 
     Array = NDArray[np.float64]
 
 _MAX_STEP: Final = 0.7
 _ROUNDS: Final = 5
 _RENEWALS: Final = 2
+_INDEPENDENT: Final = 1e-10
 _NEAR: Final = 1e-2
 
 
@@ -78,10 +79,13 @@ class Step(ABC):
         Of the estimator.
     prior : Prior or None
         Of the sensor errors; with one every parameter can be estimated.
+    leaning : bool
+        Whether it is still open what the data show: without a prior the wide default then keeps the rest in place.
     """
 
     name: str
     prior: Prior | None = None
+    leaning = True
 
     @property
     def settled(self) -> bool:
@@ -193,7 +197,7 @@ def iterate(
     """
     corrections: list[float] = [] if state.corrections is None else state.corrections
     renewed = 0
-    selected = not state.free.all() or bool(requested.any() and not (state.free | requested).all())
+    selected = not np.array_equal(state.free, ~requested)
     for _ in range(problem.options.max_playbacks):
         played = problem.play(state.point)
         point = state.point
@@ -205,9 +209,11 @@ def iterate(
             renewed += 1
         system = linearise(problem, point, played, state.free)
         if near and not selected and step.prior is None:
-            state.free = admitted(system, requested)
             selected = True
-            system = linearise(problem, point, played, state.free)
+            if not np.array_equal(admitted(system, requested), state.free):
+                # Too little is seen to do without one; what it does not narrow down is held in the end.
+                step.prior = default_prior()
+        step.leaning = not selected
         try:
             solved = step.solve(problem, system, point)
         except np.linalg.LinAlgError as error:
@@ -246,6 +252,11 @@ def iterate(
     return state
 
 
+def default_prior() -> Prior:
+    """Next to no knowledge: a third of full scale, 1 % of asymmetry."""
+    return Prior.from_sigma(admission_sigma())
+
+
 def admitted(system: System, requested: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which sensor errors the data determine, all other unknowns being estimated with them."""
     E = system.parameter_map()
@@ -257,7 +268,8 @@ def admitted(system: System, requested: NDArray[np.bool_]) -> NDArray[np.bool_]:
     others = system.active.copy()
     others[: bias.start + 3] = False  # with the mean, the biases but one are deviations
     B = A[:, others]
-    Q, _ = np.linalg.qr(B / np.maximum(np.linalg.norm(B, axis=0), 1e-300))
+    Q, R = np.linalg.qr(B / np.maximum(np.linalg.norm(B, axis=0), 1e-300))
+    Q = Q[:, np.abs(np.diag(R)) > _INDEPENDENT]  # of dependent columns the last ones bring nothing but rounding
     left = wanted - Q @ (Q.T @ wanted)
     assert E.shape[0] == wanted.shape[1]
     return admit(left * admission_sigma(), ~requested)
@@ -303,6 +315,7 @@ def _run(problem: Problem, step: Step, options: Options, progress: Progress | No
         if not weak.any() or step.prior is not None:
             break
         state.free = state.free & ~weak
+        state.point = problem.at_start(state.point, weak)
     return calibration_of(problem, step, options, state, held, uncertain, diagnostics)
 
 

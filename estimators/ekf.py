@@ -18,14 +18,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
-from estimators.driver import Solved, Step, corrected, run
+from estimators.driver import Solved, Step, corrected, default_prior, run
 from estimators.problem import open_problem
 from estimators.root_ekf import RootExtendedKalmanFilter
 from estimators.sequential import blocks, global_columns
 from estimators.system import N_ERRORS, attitude_columns, linearise
 from estimators.targets import PARAMETER_UNITS, targets_met
-from srt.least_squares_estimator import admission_sigma
-from srt.prior import Prior
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -38,6 +36,7 @@ if TYPE_CHECKING:
     from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.options import Options
+    from srt.prior import Prior
     from srt.recording import Recording
 
     Array = NDArray[np.float64]
@@ -79,11 +78,6 @@ class FilterRun:
     def nis(self) -> Array:
         """Normalised innovation squared of every sequence."""
         return np.array([float(v @ v) for v in self.innovations])
-
-
-def default_prior() -> Prior:
-    """Next to no knowledge: a third of full scale, 1 % of asymmetry."""
-    return Prior.from_sigma(admission_sigma())
 
 
 def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> FilterRun:

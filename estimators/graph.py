@@ -15,7 +15,7 @@ import numpy as np
 from gtsam.symbol_shorthand import A, F, G, Q, U, X
 from scipy.linalg import solve_triangular
 
-from estimators.driver import Solved, Step, run
+from estimators.driver import Solved, Step, default_prior, run
 from estimators.graph_builder import GraphBuilder
 from estimators.problem import open_problem
 from srt.sensor_errors import N_PARAMETERS
@@ -105,7 +105,8 @@ class GraphStep(Step):
         """Relinearise the attitudes until they settle, once the sensor errors are near, and reweight with them."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
-        built = GraphBuilder(problem, point, system.played, system.free, prior=self.prior, loss=loss)
+        prior = default_prior() if self.prior is None and self.leaning else self.prior
+        built = GraphBuilder(problem, point, system.played, system.free, prior=prior, loss=loss)
         last = built.reported_keys()
         values = built.values
         solution = None
@@ -115,8 +116,8 @@ class GraphStep(Step):
             except RuntimeError as error:  # gtsam's indeterminate linear system
                 raise np.linalg.LinAlgError(str(error).strip().split("\n")[0]) from None
             values = values.retract(solution.delta)
-            step = np.concatenate([solution.delta.at(key) for key in solution.keys])
-            far = loss == "squared" and np.abs(step).max() > _NEAR
+            step = np.concatenate([np.zeros(0), *(solution.delta.at(key) for key in solution.keys)])
+            far = loss == "squared" and np.abs(step).max(initial=0.0) > _NEAR
             if far or np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))):
                 break
         assert solution is not None

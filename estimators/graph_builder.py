@@ -232,9 +232,12 @@ class GraphBuilder:
         problem = self.problem
         away = self.point.errors.vector - prior.mean.vector
         unit = np.eye(N_PARAMETERS)
-        linear = [(int(X(0)), unit[:, self.errors])]
+        linear = [(int(X(0)), unit[:, self.errors])] if len(self.errors) else []
         number = problem.data.K if problem.walks else 1
-        linear += [(int(B(k)), unit[:, N_ERRORS + self.axes] / number) for k in range(number)]
+        if len(self.axes):
+            linear += [(int(B(k)), unit[:, N_ERRORS + self.axes] / number) for k in range(number)]
+        if not linear:
+            return
         noise = factors.gaussian(prior.covariance)
         terms = factors.Terms(linear, [], lambda *_: (away, []))
         self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))

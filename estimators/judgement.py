@@ -55,8 +55,10 @@ def calibration_of(
             f"{problem.excess[1]:.2g} m/s² and {problem.excess[2]:.2g} rad/s per pose were added, and the sigmas "
             "include them."
         )
+    # What is not observed keeps the first estimate's value, whatever a prior and its neighbours made of it.
+    unseen = np.array([name in held for name in NAMES])
     outcome = Outcome(
-        state.point.errors,
+        problem.at_start(state.point, unseen).errors,
         state.point.U,
         judged.covariance,
         tuple(state.corrections or ()),

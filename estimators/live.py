@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
-from estimators.driver import State, iterate
-from estimators.ekf import EkfStep, default_prior
+from estimators.driver import State, default_prior, iterate
+from estimators.ekf import EkfStep
 from estimators.problem import Problem
 from estimators.root_ekf import RootExtendedKalmanFilter
 from estimators.targets import judge_targets

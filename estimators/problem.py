@@ -162,6 +162,11 @@ class Problem:
         rotation = 0.0 if fixture is None else fixture.rotation_sigma_rad
         return rotation * np.array([1.0, 1.0, _START_AXIS])
 
+    def at_start(self, point: Point, held: NDArray[np.bool_]) -> Point:
+        """Give parameters that are held the first estimate's values."""
+        vector = np.where(held, self.start.errors.vector, point.errors.vector)
+        return replace(point, errors=SensorErrors(vector))
+
     def walk_sigma(self) -> Array:
         """One sigma of the bias steps between sequences in time order, shape (K − 1, 3), rad/s."""
         # An axis without a walk of its own still has its columns: its steps are a thousandth of what a window shows.

@@ -40,7 +40,12 @@ class Prior:
     covariance: Array
 
     def __post_init__(self) -> None:
-        P = np.array(self.covariance, dtype=np.float64)
+        if not isinstance(self.mean, SensorErrors):
+            raise InputError(f"The prior's mean is {self.mean!r}: give SensorErrors.")
+        try:
+            P = np.array(self.covariance, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError("The prior's covariance is no array of numbers: give 27 by 27 of them.") from None
         if P.shape != (N_PARAMETERS, N_PARAMETERS):
             raise InputError(
                 f"The prior's covariance has shape {P.shape}; give {N_PARAMETERS} by {N_PARAMETERS} numbers, in the "
@@ -77,9 +82,17 @@ class Prior:
 
     @classmethod
     def from_calibration(cls, calibration: Calibration, *, growth: float = 1.0) -> Prior:
-        """Take an earlier calibration as the prior, its sigmas times ``growth``; what it held gets the wide default."""
+        """Take an earlier calibration as the prior, its sigmas times ``growth``; what it held gets the wide default.
+
+        Raises
+        ------
+        InputError
+            If ``growth`` is not positive.
+        """
         from srt.held import prior_sigma
 
+        if not 0.0 < growth < np.inf:
+            raise InputError(f"The growth of a prior's sigmas is {growth!r}: give a positive number.")
         unseen = ~calibration.observed
         P = calibration.covariance * growth**2
         P[unseen, unseen] = prior_sigma()[unseen] ** 2

@@ -32,7 +32,7 @@ def missed(claims):
 @pytest.mark.parametrize("grade", GRADES)
 def test_graph_and_filter_are_nearly_efficient(grade, count):
     """All criteria in one test, or each worker would simulate the units anew; 50 Hz shows the same as 100 Hz."""
-    trial = partial(efficiency.unit, grade=grade, estimators=ESTIMATORS, innovations_every=4, sample_rate_hz=50.0)
+    trial = partial(efficiency.unit, grade=grade, estimators=ESTIMATORS, innovations_every=10, sample_rate_hz=50.0)
     # The runner uses every core: threads waiting for each other over matrices this small would take most of the time.
     with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
         units = run(trial, range(FIRST_SEED[grade], FIRST_SEED[grade] + count))

@@ -10,11 +10,19 @@ from scipy.stats import chi2, norm
 pytest.importorskip("filterpy")
 
 from filterpy.kalman import ExtendedKalmanFilter
+from threadpoolctl import threadpool_limits
 
 from estimators.root_ekf import RootExtendedKalmanFilter
 
 EPS = np.finfo(float).eps
 SEEDS = range(10)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    """Threads that wait for each other over a handful of numbers take seconds on a busy machine."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 def random_root(rng, n, spread=3.0):

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 COMMANDS: Final = {
     "simulate": ("srt.cli.simulate:simulate", "Make a recording, and the truth behind it, from a scenario."),
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
+    "apply": ("srt.cli.apply:apply", "Correct a recording by a calibration, or write it as a C header."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }

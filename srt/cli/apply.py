@@ -1,0 +1,228 @@
+"""``srt apply``: a recording corrected by a calibration, and the same correction as a C header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from srt.cli.output import check_directory, check_file, recording_folder, warn
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from srt.calibration import Calibration
+    from srt.recording import Recording
+
+FORMATS = ("csv", "npz", "parquet", "h5")
+HEADER_SUFFIXES = (".h",)
+
+
+@click.command("apply")
+@click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to write; made if absent.")
+@click.option("--frame", type=click.Choice(("mars", "table")), default="mars", show_default=True, help="Axes to give.")
+@click.option("--samples-format", type=click.Choice(FORMATS), help="Of the samples; default: the recording's.")
+@click.option("--c-header", type=click.Path(path_type=Path), metavar="FILE.h", help="Write the correction as C99, too.")
+@click.option("--force", is_flag=True, help="Whatever the calibration's status, the serial and the size of readings.")
+@click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already.")
+@click.option("-q", "--quiet", is_flag=True, help="No summary.")
+def apply(
+    calibration_file: Path,
+    recording_path: Path | None,
+    output: Path | None,
+    frame: str,
+    samples_format: str | None,
+    c_header: Path | None,
+    force: bool,
+    overwrite: bool,
+    quiet: bool,
+) -> int:
+    """Correct RECORDING by CALIBRATION, the JSON file that 'srt calibrate -o' wrote.
+
+    The folder then holds the recording with corrected samples, in SI units, in MARS axes (those of the calibration)
+    or of the table-mounted frame. With --c-header alone nothing is corrected, and RECORDING and -o are left out.
+
+    Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse; 2 wrong usage, unreadable
+    input, or a calibration that does not fit the recording.
+    """
+    if (recording_path is None) != (output is None):
+        raise InputError("RECORDING and the option -o go together: name the recording, and the folder to write.")
+    if recording_path is None and c_header is None:
+        raise InputError("There is nothing to write: give RECORDING and -o DIR, or --c-header FILE.h.")
+    if output is not None and recording_path is not None:
+        check_output(output, recording_path, overwrite=overwrite)
+    if c_header is not None:
+        check_file(c_header, HEADER_SUFFIXES, "The header")
+        if output is not None and c_header.resolve().parent == output.resolve() and not overwrite:
+            raise InputError(f"The header {c_header} is to lie in the recording's folder: name another place for it.")
+    calibration = load_fit(calibration_file, force=force)
+    header = None
+    if c_header is not None:
+        from srt.c_header import c99_header
+
+        header = c99_header(calibration)
+    corrected, source_format = None, ""
+    if recording_path is not None:
+        import srt
+
+        recording = srt.load_recording(recording_path)
+        source_format = samples_suffix(recording_path)
+        if not force:
+            check_match(calibration, recording, calibration_file, recording_path)
+        corrected = correct(calibration, recording, frame, check=not force)
+    # All that can be refused has been: now it is written.
+    written = []
+    if corrected is not None and output is not None:
+        from srt.recording_io import write_recording
+
+        samples_format = samples_format or source_format
+        write_recording(corrected, output, samples_format=samples_format, overwrite=overwrite)
+        written.append(f"{output}: recording.toml, samples.{samples_format}")
+    if header is not None and c_header is not None:
+        from srt.atomic import atomic_write_text
+
+        atomic_write_text(c_header, header)
+        written.append(str(c_header))
+    if calibration.held:
+        from srt.cli.report import held_summary
+
+        warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
+    if not quiet:
+        if corrected is not None:
+            axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
+            click.echo(f"{corrected.time.size} samples ({corrected.kind}) corrected, in {axes}")
+        for place in written:
+            click.echo(f"Written to {place}")
+    return 0
+
+
+def check_output(folder: Path, recording: Path, *, overwrite: bool) -> None:
+    """Refuse a folder that will not be written to, before anything is read.
+
+    Parameters
+    ----------
+    folder, recording : Path
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+        The recording's own folder always, for readings that are replaced are lost; one that holds files, unless
+        overwriting is allowed; one that cannot be made.
+    """
+    if folder.resolve() == recording_folder(recording).resolve():
+        raise InputError(f"The folder {folder} holds the recording itself, which shall stay as it is: name another.")
+    check_directory(folder)
+    if folder.is_dir() and not overwrite and any(folder.iterdir()):
+        raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
+
+
+def load_fit(path: Path, *, force: bool) -> Calibration:
+    """Load a calibration that is fit to be applied.
+
+    Parameters
+    ----------
+    path : Path
+    force : bool
+        Whether any status will do.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InputError
+        What :func:`srt.load_calibration` raises; unless forced, a status other than "converged" and "partial", or
+        errors that such a status does not go with.
+    """
+    from srt.calibration import load_calibration
+    from srt.compensation import outside_model
+
+    calibration = load_calibration(path)
+    if force:
+        return calibration
+    if calibration.status not in ("converged", "partial"):
+        raise InputError(
+            f"The calibration {path} has the status {calibration.status}: give one that converged, or add --force."
+        )
+    reason = outside_model(calibration.errors)
+    if reason is not None:
+        raise InputError(
+            f"The calibration {path} says {calibration.status}, but {reason}: it was edited; calibrate again, "
+            "or add --force."
+        )
+    return calibration
+
+
+def check_match(calibration: Calibration, recording: Recording, calibration_file: Path, recording_path: Path) -> None:
+    """Refuse another unit's recording; serials that are not stated match any. Raises InputError."""
+    serial = calibration.provenance.get("serial")
+    if None not in (serial, recording.serial) and serial != recording.serial:
+        raise InputError(
+            f"The calibration {calibration_file} is of the unit {serial}, but the recording {recording_path} of "
+            f"{recording.serial}: name that unit's calibration, or add --force."
+        )
+
+
+def correct(calibration: Calibration, recording: Recording, frame: Any, *, check: bool) -> Recording:
+    """Correct a recording.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    recording : Recording
+    frame : "mars" or "table"
+    check : bool
+        Whether to refuse readings whose size belongs to the other kind of samples.
+
+    Returns
+    -------
+    Recording
+        The corrected samples; stated ranges, which are those of raw readings, are left out.
+
+    Raises
+    ------
+    InputError
+        No table frame, or errors that cannot be undone.
+    DataError
+        Increments given as rates or the reverse, or accelerometers in a wrong unit.
+    """
+    from dataclasses import replace
+
+    import numpy as np
+
+    from srt.applier import Applier
+
+    applier = Applier(calibration, frame=frame)
+    increments = recording.kind == "increment"
+    if check:
+        from srt.recording_checks import check_rest
+
+        # Whatever a vehicle does, the median force is near gravity, as at rest.
+        force = (
+            np.median(np.linalg.norm(recording.accel / np.reshape(recording.interval_s, (-1, 1)), axis=1))
+            if increments
+            else np.median(np.linalg.norm(recording.accel, axis=1))
+        )
+        check_rest(
+            [[float(force), 0.0, 0.0]],
+            recording.site.gravity_m_s2,
+            ["the whole recording"],
+            interval_s=recording.nominal_interval_s,
+        )
+    gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
+    noise = replace(recording.noise, gyro_range=None, accel_range=None)
+    return replace(recording, gyro=gyro, accel=accel, noise=noise)
+
+
+def samples_suffix(recording: Path) -> str:
+    """Format of the samples of a recording that has been read before."""
+    import tomllib
+
+    from srt.recording_io import TOML_NAME
+
+    with (recording_folder(recording) / TOML_NAME if recording.is_dir() else recording).open("rb") as file:
+        return Path(tomllib.load(file)["recording"]["samples"]).suffix.lower().lstrip(".")
