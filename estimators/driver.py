@@ -43,6 +43,7 @@ _MAX_STEP: Final = 0.7
 _ROUNDS: Final = 5
 _RENEWALS: Final = 2
 _INDEPENDENT: Final = 1e-10
+_ONE_FAULT: Final = 0.05
 _NEAR: Final = 1e-2
 
 
@@ -336,8 +337,12 @@ def _add_excess(problem: Problem, step: Step, state: State) -> bool:
         if not is_misfit(statistic, freedom):
             return False
         # Chi-square of all is that without one sequence, and what this one adds to it.
-        worst = max(deletion_table(problem, system, solution), key=lambda row: row["chi_square"])
-        if not is_misfit(statistic - worst["chi_square"], freedom - worst["degrees_of_freedom"]):
+        without = [
+            (statistic - row["chi_square"], freedom - row["degrees_of_freedom"])
+            for row in deletion_table(problem, system, solution)
+        ]
+        # Of a gross fault the linearisation leaves something, too.
+        if any(rest < _ONE_FAULT * statistic or not is_misfit(rest, number) for rest, number in without):
             return False
     new = excess_noise(problem, system)
     if np.allclose(new, problem.excess, rtol=0.1, atol=1e-6):

@@ -344,11 +344,11 @@ class Applier:
             b = min(a + self._block, len(y))
             m = b - a
             x, v, t = self._x[:, :m], self._solution[:, :m], self._product[:m]
-            for c, bias in enumerate(inverse.bias):
+            for c, bias in enumerate(inverse.bias):  # in doubles, also where the readings are of single precision
                 if step is None:
-                    np.subtract(y[a:b, c], bias, out=x[c])
+                    np.subtract(y[a:b, c], bias, out=x[c], dtype=np.float64)
                 elif isinstance(step, float):
-                    np.subtract(y[a:b, c], bias * step, out=x[c])
+                    np.subtract(y[a:b, c], bias * step, out=x[c], dtype=np.float64)
                 else:
                     np.multiply(step[a:b], bias, out=t)
                     np.subtract(y[a:b, c], t, out=x[c])

