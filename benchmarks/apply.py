@@ -24,15 +24,15 @@ G = 9.80665
 
 
 def medians(calls: dict[str, Callable[[], object]], repeats: int = REPEATS) -> dict[str, float]:
-    """Median wall time of each, s; taken in turn, so that a busy moment of the machine strikes all."""
+    """Median processor time of each, s; taken in turn, so that a busy moment of the machine strikes all alike."""
     spans: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()
     for _ in range(repeats):
         for name, call in calls.items():
-            began = time.perf_counter()
+            began = time.process_time()
             call()
-            spans[name].append(time.perf_counter() - began)
+            spans[name].append(time.process_time() - began)
     return {name: float(np.median(span)) for name, span in spans.items()}
 
 

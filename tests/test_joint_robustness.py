@@ -198,8 +198,8 @@ def test_filter_and_graph_are_consistent_and_agree(case, count):
         ratio = found["ekf"].sigma[both] / found["graph"].sigma[both]
         # The filter's prior, a third of full scale, takes nothing from a sigma that the data give.
         assert np.abs(ratio - 1.0).max() < (0.001 if case != "unlabelled" else 0.02)
-        # Where pulses outweigh the random walk, the reading at the edge of a pose that two turns share is one unknown to
-        # the graph and two to the filter: two unbiased weightings of the same data, each within its own sigma.
+        # Where pulses outweigh the random walk, the reading at the edge of a pose that two turns share is one unknown
+        # to the graph and two to the filter: two unbiased weightings of the same data, each within its own sigma.
         bar = 0.05 if case != "unlabelled" else 1.0
         assert apart.max() < bar, (seed, NAMES[np.flatnonzero(both)[apart.argmax()]], apart.max())
     for estimator in JOINT:
