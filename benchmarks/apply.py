@@ -121,7 +121,8 @@ def others() -> None:
         }
     )
     print(
-        f"making an Applier {span['making'] * 1e6:.0f} µs, Calibration.apply of one sample {span['call'] * 1e6:.0f} µs, "
+        f"making an Applier {span['making'] * 1e6:.0f} µs, "
+        f"Calibration.apply of one sample {span['call'] * 1e6:.0f} µs, "
         f"covariance {span['covariance'] / n * 1e6:.2f} µs per sample"
     )
 

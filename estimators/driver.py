@@ -300,16 +300,19 @@ def _run(problem: Problem, step: Step, options: Options, progress: Progress | No
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS):
         state = iterate(problem, step, state, requested=requested, progress=progress)
-        if state.status != "converged" or state.system is None or state.covariance is None:
+        if state.played is None or state.covariance is None or state.status == "outside_model":
             break
-        if _add_excess(problem, step, state):
-            continue
-        moved = problem.moved(state.point, state.played) if state.played is not None else None
-        if moved is not None and moved.any():
-            held_before = judge(problem, step, state, uncertain)
-            diagnostics["held"] = {"sequences": list(held_before.table)} | step.diagnostics(problem)
+        # A window that moved may be what keeps the iteration from resting.
+        moved = problem.moved(state.point, state.played)
+        if moved.any():
+            diagnostics["held"] = {"sequences": list(judge(problem, step, state, uncertain).table)}
+            diagnostics["held"] |= step.diagnostics(problem)
             problem.release(moved)
             step.restart()
+            continue
+        if state.status != "converged":
+            break
+        if _add_excess(problem, step, state):
             continue
         sigma = np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
         weak = state.free & (sigma > OBSERVED_BELOW * admission_sigma())

@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, F, G, Q, U, X
 from scipy.linalg import solve_triangular
+from scipy.special import chdtri
 
 from estimators.driver import Solved, Step, default_prior, run
 from estimators.graph_builder import GraphBuilder
@@ -38,6 +39,12 @@ if TYPE_CHECKING:
     Linearised = tuple[Array, list[Array]]
     ErrorFunction = Callable[[Any, Any, Any], Array]
 
+ROBUST: Final[dict[str, Callable[[float], Any]]] = {
+    "huber": gtsam.noiseModel.mEstimator.Huber.Create,
+    "cauchy": lambda limit: gtsam.noiseModel.mEstimator.Cauchy.Create(1.5 * limit),
+}
+"""Losses by the norm that the whitened residuals of a sequence stay under in 95 of 100."""
+_SETTLED_WEIGHT: Final = 1e-3
 _STEPS: Final = {"squared": 8, "huber": 30, "cauchy": 30}
 _NEAR: Final = 1e-5
 _SETTLED_SIGMAS: Final = 1e-3
@@ -94,7 +101,8 @@ class GraphStep(Step):
             loss
         ]
         self.calls = 0
-        self.robust_weights: dict[tuple[str, int], float] = {}
+        self.measured: list[tuple[str, int, float]] = []
+        self.sequence_weights = np.ones(0)
 
     @property
     def settled(self) -> bool:
@@ -106,22 +114,29 @@ class GraphStep(Step):
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
         prior = default_prior() if self.prior is None and self.leaning else self.prior
-        built = GraphBuilder(problem, point, system.played, system.free, prior=prior, loss=loss)
+        weights = np.ones(problem.data.K)
+        built = GraphBuilder(problem, point, system.played, system.free, prior=prior)
         last = built.reported_keys()
-        values = built.values
-        solution = None
-        for _ in range(_STEPS[loss]):
+        values, solution = built.values, None
+        for i in range(_STEPS[loss]):
+            if i and loss != "squared":
+                built = GraphBuilder(problem, point, system.played, system.free, prior=prior, weights=weights)
             try:
                 solution = solve_linear(built.graph, values, last)
             except RuntimeError as error:  # gtsam's indeterminate linear system
                 raise np.linalg.LinAlgError(str(error).strip().split("\n")[0]) from None
             values = values.retract(solution.delta)
             step = np.concatenate([np.zeros(0), *(solution.delta.at(key) for key in solution.keys)])
+            before = weights
+            if loss != "squared":
+                weights = sequence_weights(built, values, loss)
             far = loss == "squared" and np.abs(step).max(initial=0.0) > _NEAR
-            if far or np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))):
+            settled = np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance)))
+            if far or (i and settled and np.abs(weights - before).max() < _SETTLED_WEIGHT):
                 break
         assert solution is not None
-        self._weigh(built, values)
+        self.measured = [(kind, number, float(weights[k])) for kind, number, k in built.measured]
+        self.sequence_weights = weights
         delta = _columns(built, system, values)
         E = system.parameter_map()
         spread = np.zeros((N_PARAMETERS, len(solution.covariance)))
@@ -132,40 +147,49 @@ class GraphStep(Step):
             at += len(columns)
         return Solved(point, system, delta, E @ delta, spread @ solution.covariance @ spread.T)
 
-    def _weigh(self, built: GraphBuilder, values: Any) -> None:
-        """Keep the weight that the loss gave each measurement."""
-        if not built.losses:
-            self.robust_weights = {}
-            return
-        for i, key in enumerate(built.measured):
-            factor: Any = built.graph.at(i)
-            residual = factor.noiseModel().noise().whiten(factor.unwhitenedError(values))
-            self.robust_weights[key] = float(built.losses[len(residual)].weight(float(np.linalg.norm(residual))))
-
     def restart(self) -> None:
         """Approach the loss by its stages again."""
         self.calls = 0
 
     def weights(self) -> dict[tuple[str, int], float]:
         """Weights by kind and number of measurement; empty for squares."""
-        return self.robust_weights
+        return {} if self.loss == "squared" else {(kind, number): weight for kind, number, weight in self.measured}
 
     def diagnostics(self, problem: Problem) -> dict[str, Any]:
         """Weights of the sequences under a robust loss."""
-        if not self.robust_weights:
+        if self.loss == "squared" or not self.measured:
             return {}
         data = problem.data
-        least = np.ones(data.K)
-        for (kind, number), weight in self.robust_weights.items():
-            k = number if kind == "turn" else int(problem.window_sequence[number])
-            least[k] = min(least[k], weight)
         return {
             "loss": self.loss,
             "weights": [
-                {"sequence": data.ids[k], "occurrence": data.occurrences[k], "smallest_weight": float(least[k])}
+                {
+                    "sequence": data.ids[k],
+                    "occurrence": data.occurrences[k],
+                    "weight": float(self.sequence_weights[k]),
+                }
                 for k in problem.order.tolist()
             ],
         }
+
+
+def sequence_weights(built: GraphBuilder, values: Any, loss: str) -> Array:
+    """Weights that a robust loss gives the sequences, shape (K,), by the size of all their whitened residuals.
+
+    One loss for a sequence, not one for each of its windows and its turn: what contradicts the others is a change of
+    horizontal force, which any of the three may be at fault for, and the parts would share the blame.
+    """
+    squares, rows = np.zeros(built.problem.data.K), np.zeros(built.problem.data.K)
+    for i, (_, _, k) in enumerate(built.measured):
+        factor: Any = built.graph.at(i)
+        residual = factor.noiseModel().whiten(factor.unwhitenedError(values))
+        squares[k] += float(residual @ residual) / built.weights[k]
+        rows[k] += len(residual)
+    # Its own attitudes take six of a sequence's numbers; one that hands its poses on has three.
+    freedom = np.maximum(rows - 6.0, 3.0)
+    limits = np.sqrt(chdtri(freedom, 0.05))
+    sizes = np.sqrt(squares)
+    return np.array([ROBUST[loss](float(limit)).weight(float(s)) for limit, s in zip(limits, sizes, strict=True)])
 
 
 def _columns_of(built: GraphBuilder, system: System, key: int) -> NDArray[np.intp]:

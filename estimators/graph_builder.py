@@ -7,22 +7,18 @@ attitude of every stationary window ``a``, and the reading errors at the windows
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, B, E, F, G, Q, U, X
 from scipy.linalg import block_diag
-from scipy.special import chdtri
 
 from estimators import factors
 from estimators.system import N_ERRORS, edge_numbers, fixed_headings, fixture_starts, total
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from estimators.point import Played, Point
@@ -31,11 +27,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-ROBUST: Final[dict[str, Callable[[float], Any]]] = {
-    "huber": gtsam.noiseModel.mEstimator.Huber.Create,
-    "cauchy": lambda size: gtsam.noiseModel.mEstimator.Cauchy.Create(1.5 * size),
-}
-"""Losses on the norm of a factor's whitened residuals; ``size`` is what that norm stays under in 95 of 100."""
 _HEADING_SIGMA: Final = 1e-8
 """One sigma, rad, of a heading that is given: across the Earth's rate far below any noise."""
 
@@ -52,7 +43,8 @@ class GraphBuilder:
     free : ndarray of bool, shape (27,)
         Sensor errors that are estimated.
     prior : Prior, optional
-    loss : "squared", "huber" or "cauchy"
+    weights : ndarray, shape (K,), optional
+        Of every sequence's measurements, from a robust loss.
     """
 
     def __init__(
@@ -63,21 +55,19 @@ class GraphBuilder:
         free: NDArray[np.bool_],
         *,
         prior: Prior | None = None,
-        loss: str = "squared",
+        weights: Array | None = None,
     ) -> None:
         assert point.attitude is not None
         self.problem, self.point, self.played = problem, point, played
         self.errors = np.flatnonzero(free[:N_ERRORS])
         self.axes = np.flatnonzero(free[N_ERRORS:])
-        self.losses: dict[int, Any] = {}
-        if loss != "squared":
-            self.losses = {n: ROBUST[loss](math.sqrt(chdtri(n, 0.05))) for n in (3, 6)}
+        self.weights = np.ones(problem.data.K) if weights is None else weights
         self.gravity = problem.options.fixture_states
         self.edges = edge_numbers(problem, played)
         self.graph: Any = gtsam.NonlinearFactorGraph()
         self.values: Any = gtsam.Values()
-        self.measured: list[tuple[str, int]] = []
-        """Kind and number of each robust factor, which come first in the graph."""
+        self.measured: list[tuple[str, int, int]] = []
+        """Kind, number and sequence of the measurement factors, which come first in the graph."""
         self._variables()
         self._windows()
         self._turns()
@@ -118,12 +108,10 @@ class GraphBuilder:
         if self.gravity:
             self.values.insert(G(0), np.array([point.gravity]))
 
-    def _add(self, kind: str, number: int, covariance: Array, terms: factors.Terms) -> None:
-        """Add a measurement factor; held variables are left out of it."""
-        noise = factors.gaussian(covariance)
-        if self.losses:
-            noise = gtsam.noiseModel.Robust.Create(self.losses[len(covariance)], noise)
-        self.measured.append((kind, number))
+    def _add(self, kind: str, number: int, sequence: int, covariance: Array, terms: factors.Terms) -> None:
+        """Add a measurement factor of a sequence; held variables are left out of it."""
+        noise = factors.gaussian(covariance / self.weights[sequence])
+        self.measured.append((kind, number, sequence))
         self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
 
     def _linear(self, jacobian: Array, sequence: int | None) -> list[tuple[int, Array]]:
@@ -156,7 +144,9 @@ class GraphBuilder:
             function = factors.pose(
                 played.force[w], played.rate[w], problem.data.gravity, known[chain], gravity_free=self.gravity
             )
-            self._add("window", w, block_diag(force_noise[w], rate_noise[w]), factors.Terms(linear, others, function))
+            noise = block_diag(force_noise[w], rate_noise[w])
+            owner = int(problem.window_sequence[w])
+            self._add("window", w, owner, noise, factors.Terms(linear, others, function))
 
     def _turns(self) -> None:
         problem, played = self.problem, self.played
@@ -174,6 +164,7 @@ class GraphBuilder:
             self._add(
                 "turn",
                 k,
+                k,
                 noise[k],
                 factors.Terms(
                     linear,
@@ -188,9 +179,10 @@ class GraphBuilder:
         if not problem.fixture_states:
             return
         variance = np.diag(problem.start_sigma**2)
-        for _, window, nominal in fixture_starts(problem):
+        for owner, window, nominal in fixture_starts(problem):
             keys = [int(A(window)), int(F(0)), int(U(0))]
-            self._add("start", window, variance, factors.Terms([], keys, factors.start(nominal, problem.heading_rad)))
+            terms = factors.Terms([], keys, factors.start(nominal, problem.heading_rad))
+            self._add("start", window, owner, variance, terms)
 
     def _priors(self, prior: Prior | None) -> None:
         problem, graph = self.problem, self.graph

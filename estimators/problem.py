@@ -23,8 +23,9 @@ from srt.exceptions import DataError
 from srt.measurement_noise import earth_rate_doubt, excess_scatter
 from srt.noise_estimation import flicker_spread
 from srt.playback import Player
-from srt.playback_data import nominal_attitude
+from srt.playback_data import nominal_attitude, sequence_of_label
 from srt.quaternion import rotation_matrix, rotation_vector, smallest_rotation
+from srt.recording_checks import gap_inside
 from srt.segmentation import find_turns
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 from srt.session import open_session
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from srt.catalogue import Sequence
     from srt.options import Options
     from srt.playback_data import PlaybackData
-    from srt.recording import Recording
+    from srt.recording import Recording, SequenceLabel
 
     Array = NDArray[np.float64]
 
@@ -329,25 +330,30 @@ def open_problem(recording: Recording, options: Options) -> Problem:
         As :func:`srt.session.open_session`, and if no sequence has both its windows.
     """
     labels = recording.sequences or find_turns(recording)
-    poses = tuple(s for s in labels if _end_is_lost(recording, s) and s.id is not None)
-    whole = tuple(s for s in labels if s not in poses)
+    whole = tuple(s for s in labels if not _end_is_lost(recording, s))
+    poses = tuple(s for s in labels if s.id is not None and (s not in whole or _turn_is_lost(recording, s)))
     if not whole:
         raise DataError("No sequence of the recording has both its windows: record at least one turn to its end.")
     data = open_session(recording, whole, options, poses=poses if recording.fixture is not None else ())
     return Problem(data, options, first_estimate(data, options))
 
 
-def pose_nominal(label: object) -> Array:
+def pose_nominal(label: SequenceLabel) -> Array:
     """C_nom of a label's start."""
-    from srt.playback_data import sequence_of_label
-
-    sequence = sequence_of_label(label)  # type: ignore[arg-type]
+    sequence = sequence_of_label(label)
     assert sequence is not None
     return nominal_attitude(sequence)
 
 
-def _end_is_lost(recording: Recording, label: object) -> bool:
-    window = recording.window_indices(*label.end_static_s)  # type: ignore[attr-defined]
+def _turn_is_lost(recording: Recording, label: SequenceLabel) -> bool:
+    """Whether samples are missing after a start window that is whole."""
+    first, last = recording.window_indices(*label.start_static_s), recording.window_indices(*label.end_static_s)
+    lost = gap_inside(recording, slice(first.start, last.stop)).size > 0
+    return lost and gap_inside(recording, first).size == 0
+
+
+def _end_is_lost(recording: Recording, label: SequenceLabel) -> bool:
+    window = recording.window_indices(*label.end_static_s)
     return bool(window.stop - window.start < 2)
 
 

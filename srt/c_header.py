@@ -210,7 +210,7 @@ def _comment(calibration: Calibration, name: str, *, table: bool) -> str:
         f"date:      {stated('date')}",
         f"data hash: {stated('data_sha256')} (SHA-256 of the samples)",
         f"software:  {stated('software')}",
-        f"status:    {_UNSAFE.sub('_', calibration.status)} ({_UNSAFE.sub('_', calibration.estimator)})",
+        f"status:    {_UNSAFE.sub('_', calibration.status)} ({_UNSAFE.sub('_', str(calibration.estimator))})",
         "",
         "units:     rad/s and m/s^2; increments rad and m/s with dt in s",
         f"frame:     {frame}",

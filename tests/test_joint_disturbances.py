@@ -283,7 +283,7 @@ def test_a_robust_graph_costs_little_without_a_fault(loss):
 def test_the_weights_name_the_bad_sequence(loss):
     """3 mrad off in a turn known to about 3 µrad: Huber's weight is 2.8 over that thousand, Cauchy's its square."""
     calibration = srt.calibrate(spoiled(with_lost_samples, 101, "4", "end"), "graph", loss=loss)
-    weights = {row["sequence"]: row["smallest_weight"] for row in calibration.diagnostics["weights"]}
+    weights = {row["sequence"]: row["weight"] for row in calibration.diagnostics["weights"]}
     assert min(weights, key=weights.get) == "4"
     assert weights["4"] < 3.0 * 2.8 / 1000.0
     assert sorted(weights.values())[1] > 10.0 * weights["4"]

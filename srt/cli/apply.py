@@ -156,6 +156,8 @@ def load_fit(path: Path, *, force: bool) -> Calibration:
     from srt.compensation import outside_model
 
     calibration = load_calibration(path)
+    if not isinstance(calibration.provenance, dict) or not isinstance(calibration.estimator, str):
+        raise InputError(f"The calibration {path} does not say where it comes from: it was edited or truncated.")
     if force:
         return calibration
     if calibration.status not in ("converged", "partial"):

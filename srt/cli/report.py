@@ -172,7 +172,7 @@ def sequence_table(calibration: Calibration) -> str:
     """Set what joint estimation says of every sequence; empty for other estimators.
 
     The chi-square of each sequence against all others; for the filter that of its innovation, all sequences before it
-    being known; under a robust loss the smallest weight of its measurements.
+    being known; under a robust loss its weight.
     """
     against = calibration.diagnostics.get("sequences")
     if not against:
@@ -183,7 +183,7 @@ def sequence_table(calibration: Calibration) -> str:
     if innovations:
         headers, alignment = [*headers, "as it came\nNIS / dof", "chance"], alignment + "rr"
     if weights:
-        headers, alignment = [*headers, "smallest\nweight"], alignment + "r"
+        headers, alignment = [*headers, "weight"], alignment + "r"
     rows: list[list[str] | None] = []
     for i, row in enumerate(against):
         again = f" ({row['occurrence']})" if row["occurrence"] > 1 else ""
@@ -191,7 +191,7 @@ def sequence_table(calibration: Calibration) -> str:
         if innovations:
             cells += _statistic(innovations[i], "nis")
         if weights:
-            cells.append(fixed(weights[i]["smallest_weight"], 2))
+            cells.append(fixed(weights[i]["weight"], 2))
         rows.append(cells)
     return text_table(headers, rows, alignment)
 
