@@ -208,6 +208,9 @@ def iterate(
         if near and renewed < _RENEWALS:  # no more, or a scatter on the border of being noise would go on and off
             problem.update_wander(point, played)
             renewed += 1
+            if not problem.walks and point.bias_deviation.any():  # it was a fault's, and there is one bias after all
+                point = replace(point, bias_deviation=np.zeros_like(point.bias_deviation))
+                played = problem.play(point)
         system = linearise(problem, point, played, state.free)
         if near and not selected and step.prior is None:
             selected = True

@@ -41,9 +41,10 @@ if TYPE_CHECKING:
 
 ROBUST: Final[dict[str, Callable[[float], Any]]] = {
     "huber": gtsam.noiseModel.mEstimator.Huber.Create,
-    "cauchy": lambda limit: gtsam.noiseModel.mEstimator.Cauchy.Create(1.5 * limit),
+    "cauchy": gtsam.noiseModel.mEstimator.Cauchy.Create,
 }
-"""Losses by the norm that the whitened residuals of a sequence stay under in 95 of 100."""
+"""Losses by the norm that the whitened residuals of a sequence stay under in 95 of 100: with that as its scale
+Cauchy's loss of twelve components is 98 % efficient on good data."""
 _SETTLED_WEIGHT: Final = 1e-3
 _STEPS: Final = {"squared": 8, "huber": 30, "cauchy": 30}
 _NEAR: Final = 1e-5

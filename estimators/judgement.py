@@ -108,11 +108,9 @@ def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judge
     covariance = by_source(system, solution)
     covariance["held_values"] = _held_values(system, solution, uncertain, state.free)
     total = state.covariance + covariance["held_values"]
-    own_bias = problem.options.gyro_bias == "per-sequence"  # a freedom, not a figure of the unit
-    for group, wander in (
-        ("gyro_bias", 0.0 * problem.wander if own_bias else problem.wander),
-        ("accel_bias", problem.data.noise.accel_wander),
-    ):
+    # Under "per-sequence" the wander is a freedom, and no figure of the unit.
+    unit_wander = np.zeros(3) if problem.options.gyro_bias == "per-sequence" else problem.wander
+    for group, wander in (("gyro_bias", unit_wander), ("accel_bias", problem.data.noise.accel_wander)):
         at = np.arange(N_PARAMETERS)[GROUP_SLICES[group]]
         part = covariance.setdefault(f"{group}_instability", nothing.copy())
         # The bias reported is the unit's; that of this test is one draw of it.

@@ -242,7 +242,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         return _from_dict(document)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path} is not a complete calibration ({type(error).__name__}: {error}); it was edited or truncated."
         ) from None
