@@ -2,6 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Test workers are processes already: threads of linear algebra in each would only wait for one another.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
 STAMP := $(VENV)/.installed
 
 .PHONY: demo test lint slow figures clean

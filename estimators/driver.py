@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _MAX_STEP: Final = 0.7
-_ROUNDS: Final = 5
+_ROUNDS: Final = 6
 _RENEWALS: Final = 2
 _INDEPENDENT: Final = 1e-10
 _ONE_FAULT: Final = 0.05
@@ -305,6 +305,8 @@ def _run(problem: Problem, step: Step, options: Options, progress: Progress | No
         state = iterate(problem, step, state, requested=requested, progress=progress)
         if state.played is None or state.covariance is None or state.status == "outside_model":
             break
+        if state.status == "converged" and _add_excess(problem, step, state):
+            continue
         # A window that moved may be what keeps the iteration from resting.
         moved = problem.moved(state.point, state.played)
         if moved.any():
@@ -315,8 +317,6 @@ def _run(problem: Problem, step: Step, options: Options, progress: Progress | No
             continue
         if state.status != "converged":
             break
-        if _add_excess(problem, step, state):
-            continue
         sigma = np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
         weak = state.free & (sigma > OBSERVED_BELOW * admission_sigma())
         if not weak.any() or step.prior is not None:

@@ -622,11 +622,11 @@ def rows_of_factor(case, built, i):
     """Rows of the system that a factor stands for; None for a heading that is given, which has no rows."""
     rows = {r.kind: r for r in case.system.rows}
     if i < len(built.measured):
-        kind, number = built.measured[i]
+        kind, number, _ = built.measured[i]
         if kind == "window":
             return np.concatenate([rows["force"].index[number], rows["rate"].index[number]])
         if kind == "start":
-            starts = [n for k, n in built.measured if k == "start"]
+            starts = [n for k, n, _ in built.measured if k == "start"]
             return rows["start"].index[starts.index(number)]
         return rows[kind].index[number]
     keys = built.graph.at(i).keys()
