@@ -113,11 +113,17 @@ def blocks_of(recording: Recording) -> Blocks:
         raise DataError(
             f"The recording has {len(recording.time)} samples, too few to find stillness: at least {size} are needed."
         )
+    centre = np.concatenate(mean)
+    floor = np.maximum(resolution_floor(recording), (_ROUNDING * np.abs(centre).max(axis=0)) ** 2)
+    return Blocks(np.concatenate(first), size, centre, np.concatenate(variance), np.concatenate(piece), floor)
+
+
+def resolution_floor(recording: Recording) -> Array:
+    """Variance of a sample, as a rate, that the resolution of the readings makes, shape (6,); never zero."""
+    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     stride = max(1, len(recording.time) // _MAX_SAMPLES_FOR_RESOLUTION)
     step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)]) * factor
-    centre = np.concatenate(mean)
-    floor = np.maximum(step**2 / 12.0, (_ROUNDING * np.abs(centre).max(axis=0)) ** 2 + 1e-300)
-    return Blocks(np.concatenate(first), size, centre, np.concatenate(variance), np.concatenate(piece), floor)
+    return np.asarray(step**2 / 12.0 + 1e-300)
 
 
 _BATCH: Final = 1 << 16

@@ -78,6 +78,7 @@ def calibrate(
     Parameters
     ----------
     recording : Recording
+        Without labels, sequences of Table 1 made on a fixture are recognised; a free recording is cut into free turns.
     estimator : str
         "auto" takes the closed form where sequences of Table 1 are labelled on a fixture, least squares elsewhere.
         Others by name, see :func:`estimators`.
@@ -99,6 +100,7 @@ def calibrate(
         Data that cannot support a result.
     """
     from srt.options import Options as _Options
+    from srt.recognition import label_sequences
 
     if options is None:
         unknown = sorted(set(choices) - set(_Options.__dataclass_fields__))
@@ -109,8 +111,10 @@ def calibrate(
         options = _Options(**choices)
     elif choices:
         raise InputError("Give either options or single choices, not both.")
+    recording, recognition = label_sequences(recording)
     name = automatic_estimator(recording) if estimator == "auto" else estimator
-    return find_estimator(name)(recording, options, progress)
+    calibration = find_estimator(name)(recording, options, progress)
+    return calibration if recognition is None else recognition.told_in(calibration)
 
 
 def automatic_estimator(recording: Recording) -> str:

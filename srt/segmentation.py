@@ -38,12 +38,11 @@ def find_windows(recording: Recording) -> NDArray[np.intp]:
     runs = still_runs(rest.still, blocks)
     shortest = max(MIN_WINDOW_S, 3 * BLOCK_S)
     dt = recording.nominal_interval_s
-    windows = []
-    # A hand wobbles as a bad join would; on a fixture only a join, or a bump, makes a step.
-    on_fixture = recording.fixture is not None
-    for a, b in to_the_sample(recording, blocks, runs):
-        parts = split_at_jumps(recording, a, b, blocks.floor) if on_fixture else ((a, b),)
-        windows += [w for w in parts if w[1] - w[0] >= shortest / dt - 0.5]
+    found = to_the_sample(recording, blocks, runs)
+    if recording.fixture is not None:
+        # A hand wobbles as a bad join would; on a fixture only a join, or a bump, makes a step.
+        found = split_at_jumps(recording, found, blocks.floor)
+    windows = [w for w in found if w[1] - w[0] >= shortest / dt - 0.5]
     if len(windows) < 2:
         raise DataError(
             f"Only {len(windows)} stationary windows of at least {shortest:g} s were found in the recording; "

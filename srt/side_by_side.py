@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from srt.estimation import automatic_estimator, find_estimator
 from srt.exceptions import DataError, SrtError
 from srt.options import Options
+from srt.recognition import label_sequences
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,6 +31,7 @@ def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str,
     names : tuple of str
     left_out : dict of str to str
     """
+    recording, _ = label_sequences(recording)
     names, left_out = [], {}
     for name in ESTIMATORS:
         try:
@@ -76,6 +78,7 @@ def run_estimators(
         An estimator that is not registered, or whose packages are not installed.
     """
     options = Options() if options is None else options
+    recording, recognition = label_sequences(recording)
     calibrations: dict[str, Calibration] = {}
     seconds: dict[str, float] = {}
     failures: dict[str, str] = {}
@@ -83,7 +86,8 @@ def run_estimators(
     for name, estimator in found.items():
         started = perf_counter()
         try:
-            calibrations[name] = estimator(recording, options, None if progress is None else partial(progress, name))
+            result = estimator(recording, options, None if progress is None else partial(progress, name))
+            calibrations[name] = result if recognition is None else recognition.told_in(result)
         except SrtError as error:
             failures[name] = str(error)
         seconds[name] = perf_counter() - started

@@ -1,14 +1,13 @@
-"""Edges of stationary windows to the sample, and joins inside them where the attitude jumps without a turn."""
+"""Edges of stationary windows to the sample, and places inside them where the attitude jumps without a turn."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from collections.abc import Sequence as SequenceOf
 
     from numpy.typing import NDArray
@@ -21,14 +20,17 @@ if TYPE_CHECKING:
 _LONGEST_SUM: Final = 32
 _SIGMAS: Final = 6.0
 """Beyond which readings are motion: the 500,000 tests of a usual recording exceed it by chance about 0.001 times."""
-_REFERENCE_BLOCKS: Final = 20
+_REFERENCE_S: Final = 2.0
 _INWARD_BLOCKS: Final = 20
 _OUTWARD_BLOCKS: Final = 3
+_FEW: Final = 8
 _CHUNK_S: Final = 0.5
 _JUMP: Final = 60.0
 """Smallest gain in chi-square (six channels, one of some forty places) by which a jump is believed."""
 _ALONE: Final = 6.0
 """Times the gain of any other place in the window."""
+_UNUSUAL: Final = 8.0
+"""Times what is usual away from the largest step of a window."""
 _MOST_CHUNKS: Final = 10
 
 
@@ -50,9 +52,7 @@ def to_the_sample(recording: Recording, blocks: Blocks, runs: SequenceOf[tuple[i
     list of (int, int)
         First sample and one past the last; windows do not overlap.
     """
-    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     pieces = np.array([0, *recording.gaps.tolist(), len(recording.time)])
-    least = np.sqrt(blocks.floor)
     out: list[tuple[int, int]] = []
     for first, last in runs:
         if last - first < 3:
@@ -63,20 +63,40 @@ def to_the_sample(recording: Recording, blocks: Blocks, runs: SequenceOf[tuple[i
         inner = (int(blocks.first[first + inside]), int(blocks.first[last - inside]))
         piece = int(np.searchsorted(pieces, inner[0], side="right"))
         reach = (inside + _OUTWARD_BLOCKS) * blocks.size
-        low = max(int(pieces[piece - 1]), inner[0] - reach)
-        high = min(int(pieces[piece]), inner[1] + reach)
-        n = min(inner[1] - inner[0], _REFERENCE_BLOCKS * blocks.size)
-        sides = (
-            (slice(inner[0], inner[0] + n), range(inner[0] - 1, low - 1, -1)),
-            (slice(inner[1] - n, inner[1]), range(inner[1], high)),
-        )
-        before, after = (_still_outward(recording, *side, factor, least) for side in sides)
-        a, b = inner[0] - before, inner[1] + after
+        outer = (max(int(pieces[piece - 1]), inner[0] - reach), min(int(pieces[piece]), inner[1] + reach))
+        a, b = _extend(recording, inner, outer, blocks.floor)
         if out and a < out[-1][1]:  # both reach into the blocks between them: each keeps its half
             middle = (a + out[-1][1]) // 2
             out[-1], a = (out[-1][0], middle), middle
         out.append((a, b))
     return out
+
+
+def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tuple[int, int]:
+    """Cut off what is not still at the ends of a window, within a quarter of its length.
+
+    Parameters
+    ----------
+    recording : Recording
+    window : (int, int)
+        First sample and one past the last.
+    floor : ndarray, shape (6,)
+        Variance of one sample, as a rate, that the resolution of the readings makes.
+    """
+    inside = (window[1] - window[0]) // 4
+    return _extend(recording, (window[0] + inside, window[1] - inside), window, floor)
+
+
+def _extend(recording: Recording, inner: tuple[int, int], outer: tuple[int, int], floor: Array) -> tuple[int, int]:
+    """Extend a still span to the last still samples on both sides, not beyond ``outer``."""
+    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    n = min(inner[1] - inner[0], round(_REFERENCE_S / recording.nominal_interval_s))
+    sides = (
+        (slice(inner[0], inner[0] + n), range(inner[0] - 1, outer[0] - 1, -1)),
+        (slice(inner[1] - n, inner[1]), range(inner[1], outer[1])),
+    )
+    before, after = (_still_outward(recording, *side, factor, np.sqrt(floor)) for side in sides)
+    return inner[0] - before, inner[1] + after
 
 
 def _still_outward(recording: Recording, reference: slice, outward: range, factor: float, least: Array) -> int:
@@ -101,38 +121,53 @@ def _still_outward(recording: Recording, reference: slice, outward: range, facto
     return kept
 
 
-def split_at_jumps(recording: Recording, a: int, b: int, floor: Array) -> Iterator[tuple[int, int]]:
-    """Cut a window where the attitude jumps though the gyros saw no turn.
+def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], floor: Array) -> list[tuple[int, int]]:
+    """Cut windows where the attitude jumps: at a join, or where the unit was bumped or moved a little.
 
     Parameters
     ----------
     recording : Recording
-    a, b : int
+    windows : sequence of (int, int)
         First sample and one past the last.
     floor : ndarray, shape (6,)
         Variance of one sample, as a rate, that the resolution of the readings makes.
 
-    Yields
-    ------
-    (int, int)
-        The window, or its parts.
+    Returns
+    -------
+    list of (int, int)
     """
-    at = _jump(recording, a, b, floor)
-    if at is None:
-        yield a, b
-        return
-    yield from split_at_jumps(recording, a, at, floor)
-    yield from split_at_jumps(recording, at, b, floor)
+    steps = {window: _largest_step(recording, *window, floor) for window in windows}
+    # A wandering bias steps a little in every window; a jump stands out of its own window and of all of them.
+    usual = float(np.median([step.elsewhere for step in steps.values()])) if steps else 0.0
+    out: list[tuple[int, int]] = []
+    waiting = list(reversed(windows))
+    while waiting:
+        window = waiting.pop()
+        step = steps.get(window) or _largest_step(recording, *window, floor)
+        if step.gain > max(_JUMP, _ALONE * step.elsewhere, _UNUSUAL * usual):
+            parts = ((step.at, window[1]), (window[0], step.at))
+            waiting += [trimmed(recording, part, floor) for part in parts if part[1] - part[0] >= _FEW]
+        else:
+            out.append(window)
+    return out
 
 
-def _jump(recording: Recording, a: int, b: int, floor: Array) -> int | None:
-    """First sample after the largest jump of a window, if it has one."""
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Largest step in a window: its gain in chi-square, the largest gain away from it, and the sample after it."""
+
+    gain: float = 0.0
+    elsewhere: float = 0.0
+    at: int = 0
+
+
+def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Step:
     dt = recording.nominal_interval_s
     size = max(1, round(_CHUNK_S / dt))
     count = (b - a) // size
     span = min(_MOST_CHUNKS, count // 4)
     if span < 2:
-        return None
+        return _Step()
     mean = _chunks(recording, a, size, count)
     steps = np.diff(mean, axis=0) ** 2
     # Noise from neighbours, without the largest difference of a channel, which may be the jump itself.
@@ -146,35 +181,28 @@ def _jump(recording: Recording, a: int, b: int, floor: Array) -> int | None:
     gain = np.sum((after - before) ** 2 / variance, axis=1) * 0.5 * span
     best = int(np.argmax(gain))
     elsewhere = gain[np.abs(np.arange(len(gain)) - best) > span]
-    # A wandering bias steps everywhere a little; a join stands alone.
-    if gain[best] < max(_JUMP, _ALONE * float(elsewhere.max(initial=0.0))):
-        return None
-    tilt = _angle(before[best, 3:], after[best, 3:])
-    near = slice(max(0, best + span - 1), min(count, best + span + 2))
-    rest = 0.5 * (before[best, :3] + after[best, :3])
-    turned = float(np.linalg.norm((mean[near, :3] - rest).sum(axis=0))) * size * dt
-    noise = 3.0 * float(np.sqrt(variance[:3].max())) * size * dt
-    if noise < 0.5 * tilt < turned:
-        return None  # the gyros saw it: the unit was bumped, and stays one piece
-    return best_join(recording, a + size * max(0, best + span - 1), a + size * min(count, best + span + 2))
+    lo, hi = a + size * max(0, best + span - 1), a + size * min(count, best + span + 2)
+    return _Step(float(gain[best]), float(elsewhere.max(initial=0.0)), best_join(recording, lo, hi)[0])
 
 
-def best_join(recording: Recording, a: int, b: int) -> int:
-    """Most likely place of a jump between two samples: the first sample after it.
+def best_join(recording: Recording, a: int, b: int) -> tuple[int, float]:
+    """Most likely place of a jump between two samples: the first sample after it, and its gain in chi-square.
 
     Parameters
     ----------
     recording : Recording
     a, b : int
-        First sample to look at, and one past the last; at least two samples.
+        First sample to look at, and one past the last; at least three samples.
     """
     samples = np.concatenate([recording.gyro[a:b], recording.accel[a:b]], axis=1)
+    least = 1e-9 * np.abs(samples).max(axis=0) + 1e-150
     samples = samples - samples.mean(axis=0)
-    spread = np.maximum(np.diff(samples, axis=0).std(axis=0), 1e-300)
+    spread = np.maximum(np.diff(samples, axis=0).std(axis=0) / np.sqrt(2.0), least)
     total = np.cumsum(samples / spread, axis=0)[:-1]
     before = np.arange(1, b - a)
     gain = np.sum(total**2, axis=1) * (b - a) / (before * (b - a - before))
-    return a + 1 + int(np.argmax(gain))
+    best = int(np.argmax(gain))
+    return a + 1 + best, float(gain[best])
 
 
 def _chunks(recording: Recording, a: int, size: int, count: int) -> Array:
@@ -183,13 +211,3 @@ def _chunks(recording: Recording, a: int, size: int, count: int) -> Array:
     end = a + size * count
     both = [t[a:end].reshape(count, size, 3).mean(axis=1) for t in (recording.gyro, recording.accel)]
     return np.concatenate(both, axis=1) * factor
-
-
-def _angle(first: Array, second: Array) -> float:
-    """Angle between two vectors, rad."""
-    return float(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second))
-
-
-def adjoin(windows: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether each window begins where the one before ends, shape (W - 1,): a join lies between them."""
-    return np.array([second[0] == first[1] for first, second in pairwise(windows)], dtype=np.bool_)

@@ -1,0 +1,496 @@
+"""Recognition of the sequences of Table 1 in an unlabelled recording, in any order, with repeats and moves between.
+
+Faces that are down at rest and quarter turns counted by the gyros give each turn as a word; the 17 sequences are words
+too, each with the attitude it starts from. Between two rests of one contiguous piece the attitude is carried along in
+right angles, so that a sequence whose turns fit but which started the other way round about the vertical is not taken.
+The most probable reading of a piece is found by dynamic programming over its rests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise, permutations, product
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.blocks import resolution_floor
+from srt.catalogue import AXES, SEQUENCES
+from srt.faces import QUARTER, face_vector, faces, leg_axis, quarter_turn, quarters, scales
+from srt.playback_data import nominal_attitude
+from srt.recording import SequenceLabel
+from srt.segmentation import find_windows, window_times
+from srt.turns import Turn, find_legs
+from srt.window_edges import best_join, trimmed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence as SequenceOf
+
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+    from srt.recording import Recording
+
+    Array = NDArray[np.float64]
+    Whole = NDArray[np.int64]
+    Word = tuple[tuple[int, int], ...]
+
+_WORDS: Final[dict[str, tuple[tuple[int, int], Word]]] = {
+    name: (
+        (AXES.index(s.down), 1),
+        tuple((AXES.index(axis), round(angle / QUARTER)) for axis, angle in s.rotations),
+    )
+    for name, s in SEQUENCES.items()
+}
+"""Face that is down at the start, and quarter turns, of every sequence."""
+
+_STARTS: Final = {name: np.rint(nominal_attitude(s)).astype(np.int64) for name, s in SEQUENCES.items()}
+_LONGEST: Final = max(len(word) for _, word in _WORDS.values())
+_SPLIT: Final = 0.05
+"""Cost, in legs, of a rest inside a sequence."""
+_JOIN: Final = 0.6
+"""Cost, in legs, of a jump of attitude inside a rest that nothing else shows."""
+_ANGLE_SIGMA: Final = 0.05
+"""One sigma of a leg's angle about its nominal one, for the confidence: fixture and unit together, with room."""
+_STEP: Final = 60.0
+"""Gain in chi-square by which a step of attitude in a rest is believed."""
+_TWO_DWELLS: Final = 1.5
+"""Length of a rest over the usual one, from which it counts as two."""
+DOUBTFUL: Final = 0.5
+"""Confidence below which a sequence is warned of."""
+_ENOUGH: Final = 4
+_FITTING: Final = 0.3
+"""Share of legs that belong to sequences, below which another naming of the axes is tried."""
+_BY_CHANCE: Final = 1.0 / (np.pi / 2.0) / 36.0
+"""Density of an angle that only happens to lie near, in a pair of faces that only happen to fit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundTurn:
+    """A turn, and what it was recognised as.
+
+    Attributes
+    ----------
+    start_window, end_window : int
+        Indices into ``Recognition.windows``.
+    first, last : int
+        First sample of the turn and one past its last.
+    legs : ndarray, shape (m, 3), rad
+        Raw summed gyro angle of each leg.
+    sequence : str or None
+        Id in Table 1.
+    confidence : float
+        Probability that it is that sequence, 0 to 1.
+    reason : str
+        Why it is none, or what is odd about it.
+    """
+
+    start_window: int
+    end_window: int
+    first: int
+    last: int
+    legs: Array
+    sequence: str | None = None
+    confidence: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recognition:
+    """What was found in a recording.
+
+    Attributes
+    ----------
+    windows : ndarray of int, shape (W, 2)
+        Stationary windows, first sample and one past the last; at a join one rest is two windows.
+    turns : tuple of FoundTurn
+        In time order; those of one sequence carry its id.
+    labels : tuple of SequenceLabel
+        Of the sequences, in time order.
+    confidence : tuple of float
+        Of each label.
+    scale : ndarray, shape (3,)
+        Raw reading over truth of each gyro axis, as counted by right angles.
+    mapping : tuple of ndarray, shape (3, 3)
+        Signed permutations of gyro and accelerometer axes with which the sequences were found; the unit matrix
+        unless only another fits.
+    """
+
+    windows: NDArray[np.intp]
+    turns: tuple[FoundTurn, ...]
+    labels: tuple[SequenceLabel, ...]
+    confidence: tuple[float, ...]
+    scale: Array
+    mapping: tuple[Array, Array] = field(default_factory=lambda: (np.eye(3), np.eye(3)))
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of the sequences in time order."""
+        return tuple(label.id or "" for label in self.labels)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Sequences of Table 1 that were not found."""
+        return tuple(name for name in SEQUENCES if name not in self.ids)
+
+    @property
+    def repeated(self) -> tuple[str, ...]:
+        """Sequences found more than once."""
+        return tuple(name for name in SEQUENCES if self.ids.count(name) > 1)
+
+    @property
+    def summary(self) -> str:
+        """One sentence."""
+        others = sum(turn.sequence is None for turn in self.turns)
+        said = f"{len(self.turns)} turns between {len(self.windows)} rests"
+        if not self.labels:
+            return f"{said}: none is a sequence of Table 1."
+        parts = [f"{len(self.ids)} sequences of Table 1 recognised"]
+        if self.repeated:
+            parts.append(f"{', '.join(self.repeated)} more than once")
+        if self.missing:
+            parts.append(f"{', '.join(self.missing)} missing")
+        if others:
+            parts.append(f"{others} other turns, as moves between them")
+        least = min(self.confidence)
+        return f"{said}: {'; '.join(parts)}; least confidence {least:.2f}."
+
+    def told_in(self, calibration: Calibration) -> Calibration:
+        """Give a calibration that says which sequences it took the recording for, and warns of doubtful ones."""
+        rows = [
+            {
+                "sequence": label.id,
+                "occurrence": self.ids[: k + 1].count(label.id or ""),
+                "start_static_s": list(label.start_static_s),
+                "end_static_s": list(label.end_static_s),
+                "confidence": confidence,
+            }
+            for k, (label, confidence) in enumerate(zip(self.labels, self.confidence, strict=True))
+        ]
+        doubtful = [
+            f"{label.title} is doubtful (confidence {confidence:.2f}): check it, or label the sequences."
+            for label, confidence in zip(self.labels, self.confidence, strict=True)
+            if confidence < DOUBTFUL
+        ]
+        told = {"summary": self.summary, "sequences": rows}
+        return replace(
+            calibration,
+            diagnostics={**calibration.diagnostics, "recognition": told},
+            warnings=(*calibration.warnings, *doubtful),
+        )
+
+
+def recognise(recording: Recording) -> Recognition:
+    """Find rests, turns and the sequences of Table 1.
+
+    Parameters
+    ----------
+    recording : Recording
+        Labels it may have are not looked at.
+
+    Returns
+    -------
+    Recognition
+        With no labels where no sequence was recognised, as in a free recording.
+
+    Raises
+    ------
+    DataError
+        If fewer than two stationary windows are found.
+    """
+    windows = find_windows(recording)
+    gaps = recording.gaps
+    apart = [
+        second[0] == first[1] or bool(np.any((gaps > first[0]) & (gaps < second[1])))
+        for first, second in pairwise(windows)
+    ]
+    turns = [find_legs(recording, windows, w) for w, cut in enumerate(apart) if not cut]
+    rates = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    force = np.array([recording.accel[a:b].mean(axis=0) for a, b in windows.tolist()]) * rates
+    identity = (np.eye(3), np.eye(3))
+    best = _Reading.of(turns, apart, force, recording.site.gravity_m_s2, identity)
+    told = sum(leg_axis(leg) is not None for turn in turns for leg in turn.legs)
+    if len(turns) >= _ENOUGH and best.legs < _FITTING * told:
+        for mapping in _mappings():
+            other = _Reading.of(turns, apart, force, recording.site.gravity_m_s2, mapping)
+            if other.legs > max(best.legs + 1, _FITTING * told):
+                best = other
+    return _result(recording, windows, turns, best)
+
+
+def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None]:
+    """Label a recording by what is recognised in it, if it has a fixture and no labels.
+
+    Returns
+    -------
+    recording : Recording
+        The same where it has labels or no fixture, or nothing of Table 1 is in it.
+    recognition : Recognition or None
+        None where nothing was looked for or found.
+    """
+    if recording.sequences or recording.fixture is None:
+        return recording, None
+    found = recognise(recording)
+    if not found.labels or not np.array_equal(found.mapping[0], np.eye(3)):
+        return recording, None
+    return recording.with_sequences(found.labels), found
+
+
+def _mappings() -> list[tuple[Array, Array]]:
+    """Other ways to name the axes: of both sensors, of the gyros alone, of the accelerometers alone."""
+    eye = np.eye(3)
+    signed = [
+        np.array(sign)[:, None] * eye[list(order)]
+        for order in permutations(range(3))
+        for sign in product((1.0, -1.0), repeat=3)
+    ]
+    others = [P for P in signed if not np.array_equal(P, eye)]
+    return [*((eye, P) for P in others), *((P, eye) for P in others), *((P, P) for P in others)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Match:
+    """A sequence read into turns ``first`` to ``last`` (inclusive), with the attitude of the piece it implies."""
+
+    name: str
+    first: int
+    last: int
+    attitude: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    """The best reading of all turns under one naming of the axes."""
+
+    matches: tuple[_Match, ...]
+    joins: frozenset[int]
+    legs: int
+    scale: Array
+    words: tuple[Word | None, ...]
+    faces: tuple[tuple[int, int] | None, ...]
+    mapping: tuple[Array, Array]
+
+    @classmethod
+    def of(
+        cls,
+        turns: SequenceOf[Turn],
+        apart: SequenceOf[bool],
+        force: Array,
+        gravity: float,
+        mapping: tuple[Array, Array],
+    ) -> _Reading:
+        gyro, accel = mapping
+        mapped = [Turn(t.start_window, t.end_window, t.first, t.last, t.legs @ gyro.T, t.bounds) for t in turns]
+        face = faces(force @ accel.T, gravity)
+        scale = scales(mapped, face)
+        words: list[Word | None] = []
+        for turn in mapped:
+            found = quarters(turn.legs, scale)
+            words.append(None if found is None or not _agrees(found, turn, face) else tuple(found))
+        matches: list[_Match] = []
+        joins: set[int] = set()
+        begin = 0
+        for t in range(len(mapped) + 1):
+            cut = t == len(mapped) or (
+                t > begin and (apart[mapped[t].start_window - 1] or words[t] is None or words[t - 1] is None)
+            )
+            if cut:
+                if begin < t:
+                    found_here, joined = _read_piece(mapped, words, face, begin, t)
+                    matches += found_here
+                    joins |= joined
+                begin = t
+        legs = sum(len(_WORDS[m.name][1]) for m in matches)
+        return cls(tuple(matches), frozenset(joins), legs, scale, tuple(words), tuple(face), mapping)
+
+
+def _agrees(word: SequenceOf[tuple[int, int]], turn: Turn, face: SequenceOf[tuple[int, int] | None]) -> bool:
+    """Whether quarter turns lead from the face before to the face after."""
+    before, after = face[turn.start_window], face[turn.end_window]
+    if before is None or after is None:
+        return False
+    down = face_vector(before)
+    for axis, count in word:
+        down = quarter_turn(axis, count).T @ down
+    return np.array_equal(down, face_vector(after))
+
+
+def _merged(words: SequenceOf[Word]) -> Word:
+    """One word of several, turns about one axis in one sense put together."""
+    out: list[tuple[int, int]] = []
+    for word in words:
+        for axis, count in word:
+            if out and out[-1][0] == axis and out[-1][1] * count > 0:
+                out[-1] = (axis, out[-1][1] + count)
+            else:
+                out.append((axis, count))
+    return tuple(out)
+
+
+def _read_piece(
+    turns: SequenceOf[Turn],
+    words: SequenceOf[Word | None],
+    face: SequenceOf[tuple[int, int] | None],
+    begin: int,
+    end: int,
+) -> tuple[list[_Match], set[int]]:
+    """Best reading of the turns ``begin`` to ``end`` of one contiguous piece, and the rests with a hidden join."""
+    carried = [np.eye(3, dtype=np.int64)]
+    for t in range(begin, end):
+        word = words[t]
+        C = carried[-1]
+        for axis, count in word or ():
+            C = C @ quarter_turn(axis, count)
+        carried.append(C)
+    options: list[_Match] = []
+    for i in range(begin, end):
+        for j in range(i, min(i + _LONGEST, end)):
+            spelled = _merged([w for w in words[i : j + 1] if w is not None])
+            for name, (down, word) in _WORDS.items():
+                if word == spelled and face[turns[i].start_window] == down:
+                    attitude = _STARTS[name] @ carried[i - begin].T
+                    options.append(_Match(name, i, j, tuple(attitude.ravel().tolist())))
+    return _best_path(options, begin, end)
+
+
+def _best_path(options: SequenceOf[_Match], begin: int, end: int) -> tuple[list[_Match], set[int]]:
+    """Highest-scoring selection of matches that do not overlap, the piece's attitude changing as seldom as may be."""
+    states = sorted({m.attitude for m in options})
+    if not states:
+        return [], set()
+    number = {state: s for s, state in enumerate(states)}
+    starting: dict[int, list[_Match]] = {}
+    for m in options:
+        starting.setdefault(m.first, []).append(m)
+    # score[rest][attitude]: best so far, having reached this rest with the piece lying so.
+    score = np.full((end - begin + 1, len(states)), -np.inf)
+    score[0] = 0.0
+    came: dict[tuple[int, int], tuple[int, int, _Match | None]] = {}
+    for i in range(begin, end + 1):
+        row = score[i - begin]
+        top = int(np.argmax(row))
+        for s in range(len(states)):
+            if row[s] < row[top] - _JOIN:
+                row[s] = row[top] - _JOIN
+                came[i, s] = (i, top, None)
+        if i == end:
+            break
+        for s in range(len(states)):
+            if row[s] > score[i + 1 - begin, s]:
+                score[i + 1 - begin, s] = row[s]
+                came[i + 1, s] = (i, s, None)
+        for m in starting.get(i, ()):
+            s = number[m.attitude]
+            value = row[s] + len(_WORDS[m.name][1]) - _SPLIT * (m.last - m.first)
+            if value > score[m.last + 1 - begin, s]:
+                score[m.last + 1 - begin, s] = value
+                came[m.last + 1, s] = (i, s, m)
+    at = (end, int(np.argmax(score[-1])))
+    matches, joins = [], set()
+    while at in came:
+        i, s, taken = came[at]
+        if taken is not None:
+            matches.append(taken)
+        elif i == at[0] and begin < i < end:
+            joins.add(i)
+        at = (i, s)
+    return matches[::-1], joins
+
+
+def _result(recording: Recording, windows: NDArray[np.intp], turns: SequenceOf[Turn], best: _Reading) -> Recognition:
+    """Labels and confidences of a reading."""
+    confidence = _confidences(turns, best)
+    spans = {w: (int(a), int(b)) for w, (a, b) in enumerate(windows.tolist())}
+    # Where one rest is two, the turn before keeps the first part, the turn after the second.
+    first_part, second_part = dict(spans), dict(spans)
+    floor = resolution_floor(recording)
+    for w, at in _parted_rests(recording, windows, turns, best).items():
+        a, b = spans[w]
+        first_part[w], second_part[w] = (trimmed(recording, part, floor) for part in ((a, at), (at, b)))
+    labels = tuple(
+        SequenceLabel(
+            window_times(recording, second_part[turns[m.first].start_window]),
+            window_times(recording, first_part[turns[m.last].end_window]),
+            m.name,
+        )
+        for m in best.matches
+    )
+    owner = {t: k for k, m in enumerate(best.matches) for t in range(m.first, m.last + 1)}
+    found = tuple(
+        FoundTurn(
+            turn.start_window,
+            turn.end_window,
+            turn.first,
+            turn.last,
+            turn.legs,
+            best.matches[owner[t]].name if t in owner else None,
+            confidence[owner[t]] if t in owner else 0.0,
+            "" if t in owner else _why_not(t, turn, best),
+        )
+        for t, turn in enumerate(turns)
+    )
+    return Recognition(windows, found, labels, tuple(confidence), best.scale, best.mapping)
+
+
+def _parted_rests(
+    recording: Recording, windows: NDArray[np.intp], turns: SequenceOf[Turn], best: _Reading
+) -> dict[int, int]:
+    """Rests that are two, by window, with the first sample of the second: at hidden joins, and two dwells in one.
+
+    A rest that ends one sequence and starts another is one pose for both, unless it is as long as two or the attitude
+    steps in it: an operator who starts anew from the attitude he ended in drives the fixture there again.
+    """
+    length = windows[:, 1] - windows[:, 0]
+    ends = {turns[m.last].end_window for m in best.matches}
+    shared = ends & {turns[m.first].start_window for m in best.matches}
+    hidden = {turns[t].start_window for t in best.joins} & ends
+    alone = [w for w in range(len(windows)) if w not in shared]
+    typical = float(np.median(length[alone])) if alone else np.inf
+    out = {}
+    for w in sorted(shared | hidden):
+        a, b = int(windows[w, 0]), int(windows[w, 1])
+        margin = (b - a) // 8
+        if margin < 1:
+            continue
+        at, gain = best_join(recording, a + margin, b - margin)
+        if w in hidden or gain > _STEP:
+            out[w] = at
+        elif length[w] > _TWO_DWELLS * typical:
+            out[w] = (a + b) // 2
+    return out
+
+
+def _confidences(turns: SequenceOf[Turn], best: _Reading) -> list[float]:
+    """Probability of each match, from how far its legs lie from their nominal angles."""
+    out = []
+    for m in best.matches:
+        worst = 0.0
+        legs = np.concatenate([turns[t].legs for t in range(m.first, m.last + 1)]) @ best.mapping[0].T
+        total = np.zeros(3)
+        nominal = np.zeros(3)
+        for leg in legs:
+            found = leg_axis(leg)
+            if found is not None:
+                total[found[0]] += abs(found[1]) / best.scale[found[0]]
+        for axis, count in _WORDS[m.name][1]:
+            nominal[axis] += abs(count) * QUARTER
+        worst = float(np.abs(total - nominal).max()) / max(1.0, np.sqrt(len(legs)))
+        fits = np.exp(-0.5 * (worst / _ANGLE_SIGMA) ** 2) / (_ANGLE_SIGMA * np.sqrt(2.0 * np.pi))
+        out.append(float(fits / (fits + _BY_CHANCE)))
+    return out
+
+
+def _why_not(t: int, turn: Turn, best: _Reading) -> str:
+    """Why a turn is no sequence, in a few words."""
+    word = best.words[t]
+    if best.faces[turn.start_window] is None or best.faces[turn.end_window] is None:
+        return "no axis of the unit is vertical before or after it"
+    if word is None:
+        return "it is not made of quarter turns about single axes"
+    down = best.faces[turn.start_window]
+    for name, (face, nominal) in _WORDS.items():
+        if face == down and tuple((axis, -count) for axis, count in nominal) == word:
+            return f"it is sequence {name} turned the other way"
+        if face == down and nominal == word:
+            return f"it is like sequence {name}, but began turned about the vertical"
+    return "a move between sequences"
