@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _LONGEST_SUM: Final = 32
 _SIGMAS: Final = 6.0
 """Beyond which readings are motion: the 500,000 tests of a usual recording exceed it by chance about 0.001 times."""
+_DOUBTFUL: Final = 2.5
+"""Sigmas of a single reading, next to motion, that are better left out."""
 _REFERENCE_S: Final = 2.0
 _INWARD_BLOCKS: Final = 20
 _OUTWARD_BLOCKS: Final = 3
@@ -107,7 +109,8 @@ def _still_outward(recording: Recording, reference: slice, outward: range, facto
     index = np.array(outward)
     away = np.concatenate([recording.gyro[index], recording.accel[index]], axis=1) * factor
     sigma = np.maximum(beside.std(axis=0), least)
-    total = np.cumsum((away - beside.mean(axis=0)) / sigma, axis=0)
+    deviation = (away - beside.mean(axis=0)) / sigma
+    total = np.cumsum(deviation, axis=0)
     total = np.concatenate([np.zeros((1, 6)), total])
     best, kept = len(index), len(index)
     n = 1
@@ -118,6 +121,9 @@ def _still_outward(recording: Recording, reference: slice, outward: range, facto
             if found < best:
                 best, kept = found, max(0, found - 2 * (n - 1))
         n *= 2
+    # The sample beside the motion may hold its first or last moment, too little to be told for sure.
+    while 0 < kept < len(index) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):
+        kept -= 1
     return kept
 
 
