@@ -8,9 +8,15 @@ class SrtError(Exception):
     ----------
     exit_code : int
         What the command line exits with: 1, the data cannot support a result; 2, wrong usage or unreadable input.
+    fault : str or None
+        Its name in the catalogue of faults (:mod:`srt.diagnosis.faults`), if it stands there.
     """
 
     exit_code = 2
+
+    def __init__(self, *args: object, fault: str | None = None) -> None:
+        super().__init__(*args)
+        self.fault = fault
 
 
 class InputError(SrtError):

@@ -16,6 +16,7 @@ import numpy as np
 
 from srt.blocks import resolution_floor
 from srt.catalogue import AXES, SEQUENCES
+from srt.exceptions import DataError
 from srt.faces import QUARTER, face_vector, faces, leg_axis, quarter_turn, quarters, scales
 from srt.playback_data import nominal_attitude
 from srt.recording import SequenceLabel
@@ -59,8 +60,12 @@ _TWO_DWELLS: Final = 1.5
 DOUBTFUL: Final = 0.5
 """Confidence below which a sequence is warned of."""
 _ENOUGH: Final = 4
-_FITTING: Final = 0.3
-"""Share of legs that belong to sequences, below which another naming of the axes is tried."""
+"""Turns below which the axes are not doubted."""
+_NEARLY_ALL: Final = 15
+"""Different sequences with which they are not doubted either."""
+_TRIED: Final = 4
+_CLEARLY: Final = 1.2
+"""Times as many legs in sequences that another naming of the axes must explain."""
 _BY_CHANCE: Final = 1.0 / (np.pi / 2.0) / 36.0
 """Density of an angle that only happens to lie near, in a pair of faces that only happen to fit."""
 
@@ -139,6 +144,16 @@ class Recognition:
         return tuple(name for name in SEQUENCES if self.ids.count(name) > 1)
 
     @property
+    def misnamed(self) -> str:
+        """How axes must be named for the sequences to fit, as "the gyro axes are read as x,-y,z"; empty if they are."""
+        said = [
+            f"the {sensor} axes are read as {mapping_text(P)}"
+            for sensor, P in zip(("gyro", "accelerometer"), self.mapping, strict=True)
+            if not np.array_equal(P, np.eye(3))
+        ]
+        return " and ".join(said)
+
+    @property
     def summary(self) -> str:
         """One sentence."""
         others = sum(turn.sequence is None for turn in self.turns)
@@ -152,6 +167,8 @@ class Recognition:
             parts.append(f"{', '.join(self.missing)} missing")
         if others:
             parts.append(f"{others} other turns, as moves between them")
+        if self.misnamed:
+            parts.append(f"if {self.misnamed}")
         least = min(self.confidence)
         return f"{said}: {'; '.join(parts)}; least confidence {least:.2f}."
 
@@ -178,6 +195,11 @@ class Recognition:
             diagnostics={**calibration.diagnostics, "recognition": told},
             warnings=(*calibration.warnings, *doubtful),
         )
+
+
+def mapping_text(mapping: Array) -> str:
+    """Write a signed permutation as the axes that x, y and z are read from, as "y,-x,z"."""
+    return ",".join(("-" if row.sum() < 0.0 else "") + AXES[int(np.argmax(np.abs(row)))] for row in mapping)
 
 
 def recognise(recording: Recording) -> Recognition:
@@ -209,11 +231,10 @@ def recognise(recording: Recording) -> Recognition:
     force = np.array([recording.accel[a:b].mean(axis=0) for a, b in windows.tolist()]) * rates
     identity = (np.eye(3), np.eye(3))
     best = _Reading.of(turns, apart, force, recording.site.gravity_m_s2, identity)
-    told = sum(leg_axis(leg) is not None for turn in turns for leg in turn.legs)
-    if len(turns) >= _ENOUGH and best.legs < _FITTING * told:
-        for mapping in _mappings():
+    if len(turns) >= _ENOUGH and len({m.name for m in best.matches}) < _NEARLY_ALL:
+        for mapping in _promising(turns, faces(force, recording.site.gravity_m_s2)):
             other = _Reading.of(turns, apart, force, recording.site.gravity_m_s2, mapping)
-            if other.legs > max(best.legs + 1, _FITTING * told):
+            if other.legs >= _CLEARLY * max(best.legs, 1):
                 best = other
     return _result(recording, windows, turns, best)
 
@@ -227,12 +248,22 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
         The same where it has labels or no fixture, or nothing of Table 1 is in it.
     recognition : Recognition or None
         None where nothing was looked for or found.
+
+    Raises
+    ------
+    DataError
+        If fewer than two stationary windows are found, or the sequences fit only with other names of the axes.
     """
     if recording.sequences or recording.fixture is None:
         return recording, None
     found = recognise(recording)
-    if not found.labels or not np.array_equal(found.mapping[0], np.eye(3)):
+    if not found.labels:
         return recording, None
+    if found.misnamed:
+        raise DataError(
+            f"The turns are those of Table 1 only if {found.misnamed}: name the axes so when the recording is "
+            "converted, or label the sequences."
+        )
     return recording.with_sequences(found.labels), found
 
 
@@ -246,6 +277,30 @@ def _mappings() -> list[tuple[Array, Array]]:
     ]
     others = [P for P in signed if not np.array_equal(P, eye)]
     return [*((eye, P) for P in others), *((P, eye) for P in others), *((P, P) for P in others)]
+
+
+def _promising(turns: SequenceOf[Turn], face: SequenceOf[tuple[int, int] | None]) -> list[tuple[Array, Array]]:
+    """The few namings of the axes under which most single turns look like sequences of Table 1."""
+    spelled = [(quarters(turn.legs, np.ones(3)), face[turn.start_window]) for turn in turns]
+    read = [(word, down) for word, down in spelled if word is not None and down is not None]
+    known = set(_WORDS.values())
+
+    def count(mapping: tuple[Array, Array]) -> int:
+        # Where each axis goes, and with which sign.
+        (g_axis, g_sign), (a_axis, a_sign) = (
+            (np.argmax(np.abs(P), axis=0).tolist(), P.sum(axis=0).astype(int).tolist()) for P in mapping
+        )
+        return sum(
+            (
+                (a_axis[down[0]], a_sign[down[0]] * down[1]),
+                tuple((g_axis[axis], g_sign[axis] * number) for axis, number in word),
+            )
+            in known
+            for word, down in read
+        )
+
+    ranked = sorted(((count(mapping), -k, mapping) for k, mapping in enumerate(_mappings())), key=lambda r: r[:2])
+    return [mapping for number, _, mapping in ranked[: -_TRIED - 1 : -1] if number >= _ENOUGH]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

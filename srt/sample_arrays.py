@@ -65,7 +65,8 @@ def require_finite(name: str, values: NDArray[np.float64], time: NDArray[np.floa
     raise InputError(
         f"Column {full_name}: sample {row + 1} of {len(values)}{when} is {values.flat[bad[0]]} "
         f"({bad.size} such in this sensor), but every reading must be a finite number: "
-        "repair or remove the sample."
+        "repair or remove the sample.",
+        fault="not_finite",
     )
 
 
@@ -79,5 +80,6 @@ def require_increasing(time: NDArray[np.float64]) -> None:
     what = "repeats" if time[row] == time[row - 1] else "goes back from"
     raise InputError(
         f"Column time: sample {row + 1} of {time.size} at {time[row]:.9g} s {what} {time[row - 1]:.9g} s "
-        f"({bad.size} such in all), but time must increase: remove repeated samples, or restore the order."
+        f"({bad.size} such in all), but time must increase: remove repeated samples, or restore the order.",
+        fault="time_repeats" if what == "repeats" else "time_backwards",
     )

@@ -161,7 +161,8 @@ def _check_rate(
         raise InputError(
             f"sample_rate_hz is {sample_rate_hz:g}, an interval of {1.0 / sample_rate_hz:.6g} s, but the "
             f"time stamps advance by {found:.6g} s per sample: correct the rate or the time unit, "
-            "or leave the rate out."
+            "or leave the rate out.",
+            fault="rate_contradicts_stamps",
         )
 
 

@@ -1,0 +1,270 @@
+"""What checks look at: readings, windows, turns and faces of a recording, each worked out once and on demand.
+
+Nothing here refuses a recording for its values: impossible readings are what the checks are for. Readings are raw,
+in SI as declared; ``rate`` and ``force`` are rates whatever the kind of the recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import DataError
+from srt.executed import end_attitude
+from srt.options import Options
+from srt.playback_data import nominal_attitude, prepare
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+    from srt.playback_data import PlaybackData
+    from srt.recognition import Recognition
+    from srt.recording import Recording, SequenceLabel
+
+    Array = NDArray[np.float64]
+
+_RIDGE: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Readings against nominal vectors, ``reading ≈ matrix @ nominal + offset``, by least squares.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (3, 3)
+        The unit matrix for a perfect unit in the right frame.
+    offset : ndarray, shape (3,)
+    residual : ndarray, shape (n, 3)
+    rank : int
+        3 when the nominal vectors span space.
+    """
+
+    matrix: Array
+    offset: Array
+    residual: Array
+    rank: int
+
+
+class Evidence:
+    """A recording under examination.
+
+    Parameters
+    ----------
+    recording : Recording
+        Labelled, or not; without labels the sequences that were recognised take their place.
+    options : Options, optional
+        Of the calibration that ``result`` is.
+    result : Calibration, optional
+        If it was computed already.
+    """
+
+    def __init__(self, recording: Recording, options: Options | None = None, result: Calibration | None = None) -> None:
+        self.recording = recording
+        self.options = options or Options()
+        self._result = result
+
+    # --- samples -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def dt(self) -> float:
+        """Nominal sampling interval, s."""
+        return self.recording.nominal_interval_s
+
+    @cached_property
+    def per_rate(self) -> float:
+        """Factor from stored values to rates: 1, or one over the interval for increments."""
+        return 1.0 if self.recording.kind == "rate" else 1.0 / self.dt
+
+    @cached_property
+    def rate(self) -> Array:
+        """Gyro readings, shape (n, 3), rad/s."""
+        return self.recording.gyro if self.per_rate == 1.0 else self.recording.gyro * self.per_rate
+
+    @cached_property
+    def force(self) -> Array:
+        """Accelerometer readings, shape (n, 3), m/s²."""
+        return self.recording.accel if self.per_rate == 1.0 else self.recording.accel * self.per_rate
+
+    # --- what was recognised, and what is labelled -------------------------------------------------------------------
+
+    @cached_property
+    def recognition(self) -> Recognition | None:
+        """Stillness, turns and sequences found in the samples; None if no two windows were found."""
+        from srt.recognition import recognise
+
+        try:
+            return recognise(self.recording)
+        except DataError:
+            return None
+
+    @cached_property
+    def labelled(self) -> bool:
+        """Whether the recording came with labels."""
+        return bool(self.recording.sequences)
+
+    @cached_property
+    def labels(self) -> tuple[SequenceLabel, ...]:
+        """Labels given, else those of the sequences recognised, else of free turns; may be empty."""
+        if self.labelled:
+            return self.recording.sequences
+        return () if self.recognition is None else self.recognition.labels
+
+    @cached_property
+    def data(self) -> PlaybackData | None:
+        """The labelled recording prepared without any check; None if it cannot be."""
+        try:
+            return prepare(self.recording, self.labels, self.options)
+        except DataError:
+            return None
+
+    @cached_property
+    def whole(self) -> NDArray[np.bool_]:
+        """Sequences without a gap between their first and last sample, shape (K,)."""
+        data = self._data
+        first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
+        gaps = self.recording.gaps
+        return np.asarray(np.searchsorted(gaps, first, side="right") == np.searchsorted(gaps, last, side="left"))
+
+    @property
+    def _data(self) -> PlaybackData:
+        if self.data is None:
+            raise DataError("The recording holds no sequence with two windows.")
+        return self.data
+
+    def title(self, sequence: int) -> str:
+        """What sentences call a sequence: "sequence 7"."""
+        data = self._data
+        again = f" (occurrence {data.occurrences[sequence]})" if data.occurrences[sequence] > 1 else ""
+        name = data.ids[sequence]
+        return f"{name}{again}" if data.catalogue[sequence] is None else f"sequence {name}{again}"
+
+    def sequence_at(self, sample: int) -> int | None:
+        """The sequence whose windows or rotation hold a sample, if any."""
+        if self.data is None:
+            return None
+        first = self.data.windows.samples[self.data.start, 0]
+        last = self.data.windows.samples[self.data.end, 1]
+        inside = np.flatnonzero((first <= sample) & (sample < last))
+        return int(inside[0]) if inside.size else None
+
+    def called_at(self, sample: int) -> str:
+        """What sentences call the place of a sample."""
+        k = self.sequence_at(sample)
+        return "that part" if k is None else self.title(k)
+
+    # --- rest --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def rest_rate(self) -> Array:
+        """Mean gyro reading of every window, shape (W, 3), rad/s."""
+        return self._data.windows.gyro_mean
+
+    @cached_property
+    def rest_force(self) -> Array:
+        """Mean accelerometer reading of every window, shape (W, 3), m/s²."""
+        return self._data.windows.accel_mean
+
+    # --- turns -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def legs(self) -> tuple[NDArray[np.intp], Array, Array]:
+        """Legs of the sequences in the catalogue that can be told apart.
+
+        Returns
+        -------
+        sequence : ndarray of int, shape (L,)
+        nominal, turned : ndarray, shape (L, 3), rad
+            Stated rotation, signed angle times axis, and summed gyro reading less the mean of the two windows.
+        """
+        from srt.attitude import gyro_stream
+        from srt.fixture_start import split_legs
+
+        data = self._data
+        stream = gyro_stream(
+            self.recording.gyro,
+            self.recording.interval_s,
+            data.rotation,
+            data.rotation,
+            rates=self.recording.kind == "rate",
+        )
+        rest = data.windows.gyro_mean
+        numbers, nominal, turned = [], [], []
+        for k, sequence in enumerate(data.catalogue):
+            if sequence is None or not self.whole[k]:
+                continue
+            split = split_legs(stream, k, sequence, 0.5 * (rest[data.start[k]] + rest[data.end[k]]))
+            if split is not None:
+                numbers.append(np.full(len(split), k))
+                nominal.append(sequence.axes * sequence.angles_rad[:, None])
+                turned.append(split)
+        if not numbers:
+            return np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3))
+        return np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned)
+
+    @cached_property
+    def gyro_fit(self) -> Fit:
+        """Turned against stated angles: raw gyro matrix over the nominal frame, rad."""
+        _, nominal, turned = self.legs
+        return _fit(nominal, turned, with_offset=False)
+
+    @cached_property
+    def poses(self) -> tuple[Array, Array]:
+        """Nominal specific force and raw mean reading, start and end of the catalogue's sequences, shape (2 K', 3)."""
+        data = self._data
+        nominal, reading = [], []
+        for k, sequence in enumerate(data.catalogue):
+            if sequence is None:
+                continue
+            down = nominal_attitude(sequence)[2]
+            nominal += [-data.gravity * down, -data.gravity * (end_attitude(sequence).T @ down)]
+            reading += [self.rest_force[data.start[k]], self.rest_force[data.end[k]]]
+        return np.array(nominal).reshape(-1, 3), np.array(reading).reshape(-1, 3)
+
+    @cached_property
+    def accel_fit(self) -> Fit:
+        """Readings at rest against the nominal vertical: raw accelerometer matrix and bias, m/s²."""
+        return _fit(*self.poses, with_offset=True)
+
+    def sequence_angle(self, sequence: int) -> float:
+        """Magnitude of the summed gyro reading of one leg over the stated one, the largest of a sequence."""
+        numbers, nominal, turned = self.legs
+        mine = numbers == sequence
+        ratio = np.linalg.norm(turned[mine], axis=1) / np.linalg.norm(nominal[mine], axis=1)
+        return float(ratio.max(initial=np.nan))
+
+    # --- calibration -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def result(self) -> Calibration | None:
+        """Calibration of the recording by the options; None where the data cannot support one."""
+        if self._result is not None:
+            return self._result
+        from srt.estimation import automatic_estimator, find_estimator
+
+        try:
+            recording = self.recording if self.labelled else self.recording.with_sequences(self.labels)
+            return find_estimator(automatic_estimator(recording))(recording, self.options)
+        except (DataError, np.linalg.LinAlgError):
+            return None
+
+
+def _fit(x: Array, y: Array, *, with_offset: bool) -> Fit:
+    if len(x) == 0:
+        return Fit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
+    scale = float(np.linalg.norm(x, axis=1).mean())
+    design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_offset else x / scale
+    rank = int(np.linalg.matrix_rank(x / scale, tol=0.1))
+    solution = np.linalg.lstsq(design, y, rcond=_RIDGE)[0]
+    matrix = solution[:3].T / scale
+    offset = solution[3] if with_offset else np.zeros(3)
+    return Fit(np.asarray(matrix), np.asarray(offset), np.asarray(y - design @ solution), rank)
+
+
+def plain(value: Any) -> Any:
+    """JSON value of numpy scalars and arrays."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -1,0 +1,88 @@
+"""What a check finds, and the table of checks: each declares the faults that it can name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from srt.diagnosis.faults import FAULTS, RANK, STAGES, Effect
+
+if TYPE_CHECKING:
+    from srt.diagnosis.evidence import Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One fault found in a recording.
+
+    Attributes
+    ----------
+    fault : str
+        Key of :data:`srt.diagnosis.faults.FAULTS`.
+    sentence : str
+    details : dict
+        What the sentence was filled with, SI where a name carries no unit.
+    """
+
+    fault: str
+    sentence: str
+    details: dict[str, Any]
+
+    @property
+    def effect(self) -> Effect:
+        """What it causes."""
+        return FAULTS[self.fault].effect
+
+    @property
+    def stage(self) -> str:
+        """Where in the chain of causes it stands."""
+        return FAULTS[self.fault].stage
+
+
+def found(fault: str, **details: Any) -> Finding:
+    """State a fault; the fields of its sentence are given by name."""
+    return Finding(fault, FAULTS[fault].sentence.format(**details), details)
+
+
+Check = Callable[["Evidence"], Iterable[Finding]]
+
+
+@dataclass(frozen=True, slots=True)
+class Registered:
+    """A check and what it can name; ``needs_result`` tells that it looks at a calibration of the recording."""
+
+    run: Check
+    faults: tuple[str, ...]
+    stage: str
+    needs_result: bool
+
+
+CHECKS: Final[list[Registered]] = []
+
+
+def check(*faults: str, needs_result: bool = False) -> Callable[[Check], Check]:
+    """Register a check that can name these faults, all of one stage.
+
+    A check yields at most one finding for each cause that it sees; several sequences with one cause are one finding.
+    """
+    stages = {FAULTS[name].stage for name in faults}
+    assert len(stages) == 1, "a check belongs to one stage"
+    stage = stages.pop()
+
+    def register(run: Check) -> Check:
+        CHECKS.append(Registered(run, faults, stage, needs_result))
+        return run
+
+    return register
+
+
+def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Causes before their consequences."""
+    return tuple(sorted(findings, key=lambda finding: RANK[finding.fault]))
+
+
+def checks_of(stage: str) -> list[Registered]:
+    """The checks of one stage."""
+    assert stage in STAGES
+    return [registered for registered in CHECKS if registered.stage == stage]

@@ -1,0 +1,166 @@
+"""Sequences of Table 1 recognised in recordings without labels, and what that costs in the result."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import srt
+from sims import recognition_study as study
+from sims.faults import GRADES, Case
+from srt.catalogue import AXES, SEQUENCES
+from srt.faces import face_vector, quarter_turn
+from srt.recognition import label_sequences, recognise
+
+
+def unlabelled(grade="tactical-fog", seed=5, **sections):
+    return Case(grade, seed).changed(**sections).recording.with_sequences(())
+
+
+def assert_recognised(test):
+    found = recognise(test.recording.with_sequences(()))
+    assert found.ids == test.order, found.summary
+    assert min(found.confidence) > 0.5
+    for label, true in zip(found.labels, test.recording.sequences, strict=True):
+        for mine, given_ in ((label.start_static_s, true.start_static_s), (label.end_static_s, true.end_static_s)):
+            overlap = min(mine[1], given_[1]) - max(mine[0], given_[0])
+            assert overlap > 0.5 * (given_[1] - given_[0])
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_any_order_with_repeats_moves_and_joins_of_units_off_by_30_percent(seed):
+    assert_recognised(study.hard_test(seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1000, 1300))
+def test_many_orders_with_repeats_moves_and_joins(seed):
+    assert_recognised(study.hard_test(seed))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_noise_free_labels_change_nothing(seed):
+    pair = study.pair(study.fair_test(seed, "tactical-fog", noise=False))
+    assert np.max(np.abs(pair.difference)) < 1e-9
+
+
+def assert_labels_hardly_matter(pairs):
+    scaled = np.array([p.difference / p.sigma for p in pairs])
+    assert np.sqrt(np.mean(scaled**2)) <= 0.25
+    assert np.abs(scaled).max() <= 1.0
+    # Each NEES is chi-square with 27 degrees of freedom over 27, of variance 2/27; 3.5 standard errors of the mean.
+    assert abs(np.mean([p.nees for p in pairs]) - 1.0) < 3.5 * np.sqrt(2.0 / 27.0 / len(pairs))
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_labels_hardly_matter(grade):
+    assert_labels_hardly_matter([study.pair(study.fair_test(seed, grade)) for seed in range(100, 104)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grade", GRADES)
+def test_labels_hardly_matter_over_200_recordings(grade):
+    assert_labels_hardly_matter([study.pair(study.fair_test(seed, grade)) for seed in range(2000, 2200)])
+
+
+def test_the_result_says_what_was_recognised():
+    calibration = srt.calibrate(unlabelled())
+    told = calibration.diagnostics["recognition"]
+    assert calibration.estimator == "closed-form"
+    assert [row["sequence"] for row in told["sequences"]] == list(SEQUENCES)
+    assert "17 sequences of Table 1 recognised" in told["summary"]
+
+
+def test_missing_and_repeated_sequences_are_named():
+    order = [name for name in SEQUENCES if name != "8"] + ["1", "1"]
+    found = recognise(unlabelled(schedule={"sequences": order}))
+    assert found.missing == ("8",)
+    assert found.repeated == ("1",)
+    assert "1 more than once" in found.summary
+    assert "8 missing" in found.summary
+
+
+def test_labels_given_are_kept():
+    recording = Case("tactical-fog", 5).recording
+    labelled, found = label_sequences(recording)
+    assert labelled is recording
+    assert found is None
+
+
+def test_a_recording_without_a_fixture_is_not_labelled():
+    recording = replace(unlabelled(), fixture=None)
+    same, found = label_sequences(recording)
+    assert same is recording
+    assert found is None
+    assert srt.calibrate(recording).estimator == "least-squares"
+
+
+def test_a_free_recording_holds_none():
+    from sims.free_motion import free_motion, random_attitude, random_turns
+    from sims.imu import ImuModel, read_out
+
+    rng = np.random.default_rng(12)
+    turns = random_turns(rng, 20, smallest_rad=0.8, largest_rad=2.5)
+    motion = free_motion(turns, site=Case("tactical-fog", 1).recording.site, attitude=random_attitude(rng))
+    recording = read_out(motion, srt.SensorErrors(), ImuModel(gyro_noise=1e-4, accel_noise=1e-3), rng)
+    found = recognise(recording.with_sequences(()))
+    assert found.labels == ()
+    assert len(found.turns) == 20
+    assert "none is a sequence" in found.summary
+
+
+def test_a_sequence_turned_the_other_way_is_said_to_be():
+    from sims.sequences import TABLE_1, table_sequences
+    from sims.table_motion import Schedule, run_schedule
+
+    recording = Case("tactical-fog", 5).recording
+    reversed_8 = replace(table_sequences(("8",))[0], rotations=(("x", -180.0),), id="8-reversed", in_table_1=False)
+    order = [reversed_8 if name == "8" else table_sequences((name,))[0] for name in TABLE_1]
+    motion = run_schedule(Schedule(tuple(order)), site=recording.site, sample_rate_hz=100.0)
+    from sims.imu import ImuModel, read_out
+
+    noisy = read_out(motion, srt.SensorErrors(), ImuModel(gyro_noise=1e-5, accel_noise=1e-4), np.random.default_rng(1))
+    found = recognise(noisy.with_sequences(()))
+    assert found.missing == ("8",)
+    assert [turn.reason for turn in found.turns if turn.sequence is None] == ["it is sequence 8 turned the other way"]
+
+
+SIGNED = [np.diag(s)[list(p)] for p in ((0, 1, 2), (1, 0, 2), (2, 0, 1)) for s in ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0))]
+
+
+@pytest.mark.parametrize("wrong", SIGNED[1:], ids=str)
+@pytest.mark.parametrize("sensors", ["gyro", "accel", "both"])
+def test_misnamed_axes_are_found(wrong, sensors):
+    recording = unlabelled()
+    gyro = recording.gyro @ wrong.T if sensors != "accel" else recording.gyro
+    accel = recording.accel @ wrong.T if sensors != "gyro" else recording.accel
+    found = recognise(replace(recording, gyro=gyro, accel=accel))
+    right = [wrong.T if sensors in (name, "both") else np.eye(3) for name in ("gyro", "accel")]
+    assert len(found.labels) == 17
+    np.testing.assert_array_equal(found.mapping[0], right[0])
+    np.testing.assert_array_equal(found.mapping[1], right[1])
+    with pytest.raises(srt.DataError, match=r"only if the .* axes are read as"):
+        srt.calibrate(replace(recording, gyro=gyro, accel=accel))
+
+
+@given(st.integers(0, 2), st.integers(-8, 8), st.integers(-8, 8))
+def test_quarter_turns_add(axis, first, second):
+    product = quarter_turn(axis, first) @ quarter_turn(axis, second)
+    np.testing.assert_array_equal(product, quarter_turn(axis, first + second))
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2), st.integers(-4, 4), st.sampled_from([(a, s) for a in range(3) for s in (1, -1)]))
+def test_quarter_turns_agree_with_rotations(axis, count, face):
+    from scipy.spatial.transform import Rotation
+
+    vector = np.zeros(3)
+    vector[axis] = 0.5 * np.pi * count
+    matrix = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(quarter_turn(axis, count), matrix, atol=1e-15)
+    np.testing.assert_allclose(
+        quarter_turn(axis, count).T @ face_vector(face), matrix.T @ face_vector(face), atol=1e-15
+    )
+    assert AXES[axis] in "xyz"
