@@ -1,6 +1,7 @@
 """Recordings on disk: a folder with ``recording.toml`` and the samples file that it names.
 
-Units are converted here and nowhere else: files state theirs, in names of keys or as keys; memory holds SI.
+Units are converted here, and in the importers of foreign formats: files state theirs, in names of keys or as keys;
+memory holds SI.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,7 +35,7 @@ from srt.recording_keys import (
     read_section,
     toml_value,
 )
-from srt.samples_io import SAMPLES_FORMATS, Samples, read_samples, write_samples
+from srt.samples_io import SAMPLES_FORMATS, Samples, is_foreign, read_samples, write_samples
 from srt.suggestions import did_you_mean
 
 if TYPE_CHECKING:
@@ -44,6 +46,24 @@ if TYPE_CHECKING:
 TOML_NAME: Final = "recording.toml"
 
 _NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # local anomalies, which the formula does not know
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a recording's file says beside its samples.
+
+    Attributes
+    ----------
+    site : Site
+    fixture : Fixture or None
+    noise : ImuNoise
+    sequences : tuple of SequenceLabel
+    """
+
+    site: Site
+    fixture: Fixture | None
+    noise: ImuNoise
+    sequences: tuple[SequenceLabel, ...]
 
 
 def load_recording(path: str | os.PathLike[str]) -> Recording:
@@ -59,33 +79,31 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     Recording
         In SI units. Gravity is ``gravity_m_s2`` where given, else normal gravity at ``height_m``. Without a
         column ``temperature``, ``temperature_c`` holds for all samples; without a column ``time``,
-        ``sample_rate_hz`` makes it, the first interval starting at 0.
+        ``sample_rate_hz`` makes it, the first interval starting at 0. Samples in a foreign format are imported; units
+        that such a format defines need not be stated.
 
     Raises
     ------
     InputError
-        A file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value, or samples
-        that :class:`~srt.recording.Recording` refuses. One sentence each.
+        A file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value, samples outside the
+        recording's folder, or such that :class:`~srt.recording.Recording` refuses. One sentence each.
     MissingExtraError
         If the samples format needs a package that is not installed.
     """
     toml = _find_toml(Path(path))
     document = _read_toml(toml)
+    if "recording" not in document:
+        raise InputError(f"{toml}: the section [recording] is missing: add it.")
     main = read_section(str(toml), "recording", document["recording"], RECORDING_KEYS)
-    site = _read_site(str(toml), document)
-    fixture = None
-    if "fixture" in document:
-        given = fields_of(read_section(str(toml), "fixture", document["fixture"], FIXTURE_KEYS), FIXTURE_KEYS)
-        fixture = Fixture(**{"heading_rad": None, **given})
-    noise = ImuNoise(**fields_of(read_section(str(toml), "imu", document.get("imu", {}), IMU_KEYS), IMU_KEYS))
-    sequences = _read_sequences(str(toml), document.get("sequence", []))
-
+    about = read_surroundings(str(toml), document)
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
+    samples_path = _inside(toml, main["samples"])
+    if is_foreign(samples_path):
+        return _import_recording(toml, samples_path, main, about, os.fspath(path))
     kind = main.get("kind", "rate")
     gyro = _conversion(str(toml), "gyro", kind, main, GYRO_UNITS)
     accel = _conversion(str(toml), "accel", kind, main, ACCEL_UNITS)
-    samples_path = toml.parent / main["samples"]
     rate = main.get("sample_rate_hz")
     samples = read_samples(samples_path, time_required=rate is None)
     _apply(samples.gyro, gyro)
@@ -104,17 +122,66 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
             time=time,
             gyro=samples.gyro,
             accel=samples.accel,
-            site=site,
-            fixture=fixture,
-            noise=noise,
-            sequences=sequences,
+            site=about.site,
+            fixture=about.fixture,
+            noise=about.noise,
+            sequences=about.sequences,
             temperature=temperature,
             source=os.fspath(path),
             data_sha256=_sha256(samples_path),
             **fields_of({"kind": kind, **main}, RECORDING_KEYS),
         )
     except InputError as error:
-        raise InputError(f"{toml.parent}: {error}") from None
+        raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
+
+
+def read_surroundings(file: str, document: Mapping[str, Any]) -> Surroundings:
+    """Read the sections [site], [fixture], [imu] and [[sequence]].
+
+    Parameters
+    ----------
+    file : str
+        Named in messages.
+    document : mapping
+        What TOML holds.
+
+    Returns
+    -------
+    Surroundings
+
+    Raises
+    ------
+    InputError
+        An unknown key, a wrong type or value, no site.
+    """
+    if "site" not in document:
+        raise InputError(f"{file}: the section [site] is missing: add it.")
+    site = _read_site(file, document)
+    fixture = None
+    if "fixture" in document:
+        given = fields_of(read_section(file, "fixture", document["fixture"], FIXTURE_KEYS), FIXTURE_KEYS)
+        fixture = Fixture(**{"heading_rad": None, **given})
+    noise = ImuNoise(**fields_of(read_section(file, "imu", document.get("imu", {}), IMU_KEYS), IMU_KEYS))
+    return Surroundings(site, fixture, noise, _read_sequences(file, document.get("sequence", [])))
+
+
+def read_document(toml: Path) -> dict[str, Any]:
+    """Read a ``recording.toml`` as it is, its sections known but not yet checked.
+
+    Parameters
+    ----------
+    toml : Path
+        It, or its folder.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+    """
+    return _read_toml(_find_toml(toml))
 
 
 def write_recording(
@@ -174,13 +241,78 @@ def _find_toml(path: Path) -> Path:
     if path.is_dir():
         toml = path / TOML_NAME
         if not toml.is_file():
-            raise InputError(f"The folder {path} holds no {TOML_NAME}: it is no recording; name another folder.")
+            raise InputError(
+                f"The folder {path} holds no {TOML_NAME}: it is no recording; {_conversion_advice(path, 'folder')}."
+            )
         return toml
     if not path.exists():
         raise InputError(f"There is no recording {path}: check the path of the folder.")
     if path.suffix != ".toml":
-        raise InputError(f"{path} is no recording: name the folder that holds {TOML_NAME}, or convert the file.")
+        raise InputError(
+            f"{path} is no recording: name the folder that holds {TOML_NAME}, or {_conversion_advice(path, 'file')}."
+        )
     return path
+
+
+def _conversion_advice(path: Path, what: str) -> str:
+    """How a foreign file becomes a recording, if its format is known."""
+    from srt.importers.registry import find_importer
+
+    try:
+        title = find_importer(path).title
+    except InputError:
+        return f"name another {what}"
+    return f"convert the {what} ({title}): srt convert {path} -o DIR"
+
+
+def _inside(toml: Path, name: str) -> Path:
+    """The samples' path, which may not lead out of the recording's folder, not even by a symbolic link."""
+    path = toml.parent / name
+    try:
+        # A bag may be a folder, whose files might be links.
+        parts = [path, *path.iterdir()] if path.is_dir() else [path]
+        folder = toml.parent.resolve()
+        inside = all(part.resolve().is_relative_to(folder) for part in parts)
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a name too long or with a zero in it
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{toml}: recording.samples is no usable name of a file ({reason}): correct it.") from None
+    if not inside:
+        raise InputError(
+            f"{toml}: recording.samples leads out of the recording's folder ({name}): copy the samples into the "
+            "folder, and give the file's name alone."
+        )
+    return path
+
+
+def _import_recording(
+    toml: Path, samples_path: Path, main: Mapping[str, Any], about: Surroundings, source: str
+) -> Recording:
+    """Read samples in a foreign format, with what the keys of [recording] say about them."""
+    from srt.importers.imported import to_recording
+    from srt.importers.options import ImportOptions
+    from srt.importers.registry import import_file
+
+    names = {f"{sensor}_offset": f"{sensor}_offset_counts" for sensor in ("gyro", "accel")}
+    fields = ("kind", "time_unit", "sample_rate_hz", "gyro_unit", "accel_unit", "gyro_lsb", "accel_lsb", *names)
+    said: dict[str, Any] = {name: main.get(names.get(name, name)) for name in fields}
+    try:
+        _, imported = import_file(samples_path, ImportOptions(**said))
+        return to_recording(
+            imported,
+            about.site,
+            fixture=about.fixture,
+            noise=about.noise,
+            sequences=about.sequences,
+            serial=main.get("serial"),
+            date=main.get("date"),
+            source=source,
+            data_sha256=_sha256(samples_path),
+            temperature_c=main.get("temperature_c"),
+        )
+    except InputError as error:
+        if str(toml.parent) in str(error):
+            raise
+        raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
 
 
 def _read_toml(toml: Path) -> dict[str, Any]:
@@ -197,9 +329,6 @@ def _read_toml(toml: Path) -> dict[str, Any]:
                 f"{toml}: [{section}] is no known section{did_you_mean(section, SECTIONS)}: "
                 f"remove it, or use one of {', '.join(SECTIONS)}."
             )
-    for section in ("recording", "site"):
-        if section not in document:
-            raise InputError(f"{toml}: the section [{section}] is missing: add it.")
     return document
 
 
@@ -276,6 +405,10 @@ def _apply(values: NDArray[np.float64], conversion: tuple[NDArray[np.float64], N
 
 
 def _sha256(path: Path) -> str:
+    if path.is_dir():
+        # A bag may be a folder: its files' hashes, in the order of their names.
+        files = sorted(each for each in path.iterdir() if each.is_file() and each.name != TOML_NAME)
+        return hashlib.sha256("\n".join(f"{_sha256(each)} {each.name}" for each in files).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

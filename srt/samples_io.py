@@ -17,6 +17,7 @@ import numpy as np
 
 from srt.atomic import atomic_path
 from srt.exceptions import InputError, MissingExtraError
+from srt.file_guards import guard_hdf5, guard_npz, guard_parquet
 from srt.samples_csv import read_csv, write_csv
 from srt.suggestions import did_you_mean
 
@@ -100,7 +101,7 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
     """
     path = Path(path)
     reader = _format(path)[0]
-    if not path.is_file():
+    if not _is_file(path):
         raise InputError(f"There is no samples file {path}: check the name (key samples of recording.toml).")
     try:
         return reader(path, time_required)
@@ -108,6 +109,28 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
         raise InputError(f"Cannot read {path} ({error.strerror or _first_line(error)}).") from None
     except MemoryError:
         raise InputError(f"{path} does not fit into memory: split the recording.") from None
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether a file or folder is of a format that has an importer, and none of those read here.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
+    if path.suffix.lower() in _FORMATS:
+        return False
+    from srt.importers.registry import find_importer
+
+    try:
+        find_importer(path)
+    except InputError:
+        return False
+    return True
 
 
 def write_samples(path: str | Path, samples: Samples) -> None:
@@ -158,7 +181,8 @@ def select_columns(path: Path, available: Sequence[str], *, time_required: bool)
         found = ", ".join(available[:12]) + (" ..." if len(available) > 12 else "")
         raise InputError(
             f"{path} has no column {missing[0]}{did_you_mean(missing[0], others)} "
-            f"(found: {found or 'none'}): name the columns {', '.join(required)}."
+            f"(found: {found or 'none'}): name the columns {', '.join(required)}, "
+            "or convert the file with 'srt convert'."
         )
     wanted = tuple(name for name in (TIME, *GYRO_COLUMNS, *ACCEL_COLUMNS, TEMPERATURE) if name in available)
     for name in wanted:
@@ -167,13 +191,20 @@ def select_columns(path: Path, available: Sequence[str], *, time_required: bool)
     return wanted
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or has a zero in it
+        return False
+
+
 def _format(path: Path) -> tuple[Callable[[Path, bool], Samples], Callable[[Path, Samples], None]]:
     try:
         return _FORMATS[path.suffix.lower()]
     except KeyError:
         raise InputError(
             f"{path} is no samples file known here (by its extension {path.suffix!r}): "
-            f"use one of {', '.join(_FORMATS)}, or convert a foreign format first."
+            f"use one of {', '.join(_FORMATS)}, or a foreign format that 'srt convert' knows."
         ) from None
 
 
@@ -223,7 +254,14 @@ def _read_npz(path: Path, time_required: bool) -> Samples:
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise InputError(f"{path} holds a single array, but an archive with one array per column is expected.")
             names = select_columns(path, archive.files, time_required=time_required)
-            return _fill(path, names, archive.__getitem__)
+            size = path.stat().st_size
+
+            def column(name: str) -> NDArray[Any]:
+                guard_npz(path, archive, name, size)
+                values: NDArray[Any] = archive[name]
+                return values
+
+            return _fill(path, names, column)
     except damage as error:
         raise _damaged(path, "NPZ", error) from None
 
@@ -245,6 +283,7 @@ def _read_parquet(path: Path, time_required: bool) -> Samples:
 
     try:
         with parquet.ParquetFile(path) as file:
+            guard_parquet(path, file.metadata, path.stat().st_size)
             names = select_columns(path, file.schema_arrow.names, time_required=time_required)
             return _fill(path, names, column)
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -261,6 +300,7 @@ def _read_hdf5(path: Path, time_required: bool) -> Samples:
     h5py = _h5py()
 
     def column(name: str) -> NDArray[Any]:
+        guard_hdf5(path, h5py, file, name, path.stat().st_size)
         node = file[name]
         if not isinstance(node, h5py.Dataset):
             raise InputError(f"{path}: {name} is a group, but a dataset with one number per sample is expected.")

@@ -232,10 +232,12 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
 
 def samples_suffix(recording: Path) -> str:
-    """Format of the samples of a recording that has been read before."""
+    """Format of the samples of a recording that has been read before; CSV for a foreign log."""
     import tomllib
 
     from srt.recording_io import TOML_NAME
+    from srt.samples_io import SAMPLES_FORMATS
 
     with (recording_folder(recording) / TOML_NAME if recording.is_dir() else recording).open("rb") as file:
-        return Path(tomllib.load(file)["recording"]["samples"]).suffix.lower().lstrip(".")
+        suffix = Path(tomllib.load(file)["recording"]["samples"]).suffix.lower().lstrip(".")
+    return suffix if suffix in SAMPLES_FORMATS else "csv"

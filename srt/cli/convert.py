@@ -1,0 +1,346 @@
+"""``srt convert``: a recording from a log in any format that has an importer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from srt.cli.output import check_directory
+from srt.exceptions import DataError, InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from srt.importers.imported import Imported
+    from srt.importers.options import ImportOptions
+    from srt.importers.registry import Importer
+    from srt.recording import Recording
+
+FORMATS = ("csv", "npz", "parquet", "h5")
+
+_FASTEST_RAD_S = 100.0  # 5700 °/s: gyros of 4000 °/s are the fastest sold
+
+_GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "counts")
+_ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "counts")
+_TIME_UNITS = ("s", "ms", "us", "ns")
+
+_SITE_KEYS = ("latitude_deg", "gravity_m_s2", "height_m", "gravity_sigma_m_s2")
+_FIXTURE_KEYS = ("heading_deg", "alignment_sigma_mrad", "rotation_sigma_mrad")
+_READING = (
+    "kind", "time_unit", "gyro_unit", "accel_unit", "sample_rate_hz", "topic", "instance", "delimiter",
+    "decimal_comma", "skip", "variable", "map_gyro", "map_accel",
+)  # fmt: skip
+
+
+def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> None:  # noqa: ARG001 - click's
+    if not value or ctx.resilient_parsing:
+        return
+    from srt.importers.registry import IMPORTERS, importer
+    from srt.tables import text_table
+
+    rows = []
+    for name in IMPORTERS:
+        each = importer(name)
+        rows.append([name, each.title, " ".join(each.suffixes), each.extra or ""])
+    click.echo(text_table(["format", "what it is", "files", "extra"], rows, "llll"))
+    ctx.exit()
+
+
+def _options(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
+    def decorate(command: Any) -> Any:
+        for each in reversed([option for group in groups for option in group]):
+            command = each(command)
+        return command
+
+    return decorate
+
+
+_READ = [
+    click.option("--format", "name", default="auto", show_default=True, metavar="FORMAT", help="Of SOURCE."),
+    click.option("--columns", metavar="MAP", help="time,gyro,accel in order, or gyro_x=NAME,... or gyro_x=4,..."),
+    click.option("--gyro-unit", type=click.Choice(_GYRO_UNITS), help="In the file, where it does not say."),
+    click.option("--accel-unit", type=click.Choice(_ACCEL_UNITS), help="In the file, where it does not say."),
+    click.option("--time-unit", type=click.Choice(_TIME_UNITS), help="In the file, where it does not say."),
+    click.option("--kind", type=click.Choice(("rate", "increment")), help="Of the samples; default: rate."),
+    click.option("--sample-rate-hz", type=float, help="Instead of time stamps, or over them."),
+    click.option("--gyro-lsb", metavar="LSB", help="Worth of a count: 1.5e-4, '1/131 deg/s', or three with commas."),
+    click.option("--accel-lsb", metavar="LSB", help="Worth of a count: 1e-3, '1/16384 g', or three with commas."),
+    click.option("--gyro-offset", metavar="COUNTS", help="Counts at zero; one number, or three with commas."),
+    click.option("--accel-offset", metavar="COUNTS", help="Counts at zero; one number, or three with commas."),
+    click.option("--map-gyro", metavar="AXES", help="The file's axes that are x, y, z, such as x,-y,z."),
+    click.option("--map-accel", metavar="AXES", help="The same for the accelerometers."),
+    click.option("--topic", help="Of a bag: which IMU."),
+    click.option("--instance", type=click.IntRange(min=0), help="Of a log: which IMU, from 0."),
+    click.option("--variable", help="Of a MATLAB, HDF5 or NPZ file: the array, struct or group."),
+    click.option("--delimiter", metavar="MARK", help="Of a text: tab, semicolon, comma, pipe, blank, or the mark."),
+    click.option("--decimal-comma", is_flag=True, help="The text writes 1,5 for 1.5."),
+    click.option("--skip", type=click.IntRange(min=0), default=0, help="Lines to leave out at the top of the text."),
+]
+
+_SAY = [
+    click.option("--like", type=click.Path(path_type=Path), metavar="RECORDING", help="Take site, fixture, imu and "
+                 "sequences from there; options go before."),
+    click.option("--latitude-deg", type=float, help="Of the site."),
+    click.option("--gravity-m-s2", type=float, help="Of the site, positive."),
+    click.option("--height-m", type=float, help="Of the site: normal gravity, with the latitude."),
+    click.option("--gravity-sigma-m-s2", type=float, help="Uncertainty of gravity."),
+    click.option("--heading-deg", type=float, help="Of the fixture's x axis, clockwise from north."),
+    click.option("--alignment-sigma-mrad", type=float, help="Of the fixture."),
+    click.option("--rotation-sigma-mrad", type=float, help="Of each turn of the fixture."),
+    click.option("--serial", help="Of the unit."),
+    click.option("--date", help="Of the recording."),
+    click.option("--temperature-c", type=float, help="For all samples, where the file has none."),
+]  # fmt: skip
+
+_WRITE = [
+    click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder; made if absent."),
+    click.option("--to", "samples_format", type=click.Choice(FORMATS), default="csv", show_default=True,
+                 help="Format of the samples written."),
+    click.option("--force", is_flag=True, help="Write it even if the accelerometers do not read gravity."),
+    click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already."),
+    click.option("-q", "--quiet", is_flag=True, help="No summary."),
+]  # fmt: skip
+
+
+@click.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("second", metavar="[SOURCE2]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_formats, help="List the formats and exit."
+)
+@_options(_READ, _SAY, _WRITE)
+def convert(
+    source: Path,
+    second: Path | None,
+    name: str,
+    output: Path,
+    samples_format: str,
+    like: Path | None,
+    serial: str | None,
+    date: str | None,
+    temperature_c: float | None,
+    force: bool,
+    overwrite: bool,
+    quiet: bool,
+    **rest: Any,
+) -> int:
+    """Convert the log SOURCE to a recording: a folder with recording.toml and the samples, in SI units.
+
+    SOURCE2 is the gyros' file, where each sensor has its own. The format is found by the content ('--list' shows all);
+    units that the format or the file's header does not state have to be said.
+
+    Gravity is needed: --gravity-m-s2, or --latitude-deg and --height-m, or --like another recording. Any option of the
+    fixture makes one; without, the recording is a free one.
+
+    Exit codes: 0 success; 1 the accelerometers do not read gravity, so that a unit is wrong; 2 wrong usage or
+    unreadable input.
+    """
+    check_target(output, source, second, samples_format, overwrite=overwrite)
+    if source.suffix == ".toml" or (source / "recording.toml").is_file():
+        raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
+    options = reading_options(rest, second)
+    document = surroundings(like, rest)
+    from srt.importers.imported import to_recording
+    from srt.importers.registry import import_file
+    from srt.recording_io import read_surroundings, write_recording
+
+    about = read_surroundings("What was said of the recording" if like is None else str(like), document)
+    importer, imported = import_file(source, options, name)
+    try:
+        recording = to_recording(
+            imported,
+            about.site,
+            fixture=about.fixture,
+            noise=about.noise,
+            sequences=about.sequences,
+            serial=serial,
+            date=date,
+            temperature_c=temperature_c,
+        )
+        # Found only when asked for, and here a rate that contradicts the stamps is still refused.
+        recording.timing  # noqa: B018
+    except InputError as error:
+        raise InputError(f"{source}: {error}", fault=error.fault) from None
+    if not force:
+        check_gravity(recording, source)
+    # All that can be refused has been: now it is written.
+    write_recording(recording, output, samples_format=samples_format, overwrite=overwrite)
+    if not quiet:
+        click.echo(summary(recording, imported, importer, source))
+        click.echo(f"Written to {output}: recording.toml, samples.{samples_format}")
+    return 0
+
+
+def check_target(folder: Path, source: Path, second: Path | None, samples_format: str, *, overwrite: bool) -> None:
+    """Refuse a folder that will not be written to, before anything is read.
+
+    Parameters
+    ----------
+    folder, source : Path
+    second : Path or None
+    samples_format : str
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+        A folder that cannot be made, or holds files and may not be written to, or in which the source itself would be
+        replaced.
+    """
+    check_directory(folder)
+    samples = (folder / f"samples.{samples_format}").resolve()
+    for path in (source, second):
+        if path is not None and path.resolve() == samples:
+            raise InputError(f"{path} would be replaced by its own conversion: name another folder than {folder}.")
+    if folder.is_dir() and not overwrite and any(folder.iterdir()):
+        raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
+
+
+def reading_options(given: Mapping[str, Any], second: Path | None) -> ImportOptions:
+    """Gather what was said of the source.
+
+    Parameters
+    ----------
+    given : mapping
+        Options of the command line by name.
+    second : Path or None
+
+    Returns
+    -------
+    ImportOptions
+
+    Raises
+    ------
+    InputError
+    """
+    from srt.importers.options import ImportOptions, parse_columns, parse_lsb, parse_offset
+
+    fields: dict[str, Any] = {name: given[name] for name in _READING}
+    for sensor in ("gyro", "accel"):
+        for what, parse in (("lsb", parse_lsb), ("offset", parse_offset)):
+            text = given[f"{sensor}_{what}"]
+            fields[f"{sensor}_{what}"] = None if text is None else parse(text, sensor)
+    columns = parse_columns(given["columns"]) if given["columns"] is not None else {}
+    return ImportOptions(columns=columns, second=second, **fields)
+
+
+def surroundings(like: Path | None, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Put together what recording.toml is to say beside the samples.
+
+    Parameters
+    ----------
+    like : Path or None
+        A recording whose sections are taken.
+    given : mapping
+        Options of the command line, which go before.
+
+    Returns
+    -------
+    dict
+        Sections [site], [fixture], [imu] and [[sequence]] in the units of the file.
+
+    Raises
+    ------
+    InputError
+        Gravity from nowhere, or a file that cannot be read.
+    """
+    from srt.recording_io import read_document
+
+    document = {} if like is None else {k: v for k, v in read_document(like).items() if k != "recording"}
+    for section, keys in (("site", _SITE_KEYS), ("fixture", _FIXTURE_KEYS)):
+        said = {key: given[key] for key in keys if given[key] is not None}
+        if not said:
+            continue
+        before = document.get(section, {})
+        if not isinstance(before, dict):
+            continue  # refused with its name when it is read
+        # Gravity that is said replaces all that was known of it.
+        drop = {"gravity_m_s2", "height_m", "gravity_sigma_m_s2"} if {"gravity_m_s2", "height_m"} & set(said) else set()
+        document[section] = {key: value for key, value in before.items() if key not in drop} | said
+    site = document.get("site", {})
+    if isinstance(site, dict) and "gravity_m_s2" not in site and not {"latitude_deg", "height_m"} <= set(site):
+        raise InputError(
+            "Gravity is not known: give it with --gravity-m-s2, or --latitude-deg and --height-m for normal gravity, "
+            "or name a recording of the same place with --like."
+        )
+    return document
+
+
+def check_gravity(recording: Recording, source: Path) -> None:
+    """Refuse accelerometers that read nothing like gravity: a unit, or the kind of the samples, is wrong.
+
+    Parameters
+    ----------
+    recording : Recording
+    source : Path
+
+    Raises
+    ------
+    DataError
+    """
+    import numpy as np
+
+    from srt.recording_checks import check_rest
+
+    # Whatever the unit is turned through, the median force is near gravity, as at rest.
+    size = np.linalg.norm(recording.accel, axis=1)
+    force = float(np.median(size / recording.interval_s if recording.kind == "increment" else size))
+    try:
+        check_rest(
+            [[force, 0.0, 0.0]],
+            recording.site.gravity_m_s2,
+            ["the whole recording"],
+            interval_s=recording.nominal_interval_s,
+        )
+    except DataError as error:
+        raise DataError(f"{source}: {str(error).rstrip('.')}, or add --force.", fault=error.fault) from None
+
+
+def summary(recording: Recording, imported: Imported, importer: Importer, source: Path) -> str:
+    """Say what was read: samples, rate, units and who stated them, sizes of readings, notes.
+
+    Parameters
+    ----------
+    recording : Recording
+    imported : Imported
+    importer : Importer
+    source : Path
+
+    Returns
+    -------
+    str
+    """
+    import numpy as np
+
+    from srt.cli.report import wrap
+    from srt.constants import DEG
+    from srt.tables import text_table
+
+    interval = recording.nominal_interval_s
+    per = recording.interval_s if recording.kind == "increment" else 1.0
+    rate, force = (np.linalg.norm(values, axis=1) / per for values in (recording.gyro, recording.accel))
+    stamps = "stamps" if imported.sample_rate_hz is None else "stated"
+    rows: list[list[str] | None] = [
+        ["format", f"{importer.title} ({importer.name})"],
+        ["samples", f"{recording.time.size} ({recording.kind})"],
+        ["rate", f"{1.0 / interval:.6g} Hz ({stamps}), {recording.gaps.size} gaps"],
+        ["duration", f"{recording.time.size * interval:.1f} s"],
+        ["time", imported.units.get("time", "no stamps, counted from 0")],
+        ["gyros", imported.units.get("gyro", "")],
+        ["", f"median {np.median(rate) / DEG:.4g} °/s, largest {rate.max() / DEG:.4g} °/s"],
+        ["accelerometers", imported.units.get("accel", "")],
+        ["", f"median {np.median(force):.5g} m/s², largest {force.max():.5g} m/s²"],
+    ]
+    temperature = recording.temperature
+    if temperature is not None:
+        rows.append(["temperature", f"{temperature.min():.1f} to {temperature.max():.1f} °C"])
+    rows += [[what, text] for what, text in (("serial", recording.serial), ("date", recording.date)) if text]
+    lines = [*wrap(str(source)), text_table(["", "as read"], rows, "ll")]
+    notes = list(imported.notes)
+    if rate.max() > _FASTEST_RAD_S:
+        notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than IMUs can: check --gyro-unit.")
+    for note in notes:
+        lines += wrap(f"Note: {note}")
+    return "\n".join(lines)

@@ -1,0 +1,128 @@
+"""What a file of arrays may cost: its headers are held against its size before anything is reserved for them.
+
+A header of a few bytes can promise an array of terabytes, a compressed one can swell a thousandfold, and an HDF5 file
+can name other files on the disk. All of that is refused in one sentence before it is read.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    import zipfile
+    from pathlib import Path
+    from typing import BinaryIO
+
+DEFLATE_LIMIT: Final = 1032
+"""Deflate cannot make anything smaller than by this factor; other compressors are held to it, too."""
+
+SLACK_BYTES: Final = 1 << 20
+"""Promised beyond that without a word: small files hold columns that are all one number."""
+
+
+def require_size(path: Path, what: str, promised: int, present: int, factor: int = DEFLATE_LIMIT) -> None:
+    """Refuse an array that is larger than the bytes it comes from can make.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        The array, for the message.
+    promised : int
+        Bytes that its header states.
+    present : int
+        Bytes that it has in the file.
+    factor : int
+        By how much they may grow.
+
+    Raises
+    ------
+    InputError
+    """
+    if not 0 <= promised <= factor * present + SLACK_BYTES:
+        raise InputError(
+            f"{path}: {what} is stated to be {promised} bytes long, more than the {present} bytes there can hold: "
+            "the file is damaged; copy or export it again."
+        )
+
+
+def guard_npz(path: Path, archive: Any, name: str, file_size: int) -> None:
+    """Check one array of an NPZ archive by its headers.
+
+    Parameters
+    ----------
+    path : Path
+    archive : numpy.lib.npyio.NpzFile
+    name : str
+    file_size : int
+
+    Raises
+    ------
+    InputError
+        An array larger than its file, or of Python objects, which are never unpickled.
+    """
+    members = set(archive.zip.namelist())
+    member = f"{name}.npy" if f"{name}.npy" in members else name
+    info: zipfile.ZipInfo = archive.zip.getinfo(member)
+    require_size(path, f"array {name}", info.file_size, min(info.compress_size, file_size))
+    with archive.zip.open(info) as stream:
+        _guard_npy_header(path, f"array {name}", stream, info.file_size)
+
+
+def guard_npy(path: Path, file: BinaryIO, file_size: int) -> None:
+    """Check a single array in NumPy's format by its header, and go back to the start of it. Raises InputError."""
+    _guard_npy_header(path, "the array", file, file_size)
+    file.seek(0)
+
+
+def _guard_npy_header(path: Path, what: str, stream: Any, size: int) -> None:
+    version = np.lib.format.read_magic(stream)
+    # Version 3 differs from 2 in the encoding of field names alone.
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(stream)
+    if dtype.hasobject:
+        raise InputError(f"{path} is not a readable NPZ file ({what} holds Python objects): export it as numbers.")
+    # Python's integers: the product of a hostile shape overflows any other.
+    require_size(path, what, math.prod(int(n) for n in shape) * dtype.itemsize, size, factor=1)
+
+
+def guard_hdf5(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> None:
+    """Check one link of an HDF5 file and the dataset behind it, before either is followed.
+
+    Parameters
+    ----------
+    path : Path
+    h5py : module
+    group : h5py.Group
+        That holds the link.
+    name : str
+        Of the link, within the group.
+    file_size : int
+
+    Raises
+    ------
+    InputError
+        A link or a dataset that leads to another file, or a dataset larger than its file can hold.
+    """
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        raise InputError(f"{path}: {name} is a link to another place, which is not followed: copy the data there.")
+    node = group[name]
+    if not isinstance(node, h5py.Dataset):
+        return
+    if node.is_virtual or node.external:
+        raise InputError(f"{path}: {name} is kept in another file, which is not opened: copy the data there.")
+    stored = min(int(node.id.get_storage_size()), file_size)
+    item = int(node.dtype.itemsize)
+    require_size(path, f"dataset {name}", math.prod(int(n) for n in node.shape or ()) * item, stored)
+    if node.chunks is not None:
+        require_size(path, f"a chunk of dataset {name}", math.prod(int(n) for n in node.chunks) * item, file_size)
+
+
+def guard_parquet(path: Path, metadata: Any, file_size: int) -> None:
+    """Check the number of rows that a Parquet file states against its size. Raises InputError."""
+    require_size(path, "the table", 8 * int(metadata.num_rows), file_size)

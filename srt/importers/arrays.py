@@ -1,0 +1,379 @@
+"""Arrays in NPZ, HDF5 and Parquet files, and how any store of named arrays becomes samples."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError, MissingExtraError
+from srt.file_guards import guard_hdf5, guard_npy, guard_npz, guard_parquet
+from srt.importers.channels import assign, clean, listed, with_temperature
+from srt.importers.guarded import library
+from srt.importers.imported import Imported, Units, assemble
+from srt.importers.options import TRIADS, ImportOptions, option
+from srt.importers.registry import Importer, head
+from srt.recording_keys import TIME_UNITS
+from srt.samples_io import TEMPERATURE, TIME
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+ARRAY_OPTIONS: Final = frozenset({"columns", "time_unit", "variable"})
+
+HDF5_MAGIC: Final = b"\x89HDF\r\n\x1a\n"
+
+_MOST_COLUMNS = 64
+_MOST_ARRAYS = 10_000
+_NUMBERS = "fiu"
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """Named arrays of a file that has been opened.
+
+    Attributes
+    ----------
+    path : Path
+    shapes : mapping of str to tuple of int
+        Of all arrays of numbers; names of nested ones with "/" between. Unnamed: one array under "".
+    read : callable
+        Gives an array by its name.
+    """
+
+    path: Path
+    shapes: Mapping[str, tuple[int, ...]]
+    read: Callable[[str], NDArray[Any]]
+
+
+def from_store(store: Store, options: ImportOptions, stated: Units | None = None) -> Imported:
+    """Make samples of named arrays: one for each channel, or of three columns for each sensor, or one for all.
+
+    Parameters
+    ----------
+    store : Store
+    options : ImportOptions
+        ``variable`` names a group, or the one array that holds all columns.
+    stated : Units, optional
+        Units that the format defines.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    InputError
+        Arrays that are not found, or that disagree.
+    """
+    name = _single_array(store, options)
+    if name is not None:
+        return from_matrix(store.path, store.read(name), options, stated)
+    prefix = "" if options.variable is None else options.variable.replace(".", "/").strip("/") + "/"
+    names = [each for each, shape in store.shapes.items() if each.startswith(prefix) and _is_columns(shape)]
+    wide = _wide(store)
+    if not names and wide:
+        raise InputError(
+            f"{store.path} holds a table without names, {wide[0]}: say what its columns are, in their order, such as "
+            f"{option('columns')} gyro,accel,time."
+        )
+    if not names:
+        raise InputError(
+            f"{store.path} holds no array of samples{f' in {options.variable}' if prefix else ''} "
+            f"(found: {_listed(store)}): name one with {option('variable')}."
+        )
+    found = assign(store.path, [each.removeprefix(prefix) for each in names], len(names), options.columns, arrays=True)
+    notes = list(found.notes)
+    table = {channel: _oriented(store, names[i], channel, notes) for channel, i in found.columns.items()}
+    rows = {channel: len(values) for channel, values in table.items()}
+    if len(set(rows.values())) > 1:
+        shown = ", ".join(f"{channel} {count}" for channel, count in rows.items())
+        raise InputError(f"{store.path}: the arrays are of different lengths ({shown}), but they must agree.")
+    time, time_unit = _as_stamps(table.get(TIME))
+    header = stated or found.stated
+    return assemble(
+        options,
+        gyro=_sensor(table, "gyro"),
+        accel=_sensor(table, "accel"),
+        time=time,
+        stated=Units(header.gyro, header.accel, time_unit or header.time),
+        kind=None if options.kind is not None else found.kind,
+        temperature=table.get(TEMPERATURE),
+        notes=with_temperature(tuple(notes), table),
+    )
+
+
+def from_matrix(
+    path: Path, values: NDArray[Any], options: ImportOptions, stated: Units | None = None, **fixed: Any
+) -> Imported:
+    """Make samples of one array with a column for each channel, as the options number them.
+
+    Parameters
+    ----------
+    path : Path
+    values : ndarray, shape (n, m)
+    options : ImportOptions
+        ``columns`` by number.
+    stated : Units, optional
+    **fixed
+        Further arguments of :func:`~srt.importers.imported.assemble`.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    InputError
+        Something else than a table of numbers, or columns that are not there.
+    """
+    if values.ndim != 2 or values.dtype.kind not in _NUMBERS:
+        raise InputError(
+            f"{path} holds an array of shape {values.shape} and type {values.dtype}, but a table of numbers with a "
+            "column for each channel is expected."
+        )
+    if values.shape[0] < values.shape[1] <= _MOST_COLUMNS or values.shape[1] > _MOST_COLUMNS >= values.shape[0]:
+        values = values.T
+    found = assign(path, [], values.shape[1], options.columns)
+    table = {channel: values[:, i] for channel, i in found.columns.items()}
+    return assemble(
+        options,
+        gyro=_sensor(table, "gyro"),
+        accel=_sensor(table, "accel"),
+        time=table.get(TIME),
+        stated=stated or Units(),
+        temperature=table.get(TEMPERATURE),
+        **fixed,
+    )
+
+
+def _single_array(store: Store, options: ImportOptions) -> str | None:
+    """The one array that holds all columns, if that is what is meant."""
+    wide = _wide(store)
+    if options.variable is not None:
+        name = options.variable.replace(".", "/").strip("/")
+        if name in store.shapes:
+            return name
+        if not any(each.startswith(f"{name}/") for each in store.shapes):
+            raise InputError(
+                f"{store.path} holds no {options.variable}{did_you_mean(name, map(clean, store.shapes))} "
+                f"(found: {_listed(store)}): name one of those with {option('variable')}."
+            )
+        return None
+    numbered = bool(options.columns) and all(isinstance(column, int) for column in options.columns.values())
+    if "" in store.shapes or (numbered and wide):
+        if len(wide) > 1:
+            raise InputError(
+                f"{store.path} holds several tables ({listed(wide)}): say which with {option('variable')}."
+            )
+        return next(iter(wide), "")
+    return None
+
+
+def _wide(store: Store) -> list[str]:
+    """Tables that have room for both sensors."""
+    return [name for name, shape in store.shapes.items() if len(shape) == 2 and 6 <= min(shape) <= _MOST_COLUMNS]
+
+
+def _is_columns(shape: tuple[int, ...]) -> bool:
+    long = [n for n in shape if n != 1]
+    return len(long) == 1 or (len(shape) == 2 and 3 in shape)
+
+
+def _oriented(store: Store, name: str, channel: str, notes: list[str]) -> NDArray[Any]:
+    """An array as (n,), or as (n, 3) for a sensor."""
+    values = store.read(name)
+    if values.dtype.kind not in _NUMBERS + "M":
+        raise InputError(f"{store.path}: {name} is of type {values.dtype}, but numbers are expected.")
+    if channel not in TRIADS:
+        if values.size != max(values.shape, default=0):
+            raise InputError(f"{store.path}: {name} has the shape {values.shape}, but one column is expected.")
+        return values.reshape(-1)
+    if values.ndim == 2 and values.shape[1] == 3:
+        return values
+    if values.ndim == 2 and values.shape[0] == 3:
+        notes.append(f"{name} was turned from rows to columns.")
+        return values.T
+    raise InputError(f"{store.path}: {name} has the shape {values.shape}, but (n, 3) is expected for {channel}.")
+
+
+def _sensor(table: Mapping[str, NDArray[Any]], sensor: str) -> NDArray[np.float64]:
+    if sensor in table:
+        return np.asarray(table[sensor], dtype=np.float64)
+    return np.column_stack([table[name] for name in TRIADS[sensor]]).astype(np.float64, copy=False)
+
+
+def _as_stamps(time: NDArray[Any] | None) -> tuple[NDArray[Any] | None, str | None]:
+    """Dates of numpy as integers, with their unit."""
+    if time is None or time.dtype.kind != "M":
+        return time, None
+    unit, count = np.datetime_data(time.dtype)
+    if unit not in TIME_UNITS or count != 1:
+        time, unit = time.astype("datetime64[ns]"), "ns"
+    return time.astype(np.int64), unit
+
+
+def _listed(store: Store) -> str:
+    shown = [f"{clean(name)} {'x'.join(map(str, shape))}" for name, shape in store.shapes.items()]
+    return ", ".join(shown[:12]) + (" ..." if len(shown) > 12 else "") if shown else "no arrays of numbers"
+
+
+def _read_npz(path: Path, options: ImportOptions) -> Imported:
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        if file.read(6) == b"\x93NUMPY":
+            file.seek(0)
+            with library(path, "NumPy file"):
+                guard_npy(path, file, size)
+                array = np.load(file, allow_pickle=False)
+            return from_store(Store(path, {"": array.shape}, lambda _: array), options)
+        file.seek(0)
+        with library(path, "NPZ file"):
+            archive = np.load(file, allow_pickle=False)
+            names = list(archive.files)
+
+        def read(name: str) -> NDArray[Any]:
+            with library(path, "NPZ file"):
+                guard_npz(path, archive, name, size)
+                values: NDArray[Any] = archive[name]
+            return values
+
+        arrays: dict[str, tuple[int, ...]] = {}
+        for name in names:
+            with library(path, "NPZ file"):
+                shape, numbers = _npz_shape(archive, name)
+            if numbers:
+                arrays[name] = shape
+        return from_store(Store(path, arrays, read), options)
+
+
+def _npz_shape(archive: Any, name: str) -> tuple[tuple[int, ...], bool]:
+    member = f"{name}.npy" if f"{name}.npy" in archive.zip.namelist() else name
+    with archive.zip.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(stream)
+    return tuple(int(n) for n in shape), dtype.kind in _NUMBERS + "M"
+
+
+def _read_hdf5(path: Path, options: ImportOptions) -> Imported:
+    with hdf5_store(path, "HDF5 file") as store:
+        return from_store(store, options)
+
+
+@contextmanager
+def hdf5_store(path: Path, title: str, *, matlab: bool = False) -> Iterator[Store]:
+    """Open the arrays of an HDF5 file; links to other places are neither listed nor followed.
+
+    Parameters
+    ----------
+    path : Path
+    title : str
+        What messages call the file.
+    matlab : bool
+        Whether it was written by MATLAB, which keeps arrays with their axes in reverse.
+
+    Yields
+    ------
+    Store
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise MissingExtraError("h5py", "io", f"The {title}") from None
+    size = path.stat().st_size
+    with library(path, title):
+        file = h5py.File(path, "r")
+    try:
+        shapes: dict[str, tuple[int, ...]] = {}
+
+        def note(name: str, node: Any) -> bool | None:
+            text = matlab and node.attrs.get("MATLAB_class") in (b"char", b"cell", b"logical")
+            # A damaged name comes as bytes.
+            if (
+                isinstance(name, str)
+                and isinstance(node, h5py.Dataset)
+                and node.shape
+                and node.dtype.kind in _NUMBERS
+                and not text
+            ):
+                shapes[name] = node.shape[::-1] if matlab else node.shape
+            # Anything but None ends the visit.
+            return True if len(shapes) >= _MOST_ARRAYS else None
+
+        def read(name: str) -> NDArray[Any]:
+            group, _, last = name.rpartition("/")
+            with library(path, title):
+                guard_hdf5(path, h5py, file[group] if group else file, last, size)
+                values = np.asarray(file[name][()])
+            return values.T if matlab else values
+
+        with library(path, title):
+            file.visititems(note)
+        yield Store(path, shapes, read)
+    finally:
+        file.close()
+
+
+def _read_parquet(path: Path, options: ImportOptions) -> Imported:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise MissingExtraError("pyarrow", "io", "A Parquet file") from None
+    with library(path, "Parquet file"):
+        file = parquet.ParquetFile(path)
+    with file:
+        with library(path, "Parquet file"):
+            guard_parquet(path, file.metadata, path.stat().st_size)
+            types = {field.name: field.type for field in file.schema_arrow}
+            rows = int(file.metadata.num_rows)
+        numbers = {
+            name: (rows,)
+            for name, kind in types.items()
+            if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
+        }
+
+        def read(name: str) -> NDArray[Any]:
+            with library(path, "Parquet file"):
+                column = file.read(columns=[name]).column(0)
+                if pa.types.is_timestamp(types[name]):
+                    stamps: NDArray[Any] = column.cast(pa.int64()).to_numpy().astype(f"M8[{types[name].unit}]")
+                    return stamps
+                values: NDArray[Any] = column.to_numpy()
+            return values
+
+        return from_store(Store(path, numbers, read), options)
+
+
+def _starts_with(*magics: bytes) -> Callable[[Path], bool]:
+    return lambda path: head(path, 16).startswith(magics)
+
+
+NPZ: Final = Importer(
+    "npz",
+    "NumPy arrays",
+    (".npz", ".npy"),
+    None,
+    _starts_with(b"\x93NUMPY", b"PK\x03\x04"),
+    _read_npz,
+    ARRAY_OPTIONS,
+)
+
+HDF5: Final = Importer(
+    "hdf5", "HDF5", (".h5", ".hdf5", ".hdf"), "io", _starts_with(HDF5_MAGIC), _read_hdf5, ARRAY_OPTIONS
+)
+
+PARQUET: Final = Importer(
+    "parquet", "Parquet", (".parquet", ".pq"), "io", _starts_with(b"PAR1"), _read_parquet, ARRAY_OPTIONS
+)

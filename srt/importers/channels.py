@@ -1,0 +1,281 @@
+"""Which column of a foreign table is which channel, by its name, and the unit that the name states."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from srt.catalogue import AXES
+from srt.exceptions import InputError
+from srt.importers.imported import Units
+from srt.importers.options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
+from srt.recording_keys import COUNTS, TIME_UNITS
+from srt.samples_io import TEMPERATURE, TIME
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from srt.recording import Kind
+
+_RATE_STEMS: Final = {
+    "gyro": (
+        "gyro", "gyr", "gyroscope", "g", "w", "omega", "angularvelocity", "angularrate", "angvel", "rotationrate",
+        "wrss",
+    ),
+    "accel": (
+        "accel", "acc", "accelerometer", "acceleration", "a", "alpha", "linearacceleration", "linacc",
+        "specificforce", "f", "arss",
+    ),
+}  # fmt: skip
+_INCREMENT_STEMS: Final = {
+    "gyro": ("dtheta", "deltatheta", "deltaangle", "dangle", "wm"),
+    "accel": ("dv", "dvel", "deltav", "deltavel", "deltavelocity", "vm"),
+}
+_TIME_NAMES: Final = ("time", "timestamp", "timestamps", "t", "stamp", "headerstamp", "secondselapsed", "sampletime")
+_TEMPERATURE_NAMES: Final = ("temperature", "temp", "imutemperature", "imutemp")
+
+_SUFFIX_UNITS: Final = {
+    "rad_s": "rad/s", "rads": "rad/s", "radps": "rad/s", "deg_s": "deg/s", "degs": "deg/s", "dps": "deg/s",
+    "deg_h": "deg/h", "m_s2": "m/s^2", "m_s_2": "m/s^2", "mps2": "m/s^2", "ms2": "m/s^2", "mg": "mg", "g": "g",
+    "rad": "rad", "deg": "deg", "m_s": "m/s", "mps": "m/s",
+    "s": "s", "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "raw": COUNTS, "counts": COUNTS, "lsb": COUNTS,
+}  # fmt: skip
+_PREFIXES: Final = ("field", "imu")
+_BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
+
+
+def _meanings() -> dict[str, tuple[str, Kind | None]]:
+    """Channel, and kind where the name tells it, by the bare name of a column."""
+    table: dict[str, tuple[str, Kind | None]] = dict.fromkeys(_TIME_NAMES, (TIME, None))
+    table.update(dict.fromkeys(_TEMPERATURE_NAMES, (TEMPERATURE, None)))
+    kinds: tuple[tuple[Mapping[str, Sequence[str]], Kind | None], ...] = (
+        (_RATE_STEMS, None),
+        (_INCREMENT_STEMS, "increment"),
+    )
+    for stems, kind in kinds:
+        for sensor, names in stems.items():
+            for name in names:
+                table[name] = (sensor, kind)
+                table.update({f"{name}{axis}": (f"{sensor}_{axis}", kind) for axis in AXES})
+    return table
+
+
+_MEANINGS: Final = _meanings()
+
+
+def clean(name: str) -> str:
+    """A name out of a file as a message may show it: printable, and of 40 characters at most."""
+    text = "".join(c if c.isprintable() else "?" for c in name[:40])
+    return text + ("..." if len(name) > 40 else "")
+
+
+def listed(names: Sequence[str], none: str = "none") -> str:
+    """The first names of a file, for a message."""
+    return ", ".join(map(clean, names[:12])) + (" ..." if len(names) > 12 else "") if names else none
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a column's name says.
+
+    Attributes
+    ----------
+    channel : str
+        Of :data:`CHANNELS`, or "gyro" or "accel" for an array of three columns.
+    unit : str or None
+        Where the name states one.
+    kind : "increment" or None
+        None: the name does not tell.
+    """
+
+    channel: str
+    unit: str | None = None
+    kind: Kind | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """Columns of a table by channel.
+
+    Attributes
+    ----------
+    columns : dict of str to int
+        Position of each channel's column, from 0. With arrays, "gyro" and "accel" may stand for three channels.
+    stated : Units
+        By the names of the columns.
+    kind : "increment" or None
+    notes : tuple of str
+    """
+
+    columns: dict[str, int]
+    stated: Units
+    kind: Kind | None
+    notes: tuple[str, ...]
+
+
+def meaning_of(name: str) -> Meaning | None:
+    """Read a column's name; None where it is not known.
+
+    Parameters
+    ----------
+    name : str
+        Such as "gyr_x", "w_RS_S_x [rad s^-1]", "Acc X (g)" or "gyro_x_deg_s".
+
+    Returns
+    -------
+    Meaning or None
+    """
+    brackets = _BRACKETS.search(name)
+    unit = normal_unit(brackets.group(1)) if brackets else None
+    bare = _BRACKETS.sub("", name).strip().lower()
+    parts = [part for part in re.split(r"[^a-z0-9]+", bare) if part]
+    if len(parts) > 1 and parts[0] in _PREFIXES:
+        parts = parts[1:]
+    # "gyro_x_deg_s": the longest unit at the end that leaves a known name.
+    for count in (0, 3, 2, 1):
+        ending = "_".join(parts[len(parts) - count :]) if count else ""
+        if count and (count >= len(parts) or ending not in _SUFFIX_UNITS):
+            continue
+        found = _MEANINGS.get("".join(parts[: len(parts) - count]))
+        if found is not None:
+            stated = unit or (_SUFFIX_UNITS[ending] if count else None)
+            return Meaning(found[0], stated if _fits(found[0], stated) else None, found[1])
+    return None
+
+
+def assign(
+    path: Path, names: Sequence[str], width: int, wanted: Mapping[str, str | int], *, arrays: bool = False
+) -> Assignment:
+    """Find the columns of all channels.
+
+    Parameters
+    ----------
+    path : Path
+        Named in messages.
+    names : sequence of str
+        Of all columns; empty where the table has none.
+    width : int
+        Number of columns.
+    wanted : mapping
+        What the user said, which goes before the names.
+    arrays : bool
+        Whether a column may be an array of three columns, "gyro" or "accel".
+
+    Returns
+    -------
+    Assignment
+
+    Raises
+    ------
+    InputError
+        Columns that are not there, or not found, or of which several would do.
+    """
+    columns: dict[str, int] = {}
+    for channel, column in wanted.items():
+        columns.update(_said(path, names, width, channel, column, arrays=arrays))
+    notes: list[str] = []
+    meanings = [meaning_of(name) for name in names]
+    for channel in (*CHANNELS, *(TRIADS if arrays else ())):
+        if channel in columns or channel.partition("_")[0] in columns:
+            continue
+        candidates = [i for i, meaning in enumerate(meanings) if meaning is not None and meaning.channel == channel]
+        exact = [i for i in candidates if names[i].strip() == channel]
+        found = exact or candidates
+        if len(found) > 1 and channel == TIME:
+            others = listed([names[i] for i in found[1:]])
+            notes.append(f"Time is the column {clean(names[found[0]])}; {others} not used.")
+            found = found[:1]
+        if len(found) > 1:
+            raise InputError(
+                f"{path}: several columns may be {channel} ({listed([names[i] for i in found])}): say which with "
+                f"{option('columns')} {channel}=NAME."
+            )
+        if found:
+            columns[channel] = found[0]
+    _require_all(path, names, width, columns, arrays=arrays)
+    renamed = [
+        f"{channel} from {clean(names[i])}" for channel, i in columns.items() if names and names[i].strip() != channel
+    ]
+    if renamed:
+        notes.append(f"Columns: {', '.join(renamed)}.")
+    used = {channel: meanings[i] for channel, i in columns.items() if names}
+    stated = Units(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
+    kinds = {meaning.kind for channel, meaning in used.items() if meaning is not None and channel not in OTHERS}
+    return Assignment(columns, stated, "increment" if kinds == {"increment"} else None, tuple(notes))
+
+
+OTHERS: Final = (TIME, TEMPERATURE)
+
+
+def with_temperature(notes: tuple[str, ...], columns: Mapping[str, object]) -> tuple[str, ...]:
+    """Add what is taken for granted of a column of temperature, if there is one."""
+    return (*notes, "Temperature is taken to be in °C.") if TEMPERATURE in columns else notes
+
+
+def _said(
+    path: Path, names: Sequence[str], width: int, channel: str, column: str | int, *, arrays: bool
+) -> dict[str, int]:
+    """Positions of what the user said; a sensor's name stands for three columns, beside each other or named alike."""
+    triad = TRIADS.get(channel)
+    if triad is None or (arrays and (isinstance(column, int) or column in names)):
+        return {channel: _position(path, names, width, column)}
+    if isinstance(column, int):
+        return {each: _position(path, names, width, column + i) for i, each in enumerate(triad)}
+    result = {}
+    for each, axis in zip(triad, AXES, strict=True):
+        spelled = [f"{column}{mark}{axis}" for mark in ("_", "", ".", " ", "-")]
+        result[each] = _position(path, names, width, next((s for s in spelled if s in names), spelled[0]))
+    return result
+
+
+def _position(path: Path, names: Sequence[str], width: int, column: str | int) -> int:
+    if isinstance(column, int):
+        if not 1 <= column <= width:
+            raise InputError(f"{path} has {width} columns, but column {column} was asked for: columns count from 1.")
+        return column - 1
+    for spelling in (str, lambda name: _BRACKETS.sub("", name).strip().lower()):
+        hits = [i for i, name in enumerate(names) if spelling(name) == spelling(column)]
+        if hits:
+            return hits[0]
+    hint = did_you_mean(column, [clean(name) for name in names])
+    raise InputError(
+        f"{path} has no column {column}{hint} (found: {listed(names, 'none has a name')}): name one of those."
+    )
+
+
+def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[str, int], *, arrays: bool) -> None:
+    for sensor, triad in TRIADS.items():
+        if arrays and sensor in columns:
+            continue
+        missing = [channel for channel in triad if channel not in columns]
+        if not missing:
+            continue
+        if not names:
+            raise InputError(
+                f"{path} has no column names: say what its {width} columns are, in their order, such as "
+                f"{option('columns')} time,gyro,accel (a - leaves a column out)."
+            )
+        example = f"{missing[0]}=NAME" if len(missing) < 3 or not arrays else f"{sensor}=NAME"
+        raise InputError(
+            f"{path}: no column was recognised as {missing[0]} (found: {listed(names)}): "
+            f"name it with {option('columns')} {example}."
+        )
+
+
+def _fits(channel: str, unit: str | None) -> bool:
+    """Whether a unit may be one of a channel: "Acc X (top)" states none."""
+    sensor = channel.partition("_")[0]
+    if sensor in SENSOR_UNITS:
+        return unit == COUNTS or any(unit in units for units in SENSOR_UNITS[sensor].values())
+    return channel == TIME and unit in TIME_UNITS
+
+
+def _common_unit(path: Path, sensor: str, used: Mapping[str, Meaning | None]) -> str | None:
+    units = {m.unit if m is not None else None for name, m in used.items() if name.partition("_")[0] == sensor}
+    if len(units) > 1:
+        shown = ", ".join(sorted(str(unit or "none") for unit in units))
+        raise InputError(f"{path}: the {sensor} columns state different units ({shown}): make them one.")
+    return next(iter(units), None)

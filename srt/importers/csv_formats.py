@@ -1,0 +1,230 @@
+"""Text tables of several makers: EuRoC and Kalibr, imu_tk's pair of files, and any other by its columns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.catalogue import AXES
+from srt.exceptions import InputError
+from srt.importers.channels import Assignment, assign, listed, meaning_of, with_temperature
+from srt.importers.imported import Imported, Units, assemble, join_streams, seconds_of
+from srt.importers.options import ImportOptions, option
+from srt.importers.registry import Importer, head
+from srt.importers.text_tables import Layout, find_layout, read_table
+from srt.samples_io import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+TEXT_OPTIONS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma", "skip"})
+
+_PUBLISHED: Final = Units("rad/s", "m/s^2", "ns")
+"""What EuRoC and Kalibr define."""
+
+_DATA_NAME: Final = "data.csv"
+
+_PAIR_COLUMNS: Final = (TIME, *AXES)
+
+
+def read_csv_table(path: Path, options: ImportOptions, stated: Units | None = None) -> Imported:
+    """Read a text table by its header, or by the columns that the options name.
+
+    Parameters
+    ----------
+    path : Path
+    options : ImportOptions
+    stated : Units, optional
+        Units that the format defines, whatever the header says.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    InputError
+    """
+    layout = find_layout(path, options)
+    found = assign(path, layout.header, len(layout.cells), options.columns)
+    if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns:
+        found = _without_doubtful_time(found, options, stated)
+    table = read_table(path, layout, found.columns, integers=TIME)
+    return assemble(
+        options,
+        gyro=_triad(table, GYRO_COLUMNS),
+        accel=_triad(table, ACCEL_COLUMNS),
+        time=table.get(TIME),
+        stated=stated or found.stated,
+        kind="rate" if stated is not None else None if options.kind is not None else found.kind,
+        temperature=table.get(TEMPERATURE),
+        notes=() if stated is not None else with_temperature(found.notes, table),
+    )
+
+
+def read_pair(path: Path, options: ImportOptions) -> Imported:
+    """Read a pair of text tables, one for each sensor, of ``time x y z``.
+
+    Parameters
+    ----------
+    path : Path
+        The accelerometers', unless the names of the files say otherwise.
+    options : ImportOptions
+        With ``second``.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    InputError
+    """
+    second = options.second
+    if second is None:
+        raise InputError(
+            f"{path}: this format keeps each sensor in a file of its own: name both, the accelerometers' file first."
+        )
+    accel_path, gyro_path, note = _which_is_which(path, second)
+    notes = [note]
+    streams = {}
+    for sensor, file in (("gyro", gyro_path), ("accel", accel_path)):
+        layout = find_layout(file, options)
+        streams[sensor] = (_pair_table(file, layout), _pair_time_unit(layout))
+    (gyro, gyro_unit), (accel, accel_unit) = streams["gyro"], streams["accel"]
+    unit = options.time_unit or gyro_unit
+    if unit is None or (options.time_unit is None and gyro_unit != accel_unit):
+        raise InputError(
+            f"{gyro_path} and {accel_path} do not say in what unit their times are: say it with {option('time_unit')}."
+        )
+    # Both are counted from the same stamp, so that they stay together however large it is.
+    first = gyro[TIME][:1]
+    gyro_time, accel_time = (
+        seconds_of(np.concatenate((first, table[TIME])), unit, notes if table is gyro else [])[1:]
+        for table in (gyro, accel)
+    )
+    kept, force = join_streams(gyro_time, accel_time, _triad(accel, AXES), notes)
+    result = assemble(
+        replace(options, time_unit=None),
+        gyro=_triad(gyro, AXES)[kept],
+        accel=force,
+        time=gyro_time[kept],
+        stated=Units(time="s"),
+        notes=tuple(notes),
+    )
+    return replace(result, units={**result.units, "time": f"{unit} ({'as said' if options.time_unit else 'header'})"})
+
+
+def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray[np.float64]:
+    return np.column_stack([table[name] for name in names]).astype(np.float64, copy=False)
+
+
+def _without_doubtful_time(found: Assignment, options: ImportOptions, stated: Units | None) -> Assignment:
+    """Leave out a column of time whose unit nobody states, where a rate is given that does without it."""
+    if options.time_unit is not None or (stated or found.stated).time is not None:
+        return found
+    columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
+    note = f"The time stamps are not used: their unit is not stated, and {option('sample_rate_hz')} is."
+    return replace(found, columns=columns, notes=(*found.notes, note))
+
+
+def _which_is_which(first: Path, second: Path) -> tuple[Path, Path, str]:
+    """The accelerometers' file and the gyros', by their names, else in this order."""
+    said = ["gyr" in path.stem.lower() for path in (first, second)]
+    if said == [True, False]:
+        first, second = second, first
+    return first, second, f"Accelerometers from {first.name}, gyros from {second.name}."
+
+
+def _pair_table(path: Path, layout: Layout) -> dict[str, NDArray[Any]]:
+    width = len(layout.cells)
+    columns: dict[str, int] = {}
+    for i, name in enumerate(layout.header):
+        bare = name.partition("[")[0].partition("(")[0].strip().lower()
+        channel = TIME if bare in ("time", "timestamp", "t") else bare.rpartition("_")[2]
+        if channel in _PAIR_COLUMNS:
+            columns.setdefault(channel, i)
+    if not layout.header and width == len(_PAIR_COLUMNS):
+        columns = dict(zip(_PAIR_COLUMNS, range(width), strict=True))
+    missing = [name for name in _PAIR_COLUMNS if name not in columns]
+    if missing:
+        found = listed(layout.header, f"{width} columns without names")
+        raise InputError(f"{path} has no column {missing[0]} (found: {found}): time, x, y and z are expected.")
+    return read_table(path, layout, columns, integers=TIME)
+
+
+def _pair_time_unit(layout: Layout) -> str | None:
+    """What the header says, if there is one."""
+    meanings = (meaning_of(name) for name in layout.header)
+    return next((m.unit for m in meanings if m is not None and m.channel == TIME and m.unit is not None), None)
+
+
+def _header_has(*words: str) -> Callable[[Path], bool]:
+    def sniff(path: Path) -> bool:
+        line = head(path / _DATA_NAME if path.is_dir() else path).split(b"\n", 1)[0]
+        return all(word.encode() in line for word in words)
+
+    return sniff
+
+
+def _is_text_table(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    try:
+        find_layout(path, ImportOptions())
+    except InputError:
+        return False
+    return True
+
+
+def _read_published(path: Path, options: ImportOptions) -> Imported:
+    file = path / _DATA_NAME if path.is_dir() else path
+    if not file.is_file():
+        raise InputError(f"The folder {path} holds no {_DATA_NAME}: name the file of samples.")
+    return read_csv_table(file, options, _PUBLISHED)
+
+
+EUROC: Final = Importer(
+    "euroc",
+    "EuRoC CSV",
+    (),
+    None,
+    _header_has("timestamp", "w_RS_S_x", "a_RS_S_z"),
+    _read_published,
+    frozenset({"columns", "time_unit"}),
+)
+
+KALIBR: Final = Importer(
+    "kalibr",
+    "Kalibr CSV",
+    (),
+    None,
+    _header_has("timestamp", "omega_x", "alpha_z"),
+    _read_published,
+    frozenset({"columns", "time_unit"}),
+)
+
+IMU_TK: Final = Importer(
+    "imu-tk",
+    "a pair of text files, one per sensor",
+    (),
+    None,
+    lambda _: False,  # one file of the pair is a table like any other
+    read_pair,
+    frozenset({"second", "time_unit", "delimiter", "decimal_comma", "skip"}),
+)
+
+CSV: Final = Importer(
+    "csv",
+    "table as text",
+    (".csv", ".txt", ".tsv", ".dat", ".log", ".asc"),
+    None,
+    _is_text_table,
+    read_csv_table,
+    TEXT_OPTIONS,
+)

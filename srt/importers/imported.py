@@ -1,0 +1,418 @@
+"""Samples from a foreign file, in SI units, with notes of all that was assumed, dropped or changed on the way."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.importers.options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
+from srt.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site
+from srt.recording_keys import COUNTS, TIME_UNITS
+from srt.sample_timing import GAP_STEPS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+REBASE_BEYOND_S: Final = 1e6
+"""Stamps above this are counted from the first: a double holds smaller ones to a fifth of a nanosecond."""
+
+_SI: Final = {"rate": {"gyro": "rad/s", "accel": "m/s²"}, "increment": {"gyro": "rad", "accel": "m/s"}}
+
+_PLAUSIBLE_EPOCH_S = (9e8, 7e9)  # 1998 to 2191: what a stamp since 1970 may be
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Units that a format or a file's header states; None: the user has to.
+
+    Attributes
+    ----------
+    gyro, accel, time : str or None
+        As in ``recording.toml``.
+    """
+
+    gyro: str | None = None
+    accel: str | None = None
+    time: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imported:
+    """What a reader gives back.
+
+    Attributes
+    ----------
+    gyro : ndarray, shape (n, 3)
+        rad/s for kind "rate", rad for "increment".
+    accel : ndarray, shape (n, 3)
+        m/s² for "rate", m/s for "increment".
+    kind : "rate" or "increment"
+    time : ndarray, shape (n,), s, or None
+        None: the file has no stamps.
+    sample_rate_hz : float or None
+        Stated by the file or the user.
+    temperature : ndarray, shape (n,), °C, or None
+    serial, date : str or None
+        Where the file has them.
+    units : mapping of str to str
+        Of "gyro", "accel" and "time": the unit in the file, and who says so.
+    notes : tuple of str
+        Sentences: what was assumed, dropped or changed.
+    """
+
+    gyro: NDArray[np.float64]
+    accel: NDArray[np.float64]
+    kind: Kind = "rate"
+    time: NDArray[np.float64] | None = None
+    sample_rate_hz: float | None = None
+    temperature: NDArray[np.float64] | None = None
+    serial: str | None = None
+    date: str | None = None
+    units: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def assemble(
+    options: ImportOptions,
+    *,
+    gyro: NDArray[Any],
+    accel: NDArray[Any],
+    time: NDArray[Any] | None,
+    stated: Units,
+    kind: Kind | None = None,
+    sample_rate_hz: float | None = None,
+    temperature: NDArray[Any] | None = None,
+    serial: str | None = None,
+    date: str | None = None,
+    notes: tuple[str, ...] = (),
+) -> Imported:
+    """Bring a reader's arrays to SI: the last step of every reader.
+
+    Parameters
+    ----------
+    options : ImportOptions
+        A unit given here goes before the stated one, with a note.
+    gyro, accel : ndarray, shape (n, 3)
+        In the units of the file.
+    time : ndarray, shape (n,), or None
+        Integers stay exact: they are counted from the first one before they become seconds.
+    stated : Units
+        What the format or the header says.
+    kind : "rate" or "increment", optional
+        Where the format fixes it.
+    sample_rate_hz : float, optional
+        Where the file says it.
+    temperature : ndarray, shape (n,), °C, optional
+    serial, date : str, optional
+    notes : tuple of str
+        The reader's own.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    InputError
+        A unit that nobody states or that does not go with the kind, a kind that the format does not have, arrays that
+        disagree.
+    """
+    if None not in (kind, options.kind) and kind != options.kind:
+        raise InputError(
+            f"{option('kind')} is {options.kind}, but this format holds samples of kind {kind}: leave it out."
+        )
+    chosen: Kind = kind or options.kind or "rate"
+    said: list[str] = []
+    units: dict[str, str] = {}
+    arrays: dict[str, NDArray[np.float64]] = {}
+    for sensor, raw, own in (("gyro", gyro, stated.gyro), ("accel", accel, stated.accel)):
+        if raw.ndim != 2 or raw.shape[1] != 3 or len(raw) != len(gyro):
+            raise InputError(f"The {sensor} readings have the shape {raw.shape}, but ({len(gyro)}, 3) is expected.")
+        unit, units[sensor] = _unit(options, f"{sensor}_unit", own, said)
+        arrays[sensor] = _to_si(options, sensor, unit, chosen, raw)
+        if unit == COUNTS:
+            units[sensor] += f", worth {_worth(getattr(options, f'{sensor}_lsb'))} {_SI[chosen][sensor]} each"
+    seconds = None
+    if time is not None:
+        if time.shape != (len(gyro),):
+            raise InputError(f"There are {time.size} time stamps for {len(gyro)} samples: they must agree.")
+        unit, units["time"] = _unit(options, "time_unit", stated.time, said)
+        seconds = seconds_of(time, unit, said)
+    elif options.time_unit is not None:
+        raise InputError(f"{option('time_unit')} is given, but no time stamps are read: name their column, too.")
+    return Imported(
+        arrays["gyro"],
+        arrays["accel"],
+        chosen,
+        seconds,
+        options.sample_rate_hz or sample_rate_hz,
+        None if temperature is None else np.asarray(temperature, dtype=np.float64),
+        serial,
+        date,
+        units,
+        (*notes, *said),
+    )
+
+
+def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> NDArray[np.float64]:
+    """Turn stamps into seconds, counted from the first where they are too large for a double.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (n,)
+        Integers or floats.
+    unit : str
+        "s", "ms", "us" or "ns".
+    notes : list of str
+        Gets a sentence if the stamps are counted from the first.
+
+    Returns
+    -------
+    ndarray, shape (n,), s
+    """
+    factor = TIME_UNITS[unit]
+    # Division by a power of ten rounds once; its reciprocal is no double.
+    divisor = round(1.0 / factor)
+    if stamps.dtype.kind in "iu":
+        stamps = stamps.astype(np.int64)  # differences of shorter or unsigned ones may wrap around
+    if stamps.size and REBASE_BEYOND_S < abs(float(stamps[0])) * factor < np.inf:
+        first = stamps[0]
+        start = float(first) * factor
+        epoch = ""
+        if _PLAUSIBLE_EPOCH_S[0] < start < _PLAUSIBLE_EPOCH_S[1]:
+            moment = datetime.datetime.fromtimestamp(start, tz=datetime.UTC)
+            epoch = f" ({moment:%Y-%m-%d %H:%M:%S} UTC, if since 1970)"
+        notes.append(f"Time is counted from the first stamp, {first} {unit}{epoch}.")
+        stamps = stamps - first
+    return np.asarray(stamps / divisor, dtype=np.float64)
+
+
+def join_streams(
+    gyro_time: NDArray[np.float64],
+    accel_time: NDArray[np.float64],
+    accel: NDArray[np.float64],
+    notes: list[str],
+) -> tuple[slice | NDArray[np.intp], NDArray[np.float64]]:
+    """Bring accelerometer readings to the gyros' stamps, by linear interpolation where the stamps differ.
+
+    Parameters
+    ----------
+    gyro_time : ndarray, shape (n,), s
+    accel_time : ndarray, shape (m,), s
+        Both strictly increasing, from the same clock.
+    accel : ndarray, shape (m, 3)
+    notes : list of str
+        Gets sentences on what was done.
+
+    Returns
+    -------
+    kept : slice or ndarray of int, shape (k,)
+        The gyro samples that have accelerometer readings around them; gaps of that stream stay gaps.
+    accel : ndarray, shape (k, 3)
+
+    Raises
+    ------
+    InputError
+        Streams without time in common, or stamps that do not increase.
+    """
+    if gyro_time.shape == accel_time.shape and np.array_equal(gyro_time, accel_time):
+        return slice(None), accel
+    for name, time in (("gyro", gyro_time), ("accelerometer", accel_time)):
+        if time.size < 2 or not np.all(time[1:] > time[:-1]):
+            raise InputError(
+                f"The {name} readings cannot be joined with the others: "
+                "at least 2 time stamps that increase are needed."
+            )
+    steps = np.diff(accel_time)
+    after = np.searchsorted(accel_time, gyro_time, side="left")
+    inside = (gyro_time >= accel_time[0]) & (gyro_time <= accel_time[-1])
+    across = steps[np.clip(after, 1, accel_time.size - 1) - 1]
+    exact = accel_time[np.minimum(after, accel_time.size - 1)] == gyro_time
+    longest = GAP_STEPS * max(float(np.median(steps)), float(np.median(np.diff(gyro_time))))
+    kept = np.flatnonzero(inside & ((across <= longest) | exact))
+    if kept.size < 2:
+        raise InputError(
+            f"The gyro readings ({gyro_time[0]:g} to {gyro_time[-1]:g} s) and the accelerometer readings "
+            f"({accel_time[0]:g} to {accel_time[-1]:g} s) have no time in common: check that they are of one recording."
+        )
+    notes.append("Accelerometer readings were brought to the gyros' time stamps by linear interpolation.")
+    if kept.size < gyro_time.size:
+        notes.append(f"{gyro_time.size - kept.size} gyro samples without accelerometer readings around them dropped.")
+    at = gyro_time[kept]
+    return kept, np.column_stack([np.interp(at, accel_time, column) for column in accel.T])
+
+
+def without_repeats(imported: Imported) -> Imported:
+    """Drop records that a logger wrote twice: same stamp and same readings as the one before.
+
+    A repeated stamp with other readings stays, for the recording to refuse: which of them is right is not known.
+    """
+    time = imported.time
+    if time is None or time.size < 2:
+        return imported
+    same = np.concatenate(([False], time[1:] == time[:-1]))
+    if not same.any():
+        return imported
+    for values in (imported.gyro, imported.accel):
+        same[1:] &= np.all(values[1:] == values[:-1], axis=1)
+    count = int(same.sum())
+    if count == 0:
+        return imported
+    keep = ~same
+    temperature = imported.temperature
+    return replace(
+        imported,
+        time=time[keep],
+        gyro=imported.gyro[keep],
+        accel=imported.accel[keep],
+        temperature=None if temperature is None else temperature[keep],
+        notes=(*imported.notes, f"{count} repeated samples (same stamp, same readings) dropped."),
+    )
+
+
+def in_axes(imported: Imported, options: ImportOptions) -> Imported:
+    """Apply the axis maps of the options, with notes."""
+    changes: dict[str, Any] = {}
+    notes = list(imported.notes)
+    hands = []
+    for sensor in ("gyro", "accel"):
+        text = getattr(options, f"map_{sensor}")
+        matrix = parse_axis_map(text, f"map_{sensor}")
+        hands.append(1.0 if matrix is None else float(np.linalg.det(matrix)))
+        if matrix is not None:
+            # Adding zero turns the -0.0 of a sign change into 0.0.
+            changes[sensor] = getattr(imported, sensor) @ matrix.T + 0.0
+            notes.append(f"{sensor} x, y, z are {text} of the file.")
+    if hands[0] * hands[1] < 0.0:
+        notes.append("The axis maps give gyros and accelerometers triads of different hand: check their signs.")
+    return replace(imported, **changes, notes=tuple(notes)) if changes else imported
+
+
+def to_recording(
+    imported: Imported,
+    site: Site,
+    *,
+    fixture: Fixture | None = None,
+    noise: ImuNoise | None = None,
+    sequences: tuple[SequenceLabel, ...] = (),
+    serial: str | None = None,
+    date: str | None = None,
+    source: str | None = None,
+    data_sha256: str | None = None,
+    temperature_c: float | None = None,
+) -> Recording:
+    """Make a recording of imported samples.
+
+    Parameters
+    ----------
+    imported : Imported
+    site : Site
+    fixture : Fixture, optional
+    noise : ImuNoise, optional
+    sequences : tuple of SequenceLabel
+    serial, date : str, optional
+        Before those of the file.
+    source, data_sha256 : str, optional
+    temperature_c : float, optional
+        Stated for all samples, where the file has none.
+
+    Returns
+    -------
+    Recording
+        Without stamps, the rate makes them, the first interval starting at 0.
+
+    Raises
+    ------
+    InputError
+        Neither stamps nor a rate, or samples that :class:`~srt.recording.Recording` refuses.
+    """
+    time, rate = imported.time, imported.sample_rate_hz
+    if time is None:
+        if rate is None:
+            raise InputError(
+                f"There are no time stamps: give the rate with {option('sample_rate_hz')} (sample_rate_hz in "
+                "recording.toml), or name the column of time."
+            )
+        time = np.arange(1, len(imported.gyro) + 1) / rate
+    temperature = imported.temperature
+    if temperature is None and temperature_c is not None:
+        temperature = np.broadcast_to(np.float64(temperature_c), time.shape)
+    return Recording(
+        time,
+        imported.gyro,
+        imported.accel,
+        site,
+        imported.kind,
+        fixture,
+        noise or ImuNoise(),
+        sequences,
+        rate,
+        temperature,
+        serial or imported.serial,
+        date or imported.date,
+        source,
+        data_sha256,
+    )
+
+
+def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str]) -> tuple[str, str]:
+    """The unit of a sensor or of time, and the words for it; a contradiction becomes a note."""
+    given: str | None = getattr(options, name)
+    if given is None and stated is None:
+        sensor = name.removesuffix("_unit")
+        # A count has no value of its own, so that the unit need not be said twice.
+        if sensor in SENSOR_UNITS and getattr(options, f"{sensor}_lsb") is not None:
+            return COUNTS, f"{COUNTS} (as said)"
+        allowed = (
+            [*SENSOR_UNITS[sensor]["rate"], *SENSOR_UNITS[sensor]["increment"], COUNTS]
+            if sensor in SENSOR_UNITS
+            else list(TIME_UNITS)
+        )
+        raise InputError(
+            f"The file does not say in what unit its {sensor} column{'' if sensor == 'time' else 's'} are: say it with "
+            f"{option(name)} ({name} in recording.toml), as one of {', '.join(allowed)}."
+        )
+    if given is None:
+        assert stated is not None
+        return stated, f"{stated} (as the file has it)"
+    if stated is not None and given != stated:
+        notes.append(f"The file states {stated} for {name.removesuffix('_unit')}; read as {given}, as said.")
+    return given, f"{given} (as said)"
+
+
+def _worth(lsb: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.6g}" for value in (lsb if len(set(lsb)) > 1 else lsb[:1]))
+
+
+def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDArray[Any]) -> NDArray[np.float64]:
+    values = np.array(raw, dtype=np.float64)
+    lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
+    if unit == COUNTS:
+        if lsb is None:
+            raise InputError(
+                f"The {sensor} readings are counts: say what one is worth with {option(f'{sensor}_lsb')} "
+                f"({sensor}_lsb in recording.toml)."
+            )
+        if offset is not None:
+            values -= np.asarray(offset)
+        values *= np.asarray(lsb)
+        return values
+    for name, value in (("lsb", lsb), ("offset", offset)):
+        if value is not None:
+            raise InputError(
+                f"{option(f'{sensor}_{name}')} is given, but the {sensor} readings are in {unit}: leave it out, or "
+                f"add {option(f'{sensor}_unit')} {COUNTS}."
+            )
+    factors = SENSOR_UNITS[sensor][kind]
+    if unit not in factors:
+        raise InputError(
+            f"The unit {unit} of the {sensor} readings does not go with samples of kind {kind}, for which one of "
+            f"{', '.join((*factors, COUNTS))} is expected: correct {option(f'{sensor}_unit')} or {option('kind')}."
+        )
+    if factors[unit] != 1.0:
+        values *= factors[unit]
+    return values

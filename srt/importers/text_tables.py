@@ -1,0 +1,309 @@
+"""Tables of numbers as text, however they are separated, with or without a header; messages name the line.
+
+The layout is read off the first row of numbers and the line above it. The numbers are then read by numpy in one go;
+only if it refuses is the file read again, line by line, to say what is wrong and where.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.importers.options import ImportOptions, option
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+DELIMITERS: Final = {"tab": "\t", "semicolon": ";", "comma": ",", "pipe": "|", "blank": None}
+"""Names for the command line; blank stands for any run of blanks and tabs."""
+
+_HEAD_BYTES = 1 << 16
+_TAIL_BYTES = 1 << 16
+_MARKS = ("#", "%")
+_INTEGER = re.compile(r"[+-]?\d{1,19}")
+_FEWEST_NUMBERS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How a text table is built.
+
+    Attributes
+    ----------
+    delimiter : str or None
+        None: blanks.
+    decimal_comma : bool
+    header : tuple of str
+        Names of the columns; empty where there are none.
+    first_row : int
+        Lines before the first row of numbers.
+    cells : tuple of str
+        Of that row.
+    comment : str
+        The mark of lines to leave out.
+    """
+
+    delimiter: str | None
+    decimal_comma: bool
+    header: tuple[str, ...]
+    first_row: int
+    cells: tuple[str, ...]
+    comment: str
+
+
+def find_layout(path: Path, options: ImportOptions) -> Layout:
+    """Read off how a table is built.
+
+    Parameters
+    ----------
+    path : Path
+    options : ImportOptions
+        ``delimiter``, ``decimal_comma`` and ``skip`` are believed.
+
+    Returns
+    -------
+    Layout
+
+    Raises
+    ------
+    InputError
+        Not a text, an unknown delimiter, or no row of numbers near the top.
+    """
+    lines = _first_lines(path)
+    candidates = list(DELIMITERS.values())
+    if options.delimiter is not None:
+        candidates = [_delimiter(options.delimiter)]
+    if options.decimal_comma:
+        candidates = [mark for mark in candidates if mark != ","]
+    for number, line in enumerate(lines):
+        if number < options.skip or line.lstrip().startswith(_MARKS):
+            continue
+        rows = [(mark, _cells(line, mark, decimal_comma=options.decimal_comma)) for mark in candidates]
+        if not rows:
+            break
+        counts = [sum(map(is_number, cells)) for _, cells in rows]
+        best = counts.index(max(counts))
+        delimiter, cells = rows[best]
+        if counts[best] >= _FEWEST_NUMBERS and 2 * counts[best] >= len(cells):
+            above = lines[options.skip : number]
+            comment = next((text.lstrip()[0] for text in above if text.lstrip().startswith(_MARKS)), _MARKS[0])
+            header = _header(above, delimiter, len(cells))
+            return Layout(delimiter, options.decimal_comma, header, number, tuple(cells), comment)
+    hint = "" if options.decimal_comma else f", and add {option('decimal_comma')} if it writes 1,5 for 1.5"
+    raise InputError(
+        f"{path} has no row of numbers near its top, but a table of samples is expected: check that it is one{hint}."
+    )
+
+
+def read_table(
+    path: Path, layout: Layout, columns: Mapping[str, int], *, integers: str | None = None
+) -> dict[str, NDArray[Any]]:
+    """Read the chosen columns.
+
+    Parameters
+    ----------
+    path : Path
+    layout : Layout
+    columns : mapping of str to int
+        Name to position, from 0.
+    integers : str, optional
+        The name of a column whose whole numbers stay integers: nanoseconds since 1970 are no doubles.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+
+    Raises
+    ------
+    InputError
+        Cells that are no numbers, rows of unequal length, a file that is cut off; the line is named.
+    """
+    _check_last_line(path, layout)
+    names = list(columns)
+    exact = integers in columns and _INTEGER.fullmatch(layout.cells[columns[str(integers)]].strip()) is not None
+    attempts = [np.int64, np.float64] if exact else [np.float64]
+    reason = ""
+    for kind in attempts:
+        dtype = [(f"c{i}", kind if name == integers else np.float64) for i, name in enumerate(names)]
+        try:
+            table = _load(path, layout, dtype, [columns[name] for name in names])
+        except (ValueError, OverflowError) as error:
+            reason = str(error)
+            continue
+        except OSError as error:
+            raise InputError(f"Cannot read {path} ({error.strerror}): check its permissions.") from None
+        if not _rows_add_up(path, layout, table.size):
+            reason = "the rows are not equally long"
+            break
+        return {name: table[f"c{i}"] for i, name in enumerate(names)}
+    raise _explanation(path, layout, columns, reason)
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number; Python's 1_000 is none."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _first_lines(path: Path) -> list[str]:
+    try:
+        with path.open("rb") as file:
+            data = file.read(_HEAD_BYTES)
+            more = bool(file.read(1))
+    except OSError as error:
+        raise InputError(f"Cannot read {path} ({error.strerror}): check its permissions.") from None
+    if not data.strip():
+        raise InputError(f"{path} is empty: a table of samples is expected.")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in data:
+        what = "in UTF-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "not a text"
+        raise InputError(f"{path} is {what}, but a table as plain text (UTF-8) is expected: export it so.")
+    try:
+        text = data.decode("utf-8-sig", errors="ignore" if more else "strict")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")  # the degree sign of older Windows programs
+    # Only line feeds count, as for numpy: str.splitlines would also break at form feeds and the like.
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return lines[:-1] if more and len(lines) > 1 else lines
+
+
+def _delimiter(given: str) -> str | None:
+    if given in DELIMITERS:
+        return DELIMITERS[given]
+    mark = given.replace("\\t", "\t")
+    if len(mark) != 1 or mark.isalnum() or mark in '"#%+-._\r\n':
+        raise InputError(
+            f"{option('delimiter')} is {given!r}, but one mark, or one of {', '.join(DELIMITERS)}, is expected."
+        )
+    return None if mark == " " else mark
+
+
+def _cells(line: str, delimiter: str | None, *, decimal_comma: bool = False) -> list[str]:
+    if decimal_comma:
+        line = line.replace(",", ".")
+    if delimiter is None:
+        return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    except csv.Error:
+        return []
+
+
+def _header(above: list[str], delimiter: str | None, width: int) -> tuple[str, ...]:
+    """The names in the last line above the numbers, if there are as many as columns."""
+    for line in reversed(above):
+        text = line.strip()
+        if not text:
+            continue
+        # EuRoC and others mark the header as a comment.
+        names = _cells(text.lstrip("#%").strip(), delimiter)
+        return tuple(names) if len(names) == width and not any(map(is_number, names)) else ()
+    return ()
+
+
+def _load(path: Path, layout: Layout, dtype: Any, usecols: list[int]) -> NDArray[Any]:
+    # Naming no columns makes numpy check that all rows are equally long.
+    everything = usecols == list(range(len(layout.cells)))
+    source: Any = _with_points(path) if layout.decimal_comma else path
+    return np.loadtxt(
+        source,
+        dtype=np.dtype(dtype),
+        delimiter=layout.delimiter,
+        comments=layout.comment,
+        quotechar='"',
+        skiprows=layout.first_row,
+        usecols=None if everything else usecols,
+        ndmin=1,
+        # Digits are the same in every encoding that has them as single bytes, and no byte is refused.
+        encoding="latin-1",
+    )
+
+
+def _with_points(path: Path) -> Iterator[str]:
+    with path.open(encoding="latin-1") as file:
+        for line in file:
+            yield line.replace(",", ".")
+
+
+def _check_last_line(path: Path, layout: Layout) -> None:
+    """Refuse a last line that ends within a cell: its number would be wrong, and look right.
+
+    Without a line break at the end, a last cell shorter than all the two hundred above it was cut off.
+    """
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - _TAIL_BYTES))
+        tail = file.read().decode("latin-1")
+    if tail.endswith(("\n", "\r")):
+        return
+    rows = [_cells(line, layout.delimiter) for line in tail.splitlines()[-201:]]
+    lengths = [len(cells[-1]) if cells else 0 for cells in rows]
+    if len(lengths) > 20 and lengths[-1] < min(lengths[1:-1]):
+        raise InputError(
+            f"{path} seems cut off in its last line, which has no line break and a shorter last cell than the rows "
+            "above: copy the file again, or remove that line."
+        )
+
+
+def _rows_add_up(path: Path, layout: Layout, rows: int) -> bool:
+    """Whether the file holds as many separators as its rows and columns make; blanks cannot be counted."""
+    if rows == 0:
+        return False
+    if layout.delimiter is None:
+        return True
+    mark, found, others = layout.delimiter.encode(), 0, 0
+    with path.open(encoding="latin-1") as text:
+        # The top is another matter: titles and notes may hold any number.
+        for line in islice(text, layout.first_row):
+            found -= line.count(layout.delimiter)
+            others -= line.count('"') + line.count(layout.comment)
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            found += block.count(mark)
+            others += block.count(b'"') + block.count(layout.comment.encode())
+    # Quoted text and comments may hold separators of their own.
+    return others > 0 or found == rows * (len(layout.cells) - 1)
+
+
+def _explanation(path: Path, layout: Layout, columns: Mapping[str, int], reason: str) -> InputError:
+    """Find the first line that is wrong, and say what."""
+    width = len(layout.cells)
+    with path.open(encoding="latin-1") as file:
+        numbered = islice(enumerate(file, start=1), layout.first_row, None)
+        for number, line in numbered:
+            text = line.partition(layout.comment)[0].strip("\r\n")
+            if not text.strip():
+                continue
+            cells = _cells(text, layout.delimiter, decimal_comma=layout.decimal_comma)
+            if len(cells) != width:
+                cut = not any(rest.strip() for _, rest in numbered) and len(cells) < width
+                advice = (
+                    "the file seems cut off: copy it again, or remove that line"
+                    if cut
+                    else "write every row alike, or name the separator with " + option("delimiter")
+                )
+                return InputError(
+                    f"{path}, line {number}: {len(cells)} cells were found, but the first row of numbers (line "
+                    f"{layout.first_row + 1}) has {width}: {advice}."
+                )
+            for name, i in columns.items():
+                if not is_number(cells[i]):
+                    found = repr(cells[i][:40]) if cells[i] else "an empty cell"
+                    return InputError(
+                        f"{path}, line {number}, column {i + 1} ({name}): {found} was found, but a number is "
+                        "expected: correct it, or remove the line."
+                    )
+    return InputError(f"{path} is not a table of numbers ({reason.splitlines()[0][:120] if reason else 'no rows'}).")

@@ -1,0 +1,251 @@
+"""``srt convert``: what is written, what is said of it, and that a refusal leaves nothing behind."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+
+import srt
+from sims import recorded
+from srt.cli import main
+from srt.constants import DEG, STANDARD_GRAVITY_M_S2, normal_gravity_m_s2
+
+N = 200
+TIME = np.arange(1, N + 1) / 64.0
+RNG = np.random.default_rng(8)
+GYRO = RNG.normal(size=(N, 3))
+ACCEL = RNG.normal(size=(N, 3)) * 0.1 + np.array([0.0, 0.0, 9.8])
+HEADER = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+SI = ["--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--time-unit", "s"]
+SITE = ["--gravity-m-s2", "9.81"]
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([TIME, GYRO, ACCEL]), header=HEADER, delimiter=",", comments="")
+    return path
+
+
+def convert(*arguments):
+    return main(["convert", *map(str, arguments)])
+
+
+def refused(capsys, folder, *arguments, code=2):
+    """The one sentence of a refusal that leaves nothing behind."""
+    there = folder.exists()
+    assert convert(*arguments, "-o", folder) == code
+    assert folder.exists() == there
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("srt: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz", "parquet", "h5"])
+def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, capsys):
+    if kind in ("parquet", "h5"):
+        pytest.importorskip({"parquet": "pyarrow", "h5": "h5py"}[kind])
+    assert convert(log, "-o", tmp_path / "new" / "rec", "--to", kind, *SI, *SITE) == 0
+    assert sorted(path.name for path in (tmp_path / "new" / "rec").iterdir()) == ["recording.toml", f"samples.{kind}"]
+    loaded = srt.load_recording(tmp_path / "new" / "rec")
+    # Written with 18 digits and read back: the same bits.
+    np.testing.assert_array_equal(loaded.time, TIME)
+    np.testing.assert_array_equal(loaded.gyro, GYRO)
+    np.testing.assert_array_equal(loaded.accel, ACCEL)
+    assert loaded.fixture is None
+    out, err = capsys.readouterr()
+    assert err == ""
+    for fragment in ("table as text (csv)", "200 (rate)", "64 Hz (stamps), 0 gaps", "3.1 s", "rad/s (as said)"):
+        assert fragment in out
+    assert f"median {np.median(np.linalg.norm(ACCEL, axis=1)):.5g} m/s²" in out
+    assert f"Written to {tmp_path / 'new' / 'rec'}: recording.toml, samples.{kind}" in out
+
+
+def test_all_that_may_be_said_is_written(log, tmp_path, capsys):
+    said = [
+        *("--latitude-deg", "45.5", "--height-m", "100", "--heading-deg", "-30", "--alignment-sigma-mrad", "2"),
+        *("--rotation-sigma-mrad", "0.5", "--serial", "SN-9", "--date", "2024-05-06", "--temperature-c", "21.5"),
+        *("--sample-rate-hz", "64", "--map-gyro", "y,x,-z", "--map-accel", "y,x,-z"),
+    ]
+    assert convert(log, "-o", tmp_path / "rec", "-q", *SI, *said) == 0
+    assert capsys.readouterr().out == ""
+    written = tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())
+    assert written["fixture"] == {"heading_deg": -30.0, "alignment_sigma_mrad": 2.0, "rotation_sigma_mrad": 0.5}
+    main_section = written["recording"]
+    assert (main_section["serial"], main_section["date"]) == ("SN-9", "2024-05-06")
+    assert (main_section["temperature_c"], main_section["sample_rate_hz"]) == (21.5, 64.0)
+    loaded = srt.load_recording(tmp_path / "rec")
+    assert loaded.site.gravity_m_s2 == normal_gravity_m_s2(45.5 * DEG, 100.0)
+    assert loaded.site.gravity_sigma_m_s2 == 5e-4
+    np.testing.assert_array_equal(loaded.accel, ACCEL[:, [1, 0, 2]] * [1, 1, -1])
+
+
+def test_like_another_recording(log, tmp_path, capsys):
+    model = srt.Recording(
+        TIME,
+        GYRO,
+        ACCEL,
+        srt.Site(9.8, 1e-4, 0.5),
+        fixture=srt.Fixture(0.25, 2e-3, 3e-3),
+        noise=srt.ImuNoise(gyro_noise=1e-4),
+        sequences=(srt.SequenceLabel((0.0, 1.0), (2.0, 3.0), id="1"),),
+        serial="another unit",
+    )
+    srt.write_recording(model, tmp_path / "model")
+    assert convert(log, "-o", tmp_path / "a", "--like", tmp_path / "model", *SI) == 0
+    assert convert(log, "-o", tmp_path / "b", "--like", tmp_path / "model" / "recording.toml", *SI, *SITE) == 0
+    first, second = (srt.load_recording(tmp_path / name) for name in "ab")
+    for loaded in (first, second):
+        assert loaded.fixture == model.fixture
+        assert loaded.noise == model.noise
+        assert loaded.sequences == model.sequences
+        assert loaded.serial is None
+        assert loaded.site.latitude_rad == pytest.approx(0.5, rel=1e-15)  # through degrees and back
+    assert (first.site.gravity_m_s2, first.site.gravity_sigma_m_s2) == (9.8, 1e-4)
+    # Gravity that is said has its own default of uncertainty.
+    assert (second.site.gravity_m_s2, second.site.gravity_sigma_m_s2) == (9.81, 5e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (SI, ["Gravity is not known", "--gravity-m-s2", "--like"]),
+        ([*SI, "--latitude-deg", "45"], ["Gravity is not known", "--height-m"]),
+        ([*SI, "--gravity-m-s2", "-9.81"], ["gravity_m_s2 is -9.81", "9.5 to 10.1"]),
+        ([*SI, *SITE, "--latitude-deg", "95"], ["latitude_deg is 95", "-90 to 90"]),
+        ([*SI, *SITE, "--alignment-sigma-mrad", "0"], ["alignment_sigma_mrad is 0"]),
+        ([*SITE], ["log.csv", "in what unit its gyro", "--gyro-unit"]),
+        ([*SI, *SITE, "--format", "euroq"], ["no format 'euroq' (did you mean euroc?)"]),
+        ([*SI, *SITE, "--topic", "/imu"], ["--topic is given, but the format csv"]),
+        ([*SI, *SITE, "--gyro-unit", "counts"], ["--gyro-lsb"]),
+        ([*SI, *SITE, "--map-gyro", "x,y"], ["--map-gyro is 'x,y'"]),
+        ([*SI, *SITE, "--columns", "time=tme"], ["no column tme (did you mean time?)"]),
+        ([*SI, *SITE, "--sample-rate-hz", "100"], ["log.csv", "sample_rate_hz is 100"]),
+        ([*SI, *SITE, "--like", "nowhere"], ["no recording nowhere"]),
+    ],
+)
+def test_refusals(log, tmp_path, capsys, arguments, fragments):
+    message = refused(capsys, tmp_path / "rec", log, *arguments)
+    assert all(fragment in message for fragment in fragments), message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragment"),
+    [
+        (["--accel-unit", "g"], "look like m/s², declared as g"),
+        (["--accel-unit", "m/s", "--gyro-unit", "rad", "--kind", "increment"], "accelerometers read"),
+    ],
+)
+def test_a_wrong_unit_shows_in_gravity(log, tmp_path, capsys, arguments, fragment):
+    message = refused(capsys, tmp_path / "rec", log, *SI, *SITE, *arguments, code=1)
+    assert str(log) in message
+    assert fragment in message
+    assert convert(log, "-o", tmp_path / "rec", *SI, *SITE, *arguments, "--force") == 0
+    factor = STANDARD_GRAVITY_M_S2 if "g" in arguments else 1.0
+    np.testing.assert_array_equal(srt.load_recording(tmp_path / "rec").accel, ACCEL * factor)
+
+
+def test_gyros_faster_than_any(log, tmp_path, capsys):
+    """rad/s taken for deg/s the other way round: said, not refused, as nothing rules it out."""
+    np.savetxt(log, np.column_stack([TIME, GYRO / DEG, ACCEL]), header=HEADER, delimiter=",", comments="")
+    assert convert(log, "-o", tmp_path / "rec", *SI, *SITE) == 0
+    assert "more than IMUs can" in " ".join(capsys.readouterr().out.split())
+
+
+def test_places(log, tmp_path, capsys):
+    arguments = [*SI, *SITE]
+    assert convert(log, "-o", tmp_path / "rec", *arguments) == 0
+    capsys.readouterr()
+    assert "holds files already" in refused(capsys, tmp_path / "rec", log, *arguments)
+    assert convert(log, "-o", tmp_path / "rec", *arguments, "--overwrite", "--to", "npz") == 0
+    capsys.readouterr()
+    assert "is a file" in refused(capsys, log, log, *arguments)
+    samples = tmp_path / "rec" / "samples.csv"
+    message = refused(capsys, tmp_path / "rec", samples, *arguments, "--overwrite")
+    assert "replaced by its own conversion" in message
+    assert "is a recording already" in refused(capsys, tmp_path / "other", tmp_path / "rec", *arguments)
+    assert "There is no file" in refused(capsys, tmp_path / "other", tmp_path / "absent.bag", *arguments)
+    assert "is no recording" in refused(capsys, tmp_path / "other", log, *arguments, "--like", log)
+
+
+def test_formats_are_listed(capsys):
+    from srt.importers.registry import IMPORTERS
+
+    assert convert("--list") == 0
+    out = capsys.readouterr().out
+    assert all(f"\n {name} " in out for name in IMPORTERS)
+
+
+# The recorded sets, by the commands that a user would give.
+
+FOLDER = recorded.data_folder()
+needs_sets = pytest.mark.skipif(
+    FOLDER is None, reason=f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder"
+)
+
+
+def assert_same(loaded, expected, rtol=0.0):
+    np.testing.assert_array_equal(loaded.time, expected.time)
+    np.testing.assert_allclose(loaded.gyro, expected.gyro, rtol=rtol, atol=0.0)
+    np.testing.assert_allclose(loaded.accel, expected.accel, rtol=rtol, atol=0.0)
+    assert loaded.site == expected.site
+    assert loaded.sample_rate_hz == expected.sample_rate_hz
+
+
+@needs_sets
+def test_xsens_set(tmp_path):
+    folder = FOLDER / "xsens_mti"
+    arguments = [
+        *(folder / "xsens_acc.mat", folder / "xsens_gyro.mat", "-o", tmp_path / "rec", "--to", "npz", "-q"),
+        *("--time-unit", "s", "--gyro-lsb", "1/4770", "--gyro-offset", "32768"),
+        *("--accel-lsb", "1/415", "--accel-offset", "33000"),
+        *("--gravity-m-s2", "9.81744", "--gravity-sigma-m-s2", "5e-4", "--latitude-deg", "45.4"),
+    ]
+    assert convert(*arguments) == 0
+    # A product with a rounded 1/x differs from the quotient by the roundings of both, half an ulp each.
+    assert_same(srt.load_recording(tmp_path / "rec"), recorded.xsens_mti(FOLDER), rtol=2.0 * np.finfo(float).eps)
+
+
+@needs_sets
+@pytest.mark.parametrize("unit", [0, 1])
+def test_mpu9150_set(tmp_path, unit):
+    arguments = [
+        *(FOLDER / "mpu9150" / f"imu{unit}.log", "-o", tmp_path / "rec", "--columns", "accel,gyro", "-q"),
+        *("--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--sample-rate-hz", "100"),
+        *("--gravity-m-s2", "9.81", "--gravity-sigma-m-s2", "5e-3"),
+    ]
+    assert convert(*arguments) == 0
+    expected = recorded.mpu9150(FOLDER, unit)
+    loaded = srt.load_recording(tmp_path / "rec")
+    # k/100 and k times 0.01 differ by the roundings of both, half an ulp each and one of 0.01.
+    np.testing.assert_allclose(loaded.time, expected.time, rtol=2.0 * np.finfo(float).eps)
+    np.testing.assert_array_equal(loaded.gyro, expected.gyro)
+    np.testing.assert_array_equal(loaded.accel, expected.accel)
+    assert (loaded.site, loaded.sample_rate_hz) == (expected.site, expected.sample_rate_hz)
+
+
+@needs_sets
+def test_ferraris_set(tmp_path):
+    arguments = [
+        *(FOLDER / "ferraris" / "example_ferraris_session.csv", "-o", tmp_path / "rec", "-q"),
+        *("--gyro-unit", "deg/s", "--accel-unit", "m/s^2", "--sample-rate-hz", "102.4"),
+        *("--gravity-m-s2", "9.81", "--gravity-sigma-m-s2", "5e-3"),
+    ]
+    assert convert(*arguments) == 0
+    assert_same(srt.load_recording(tmp_path / "rec"), recorded.ferraris(FOLDER))
+
+
+@needs_sets
+def test_ferraris_set_of_counts(tmp_path, capsys):
+    """Raw counts beside a column of text; the full scales make gravity come out."""
+    arguments = [
+        *(FOLDER / "ferraris" / "annotated_session.csv", "-o", tmp_path / "rec"),
+        *("--sample-rate-hz", "204.8", "--gyro-lsb", "1/16.384 deg/s", "--accel-lsb", "1/2048 g"),
+        *("--gravity-m-s2", "9.81"),
+    ]
+    assert convert(*arguments) == 0
+    assert "9414 (rate)" in capsys.readouterr().out

@@ -1,0 +1,278 @@
+"""Files that mean harm: headers that promise terabytes, ways out of the folder, objects, damaged structure."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+import scipy.io
+
+import srt
+from srt.exceptions import InputError
+from srt.importers.matlab_elements import variables
+from srt.importers.options import ImportOptions
+from srt.importers.registry import import_file
+
+N = 30
+TIME = np.arange(1, N + 1) / 64.0
+RNG = np.random.default_rng(6)
+GYRO, ACCEL = RNG.normal(size=(N, 3)), RNG.normal(size=(N, 3)) + np.array([0.0, 0.0, 9.8])
+COLUMNS = {
+    "time": TIME,
+    **{f"gyro_{axis}": GYRO[:, i] for i, axis in enumerate("xyz")},
+    **{f"accel_{axis}": ACCEL[:, i] for i, axis in enumerate("xyz")},
+}
+SI = ImportOptions(gyro_unit="rad/s", accel_unit="m/s^2", time_unit="s")
+EUROC = "#timestamp [ns]," + ",".join(
+    [f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz"] + [f"a_RS_S_{axis} [m s^-2]" for axis in "xyz"]
+)
+TOML = """
+[recording]
+samples = "{samples}"
+gyro_unit = "rad/s"
+accel_unit = "m/s^2"
+{more}
+[site]
+gravity_m_s2 = 9.81
+"""
+
+
+def refusal(path, options=SI, name="auto"):
+    with pytest.raises(InputError) as caught:
+        import_file(path, options, name)
+    return _one_sentence(caught)
+
+
+def recording(folder, samples, more="", units=True):
+    text = TOML.format(samples=samples, more=more)
+    if not units:
+        text = "\n".join(line for line in text.splitlines() if "_unit" not in line)
+    (folder / "recording.toml").write_text(text)
+    return folder
+
+
+def recording_refusal(folder):
+    with pytest.raises(InputError) as caught:
+        srt.load_recording(folder)
+    return _one_sentence(caught)
+
+
+def _one_sentence(caught):
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def npy_header(shape, descr="<f8"):
+    out = io.BytesIO()
+    np.lib.format.write_array_header_1_0(out, {"shape": shape, "fortran_order": False, "descr": descr})
+    return out.getvalue()
+
+
+# The same files through the importers and as samples of a recording.
+
+
+@pytest.mark.parametrize("as_recording", [False, True])
+class TestPromises:
+    """A few bytes that promise what no memory holds."""
+
+    def refused(self, path, as_recording):
+        return recording_refusal(recording(path.parent, path.name)) if as_recording else refusal(path)
+
+    def test_npz_header(self, tmp_path, as_recording):
+        path = tmp_path / "samples.npz"
+        np.savez(path, **{name: column for name, column in COLUMNS.items() if name != "gyro_x"})
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr("gyro_x.npy", npy_header((1 << 40,)) + bytes(64))
+        assert "8796093022208 bytes" in self.refused(path, as_recording)
+
+    def test_npz_that_swells(self, tmp_path, as_recording):
+        """The archive's own list says how large a part becomes; it cannot be more than deflate can make of it."""
+        path = tmp_path / "samples.npz"
+        with zipfile.ZipFile(path, "w") as archive:
+            for name in COLUMNS:
+                archive.writestr(f"{name}.npy", npy_header((1 << 30,)) + bytes(64))
+        data = bytearray(path.read_bytes())
+        for at in range(len(data)):
+            if data[at : at + 4] == b"PK\x01\x02":
+                data[at + 24 : at + 28] = struct.pack("<I", 0xFFFFFFF0)
+        path.write_bytes(bytes(data))
+        assert "4294967280 bytes" in self.refused(path, as_recording)
+
+    def test_npz_of_objects(self, tmp_path, as_recording):
+        path = tmp_path / "samples.npz"
+        np.savez(path, **{**COLUMNS, "gyro_x": np.array([{}] * N, dtype=object)}, allow_pickle=True)
+        message = self.refused(path, as_recording)
+        assert "Python objects" in message if as_recording else "no column was recognised as gyro_x" in message
+
+    def test_hdf5_that_was_never_filled(self, tmp_path, as_recording):
+        h5py = pytest.importorskip("h5py")
+        path = tmp_path / "samples.h5"
+        with h5py.File(path, "w") as file:
+            for name in COLUMNS:
+                file.create_dataset(name, shape=(1 << 40,), chunks=(1 << 10,), dtype="f8")
+        assert "8796093022208 bytes" in self.refused(path, as_recording)
+
+    @pytest.mark.parametrize("way", ["external link", "soft link", "virtual", "external storage"])
+    def test_hdf5_that_leads_elsewhere(self, tmp_path, as_recording, way):
+        h5py = pytest.importorskip("h5py")
+        path, other = tmp_path / "samples.h5", tmp_path / "other.h5"
+        with h5py.File(other, "w") as file:
+            file["gyro_x"] = COLUMNS["gyro_x"]
+        (tmp_path / "raw.bin").write_bytes(COLUMNS["gyro_x"].tobytes())
+        with h5py.File(path, "w") as file:
+            for name, column in COLUMNS.items():
+                if name != "gyro_x":
+                    file[name] = column
+            if way == "external link":
+                file["gyro_x"] = h5py.ExternalLink(str(other), "/gyro_x")
+            elif way == "soft link":
+                file["gyro_x"] = h5py.SoftLink("/gyro_y")
+            elif way == "virtual":
+                layout = h5py.VirtualLayout(shape=(N,), dtype="f8")
+                layout[:] = h5py.VirtualSource(str(other), "gyro_x", shape=(N,))
+                file.create_virtual_dataset("gyro_x", layout)
+            else:
+                where = [(str(tmp_path / "raw.bin"), 0, 8 * N)]
+                file.create_dataset("gyro_x", shape=(N,), dtype="f8", external=where)
+        message = self.refused(path, as_recording)
+        if "link" in way and not as_recording:
+            assert "no column was recognised as gyro_x" in message  # links are not even listed
+        else:
+            assert "gyro_x is " in message
+            assert "copy the data there" in message
+
+    def test_parquet_of_endless_zeros(self, tmp_path, as_recording):
+        """Run lengths make a billion zeros of a few bytes, which is more than a file of that size can mean."""
+        pa = pytest.importorskip("pyarrow")
+        parquet = pytest.importorskip("pyarrow.parquet")
+        path = tmp_path / "samples.parquet"
+        rows = 1 << 22
+        parquet.write_table(pa.table({"time": np.zeros(rows)}), path, row_group_size=rows, data_page_size=1 << 30)
+        assert f"{8 * rows} bytes" in self.refused(path, as_recording)
+
+
+# MATLAB files.
+
+
+def saved(content, **options):
+    out = io.BytesIO()
+    scipy.io.savemat(out, content, **options)
+    return out.getvalue()
+
+
+def test_matlab_data_of_an_unknown_type(tmp_path):
+    """A type that is no type leads the library's parser out of its memory; it is never asked."""
+    data = bytearray(saved({"time": TIME, "gyro": GYRO, "accel": ACCEL}))
+    at = data.rindex(struct.pack("<II", 9, 24 * N))  # tag of the last array's doubles
+    data[at : at + 4] = struct.pack("<I", 0x7FFF)
+    (tmp_path / "a.mat").write_bytes(bytes(data))
+    assert "of the unknown type 32767" in refusal(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize(("code", "kind"), [(3, "object"), (16, "function"), (17, "opaque"), (5, "sparse")])
+def test_matlab_objects_are_passed_over_and_refused_in_structs(tmp_path, code, kind):
+    data = bytearray(saved({"gyro": GYRO}))
+    flags = data.index(struct.pack("<IIII", 6, 8, 6, 0))
+    data[flags + 8] = code
+    assert [(v.kind, v.data) for v in variables(bytes(data))] == [(kind, b"")]
+    (tmp_path / "a.mat").write_bytes(bytes(data))
+    assert "no arrays of numbers" in refusal(tmp_path / "a.mat")
+    data = bytearray(saved({"imu": {"gyro": GYRO}}))
+    flags = data.index(struct.pack("<IIII", 6, 8, 6, 0))
+    data[flags + 8] = code
+    with pytest.raises(ValueError, match=f"a struct holds a {kind}"):
+        list(variables(bytes(data)))
+
+
+def test_matlab_compressed_that_swells(tmp_path):
+    inner = struct.pack("<II", 14, 0xFFFFFFF0) + bytes(1000)
+    packed = zlib.compress(inner)
+    head = saved({})[:128]
+    (tmp_path / "a.mat").write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    assert "larger than it can be" in refusal(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize("options", [{}, {"do_compression": True}, {"format": "4"}])
+def test_matlab_cut_off_anywhere(tmp_path, options):
+    """Whatever is left is either whole variables or a sentence."""
+    whole = saved({"time": TIME, "gyro": GYRO, "accel": ACCEL}, **options)
+    path = tmp_path / "a.mat"
+    for size in range(1, len(whole), 23):
+        path.write_bytes(whole[:size])
+        assert str(path) in refusal(path)
+
+
+def test_matlab_dimensions_that_the_data_do_not_fill(tmp_path):
+    data = bytearray(saved({"gyro": GYRO}))
+    at = data.index(struct.pack("<ii", N, 3))
+    data[at : at + 8] = struct.pack("<ii", 1 << 30, 1 << 30)
+    (tmp_path / "a.mat").write_bytes(bytes(data))
+    assert "do not fill its dimensions" in refusal(tmp_path / "a.mat")
+
+
+# Recordings whose samples are in a foreign format, or elsewhere.
+
+
+def euroc(path):
+    stamps = 10**18 + 15_625_000 * np.arange(N)
+    rows = (
+        f"{t}," + ",".join(map(repr, row)) for t, row in zip(stamps, np.hstack((GYRO, ACCEL)).tolist(), strict=True)
+    )
+    path.write_text("\n".join([EUROC, *rows]) + "\n")
+
+
+def test_recording_of_foreign_samples(tmp_path):
+    euroc(tmp_path / "imu.txt")
+    loaded = srt.load_recording(recording(tmp_path, "imu.txt", 'serial = "S1"\ntemperature_c = 21.0', units=False))
+    np.testing.assert_array_equal(loaded.gyro, GYRO)
+    np.testing.assert_array_equal(loaded.accel, ACCEL)
+    np.testing.assert_array_equal(loaded.time, np.arange(N) / 64.0)
+    assert (loaded.serial, loaded.temperature[0]) == ("S1", 21.0)
+    assert len(loaded.data_sha256) == 64
+
+
+def test_foreign_samples_that_do_not_say_their_units(tmp_path):
+    np.savetxt(tmp_path / "imu.txt", np.column_stack([*COLUMNS.values()]), header=",".join(COLUMNS), delimiter=",")
+    message = recording_refusal(recording(tmp_path, "imu.txt", units=False))
+    assert "gyro_unit in recording.toml" in message
+    loaded = srt.load_recording(recording(tmp_path, "imu.txt", 'time_unit = "s"'))
+    np.testing.assert_array_equal(loaded.gyro, GYRO)
+
+
+def test_samples_outside_the_folder(tmp_path):
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    np.savez(tmp_path / "samples.npz", **COLUMNS)
+    (folder / "link.npz").symlink_to(tmp_path / "samples.npz")
+    for name in ("../samples.npz", str(tmp_path / "samples.npz"), "link.npz", "absent/../../samples.npz"):
+        message = recording_refusal(recording(folder, name))
+        assert "leads out of the recording's folder" in message
+        assert name in message
+    (folder / "loop.npz").symlink_to(folder / "loop.npz")
+    for name in ("loop.npz", "a\\u0000b.csv", "n" * 300 + ".csv", "n" * 300 + ".bag"):
+        recording_refusal(recording(folder, name))
+    (folder / "imu0").mkdir()
+    euroc(tmp_path / "data.csv")
+    (folder / "imu0" / "data.csv").symlink_to(tmp_path / "data.csv")
+    assert "leads out of the recording's folder" in recording_refusal(recording(folder, "imu0"))
+    # Inside, whatever the way: the folder itself may be reached by a link.
+    np.savez(folder / "samples.npz", **COLUMNS)
+    (tmp_path / "other").symlink_to(folder)
+    loaded = srt.load_recording(recording(tmp_path / "other", "../recording/samples.npz"))
+    np.testing.assert_array_equal(loaded.time, TIME)
+
+
+def test_a_foreign_file_for_a_recording(tmp_path):
+    euroc(tmp_path / "imu.csv")
+    message = recording_refusal(tmp_path / "imu.csv")
+    assert f"convert the file (EuRoC CSV): srt convert {tmp_path / 'imu.csv'} -o DIR" in message
+    (tmp_path / "imu0").mkdir()
+    euroc(tmp_path / "imu0" / "data.csv")
+    assert "convert the folder (EuRoC CSV)" in recording_refusal(tmp_path / "imu0")
+    (tmp_path / "x.bin").write_bytes(bytes(100))
+    assert "name another file" in recording_refusal(tmp_path / "x.bin")
