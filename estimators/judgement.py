@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from estimators.batch import by_source, solve, weighted
-from estimators.statistics import deletion_table, residuals, suspects
+from estimators.statistics import contradictions, deletion_table, evidence, residuals, suspects
 from estimators.system import N_ERRORS, linearise
 from srt.assembly import Outcome, assemble
 from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from estimators.system import System
     from srt.calibration import Calibration, Residual
     from srt.options import Options
+    from srt.verdict import Evidence
 
     Array = NDArray[np.float64]
 
@@ -74,6 +75,7 @@ def calibration_of(
         np.tile(np.eye(3), (data.K, 1, 1)) if state.played is None else state.played.turned,
         judged.total,
         {"sequences": list(judged.table)} | step.diagnostics(problem) | diagnostics,
+        judged.evidence,
     )
     return assemble(step.name, data, options, outcome, held, warnings=tuple(warnings))
 
@@ -89,6 +91,7 @@ class Judgement:
     statistic: float = 0.0
     freedom: int = 0
     gross: bool = False
+    evidence: tuple[Evidence, ...] = ()
 
 
 def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judgement:
@@ -101,7 +104,8 @@ def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judge
         solution = solve(system)
     except np.linalg.LinAlgError:
         return Judgement({"none": nothing}, state.covariance)
-    table = tuple(deletion_table(problem, system, solution))
+    against = contradictions(problem, system, solution)
+    table = tuple(deletion_table(problem, system, solution, against))
     if step.weights():
         system = weighted(system, step.weights())
         solution = solve(system)
@@ -136,6 +140,7 @@ def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judge
         statistic,
         number,
         gross,
+        evidence(problem, system, solution, against),
     )
 
 

@@ -8,7 +8,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from srt.calibration import Residual
+from srt.sensor_errors import N_PARAMETERS
 from srt.variance_components import restricted_likelihood
+from srt.verdict import REDUNDANT, Contradiction, Evidence, LeftOut, named, reestimate, suspect
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
@@ -22,9 +24,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _COMPONENTS: Final = {"force": "xyz", "rate": "xyz", "turn": "xyz"}
-_RANK: Final = 1e-8
-SUSPECT_PROBABILITY: Final = 1e-4
-"""Chance below which a sequence is said to contradict the others; over 17 sequences, about once in 600 recordings."""
+_INDEPENDENT: Final = 1e-10
+_WITNESSED: Final = 0.05
 
 
 def residuals(problem: Problem, system: System, solution: BatchSolution) -> tuple[Residual, ...]:
@@ -53,49 +54,116 @@ def _which(problem: Problem, k: int, window: int) -> str:
     return "end" if window == problem.data.end[k] else "lone"
 
 
-def deletion_table(problem: Problem, system: System, solution: BatchSolution) -> list[dict[str, Any]]:
-    """Every sequence against all the others: chi-square of its residuals as the others predict it.
+def contradictions(problem: Problem, system: System, solution: BatchSolution) -> list[Contradiction]:
+    """Every sequence against all the others, in time order: chi-square of its residuals as the others predict it."""
+    left = system.b + system.A @ solution.delta
+    spread = system.A @ solution.root
+    reported = system.parameter_map() @ solution.root
+    sigma = np.linalg.norm(reported, axis=1)
+    reported = reported / np.where(sigma > 0.0, sigma, 1.0)[:, None]
+    owned, out = _owned(system), []
+    for k in problem.order.tolist():
+        at = owned[k]
+        v, H = left[at], spread[at]
+        # What the data of a sequence alone decide, its own attitudes, leaves no residual there: directions without one.
+        values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T)
+        seen = values > REDUNDANT
+        statistic = float(np.sum((vectors[:, seen].T @ v) ** 2 / values[seen]))
+        # Of them, those that move reported parameters: what nothing else shows of these.
+        alone, moved, _ = np.linalg.svd(reported @ (H.T @ vectors[:, ~seen]), full_matrices=False)
+        open_ = alone[:, moved > _WITNESSED]
+        out.append(Contradiction(statistic, int(seen.sum()), open_.shape[1], named(open_)))
+    return out
+
+
+def deletion_table(
+    problem: Problem, system: System, solution: BatchSolution, against: SequenceOf[Contradiction] | None = None
+) -> list[dict[str, Any]]:
+    """Set :func:`contradictions` as JSON values.
 
     Returns
     -------
     list of dict
         Sequence, occurrence, chi_square, degrees_of_freedom, probability; in time order.
     """
+    data = problem.data
+    return [
+        {
+            "sequence": data.ids[k],
+            "occurrence": data.occurrences[k],
+            "chi_square": row.chi_square,
+            "degrees_of_freedom": row.freedom,
+            "probability": float(chdtrc(row.freedom, row.chi_square)) if row.freedom else 1.0,
+        }
+        for k, row in zip(problem.order.tolist(), against or contradictions(problem, system, solution), strict=True)
+    ]
+
+
+def left_out(problem: Problem, system: System, solution: BatchSolution) -> list[LeftOut]:
+    """The estimate without each sequence, in time order; windows that other sequences use stay."""
     left = system.b + system.A @ solution.delta
     spread = system.A @ solution.root
-    owned: dict[int, list[Array]] = {}
+    reported = system.parameter_map() @ solution.root
+    free = np.flatnonzero(system.free)
+    sigma = np.linalg.norm(reported[free], axis=1)
+    unit = reported[free] / sigma[:, None]
+    back = np.zeros((N_PARAMETERS, len(free)))
+    back[free, np.arange(len(free))] = 1.0 / sigma
+    full = np.linalg.inv(unit @ unit.T)
+    shared, out = _shared_rows(problem, system), []
+    owned = _owned(system)
+    for k in problem.order.tolist():
+        at = np.setdiff1d(owned[k], shared)
+        H = spread[at]
+        effect = full @ (unit @ H.T)
+        # Woodbury in the information of the parameters alone, which lives where their covariance without it does not.
+        values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T + H @ unit.T @ effect)
+        there = values > _INDEPENDENT
+        seen = effect @ vectors[:, there] / np.sqrt(values[there])
+        rest = full - seen @ seen.T
+        gradient = seen @ (vectors[:, there].T @ left[at] / np.sqrt(values[there]))
+        information = np.stack([back @ full @ back.T, back @ rest @ back.T])
+        out.append(reestimate(information, back @ gradient, system.free))
+    return out
+
+
+def evidence(
+    problem: Problem, system: System, solution: BatchSolution, against: SequenceOf[Contradiction]
+) -> tuple[Evidence, ...]:
+    """What the verdict has of every sequence, in time order; empty where the estimate's covariance is singular."""
+    data = problem.data
+    try:
+        without = left_out(problem, system, solution)
+    except np.linalg.LinAlgError:
+        return ()
+    return tuple(
+        Evidence(data.ids[k], data.occurrences[k], contradiction, left)
+        for k, contradiction, left in zip(problem.order.tolist(), against, without, strict=True)
+    )
+
+
+def _owned(system: System) -> dict[int, NDArray[np.intp]]:
+    """Rows of every sequence."""
+    owned: dict[int, list[NDArray[np.intp]]] = {}
     for rows in system.rows:
         for owner, index in zip(rows.owner.tolist(), rows.index, strict=True):
             if owner >= 0:
                 owned.setdefault(owner, []).append(index)
-    data, table = problem.data, []
-    for k in problem.order.tolist():
-        at = np.concatenate(owned[k])
-        v, H = left[at], spread[at]
-        # What the data of a sequence alone decide, its own attitudes, leaves no residual there: directions without one.
-        values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T)
-        seen = values > _RANK
-        statistic = float(np.sum((vectors[:, seen].T @ v) ** 2 / values[seen]))
-        number = int(seen.sum())
-        table.append(
-            {
-                "sequence": data.ids[k],
-                "occurrence": data.occurrences[k],
-                "chi_square": statistic,
-                "degrees_of_freedom": number,
-                "probability": float(chdtrc(number, statistic)) if number else 1.0,
-            }
-        )
-    return table
+    return {k: np.concatenate(rows) for k, rows in owned.items()}
+
+
+def _shared_rows(problem: Problem, system: System) -> NDArray[np.intp]:
+    """Rows of windows that two sequences use."""
+    data = problem.data
+    uses = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))
+    windows = np.flatnonzero(uses > 1)
+    return np.concatenate([system.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")])
 
 
 def suspects(table: SequenceOf[dict[str, Any]]) -> list[str]:
     """Name the sequence that contradicts the others most, if its chance is small."""
-    if not table:
-        return []
-    # Probabilities underflow: the statistic over its degrees of freedom orders what is hopeless.
-    worst = max(table, key=lambda row: row["chi_square"] / max(row["degrees_of_freedom"], 1))
-    if worst["probability"] > SUSPECT_PROBABILITY:
+    worst = suspect(table)
+    if worst is None:
         return []
     again = f" (occurrence {worst['occurrence']})" if worst["occurrence"] > 1 else ""
     return [

@@ -12,7 +12,9 @@ from scipy.special import chdtri
 
 from srt.calibration import Calibration, Residual
 from srt.executed import wrong_turns
-from srt.sensor_errors import N_PARAMETERS, NAMES
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
+from srt.verdict import verdict
+from srt.verdict_playback import evidence_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from srt.options import Options
     from srt.playback_data import PlaybackData
     from srt.sensor_errors import SensorErrors
+    from srt.verdict import Evidence
 
     Array = NDArray[np.float64]
 
@@ -63,6 +66,10 @@ class Outcome:
         Covariance as the estimator itself has it; default the sum over the sources.
     diagnostics : mapping
         What else the estimator reports, as JSON values.
+    evidence : tuple of Evidence
+        Every sequence against the others, if the estimator has it.
+    solution : Solution, optional
+        Of an estimator by play-back: what :mod:`srt.verdict_playback` judges.
     """
 
     errors: SensorErrors
@@ -81,6 +88,8 @@ class Outcome:
     turned: Array
     total: Array | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    evidence: tuple[Evidence, ...] = ()
+    solution: Solution | None = None
 
 
 def outcome_of(data: PlaybackData, solution: Solution, held: Mapping[str, str]) -> Outcome:
@@ -101,6 +110,7 @@ def outcome_of(data: PlaybackData, solution: Solution, held: Mapping[str, str]) 
         solution.wander,
         solution.bias_by_sequence,
         solution.playback.integrals.C_end,
+        solution=solution,
     )
 
 
@@ -156,6 +166,9 @@ def assemble(
         status = "partial"
         message = f"{message} Held, not observed: {', '.join(held)}."
     fixture = data.recording.fixture
+    evidence = outcome.evidence
+    if outcome.solution is not None:
+        evidence = evidence_of(estimator, data, options, outcome.solution, ~observed)
     return Calibration(
         estimator=estimator,
         status=status,
@@ -172,18 +185,21 @@ def assemble(
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
         residuals=outcome.residuals,
         site=_site(data),
-        noise=_noise(data, outcome, inflation) | {"chi_square": statistic, "degrees_of_freedom": freedom},
+        noise=_noise(data, outcome, inflation)
+        | {"chi_square": statistic, "degrees_of_freedom": freedom}
+        | _shared_errors(outcome, mask, inflation),
         alignment=_alignment(data),
         temperature=_temperature(data),
         provenance={
             "data_sha256": data.recording.data_sha256,
-            "software": f"strapdown-rotation-test {_version()}",
+            "software": software(),
             "serial": data.recording.serial,
             "date": data.recording.date,
             "options": options.as_dict(),
             "voided": dict(data.voided),
         },
         diagnostics=outcome.diagnostics,
+        verdict=verdict(evidence, covariance, observed, statistic, freedom) if observed.any() else {},
         warnings=(*warnings, *_warnings(data, outcome, observed)),
     )
 
@@ -214,11 +230,12 @@ def is_misfit(statistic: float, freedom: int) -> bool:
 
 
 @cache
-def _version() -> str:
+def software() -> str:
+    """Name and version of this software, as a calibration's provenance states it."""
     try:
-        return version("strapdown-rotation-test")
+        return f"strapdown-rotation-test {version('strapdown-rotation-test')}"
     except ModuleNotFoundError:  # importlib.metadata.PackageNotFoundError, a source tree that is not installed
-        return "(not installed)"
+        return "strapdown-rotation-test (not installed)"
 
 
 def _residuals(data: PlaybackData, solution: Solution) -> tuple[Residual, ...]:
@@ -260,6 +277,25 @@ def _noise(data: PlaybackData, outcome: Outcome, inflation: float) -> dict[str, 
         "sigma_inflation": inflation,
         "gyro_bias_by_sequence_rad_s": outcome.bias_by_sequence.tolist(),
     }
+
+
+def _shared_errors(outcome: Outcome, mask: NDArray[np.bool_], inflation: float) -> dict[str, Any]:
+    """What other recordings of the unit have in common with this one, and no mean takes away.
+
+    ``gravity_effect`` is what one sigma of gravity does to every parameter; of held values it is the covariance.
+    """
+    out: dict[str, Any] = {}
+    gravity, by_held = (
+        np.where(mask, outcome.covariance.get(source, 0.0), 0.0) * inflation**2 for source in ("gravity", "held_values")
+    )
+    most = int(np.argmax(np.diag(gravity)))
+    if gravity[most, most] > 0.0:
+        effect = gravity[most] / np.sqrt(gravity[most, most])
+        scale = effect[GROUP_SLICES["accel_scale"]].sum()
+        out["gravity_effect"] = (effect * (-1.0 if scale < 0.0 else 1.0)).tolist()
+    if by_held.any():
+        out["held_values_covariance"] = by_held.tolist()
+    return out
 
 
 def _alignment(data: PlaybackData) -> dict[str, Any]:

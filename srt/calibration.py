@@ -83,6 +83,8 @@ class Calibration:
         Mean and range per sequence, °C.
     diagnostics : dict
         What else the estimator reports, such as the innovations of every sequence; JSON values.
+    verdict : dict
+        What the measurements say of the result, :func:`srt.verdict.verdict`; JSON values, empty where nothing is known.
     warnings : tuple of str
     """
 
@@ -103,6 +105,7 @@ class Calibration:
     temperature: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    verdict: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     @property
@@ -216,6 +219,7 @@ class Calibration:
             ],
             "provenance": dict(self.provenance),
             "diagnostics": dict(self.diagnostics),
+            "verdict": dict(self.verdict),
         }
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -288,5 +292,6 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         temperature=document["temperature"],
         provenance=document["provenance"],
         diagnostics=document.get("diagnostics", {}),
+        verdict=document.get("verdict", {}),
         warnings=tuple(document.get("warnings", ())),
     )

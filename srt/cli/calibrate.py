@@ -57,6 +57,7 @@ class Display:
 
     truth: SensorErrors | None = None
     budget: bool = False
+    verdict: bool = False
     quiet: bool = False
 
 
@@ -77,9 +78,15 @@ class Display:
     help="Hold a parameter or a group, as gyro_scale_x or accel_bias; repeatable.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json, or a folder for several.")
+@click.option(
+    "--merge",
+    is_flag=True,
+    help="Several recordings of one unit to one calibration; calibrations (.json) may stand for recordings.",
+)
 @click.option("--plot", type=click.Path(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording, to compare with.")
 @click.option("--budget", is_flag=True, help="Show all sources of sigma, not the three largest.")
+@click.option("--verdict", is_flag=True, help="Show what every parameter rests on, too.")
 @click.option("--average", type=click.Choice(CHOICES["average"]), default="linear", show_default=True)
 @click.option("--down", type=click.Choice(CHOICES["down"]), default="tilt-immune", show_default=True)
 @click.option("--window-attitude", type=click.Choice(CHOICES["window_attitude"]), default="held", show_default=True)
@@ -112,9 +119,11 @@ def calibrate(
     estimator: str,
     no_asymmetry: bool,
     output: Path | None,
+    merge: bool,
     plot: Path | None,
     truth: Path | None,
     budget: bool,
+    verdict: bool,
     quiet: bool,
     prior: Path | None,
     no_fixture_states: bool,
@@ -125,16 +134,19 @@ def calibrate(
 
     The table goes to standard output; -o keeps the whole result, with its covariance, as JSON. With several
     recordings -o names a folder, --plot gets the recordings' names before its ending, a recording that fails
-    does not stop the others, and the exit code is the worst.
+    does not stop the others, and the exit code is the worst. With --merge they are recordings of one unit: -o gets
+    the one calibration merged of them, and how well they repeat is shown.
 
     Exit codes: 0 converged, or partial (some parameters held, with a warning); 1 not converged or outside the
     model (written all the same, with that status), or data that cannot support a result; 2 wrong usage or
     unreadable input.
     """
-    jobs = plan(recordings, output, plot)
+    jobs = plan_merging(recordings, output, plot) if merge else plan(recordings, output, plot)
     # Everything that can be refused without the samples is refused before they are read.
-    if truth is not None and len(jobs) > 1:
+    if truth is not None and len(jobs) > 1 and not merge:
         raise InputError("The option --truth belongs to one recording: calibrate the others apart.")
+    if merge and prior is not None:
+        raise InputError("--merge and --prior do not go together: the prior would count with every recording.")
     from srt.estimation import find_estimator
     from srt.options import Options
 
@@ -154,7 +166,11 @@ def calibrate(
         from srt.cli.truth import load_truth
 
         true_errors = load_truth(truth)
-    display = Display(true_errors, budget, quiet)
+    display = Display(true_errors, budget, verdict, quiet)
+    if merge:
+        from srt.cli.merge import run_merging
+
+        return run_merging(jobs, estimator, options, display, output, plot)
     if len(jobs) > 1 and output is not None:
         make_directory(output)
     codes = []
@@ -256,6 +272,30 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
     return tuple(jobs)
 
 
+def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Name the recordings to merge, and settle that the one result can go where it is to go.
+
+    Raises
+    ------
+    InputError
+        One recording alone, the same one twice, or a place that cannot be written.
+    """
+    if len(recordings) < 2:
+        raise InputError(f"--merge needs two recordings of a unit at least, and there is only {recordings[0]}.")
+    files = [path if path.suffix == ".json" else recording_folder(path) for path in recordings]
+    resolved = [path.resolve() for path in files]
+    twice = next((str(path) for n, path in enumerate(files) if resolved[n] in resolved[:n]), None)
+    if twice is not None:
+        raise InputError(f"{twice} is named twice, and one recording must not count twice.")
+    stems = [path.stem if path.suffix == ".json" else path.name for path in resolved]
+    names = [stem if stems.count(stem) == 1 else str(path) for stem, path in zip(stems, recordings, strict=True)]
+    if output is not None:
+        check_file(output, RESULT_SUFFIXES, "The merged calibration")
+    if plot is not None:
+        check_file(plot, PLOT_SUFFIXES, "The plot")
+    return tuple(Job(path, name) for path, name in zip(recordings, names, strict=True))
+
+
 def run_job(job: Job, estimator: str, options: Options, display: Display) -> Calibration:
     """Calibrate one recording; write and show what came out, whatever its status.
 
@@ -285,7 +325,15 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     if job.output is not None:
         calibration.save(job.output)
     if not display.quiet:
-        click.echo(report(calibration, title=str(job.recording), truth=display.truth, budget=display.budget))
+        click.echo(
+            report(
+                calibration,
+                title=str(job.recording),
+                truth=display.truth,
+                budget=display.budget,
+                verdict=display.verdict,
+            )
+        )
     if job.plot is not None:
         from srt.plots import calibration_figure, save_figure
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
 from srt.tables import WIDTH, decimals_for, fixed, text_table
+from srt.verdict_table import verdict_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,6 +27,8 @@ SOURCE_LABELS: Final = {
     "gravity": "gravity",
     "prior": "prior",
     "held_values": "held values",
+    "recordings": "recordings",
+    "between_recordings": "betw. rec.",
 }
 """Short names of the sources of error; one that is not here is called by its own."""
 
@@ -41,6 +44,7 @@ def report(
     title: str,
     truth: SensorErrors | None = None,
     budget: bool = False,
+    verdict: bool = False,
 ) -> str:
     """Write the whole report.
 
@@ -53,6 +57,8 @@ def report(
         Adds columns of the truth, the error, and the error over sigma.
     budget : bool
         All sources of error as columns instead of the three largest.
+    verdict : bool
+        The verdict by parameter, too.
 
     Returns
     -------
@@ -64,7 +70,7 @@ def report(
         parameter_table(calibration, truth),
         "\n".join(_held(calibration)),
         budget_table(calibration) if budget else contribution_table(calibration),
-        sequence_table(calibration),
+        verdict_text(calibration, parameters=verdict),
         "\n".join(_judgement(calibration)),
     ]
     return "\n\n".join(part for part in parts if part)
@@ -166,40 +172,6 @@ def _columns_that_fit(left: list[list[str]], heads: list[str], columns: list[lis
         if used > WIDTH + 1:
             return max(count, 1)
     return len(columns)
-
-
-def sequence_table(calibration: Calibration) -> str:
-    """Set what joint estimation says of every sequence; empty for other estimators.
-
-    The chi-square of each sequence against all others; for the filter that of its innovation, all sequences before it
-    being known; under a robust loss its weight.
-    """
-    against = calibration.diagnostics.get("sequences")
-    if not against:
-        return ""
-    innovations = calibration.diagnostics.get("filter") or calibration.diagnostics.get("live")
-    weights = calibration.diagnostics.get("weights")
-    headers, alignment = ["sequence", "against others\nchi2 / dof", "chance"], "lrr"
-    if innovations:
-        headers, alignment = [*headers, "as it came\nNIS / dof", "chance"], alignment + "rr"
-    if weights:
-        headers, alignment = [*headers, "weight"], alignment + "r"
-    rows: list[list[str] | None] = []
-    for i, row in enumerate(against):
-        again = f" ({row['occurrence']})" if row["occurrence"] > 1 else ""
-        cells = [f"{row['sequence']}{again}", *_statistic(row, "chi_square")]
-        if innovations:
-            cells += _statistic(innovations[i], "nis")
-        if weights:
-            cells.append(fixed(weights[i]["weight"], 2))
-        rows.append(cells)
-    return text_table(headers, rows, alignment)
-
-
-def _statistic(row: dict[str, Any], name: str) -> list[str]:
-    """A chi-square with its degrees of freedom, and the chance of a larger one."""
-    chance = row["probability"]
-    return [f"{row[name]:.1f} / {row['degrees_of_freedom']}", f"{chance:.2g}" if chance < 0.01 else f"{chance:.2f}"]
 
 
 def residual_summary(calibration: Calibration) -> str:

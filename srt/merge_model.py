@@ -1,0 +1,192 @@
+"""The linear model of several recordings of one unit, and its generalised least-squares estimate.
+
+Every recording r measured the same 27 errors x, in the MARS frame that the gyros themselves define, so that values
+can be compared whatever the mounting::
+
+    y_r = x + b_r + c_r + e_r
+
+e_r is the recording's own error. c_r is common to recordings: gravity where the same value was stated, and values held
+because no recording showed them; the mean of many recordings has it as much as one. b_r is what differs from recording
+to recording, as bias from turn-on to turn-on: one variance per group of parameters, by restricted maximum likelihood
+(:mod:`srt.variance_components`). From few recordings that variance is uncertain itself: from n of them, for a group of
+three parameters, to √(2 / 3(n − 1)) of it, 58 % from three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import block_diag, solve_triangular
+
+from srt.exceptions import InputError
+from srt.held import prior_sigma
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
+from srt.variance_components import restricted_likelihood
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+
+    Array = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+
+GROUP_OF: Final = np.array([list(GROUP_SLICES).index(name.rpartition("_")[0]) for name in NAMES])
+"""Number of the group that each parameter belongs to."""
+
+_LEAST_VARIANCE: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stack:
+    """All observed parameters of all recordings, one below the other, n rows in all.
+
+    Attributes
+    ----------
+    y : ndarray, shape (n,), SI
+    parameter : ndarray of int, shape (n,)
+    recording : ndarray of int, shape (n,)
+    own : ndarray, shape (n, n)
+        Covariance of the recordings' own errors.
+    common : dict of str to ndarray, shape (n, n)
+        Of the errors they share, by source.
+    """
+
+    y: Array
+    parameter: Indices
+    recording: Indices
+    own: Array
+    common: dict[str, Array]
+
+    @property
+    def covariance(self) -> Array:
+        """Of all errors within recordings, shape (n, n)."""
+        return np.asarray(self.own + sum(self.common.values()))
+
+    @property
+    def design(self) -> Array:
+        """X of y = X x, shape (n, 27)."""
+        return np.asarray(np.eye(N_PARAMETERS)[self.parameter])
+
+    def rows(self, recording: int) -> Indices:
+        """Rows of a recording."""
+        return np.flatnonzero(self.recording == recording)
+
+    def between(self, group: int) -> Array:
+        """Covariance of unit variance between recordings in a group, shape (n, n)."""
+        return np.diag((GROUP_OF[self.parameter] == group).astype(np.float64))
+
+
+def stack_of(calibrations: Sequence[Calibration]) -> Stack:
+    """Stack the observed parameters of calibrations, with the covariance of all of them.
+
+    Raises
+    ------
+    InputError
+        A parameter whose sigma is zero.
+    """
+    observed = [np.flatnonzero(c.observed) for c in calibrations]
+    for c, at in zip(calibrations, observed, strict=True):
+        exact = at[np.diag(c.covariance)[at] <= 0.0]
+        if len(exact):
+            raise InputError(f"The sigma of {NAMES[exact[0]]} is zero in one calibration, and cannot be weighed.")
+    common: dict[str, Array] = {}
+    own = [c.covariance[np.ix_(at, at)] for c, at in zip(calibrations, observed, strict=True)]
+    for source, effects in (("gravity", _gravity(calibrations)), ("held_values", _held_values(calibrations))):
+        roots = [root[at] for root, at in zip(effects, observed, strict=True)]
+        stacked = np.concatenate(roots)
+        if stacked.any():
+            common[source] = stacked @ stacked.T
+            own = [P - root @ root.T for P, root in zip(own, roots, strict=True)]
+    return Stack(
+        np.concatenate([c.errors.vector[at] for c, at in zip(calibrations, observed, strict=True)]),
+        np.concatenate(observed),
+        np.repeat(np.arange(len(calibrations)), [len(at) for at in observed]),
+        block_diag(*own),
+        common,
+    )
+
+
+def _gravity(calibrations: Sequence[Calibration]) -> list[Array]:
+    """Effect of gravity's error on every calibration, a column for each gravity that is stated, shape (27, m) each."""
+    stated = [c.site.get("gravity_m_s2") for c in calibrations]
+    columns = list(dict.fromkeys(stated))
+    out = []
+    for c, gravity in zip(calibrations, stated, strict=True):
+        root = np.zeros((N_PARAMETERS, len(columns)))
+        effect = c.noise.get("gravity_effect")
+        if effect is not None:
+            root[:, columns.index(gravity)] = effect
+        elif "gravity" in c.contributions:
+            # Files of before say only how large it is: it goes into the three scales alike.
+            scale = GROUP_SLICES["accel_scale"]
+            root[scale, columns.index(gravity)] = c.contributions["gravity"][scale]
+        out.append(root)
+    return out
+
+
+def _held_values(calibrations: Sequence[Calibration]) -> list[Array]:
+    """Roots of the covariance that held values brought in, symmetric, so that like ones go together."""
+    unit = prior_sigma()
+    out = []
+    for c in calibrations:
+        P = np.array(c.noise.get("held_values_covariance", np.diag(_sizes(c, "held_values") ** 2)))
+        values, vectors = np.linalg.eigh(P / np.outer(unit, unit))
+        out.append(unit[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    return out
+
+
+def _sizes(calibration: Calibration, source: str) -> Array:
+    return np.asarray(calibration.contributions.get(source, np.zeros(N_PARAMETERS)), dtype=np.float64)
+
+
+def between_sigma(stack: Stack) -> Array:
+    """One sigma of the differences between recordings, by group, shape (8,), SI."""
+    R, X = stack.covariance, stack.design
+    X = X[:, X.any(axis=0)]
+    twice = np.bincount(stack.parameter, minlength=N_PARAMETERS)[stack.parameter] > 1
+    groups = np.unique(GROUP_OF[stack.parameter[twice]])
+    sizes = np.zeros(len(GROUP_SLICES))
+    if len(groups):
+        left = stack.y - X @ estimate(stack.y, X, R)[0]
+        found = restricted_likelihood(left, X, R, tuple(stack.between(g) for g in groups))
+        sizes[groups] = np.sqrt(found)
+        # What the likelihood puts at a millionth of the variance that is there anyway is nothing.
+        for g in groups:
+            least = _LEAST_VARIANCE * np.diag(R)[GROUP_OF[stack.parameter] == g].min()
+            sizes[g] = sizes[g] if sizes[g] ** 2 > least else 0.0
+    return sizes
+
+
+def estimate(y: Array, X: Array, R: Array) -> tuple[Array, Array, float]:
+    """Generalised least squares.
+
+    Returns
+    -------
+    weights @ y : ndarray, shape (p,)
+    weights : ndarray, shape (p, n)
+    statistic : float
+        Weighted square sum of what is left.
+
+    Raises
+    ------
+    InputError
+        If R is not positive definite.
+    """
+    scale = 1.0 / np.sqrt(np.diag(R))
+    try:
+        L = np.linalg.cholesky(R * np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        raise InputError("The covariance of a calibration is not positive definite, and cannot be merged.") from None
+    whitener = solve_triangular(L, np.diag(scale), lower=True)
+    A = whitener @ X
+    size = np.linalg.norm(A, axis=0)
+    Q, triangle = np.linalg.qr(A / size)
+    weights = solve_triangular(triangle, Q.T @ whitener) / size[:, None]
+    left = whitener @ y
+    left = left - Q @ (Q.T @ left)
+    return weights @ y, weights, float(left @ left)

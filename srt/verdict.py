@@ -1,0 +1,376 @@
+"""What a calibration is worth, part by part: every sequence against all the others, and every parameter's witnesses.
+
+All of it is linear algebra at the solution: measurements z with covariance R and Jacobian H of the errors still in the
+estimate. Nothing is estimated again.
+
+*A sequence against the others*: with ``M = R⁻¹ − R⁻¹ H (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹``, chi-square of all residuals is
+``zᵀ M z``, and without the rows D of a sequence it is smaller by ``(M z)_Dᵀ (M_DD)⁻¹ (M z)_D``: the square of what the
+others mispredict of D, in its own sigma. Directions in which M_DD vanishes are those that nothing else shows.
+
+*A sequence left out*: information N' and gradient g' of the estimate without it give the change ``N'⁻¹ g'`` of every
+parameter and its variance. A parameter whose sigma grows a hundredfold, or to what an estimator would hold, is *lost*:
+here it keeps the value found, and the others are estimated beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import chdtrc
+
+from srt.held import prior_sigma
+from srt.sensor_errors import N_PARAMETERS, NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+    Indices = NDArray[np.intp]
+
+SUSPECT_PROBABILITY: Final = 1e-4
+"""Chance below which a sequence is said to contradict the others; over 17 sequences, about once in 600 recordings."""
+
+_LOST: Final = 100.0
+_INDEPENDENT: Final = 1e-10
+REDUNDANT: Final = 1.0 / _LOST**2
+"""Where the others predict a measurement a hundred times less surely than it is made, they do not check it."""
+
+_NAMED: Final = 0.05
+_SHOWN: Final = 0.05
+_LAST: Final = ("accel_asymmetry", "gyro_asymmetry")
+_RANK: Final = np.array([next((i for i, g in enumerate(_LAST, 1) if n.startswith(g)), 0) for n in NAMES])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contradiction:
+    """A group of measurements against all the others.
+
+    Attributes
+    ----------
+    chi_square : float
+    freedom : int
+        Directions that the others predict.
+    unchecked : int
+        Directions that nothing else shows.
+    witnessed : ndarray of bool, shape (27,)
+        Parameters that these directions move.
+    """
+
+    chi_square: float
+    freedom: int
+    unchecked: int
+    witnessed: Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOut:
+    """The estimate without a group of measurements.
+
+    Attributes
+    ----------
+    change : ndarray, shape (27,), SI
+        Estimate without it less estimate; zero for parameters that are lost.
+    lost : ndarray of bool, shape (27,)
+        Parameters that the rest does not show.
+    information : ndarray, shape (27,)
+        Share of a parameter's information that goes with it, ``1 − variance / variance without it``; 1 if lost.
+    """
+
+    change: Array
+    lost: Mask
+    information: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """A sequence, or a recording among merged ones, and what the verdict has of it."""
+
+    title: str
+    occurrence: int
+    contradiction: Contradiction
+    left_out: LeftOut
+
+    @property
+    def finite(self) -> bool:
+        """Whether all of it are numbers."""
+        parts = (self.left_out.change, self.left_out.information, np.array(self.contradiction.chi_square))
+        return all(bool(np.all(np.isfinite(part))) for part in parts)
+
+
+def against_others(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[Contradiction]:
+    """Every group of measurements against all the others.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+        Residuals at the solution, or anywhere else in the linear range.
+    H : ndarray, shape (n, 27)
+        Jacobian; columns of zeros are not estimated.
+    R : ndarray, shape (n, n)
+        Covariance.
+    groups : sequence of ndarray of int
+        Rows of each group.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If R is not positive definite.
+    """
+    estimated = np.flatnonzero(H.any(axis=0))
+    scale = 1.0 / np.sqrt(np.diag(R))
+    L = np.linalg.cholesky(R * np.outer(scale, scale))
+    whitener = solve_triangular(L, np.diag(scale), lower=True)
+    X = whitener @ H[:, estimated]
+    size = np.linalg.norm(X, axis=0)
+    Q, triangle = np.linalg.qr(X / size)
+    left = whitener - Q @ (Q.T @ whitener)  # M is its square: the projector is idempotent
+    Mz = left.T @ (left @ z)
+    out: list[Contradiction | None] = [None] * len(groups)
+    # Groups of one size go through the eigenvalues together: one by one, most of the time would be overhead.
+    for count in {len(D) for D in groups}:
+        which = [i for i, D in enumerate(groups) if len(D) == count]
+        at = np.stack([groups[i] for i in which])
+        own = np.linalg.cholesky(R[at[:, :, None], at[:, None, :]])
+        columns = np.swapaxes(left.T[at], 1, 2) @ own
+        values, vectors = np.linalg.eigh(np.swapaxes(columns, 1, 2) @ columns)
+        u = np.einsum("gdi,gd->gi", own @ vectors, Mz[at])
+        seen = values > REDUNDANT
+        statistics = np.sum(np.where(seen, u**2 / np.where(seen, values, 1.0), 0.0), axis=1)
+        for i, D, root, V, there, statistic in zip(which, at, own, vectors, seen, statistics, strict=True):
+            witnessed = np.zeros(N_PARAMETERS, dtype=np.bool_)
+            if not there.all():
+                # M E_D u = 0 says E_D u = H c: c is what this group alone shows.
+                c = solve_triangular(triangle, Q.T @ (whitener[:, D] @ root @ V[:, ~there])) / size[:, None]
+                sigma = np.linalg.norm(solve_triangular(triangle, np.eye(len(size))), axis=1) / size
+                witnessed[estimated] = named(c / sigma[:, None])
+            out[i] = Contradiction(float(statistic), int(there.sum()), int((~there).sum()), witnessed)
+    return [c for c in out if c is not None]
+
+
+def named(directions: Array) -> Mask:
+    """Parameters that take part in directions, shape (p, m), in units of their sigma."""
+    size = np.abs(directions)
+    return np.asarray(np.any(size > _NAMED * np.max(size, axis=0, initial=1e-300), axis=1))
+
+
+def reestimate(information: Array, gradient: Array, estimated: Mask) -> LeftOut:
+    """Estimate again from what is left.
+
+    Parameters
+    ----------
+    information : ndarray, shape (2, 27, 27)
+        Of the estimate with all measurements, and of what is left of it.
+    gradient : ndarray, shape (27,)
+        Of what is left, at the solution with all.
+    estimated : ndarray of bool, shape (27,)
+    """
+    from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma
+
+    out = LeftOut(np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS, dtype=np.bool_), np.zeros(N_PARAMETERS))
+    e = np.flatnonzero(estimated)
+    if not len(e):
+        return out
+    full, rest = (N[np.ix_(e, e)] for N in information)
+    size = 1.0 / np.sqrt(np.diag(full))
+    variance = np.diag(np.linalg.inv(full * np.outer(size, size)))
+    unit = size * np.sqrt(variance)  # own sigma
+    # Seen through imperfections of turns alone, a parameter may stay within what is admitted; it is lost all the same.
+    limit = np.minimum(OBSERVED_BELOW * admission_sigma()[e] / unit, _LOST)
+    N, g = rest * np.outer(unit, unit), gradient[e] * unit
+    values, vectors = np.linalg.eigh(0.5 * (N + N.T))
+    there = values > _INDEPENDENT * max(float(values[-1]), 1e-300)
+    change, lost, share = np.zeros(len(e)), np.zeros(len(e), dtype=np.bool_), np.zeros(len(e))
+    free = np.ones(len(e), dtype=np.bool_)
+    if there.all():
+        P = (vectors / values) @ vectors.T
+        sigma = np.sqrt(np.diag(P))
+        lost = (sigma > limit) & (limit > 1.0)
+        share = 1.0 - 1.0 / np.maximum(np.diag(P), 1.0)
+        change = P @ g
+    if lost.any() or not there.all():
+        # As the estimators choose: in their order of admission, then without what stays weak beside the others.
+        free = _admitted(np.where(there, values, 0.0), vectors, limit, e)
+        while free.any():
+            P = np.linalg.inv(N[np.ix_(free, free)])
+            sigma = np.sqrt(np.maximum(np.diag(P), 0.0))
+            weak = (sigma > limit[free]) & (limit[free] > 1.0)
+            if not weak.any():
+                break
+            free[np.flatnonzero(free)[weak]] = False
+        change, lost = np.zeros(len(e)), ~free
+        if free.any():
+            change[free] = P @ g[free]
+            share[free] = 1.0 - 1.0 / np.maximum(np.diag(P), 1.0)
+    out.change[e] = np.where(lost, 0.0, change * unit)
+    out.lost[e], out.information[e] = lost, np.where(lost, 1.0, share)
+    return out
+
+
+def without_groups(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[LeftOut]:
+    """Weighted least squares without each group of measurements.
+
+    Parameters
+    ----------
+    z, H, R, groups
+        As in :func:`against_others`, z being residuals at the estimate of all.
+    """
+    estimated = np.asarray(H.any(axis=0), dtype=np.bool_)
+    scale = 1.0 / np.sqrt(np.diag(R))
+    A = np.linalg.inv(R * np.outer(scale, scale)) * np.outer(scale, scale)
+    full = H.T @ A @ H
+    out = []
+    for D in groups:
+        block = A[D] @ np.column_stack([H, z])
+        taken = block.T @ np.linalg.solve(A[np.ix_(D, D)], block)
+        gradient = H.T @ (A @ z) - taken[:-1, -1]
+        out.append(reestimate(np.stack([full, full - taken[:-1, :-1]]), gradient, estimated))
+    return out
+
+
+def _admitted(values: Array, vectors: Array, limit: Array, members: Indices) -> Mask:
+    """Parameters that information determines beside those admitted before them, asymmetries last."""
+    left = (vectors * values) @ vectors.T
+    free = np.zeros(len(members), dtype=np.bool_)
+    for n in sorted(range(len(members)), key=lambda n: _RANK[members[n]]):
+        if left[n, n] * limit[n] ** 2 > 1.0:
+            free[n] = True
+            left -= np.outer(left[:, n], left[n]) / left[n, n]
+    return free
+
+
+def verdict(
+    evidence: Iterable[Evidence],
+    covariance: Array,
+    observed: Mask,
+    statistic: float,
+    freedom: int,
+) -> dict[str, Any]:
+    """Put the verdict together, as JSON values.
+
+    Parameters
+    ----------
+    evidence : iterable of Evidence
+        In the order of the sequences; none if only the whole is known.
+    covariance : ndarray, shape (27, 27)
+        As reported.
+    observed : ndarray of bool, shape (27,)
+    statistic : float
+        Chi-square of all residuals.
+    freedom : int
+
+    Returns
+    -------
+    dict
+        "chi_square", "degrees_of_freedom", "probability" (of a larger chi-square by noise alone; None without a degree
+        of freedom), "sequences", "parameters" (those observed), "weakest_combination".
+    """
+    # Far from a solution, as where an iteration did not converge, the linear model may be none.
+    rows = list(evidence)
+    rows = rows if all(row.finite for row in rows) else []
+    seen = np.flatnonzero(observed)
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return {
+        "chi_square": statistic,
+        "degrees_of_freedom": freedom,
+        "probability": _probability(statistic, freedom),
+        "sequences": [_sequence(row, sigma, observed) for row in rows],
+        "parameters": _parameters(rows, covariance, seen),
+        "weakest_combination": _weakest(covariance, seen),
+    }
+
+
+def suspect(sequences: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
+    """Find the sequence that contradicts the others most, if its chance is small."""
+    checked = [row for row in sequences if row["degrees_of_freedom"]]
+    if not checked:
+        return None
+    # Probabilities underflow: the statistic over its degrees of freedom orders what is hopeless.
+    worst = max(checked, key=lambda row: row["chi_square"] / row["degrees_of_freedom"])
+    return worst if worst["probability"] <= SUSPECT_PROBABILITY else None
+
+
+def _probability(statistic: float, freedom: int) -> float | None:
+    return float(chdtrc(freedom, statistic)) if freedom > 0 else None
+
+
+def _sequence(row: Evidence, sigma: Array, observed: Mask) -> dict[str, Any]:
+    against, without = row.contradiction, row.left_out
+    kept = observed & ~without.lost & (sigma > 0.0)
+    influence = np.zeros(N_PARAMETERS)
+    influence[kept] = without.change[kept] / sigma[kept]
+    largest = int(np.argmax(np.abs(influence)))
+    checkable = "no" if against.freedom == 0 else "partly" if against.unchecked else "yes"
+    return {
+        "sequence": row.title,
+        "occurrence": row.occurrence,
+        "chi_square": against.chi_square,
+        "degrees_of_freedom": against.freedom,
+        "probability": _probability(against.chi_square, against.freedom),
+        "checkable": checkable,
+        "only_witness_of": _names(against.witnessed & observed),
+        "lost_without": _names(without.lost & observed),
+        "largest_influence": (
+            {"parameter": NAMES[largest], "sigmas": float(influence[largest])} if kept.any() else None
+        ),
+        "influence": {NAMES[i]: float(influence[i]) if kept[i] else None for i in np.flatnonzero(observed)},
+    }
+
+
+def _parameters(rows: Sequence[Evidence], covariance: Array, seen: Indices) -> list[dict[str, Any]]:
+    sigma = np.sqrt(np.maximum(np.diag(covariance)[seen], 0.0))
+    if not len(seen) or not np.all(sigma > 0.0):
+        return []
+    C = covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
+    values, vectors = np.linalg.eigh(C)
+    # Rounding must not make a combination better known than any covariance can say.
+    values = np.maximum(values, len(seen) * np.finfo(np.float64).eps * values[-1])
+    inflation = np.einsum("ij,j,ij->i", vectors, 1.0 / values, vectors)
+    apart = np.abs(C - np.diag(np.diag(C)))
+    partner = np.argmax(apart, axis=1)
+    shares = np.array([row.left_out.information for row in rows]).reshape(len(rows), N_PARAMETERS)
+    out = []
+    for n, i in enumerate(seen.tolist()):
+        share = shares[:, i]
+        most = float(share.max(initial=0.0))
+        out.append(
+            {
+                "name": NAMES[i],
+                "sigma": float(sigma[n]),
+                "witnesses": 1.0 / most if most > 0.0 else None,
+                "shown_by": [
+                    {"sequence": rows[k].title, "occurrence": rows[k].occurrence, "share": float(share[k])}
+                    for k in np.argsort(-share, kind="stable").tolist()
+                    if share[k] >= _SHOWN
+                ],
+                "information": share.tolist(),
+                "variance_inflation": max(float(inflation[n]), 1.0),
+                "largest_correlation": (
+                    {"with": NAMES[seen[partner[n]]], "value": float(C[n, partner[n]])} if len(seen) > 1 else None
+                ),
+            }
+        )
+    return out
+
+
+def _weakest(covariance: Array, seen: Indices) -> dict[str, Any] | None:
+    """Find the combination that the data narrow down least, in units of the sigma before any data."""
+    if not len(seen):
+        return None
+    prior = prior_sigma()[seen]
+    values, vectors = np.linalg.eigh(covariance[np.ix_(seen, seen)] / np.outer(prior, prior))
+    direction = vectors[:, -1] * np.sign(vectors[np.argmax(np.abs(vectors[:, -1])), -1])
+    order = [n for n in np.argsort(-np.abs(direction), kind="stable").tolist() if abs(direction[n]) > 2.0 * _NAMED]
+    return {
+        "sigma_over_prior": float(np.sqrt(max(values[-1], 0.0))),
+        "combination": {NAMES[seen[n]]: float(direction[n]) for n in order},
+    }
+
+
+def _names(mask: Mask) -> list[str]:
+    return [NAMES[i] for i in np.flatnonzero(mask)]

@@ -1,0 +1,152 @@
+"""``srt calibrate --merge``: one calibration of several recordings, and how well they repeat."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import srt
+import srt.estimation
+from sims import campaigns
+from sims.imu import read_out
+from sims.table_motion import table1_motion
+from srt.cli import main
+from srt.merge import merge_calibrations
+from srt.recording import Fixture
+from srt.sensor_errors import NAMES
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Make three recordings of one unit, each with its own fixture errors and noise, date and temperature."""
+    folder = tmp_path_factory.mktemp("unit")
+    rng = np.random.default_rng(31)
+    truth = campaigns.normal_errors(rng, 1e-3)
+    paths = []
+    for n, name in enumerate(("monday", "tuesday", "friday")):
+        motion = table1_motion(
+            site=campaigns.SITE,
+            sample_rate_hz=50.0,
+            dwell_s=4.0,
+            fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+            stated_fixture=Fixture(0.0, 1e-3, 1e-3),
+        )
+        recording = read_out(motion, truth, campaigns.GRADES["navigation"], rng)
+        recording = replace(
+            recording,
+            serial="SN-9",
+            date=f"2026-03-0{n + 1}",
+            temperature=np.full(len(recording.time), 20.0 + n),
+        )
+        srt.write_recording(recording, folder / name, samples_format="npz")
+        paths.append(folder / name)
+    return tuple(map(str, paths))
+
+
+@pytest.fixture(scope="module")
+def calibrations(folders):
+    return [srt.calibrate(srt.load_recording(folder)) for folder in folders]
+
+
+def test_result_is_the_librarys(folders, calibrations, tmp_path, capfd):
+    path = tmp_path / "unit.json"
+    assert main(["calibrate", "--merge", *folders, "-o", str(path)]) == 0
+    out, err = capfd.readouterr()
+    expected = merge_calibrations(calibrations, ["monday", "tuesday", "friday"])
+    assert srt.load_calibration(path).to_dict() == expected.to_dict()
+    assert [p.name for p in tmp_path.iterdir()] == ["unit.json"]
+    assert "Merged from 3 recordings" in out
+    assert str(path) in out
+    for word in ("tuesday", "2026-03-02", "22.0", "Repeatability", "Verdict", "scatter:"):
+        assert word in out
+    assert max(len(line) for line in out.splitlines() if str(path) not in line) <= 80
+    assert "\x1b" not in out
+    assert "friday: play-back 1" in err
+    rows = [line.split() for line in out.splitlines() if len(line.split()) > 1 and line.split()[1] in NAMES]
+    assert [row[1] for row in rows] == list(NAMES)
+
+
+def test_calibrations_stand_for_their_recordings(folders, calibrations, tmp_path, capfd):
+    """Files of before, or of other estimators, beside a recording; nothing is calibrated twice."""
+    files = []
+    for calibration, name in zip(calibrations[:2], ("monday", "tuesday"), strict=True):
+        calibration.save(tmp_path / f"{name}.json")
+        files.append(str(tmp_path / f"{name}.json"))
+    assert main(["calibrate", "--merge", *files, folders[2], "-o", str(tmp_path / "unit.json"), "--verdict"]) == 0
+    out, err = capfd.readouterr()
+    assert "monday: play-back" not in err
+    assert "wit-" in out
+    expected = merge_calibrations(calibrations, ["monday", "tuesday", "friday"])
+    assert srt.load_calibration(tmp_path / "unit.json").to_dict() == expected.to_dict()
+
+
+def test_plot_truth_and_quiet(folders, tmp_path, capfd):
+    pytest.importorskip("matplotlib")
+    merged, figure = tmp_path / "unit.json", tmp_path / "unit.svg"
+    truth = {"format": "srt-truth", "version": 1, "parameters": dict.fromkeys(NAMES, 0.0)}
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    arguments = ["-o", str(merged), "--plot", str(figure), "--truth", str(tmp_path / "truth.json")]
+    assert main(["calibrate", "--merge", *folders[:2], *arguments]) == 0
+    assert "error" in capfd.readouterr().out
+    assert figure.stat().st_size > 0
+    assert main(["calibrate", "--merge", *folders[:2], "-q"]) == 0
+    out, err = capfd.readouterr()
+    assert out == err == ""
+
+
+def test_what_cannot_be_calibrated_is_left_out(folders, tmp_path, monkeypatch, capfd):
+    found = srt.estimation.find_estimator
+
+    def estimator(name):
+        def estimate(recording, options, progress=None):
+            if recording.date == "2026-03-01":
+                raise srt.DataError("It cannot be.")
+            result = found("closed-form")(recording, options, progress)
+            return replace(result, status="not_converged", message="It did not.") if failing else result
+
+        return estimate
+
+    failing = False
+    monkeypatch.setattr(srt.estimation, "find_estimator", estimator)
+    assert main(["calibrate", "--merge", *folders, "-q", "-o", str(tmp_path / "unit.json")]) == 0
+    err = capfd.readouterr().err
+    assert err.splitlines() == [f"srt: warning: {folders[0]} is left out: It cannot be."]
+    assert len(srt.load_calibration(tmp_path / "unit.json").provenance["recordings"]) == 2
+    assert main(["calibrate", "--merge", *folders[:2], "-q"]) == 1
+    assert "Only tuesday can be calibrated" in capfd.readouterr().err
+    failing = True
+    assert main(["calibrate", "--merge", *folders, "-q", "-o", str(tmp_path / "none.json")]) == 1
+    assert "tuesday is not converged, friday is not converged" in capfd.readouterr().err
+    assert not (tmp_path / "none.json").exists()
+
+
+def test_different_units_are_refused(folders, calibrations, tmp_path, capfd):
+    other = replace(calibrations[0], provenance={"serial": "SN-10"})
+    other.save(tmp_path / "other.json")
+    assert main(["calibrate", "--merge", folders[1], str(tmp_path / "other.json"), "-q"]) == 2
+    err = capfd.readouterr().err
+    assert err == "srt: These are different units: tuesday has the serial SN-9, other has SN-10.\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragment"),
+    [
+        (["{0}"], "two recordings of a unit at least"),
+        (["{0}", "{0}/recording.toml"], "is named twice"),
+        (["{0}", "{1}", "-o", "{0}"], "The merged calibration cannot be written"),
+        (["{0}", "{1}", "-o", "{0}/samples.npz"], "ends in .json"),
+        (["{0}", "{1}", "--plot", "{0}/x.txt"], "The plot cannot be written"),
+        (["{0}", "{1}", "--prior", "{0}/prior.json"], "--merge and --prior do not go together"),
+        (["{0}", "{0}/absent"], "There is no recording"),
+        (["{0}", "{0}/absent.json"], "cannot be read"),
+    ],
+)
+def test_wrong_usage_is_one_sentence(folders, arguments, fragment, capfd):
+    assert main(["calibrate", "--merge", "-q", *(a.format(*folders) for a in arguments)]) == 2
+    err = capfd.readouterr().err
+    assert fragment in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
