@@ -18,16 +18,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from srt.applier import Applier
     from srt.calibration import Calibration, load_calibration
+    from srt.diagnosis import diagnose
     from srt.estimation import calibrate, estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
+    from srt.importers.registry import import_file
+    from srt.merge import merge_calibrations
     from srt.options import Options
+    from srt.recognition import recognise
     from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
     from srt.recording_io import load_recording, write_recording
     from srt.segmentation import find_turns
     from srt.sensor_errors import INDEX, NAMES, SensorErrors
 
 _HOME = {
+    "Applier": "applier",
+    "diagnose": "diagnosis",
+    "import_file": "importers.registry",
+    "merge_calibrations": "merge",
+    "recognise": "recognition",
     "Calibration": "calibration",
     "load_calibration": "calibration",
     "calibrate": "estimation",
@@ -54,6 +64,7 @@ _HOME = {
 __all__ = [
     "INDEX",
     "NAMES",
+    "Applier",
     "Calibration",
     "DataError",
     "Fixture",
@@ -67,10 +78,14 @@ __all__ = [
     "Site",
     "SrtError",
     "calibrate",
+    "diagnose",
     "estimators",
     "find_turns",
+    "import_file",
     "load_calibration",
     "load_recording",
+    "merge_calibrations",
+    "recognise",
     "write_recording",
 ]
 

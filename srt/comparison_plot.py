@@ -10,40 +10,50 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError
+from srt.figure_style import (
+    BLUE,
+    DPI,
+    GREEN,
+    GREY,
+    INK,
+    LARGE,
+    MEDIUM,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SYMBOL,
+    VERMILION,
+    Axes,
+    ConstrainedLayoutEngine,
+    Figure,
+    FuncFormatter,
+    Line2D,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+    Patch,
+    style,
+    symbol,
+)
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
 
-try:
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] != "matplotlib":
-        raise
-    raise MissingExtraError("matplotlib", "plot", "A plot") from None
-
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from srt.comparison import Comparison
 
     Array = NDArray[np.float64]
 
-# Okabe and Ito's colours: told apart with any colour vision; shapes tell the same once more.
+# Shapes tell the same as colours, once more.
 _STYLES: Final = {
-    "closed-form": ("#D55E00", "s"),
-    "least-squares": ("#0072B2", "o"),
-    "ekf": ("#009E73", "^"),
-    "graph": ("#CC79A7", "v"),
+    "closed-form": (VERMILION, "s"),
+    "least-squares": (BLUE, "o"),
+    "ekf": (GREEN, "^"),
+    "graph": (PURPLE, "v"),
 }
-_OTHERS: Final = (("#56B4E9", "P"), ("#E69F00", "X"), ("#000000", "d"))
-_INK, _GREY, _FAINT = "#222222", "#777777", "#DDDDDD"
+_OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"))
 _SIZE_INCHES: Final = (14.0, 8.5)
-_DPI: Final = 120
-_SMALL, _MEDIUM, _SYMBOL, _LARGE = 9.0, 10.5, 12.0, 13.0
 _HEADING_WIDTH: Final = 140
 _LINEAR_TO: Final = 12.0
 """Sigmas up to which the axis of differences is linear throughout; larger ones shall not flatten all others."""
@@ -66,7 +76,7 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     Returns
     -------
     matplotlib.figure.Figure
-        Not known to pyplot; :func:`srt.plots.save_figure` writes it.
+        Not known to pyplot; :func:`srt.figure_style.save_figure` writes it.
 
     Raises
     ------
@@ -76,7 +86,7 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     if comparison.reference is None:
         raise InputError("There is nothing to draw: no estimator gave a usable result.")
     layout = ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.06, hspace=0.04)
-    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout=layout)
+    figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
     differences, ratios = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
     names = [comparison.reference, *comparison.pairs]
     styles = _styles(names)
@@ -91,12 +101,12 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     _finish_differences(differences, comparison)
     _finish_ratios(ratios)
     heading = textwrap.fill(f"{title}: {comparison.verdict}" if title else comparison.verdict, _HEADING_WIDTH)
-    figure.suptitle(heading, fontsize=_LARGE, color=_INK, x=0.01, ha="left")
+    figure.suptitle(heading, fontsize=LARGE, color=INK, x=0.01, ha="left")
     figure.legend(
         handles=_handles(comparison, names, styles),
         loc="outside lower center",
         ncols=6,
-        fontsize=_MEDIUM,
+        fontsize=MEDIUM,
         frameon=False,
     )
     return figure
@@ -109,16 +119,10 @@ def _styles(names: list[str]) -> dict[str, tuple[str, str]]:
 
 
 def _frame(axes: Axes) -> None:
-    axes.tick_params(labelsize=_SMALL, color=_GREY, labelcolor=_INK)
-    axes.grid(axis="y", color=_FAINT, linewidth=0.7)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(_GREY)
+    style(axes)
     for group in GROUP_SLICES.values():
         if group.start:
-            axes.axvline(group.start - 0.5, color=_GREY, linewidth=0.7)
+            axes.axvline(group.start - 0.5, color=GREY, linewidth=0.7)
 
 
 def _differences(
@@ -136,7 +140,7 @@ def _differences(
         spread = pair.spread / unit
         axes.bar(at[seen], 2.0 * spread[seen], 0.95 * width, bottom=-spread[seen], color=colour, alpha=0.25)
         wrong = pair.differing
-        axes.plot(at[wrong], value[wrong], "o", markersize=13.0, markerfacecolor="none", markeredgecolor=_INK)
+        axes.plot(at[wrong], value[wrong], "o", markersize=13.0, markerfacecolor="none", markeredgecolor=INK)
     sigma = (calibration.sigma / unit)[seen]
     bars: dict[str, Any] = {"fmt": marker, "color": colour, "markersize": 5.0, "elinewidth": 1.1, "capsize": 2.0}
     axes.errorbar(at[seen], value[seen], sigma, **bars)
@@ -153,13 +157,13 @@ def _ratios(axes: Axes, comparison: Comparison, name: str, at: Array, style: tup
 def _finish_differences(axes: Axes, comparison: Comparison) -> None:
     assert comparison.reference is not None
     unit = comparison.calibrations[comparison.reference].sigma
-    axes.axhline(0.0, color=_GREY, linewidth=0.8)
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
     if comparison.truth is not None:
         error = (comparison.truth.vector - comparison.calibrations[comparison.reference].errors.vector) / unit
-        axes.hlines(error, np.arange(N_PARAMETERS) - 0.45, np.arange(N_PARAMETERS) + 0.45, color=_INK, linewidth=1.3)
+        axes.hlines(error, np.arange(N_PARAMETERS) - 0.45, np.arange(N_PARAMETERS) + 0.45, color=INK, linewidth=1.3)
     held = np.flatnonzero(~np.isfinite(unit))
-    axes.plot(held, np.zeros(len(held)), "x", color=_GREY, markersize=6.0)
-    axes.set_ylabel(f"estimate − {comparison.reference},\nsigmas of {comparison.reference}", fontsize=_MEDIUM)
+    axes.plot(held, np.zeros(len(held)), "x", color=GREY, markersize=6.0)
+    axes.set_ylabel(f"estimate − {comparison.reference},\nsigmas of {comparison.reference}", fontsize=MEDIUM)
     largest = max(map(abs, axes.get_ylim()))
     if largest > _LINEAR_TO:
         axes.set_yscale("symlog", linthresh=3.0, linscale=1.5)
@@ -171,7 +175,7 @@ def _finish_differences(axes: Axes, comparison: Comparison) -> None:
         words = name.replace("_", "\n")
         middle = 0.5 * (group.start + group.stop - 1)
         axes.text(middle, 1.0, words, transform=axes.get_xaxis_transform(), ha="center", va="bottom",
-                  fontsize=_MEDIUM, color=_INK)  # fmt: skip
+                  fontsize=MEDIUM, color=INK)  # fmt: skip
 
 
 def _finish_ratios(axes: Axes) -> None:
@@ -182,10 +186,9 @@ def _finish_ratios(axes: Axes) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high < 20.0 * low else (1.0,)))
     axes.yaxis.set_major_formatter(_PLAIN)
     axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_ylabel("ratio of sigmas", fontsize=_MEDIUM)
+    axes.set_ylabel("ratio of sigmas", fontsize=MEDIUM)
     axes.set_xlim(-0.6, N_PARAMETERS - 0.4)
-    labels = [rf"{symbol[0]}$_\mathrm{{{symbol[1:]}}}$" for symbol in SYMBOLS]
-    axes.set_xticks(range(N_PARAMETERS), labels, fontsize=_SYMBOL)
+    axes.set_xticks(range(N_PARAMETERS), [symbol(name) for name in SYMBOLS], fontsize=SYMBOL)
 
 
 def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[str, str]]) -> list[Any]:
@@ -196,12 +199,12 @@ def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[s
         label = f"{name} ±1σ" + (" (reference)" if name == comparison.reference else "")
         handles.append(Line2D([], [], color=colour, marker=marker, markersize=5.0, label=label))
     if comparison.pairs:
-        handles.append(Patch(color=_GREY, alpha=0.25, label="expected spread of a difference, ±1σ"))
+        handles.append(Patch(color=GREY, alpha=0.25, label="expected spread of a difference, ±1σ"))
     if any(pair.differing.any() for pair in comparison.pairs.values()):
-        ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": _INK}
+        ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": INK}
         handles.append(Line2D([], [], linestyle="none", label="beyond the limit", **ring))  # type: ignore[arg-type]
     if comparison.calibrations[names[0]].held:
-        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=_GREY, label=f"held by {names[0]}"))
+        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label=f"held by {names[0]}"))
     if comparison.truth is not None:
-        handles.append(Line2D([], [], color=_INK, linewidth=1.3, label="truth"))
+        handles.append(Line2D([], [], color=INK, linewidth=1.3, label="truth"))
     return handles

@@ -71,7 +71,7 @@ class Options:
     start: Start | SensorErrors = "auto"
     asymmetry: bool = True
     hold: tuple[str, ...] = ()
-    max_playbacks: int = 12
+    max_playbacks: int = 20
     measured_vertical: bool = True
     loss: Loss = "squared"
     fixture_states: bool = True

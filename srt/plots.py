@@ -6,29 +6,38 @@ below them the ±1 sigma bars on a scale of their own, at estimate minus truth w
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.atomic import atomic_path
-from srt.exceptions import MissingExtraError
+from srt.figure_style import (
+    BLUE,
+    DPI,
+    FAINT,
+    GREEN,
+    GREY,
+    INK,
+    LARGE,
+    MEDIUM,
+    PURPLE,
+    SMALL,
+    SYMBOL,
+    VERMILION,
+    Axes,
+    ConstrainedLayoutEngine,
+    Figure,
+    Line2D,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+    SubFigure,
+    save_figure,
+    style,
+    symbol,
+)
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
 
-try:
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-    from matplotlib.lines import Line2D
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] != "matplotlib":
-        raise
-    raise MissingExtraError("matplotlib", "plot", "A plot") from None
-
 if TYPE_CHECKING:
-    from os import PathLike
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import SubFigure
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration, Residual
@@ -36,18 +45,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Okabe and Ito's colours: told apart with any colour vision; shapes tell the same once more.
-_BLUE, _VERMILION, _GREEN, _PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
-_INK, _GREY, _FAINT = "#222222", "#777777", "#DDDDDD"
+__all__ = ["calibration_figure", "save_figure"]
+
 _SIZE_INCHES: Final = (12.0, 9.5)
-_DPI: Final = 120
-_SMALL, _MEDIUM, _SYMBOL, _LARGE = 9.0, 10.0, 11.5, 13.0
 _MOST_TICKS: Final = 24
 _COMPONENTS = (
-    ("1st horizontal axis", _BLUE, "o"),
-    ("2nd", _VERMILION, "s"),
-    ("down at start", _GREEN, "^"),
-    ("at end", _PURPLE, "v"),
+    ("1st horizontal axis", BLUE, "o"),
+    ("2nd", VERMILION, "s"),
+    ("down at start", GREEN, "^"),
+    ("at end", PURPLE, "v"),
 )
 _TITLES = {
     "ppm": "scale factor and asymmetry, ppm",
@@ -76,7 +82,7 @@ def calibration_figure(
         Not known to pyplot; :func:`save_figure` writes it.
     """
     layout = ConstrainedLayoutEngine(h_pad=0.07, w_pad=0.05, hspace=0.03, wspace=0.02)
-    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout=layout)
+    figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
     units = list(dict.fromkeys(DISPLAY_UNITS))
     members = [np.flatnonzero([u == unit for u in DISPLAY_UNITS]) for unit in units]
     strips = figure.subfigures(3, 1, squeeze=False, height_ratios=(0.11, 2.0, 1.15))
@@ -93,42 +99,12 @@ def calibration_figure(
     for column, (unit, which) in enumerate(zip(units, members, strict=True)):
         _values(grid[0, column], calibration, truth, which, unit)
         _errors(grid[1, column], calibration, truth, which, unit)
-    grid[0, 0].set_ylabel("estimate", fontsize=_MEDIUM)
-    grid[1, 0].set_ylabel("estimate − truth, ±1σ" if truth is not None else "±1σ", fontsize=_MEDIUM)
+    grid[0, 0].set_ylabel("estimate", fontsize=MEDIUM)
+    grid[1, 0].set_ylabel("estimate − truth, ±1σ" if truth is not None else "±1σ", fontsize=MEDIUM)
     convergence, residuals = course.subplots(1, 2, width_ratios=(1.0, 2.6))
     _convergence(convergence, calibration)
     _residuals(residuals, calibration.residuals)
     return figure
-
-
-def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
-    """Write a figure, whole or not at all.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-    path : path-like
-        Ends in .png, .pdf or .svg.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
-    with atomic_path(path) as temporary:
-        # Without a date, the same result makes the same file.
-        undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-        figure.savefig(temporary, metadata=undated.get(temporary.suffix.lower()))
-
-
-def _style(axes: Axes) -> None:
-    axes.tick_params(labelsize=_SMALL, color=_GREY, labelcolor=_INK)
-    axes.grid(axis="y", color=_FAINT, linewidth=0.7)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(_GREY)
 
 
 def _scaled(which: NDArray[np.intp], vector: Array) -> Array:
@@ -138,12 +114,12 @@ def _scaled(which: NDArray[np.intp], vector: Array) -> Array:
 def _values(
     axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: NDArray[np.intp], unit: str
 ) -> None:
-    _style(axes)
+    style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
     values = _scaled(which, calibration.errors.vector)
     sigma = _scaled(which, calibration.sigma)
-    axes.axhline(0.0, color=_GREY, linewidth=0.8)
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
     if truth is not None:
         axes.plot(
             at,
@@ -151,11 +127,11 @@ def _values(
             "D",
             markersize=9.0,
             markerfacecolor="none",
-            markeredgecolor=_VERMILION,
+            markeredgecolor=VERMILION,
         )
-    axes.errorbar(at[seen], values[seen], sigma[seen], fmt="o", color=_BLUE, markersize=4.5, capsize=3.0)
-    axes.plot(at[~seen], values[~seen], "x", color=_GREY, markersize=6.0)
-    axes.set_title(_TITLES.get(unit, unit), fontsize=_MEDIUM, color=_INK, loc="left")
+    axes.errorbar(at[seen], values[seen], sigma[seen], fmt="o", color=BLUE, markersize=4.5, capsize=3.0)
+    axes.plot(at[~seen], values[~seen], "x", color=GREY, markersize=6.0)
+    axes.set_title(_TITLES.get(unit, unit), fontsize=MEDIUM, color=INK, loc="left")
     axes.margins(y=0.1)
     axes.yaxis.set_major_locator(MaxNLocator(5))
     _separate_groups(axes, which)
@@ -164,18 +140,18 @@ def _values(
 def _errors(
     axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: NDArray[np.intp], unit: str
 ) -> None:
-    _style(axes)
+    style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
     sigma = _scaled(which, calibration.sigma)[seen]
     error = np.zeros(len(which))
     if truth is not None:
         error = _scaled(which, calibration.errors.vector - truth.vector)
-    axes.axhline(0.0, color=_VERMILION if truth is not None else _GREY, linewidth=0.8)
-    axes.errorbar(at[seen], error[seen], sigma, fmt="o" if truth is not None else "none", color=_BLUE,
-                  ecolor=_BLUE, markersize=4.5, capsize=3.0)  # fmt: skip
-    axes.set_title(unit, fontsize=_MEDIUM, color=_INK, loc="left")
-    axes.set_xticks(at, [rf"{SYMBOLS[i][0]}$_\mathrm{{{SYMBOLS[i][1:]}}}$" for i in which], fontsize=_SYMBOL)
+    axes.axhline(0.0, color=VERMILION if truth is not None else GREY, linewidth=0.8)
+    axes.errorbar(at[seen], error[seen], sigma, fmt="o" if truth is not None else "none", color=BLUE,
+                  ecolor=BLUE, markersize=4.5, capsize=3.0)  # fmt: skip
+    axes.set_title(unit, fontsize=MEDIUM, color=INK, loc="left")
+    axes.set_xticks(at, [symbol(SYMBOLS[i]) for i in which], fontsize=SYMBOL)
     axes.set_xlim(-0.7, len(which) - 0.3)
     _separate_groups(axes, which)
     axes.yaxis.set_major_locator(MaxNLocator(5, symmetric=truth is None))
@@ -185,39 +161,39 @@ def _separate_groups(axes: Axes, which: NDArray[np.intp]) -> None:
     starts = {group.start for group in GROUP_SLICES.values()}
     for at, parameter in enumerate(which.tolist()):
         if at and parameter in starts:
-            axes.axvline(at - 0.5, color=_FAINT, linewidth=0.7)
+            axes.axvline(at - 0.5, color=FAINT, linewidth=0.7)
 
 
 def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | None, title: str | None) -> None:
     text = f"{calibration.estimator}, {calibration.status.replace('_', ' ')}"
-    figure.text(0.008, 0.5, f"{title}: {text}" if title else text, fontsize=_LARGE, color=_INK, va="center")
-    handles = [Line2D([], [], color=_BLUE, marker="o", markersize=4.5, label="estimate, ±1σ")]
+    figure.text(0.008, 0.5, f"{title}: {text}" if title else text, fontsize=LARGE, color=INK, va="center")
+    handles = [Line2D([], [], color=BLUE, marker="o", markersize=4.5, label="estimate, ±1σ")]
     if truth is not None:
-        hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": _VERMILION, "markerfacecolor": "none"}
-        handles.append(Line2D([], [], color=_VERMILION, linewidth=0.8, label="truth", **hollow))  # type: ignore[arg-type]
+        hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}
+        handles.append(Line2D([], [], color=VERMILION, linewidth=0.8, label="truth", **hollow))  # type: ignore[arg-type]
     if calibration.held:
-        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=_GREY, label="held, not observed"))
-    figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=_SMALL, frameon=False)
+        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label="held, not observed"))
+    figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=SMALL, frameon=False)
 
 
 def _convergence(axes: Axes, calibration: Calibration) -> None:
-    _style(axes)
-    axes.set_title("Largest correction of each play-back", fontsize=_MEDIUM, color=_INK, loc="left")
+    style(axes)
+    axes.set_title("Largest correction of each play-back", fontsize=MEDIUM, color=INK, loc="left")
     steps = np.array(calibration.corrections)
     number = np.arange(1, len(steps) + 1)
     shown = steps > 0.0  # a correction of nothing has no place on a logarithmic axis
     if shown.any():
-        axes.semilogy(number[shown], steps[shown], "o-", color=_BLUE, markersize=5.0)
+        axes.semilogy(number[shown], steps[shown], "o-", color=BLUE, markersize=5.0)
         axes.yaxis.set_major_locator(LogLocator(numticks=7))
         axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("play-back", fontsize=_MEDIUM)
+    axes.set_xlabel("play-back", fontsize=MEDIUM)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.margins(x=0.08, y=0.12)
 
 
 def _residuals(axes: Axes, residuals: tuple[Residual, ...]) -> None:
-    _style(axes)
-    axes.set_title("Residuals over sigma", fontsize=_MEDIUM, color=_INK, loc="left")
+    style(axes)
+    axes.set_title("Residuals over sigma", fontsize=MEDIUM, color=INK, loc="left")
     turns = list(dict.fromkeys((r.sequence, r.occurrence) for r in residuals))
     place = {turn: i for i, turn in enumerate(turns)}
     points: list[tuple[list[float], list[float]]] = [([], []) for _ in _COMPONENTS]
@@ -232,18 +208,18 @@ def _residuals(axes: Axes, residuals: tuple[Residual, ...]) -> None:
             points[kind][0].append(place[turn] + 0.15 * (kind - 1.5))
             points[kind][1].append(r.value / r.sigma)
     for sigmas in (-1.0, 1.0):
-        axes.axhline(sigmas, color=_GREY, linewidth=0.8, linestyle=(0, (4, 4)))
-    axes.axhline(0.0, color=_GREY, linewidth=0.8)
+        axes.axhline(sigmas, color=GREY, linewidth=0.8, linestyle=(0, (4, 4)))
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
     for (label, colour, marker), (x, y) in zip(_COMPONENTS, points, strict=True):
         axes.plot(x, y, marker, color=colour, markersize=5.0, label=label)
     names = [name.removeprefix("turn ") + (f"·{n}" if n > 1 else "") for name, n in turns]
     every = -(-len(turns) // _MOST_TICKS) if turns else 1
     axes.set_xticks(range(0, len(turns), every), names[::every])
     axes.set_xlim(-0.7, max(len(turns), 1) - 0.3)
-    axes.set_xlabel("sequence", fontsize=_MEDIUM)
+    axes.set_xlabel("sequence", fontsize=MEDIUM)
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
     largest = max((abs(y) for _, ys in points for y in ys), default=1.0)
     axes.set_ylim(-1.15 * max(largest, 1.5), 1.15 * max(largest, 1.5))
     if residuals:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize=_SMALL, frameon=False,
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize=SMALL, frameon=False,
                     handletextpad=0.2, columnspacing=1.2, borderaxespad=0.1)  # fmt: skip

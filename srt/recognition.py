@@ -160,13 +160,13 @@ class Recognition:
         said = f"{len(self.turns)} turns between {len(self.windows)} rests"
         if not self.labels:
             return f"{said}: none is a sequence of Table 1."
-        parts = [f"{len(self.ids)} sequences of Table 1 recognised"]
+        parts = [f"{len(self.ids)} sequence{'s' if len(self.ids) > 1 else ''} of Table 1 recognised"]
         if self.repeated:
             parts.append(f"{', '.join(self.repeated)} more than once")
         if self.missing:
             parts.append(f"{', '.join(self.missing)} missing")
         if others:
-            parts.append(f"{others} other turns, as moves between them")
+            parts.append(f"{others} other turn{'s' if others > 1 else ''}, as moves between them")
         if self.misnamed:
             parts.append(f"if {self.misnamed}")
         least = min(self.confidence)

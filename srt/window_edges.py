@@ -92,7 +92,7 @@ def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tupl
 def _extend(recording: Recording, inner: tuple[int, int], outer: tuple[int, int], floor: Array) -> tuple[int, int]:
     """Extend a still span to the last still samples on both sides, not beyond ``outer``."""
     factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
-    n = min(inner[1] - inner[0], round(_REFERENCE_S / recording.nominal_interval_s))
+    n = max(1, min(inner[1] - inner[0], round(_REFERENCE_S / recording.nominal_interval_s)))
     sides = (
         (slice(inner[0], inner[0] + n), range(inner[0] - 1, outer[0] - 1, -1)),
         (slice(inner[1] - n, inner[1]), range(inner[1], outer[1])),

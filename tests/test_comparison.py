@@ -280,7 +280,8 @@ def test_json_is_finite_and_holds_what_was_found(pair, tmp_path):
 
 @pytest.fixture
 def registry(monkeypatch, pair):
-    """Let the estimators be what a test says."""
+    """Let the estimators be what a test says, and recordings be labelled."""
+    monkeypatch.setattr(srt.side_by_side, "label_sequences", lambda recording: (recording, None))
 
     def fails(recording, options, progress=None):
         raise srt.DataError("It cannot be.")

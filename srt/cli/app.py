@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 COMMANDS: Final = {
     "simulate": ("srt.cli.simulate:simulate", "Make a recording, and the truth behind it, from a scenario."),
+    "convert": ("srt.cli.convert:convert", "Make a recording from a log in another format."),
+    "inspect": ("srt.cli.inspect:inspect", "Show what a recording holds, and what is wrong with it."),
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
     "apply": ("srt.cli.apply:apply", "Correct a recording by a calibration, or write it as a C header."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),

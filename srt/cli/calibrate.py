@@ -53,12 +53,13 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Display:
-    """What to show of a calibration."""
+    """What to show of a calibration, and whether to make it whatever is wrong with the recording."""
 
     truth: SensorErrors | None = None
     budget: bool = False
     verdict: bool = False
     quiet: bool = False
+    force: bool = False
 
 
 @click.command()
@@ -93,7 +94,7 @@ class Display:
 @click.option("--gyro-bias", type=click.Choice(CHOICES["gyro_bias"]), default="auto", show_default=True)
 @click.option("--step", type=click.Choice(CHOICES["step"]), default="jacobian", show_default=True)
 @click.option("--start", type=click.Choice(CHOICES["start"]), default="auto", show_default=True)
-@click.option("--max-playbacks", type=click.IntRange(min=1), default=12, show_default=True, metavar="N")
+@click.option("--max-playbacks", type=click.IntRange(min=1), default=20, show_default=True, metavar="N")
 @click.option("--loss", type=click.Choice(CHOICES["loss"]), default="squared", show_default=True, help="Of graph.")
 @click.option(
     "--prior",
@@ -113,6 +114,7 @@ class Display:
     metavar="NAME=SIGMA",
     help="ekf: sigma wanted of a parameter or group, in the table's unit, as gyro_scale=1; repeatable.",
 )
+@click.option("--force", is_flag=True, help="Calibrate though a fault of the recording speaks against it.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 def calibrate(
     recordings: tuple[Path, ...],
@@ -125,6 +127,7 @@ def calibrate(
     budget: bool,
     verdict: bool,
     quiet: bool,
+    force: bool,
     prior: Path | None,
     no_fixture_states: bool,
     target: tuple[str, ...],
@@ -166,7 +169,7 @@ def calibrate(
         from srt.cli.truth import load_truth
 
         true_errors = load_truth(truth)
-    display = Display(true_errors, budget, verdict, quiet)
+    display = Display(true_errors, budget, verdict, quiet, force)
     if merge:
         from srt.cli.merge import run_merging
 
@@ -318,10 +321,11 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     import srt
     from srt.cli.progress import playback_progress
     from srt.cli.report import report
+    from srt.examined import calibrate_examined
 
     recording = srt.load_recording(job.recording)
     with playback_progress(job.name, quiet=display.quiet) as progress:
-        calibration = srt.calibrate(recording, estimator, options=options, progress=progress)
+        calibration = calibrate_examined(recording, estimator, options=options, progress=progress, force=display.force)
     if job.output is not None:
         calibration.save(job.output)
     if not display.quiet:

@@ -242,8 +242,6 @@ class Evidence:
     @cached_property
     def result(self) -> Calibration | None:
         """Calibration of the recording by the options; None where the data cannot support one."""
-        if self._result is not None:
-            return self._result
         from srt.estimation import automatic_estimator, find_estimator
 
         try:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from srt.calibration import Calibration
     from srt.exceptions import SrtError
     from srt.options import Options
+    from srt.recognition import Recognition
     from srt.recording import Recording
 
 _MODULES: Final = ("timing", "channels", "units", "ranges", "frames", "sequences", "windows", "motion", "site", "unit")
@@ -61,12 +62,59 @@ def load_checks() -> None:
         import_module(f"srt.diagnosis.{name}")
 
 
+class Examination:
+    """Checks of one recording, in two parts: before a calibration, and with one.
+
+    Parameters
+    ----------
+    recording : Recording
+    options : Options, optional
+        Of the calibration.
+    recognition : Recognition, optional
+        Of the recording, if it was made already.
+    """
+
+    def __init__(
+        self, recording: Recording, options: Options | None = None, recognition: Recognition | None = None
+    ) -> None:
+        load_checks()
+        self.evidence = Evidence(recording, options)
+        if recognition is not None:
+            self.evidence.recognition = recognition
+        self._findings: list[Finding] = []
+
+    def screen(self) -> Diagnosis:
+        """Run all checks that need no calibration, up to the first stage that refuses the recording."""
+        for stage in STAGES:
+            for registered in checks_of(stage):
+                if not registered.needs_result:
+                    self._findings += registered.run(self.evidence)
+            if self._refused:
+                break
+        return Diagnosis(in_order(self._findings))
+
+    def complete(self, result: Calibration | None = None) -> Diagnosis:
+        """Run the checks that look at a calibration, of this recording and these options; it is made if not given."""
+        if not self._refused:
+            if result is not None:
+                self.evidence.result = result
+            for stage in STAGES:
+                for registered in checks_of(stage):
+                    if registered.needs_result:
+                        self._findings += registered.run(self.evidence)
+        return Diagnosis(in_order(self._findings))
+
+    @property
+    def _refused(self) -> bool:
+        return any(f.effect.startswith("exit") for f in self._findings)
+
+
 def diagnose(
     recording: Recording,
     options: Options | None = None,
     *,
-    result: Calibration | None = None,
     calibrating: bool = True,
+    recognition: Recognition | None = None,
 ) -> Diagnosis:
     """Look for every fault of the catalogue.
 
@@ -74,27 +122,19 @@ def diagnose(
     ----------
     recording : Recording
     options : Options, optional
-        Of the calibration that the last stages look at.
-    result : Calibration, optional
-        That calibration, if there is one already.
+        Of the calibration that the last checks look at.
     calibrating : bool
         False: only what needs no calibration.
+    recognition : Recognition, optional
+        Of the recording, if it was made already.
 
     Returns
     -------
     Diagnosis
     """
-    load_checks()
-    evidence = Evidence(recording, options, result)
-    findings: list[Finding] = []
-    for stage in STAGES:
-        for registered in checks_of(stage):
-            if registered.needs_result and not calibrating:
-                continue
-            findings += registered.run(evidence)
-        if any(f.effect.startswith("exit") for f in findings):
-            break
-    return Diagnosis(in_order(findings))
+    examination = Examination(recording, options, recognition)
+    screened = examination.screen()
+    return examination.complete() if calibrating else screened
 
 
 def from_error(error: SrtError) -> Diagnosis:

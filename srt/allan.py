@@ -1,0 +1,303 @@
+"""Allan deviation of a unit at rest, and the figures of data sheets that it shows.
+
+Bias instability is a figure only where the curve really becomes flat; before that, the lowest point bounds it.
+
+The deviations themselves (overlapping estimates) and their equivalent degrees of freedom come from allantools, extra
+``allan``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.allan_terms import FLAT, RANDOM_WALK, TERMS, design_matrix, fit_terms, interval
+from srt.exceptions import DataError, MissingExtraError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from numpy.typing import NDArray
+
+    from srt.recording import Recording
+
+    Array = NDArray[np.float64]
+
+CHANNELS: Final = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+
+SHORTEST_WINDOW_S: Final = 30.0
+"""Stillness of this length at least; a shorter one shows no more than :mod:`srt.noise_estimation` finds."""
+
+_MOST_SAMPLES: Final = 1 << 17
+"""Samples of a channel at which deviations are taken; more are averaged in blocks first."""
+_FINE_OCTAVES: Final = 3
+"""Octaves beyond the block that still come from single samples: averages that overlap well tell more."""
+_LENGTHS: Final = 5
+"""Averages that a window must hold: fewer say nothing, and the degrees of freedom are not known."""
+_KNOCK: Final = 10.0
+"""Sigmas of the readings at rest that no noise reaches in an hour."""
+_RINGING_S: Final = 0.1
+_PROBE: Final = 4096
+"""Samples that tell the spread of a window's readings."""
+_SIDE_BY_SIDE: Final = 64
+_ROUNDING: Final = 1e-15
+"""Of a reading, below which its deviations are those of its last bit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AllanDeviation:
+    """Allan deviation of the six channels, and what was identified in it; SI.
+
+    Attributes
+    ----------
+    tau_s : ndarray, shape (m,), s
+    deviation, low, high : ndarray, shape (6, m), rad/s and m/s²
+        Gyro x, y, z, accelerometer x, y, z, with the limits of the interval of confidence; NaN where a channel never
+        changes.
+    freedom : ndarray, shape (6, m)
+        Equivalent degrees of freedom.
+    value, value_low, value_high : ndarray, shape (6, 4)
+        Coefficients of :data:`TERMS` (for pulses ε) and their intervals; NaN where a term is not seen.
+    bound : ndarray, shape (6,)
+        Upper limit of the bias instability (97.5 %) where it was not reached, else NaN.
+    longest_s, total_s : float
+        Longest of the stationary windows used, and all of them.
+    windows : int
+        How many.
+    """
+
+    tau_s: Array
+    deviation: Array
+    low: Array
+    high: Array
+    freedom: Array
+    value: Array
+    value_low: Array
+    value_high: Array
+    bound: Array
+    longest_s: float
+    total_s: float
+    windows: int
+
+    def fitted(self, tau_s: Array) -> Array:
+        """Deviation by the identified terms, shape (6, k), for times of shape (k,), s."""
+        return np.asarray(np.sqrt(np.nan_to_num(self.value) ** 2 @ design_matrix(tau_s).T))
+
+    def figures(self) -> dict[str, dict[str, Any]]:
+        """Figures by channel and key, in the units of their keys, as JSON values; what is not seen is left out."""
+        out: dict[str, dict[str, Any]] = {}
+        for c, channel in enumerate(CHANNELS):
+            sensor = c // 3
+            seen = out.setdefault(channel, {})
+            for t, term in enumerate(TERMS):
+                interval = np.array([self.value[c, t], self.value_low[c, t], self.value_high[c, t]])
+                if np.isfinite(interval[0]):
+                    value, low, high = (interval / term.scales[sensor]).tolist()
+                    seen[term.keys[sensor]] = {"value": value, "low": low, "high": high}
+                elif t == FLAT and np.isfinite(self.bound[c]):
+                    seen[term.keys[sensor]] = {"below": float(self.bound[c] / term.scales[sensor])}
+        return out
+
+
+def allan_deviation(recording: Recording, windows: NDArray[np.intp]) -> AllanDeviation:
+    """Allan deviation over octaves of averaging time, pooled over all long stationary windows.
+
+    Parameters
+    ----------
+    recording : Recording
+    windows : ndarray of int, shape (W, 2)
+        First sample and one past the last; those shorter than :data:`SHORTEST_WINDOW_S` are left out.
+
+    Returns
+    -------
+    AllanDeviation
+
+    Raises
+    ------
+    DataError
+        If no window is long enough.
+    MissingExtraError
+        If allantools is not installed.
+    """
+    dt = recording.nominal_interval_s
+    # A window found block by block may lack a sample or two.
+    shortest = SHORTEST_WINDOW_S / dt - 2.0
+    longest = float((windows[:, 1] - windows[:, 0]).max(initial=0)) * dt
+    candidates = [(a, b) for a, b in windows.tolist() if b - a >= shortest]
+    pieces = [piece for a, b in candidates for piece in _undisturbed(recording, a, b)]
+    long = np.array([(a, b) for a, b in pieces if b - a >= shortest], dtype=np.intp).reshape(-1, 2)
+    if len(long) == 0:
+        longest = max(((b - a) * dt for a, b in pieces), default=longest)
+        raise DataError(
+            f"The longest stillness lasts {longest:.3g} s, but an Allan deviation needs {SHORTEST_WINDOW_S:g} s or "
+            "more: let the unit rest for some minutes to see its bias instability."
+        )
+    allantools = _allantools()
+    octaves, variances, counts, steps = _pooled(allantools, recording, long)
+    tau: Array = np.asarray(dt * 2.0**octaves, dtype=np.float64)
+    squares = np.concatenate([recording.gyro[long[:, 0]], recording.accel[long[:, 0]]], axis=1) ** 2
+    rounding = _ROUNDING**2 * squares.mean(axis=0) * (1.0 if recording.kind == "rate" else dt**-2)
+    changes = variances.max(axis=1) > rounding
+    design = design_matrix(tau)
+    freedom = np.full(variances.shape, np.nan)
+    solution, doubt = np.zeros((2, len(variances), len(TERMS)))
+    for c in np.flatnonzero(changes).tolist():
+        variances[c] = np.maximum(variances[c], rounding[c])
+        freedom[c], solution[c], doubt[c] = _identify(allantools, design, variances[c], counts, steps)
+    variances[~changes] = np.nan
+    low, high = interval(variances, freedom)
+    with np.errstate(divide="ignore"):
+        value_low, value_high = interval(solution, 2.0 / doubt**2)
+    # Where the deviation falls faster than τ^(-1/4) everywhere, its flat part was not reached.
+    flat = changes & np.any(design[:, FLAT] * solution[:, FLAT, None] >= 0.5 * solution @ design.T, axis=1)
+    solution[~flat, FLAT] = 0.0
+    seen = np.where(solution > 0.0, 1.0, np.nan)
+    spans = (long[:, 1] - long[:, 0]) * dt
+    return AllanDeviation(
+        tau_s=tau,
+        deviation=np.sqrt(variances),
+        low=low,
+        high=high,
+        freedom=freedom,
+        value=np.sqrt(solution) * seen,
+        value_low=value_low * seen,
+        value_high=value_high * seen,
+        bound=np.where(flat, np.nan, high.min(axis=1)),
+        longest_s=float(spans.max()),
+        total_s=float(spans.sum()),
+        windows=len(long),
+    )
+
+
+def _undisturbed(recording: Recording, a: int, b: int) -> list[tuple[int, int]]:
+    """Parts of a window between knocks, whose readings would pass for noise of all averaging times."""
+    far = np.zeros(b - a, dtype=np.bool_)
+    for table in (recording.gyro, recording.accel):
+        part = table[a:b]
+        probe = part[:: max(1, (b - a) // _PROBE)]
+        middle = np.median(probe, axis=0)
+        spread = 1.4826 * np.median(np.abs(probe - middle), axis=0)
+        # Of coarse readings more than half may be equal.
+        spread = np.where(spread > 0.0, spread, np.maximum(probe.std(axis=0), _ROUNDING * np.abs(middle)))
+        low, high = _extremes(part)
+        beyond = np.maximum(high - middle, middle - low) > _KNOCK * spread
+        for c in np.flatnonzero(beyond).tolist():
+            far |= np.abs(part[:, c] - middle[c]) > _KNOCK * spread[c]
+    if not far.any():
+        return [(a, b)]
+    margin = round(_RINGING_S / recording.nominal_interval_s)
+    at = a + np.flatnonzero(far)
+    starts, stops = np.append(a, at + margin + 1), np.append(at - margin, b)
+    return [(lo, hi) for lo, hi in zip(starts.tolist(), stops.tolist(), strict=True) if hi > lo]
+
+
+def _extremes(table: Array) -> tuple[Array, Array]:
+    """Least and greatest of every column; rows are put side by side first, as short rows are slow to compare."""
+    k = table.shape[1]
+    whole = len(table) // _SIDE_BY_SIDE * _SIDE_BY_SIDE
+    rows = table[:whole].reshape(-1, _SIDE_BY_SIDE * k)
+    parts = [table[whole:]]
+    if len(rows):
+        parts += [rows.min(axis=0).reshape(-1, k), rows.max(axis=0).reshape(-1, k)]
+    few = np.concatenate(parts)
+    return few.min(axis=0), few.max(axis=0)
+
+
+def _allantools() -> ModuleType:
+    try:
+        import allantools
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "allantools":
+            raise
+        raise MissingExtraError("allantools", "allan", "An Allan deviation") from None
+    module: ModuleType = allantools
+    return module
+
+
+def _pooled(
+    allantools: ModuleType, recording: Recording, windows: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], Array, list[Array], list[Array]]:
+    """Variances by octave, pooled over windows.
+
+    Returns
+    -------
+    octaves : ndarray of int, shape (m,)
+    variance : ndarray, shape (6, m)
+    counts, steps : list of ndarray
+        For each octave and the windows that reach it: number of readings of the integral, and of steps in an average.
+    """
+    dt = recording.nominal_interval_s
+    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    lengths = windows[:, 1] - windows[:, 0]
+    halvings = max(0, int(np.ceil(np.log2(lengths.sum() / _MOST_SAMPLES))))
+    share = min(1.0, _MOST_SAMPLES / float(lengths.sum()))
+    switch = halvings + _FINE_OCTAVES if halvings else np.inf
+    power: dict[int, Array] = {}
+    weight: dict[int, float] = {}
+    counts: dict[int, list[float]] = {}
+    steps: dict[int, list[float]] = {}
+    for a, b in windows.tolist():
+        size = max(int(share * (b - a)), _LENGTHS)
+        middle = (a + b - size) // 2
+        parts = [(0, _readings(recording, middle, middle + size, 1) * factor)]
+        if halvings:
+            parts.append((halvings, _readings(recording, a, b, 1 << halvings) * factor))
+        for begin, x in parts:
+            n = x.shape[1]
+            reached = np.arange(begin, begin + int(np.log2(max(n / _LENGTHS, 1.0))) + 1)
+            reached = reached[reached < switch] if begin == 0 else reached[reached >= switch]
+            if reached.size == 0 or n < 2 * _LENGTHS:
+                continue
+            averaged = 2.0 ** (reached - begin)
+            rate = 1.0 / (dt * 2.0**begin)
+            deviations = [allantools.oadev(row, rate=rate, data_type="freq", taus=averaged / rate)[1] for row in x]
+            for octave, m, variance in zip(reached.tolist(), averaged, np.square(deviations).T, strict=True):
+                # The number of averages decides how much a window tells, whatever the noise.
+                told = n / m
+                power[octave] = power.get(octave, np.zeros(6)) + told * variance
+                weight[octave] = weight.get(octave, 0.0) + told
+                counts.setdefault(octave, []).append(n + 1.0)
+                steps.setdefault(octave, []).append(m)
+    octaves = sorted(power)
+    return (
+        np.array(octaves, dtype=np.intp),
+        np.stack([power[o] / weight[o] for o in octaves], axis=1),
+        [np.array(counts[o]) for o in octaves],
+        [np.array(steps[o]) for o in octaves],
+    )
+
+
+def _readings(recording: Recording, a: int, b: int, block: int) -> Array:
+    """Means of blocks of samples, less those of all, shape (6, n)."""
+    n = (b - a) // block
+    out = np.empty((6, n))
+    for s, table in enumerate((recording.gyro, recording.accel)):
+        x = table[a : a + n * block]
+        means = x if block == 1 else np.einsum("nbc->nc", x.reshape(n, block, 3)) / block
+        out[3 * s : 3 * s + 3] = (means - means.mean(axis=0)).T
+    return out
+
+
+def _freedom(allantools: ModuleType, counts: list[Array], steps: list[Array], alphas: list[int]) -> Array:
+    """Equivalent degrees of freedom of every octave, its windows together."""
+    simple = allantools.edf_simple
+    return np.array(
+        [
+            sum(max(float(simple(n, m, alpha)), 1.0) for n, m in zip(ns.tolist(), ms.tolist(), strict=True))
+            for ns, ms, alpha in zip(counts, steps, alphas, strict=True)
+        ]
+    )
+
+
+def _identify(
+    allantools: ModuleType, design: Array, variance: Array, counts: list[Array], steps: list[Array]
+) -> tuple[Array, Array, Array]:
+    """Degrees of freedom, squared coefficients and their relative standard deviations of one channel."""
+    alphas = [TERMS[RANDOM_WALK].alpha] * len(variance)
+    for _ in range(2):  # the degrees of freedom depend a little on the term that rules an octave
+        freedom = _freedom(allantools, counts, steps, alphas)
+        solution, doubt = fit_terms(design, variance, freedom)
+        alphas = [TERMS[t].alpha for t in np.argmax(design * solution, axis=1).tolist()]
+    return freedom, solution, doubt

@@ -1,0 +1,116 @@
+"""What all figures of the package share: matplotlib's classes, or the sentence for its absence; colours, sizes, frames.
+
+Modules that draw take from here what they need of matplotlib. Its global state (pyplot, rcParams) is left alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from srt.atomic import atomic_path
+from srt.exceptions import MissingExtraError
+
+try:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+except ModuleNotFoundError as error:
+    if (error.name or "").partition(".")[0] != "matplotlib":
+        raise
+    raise MissingExtraError("matplotlib", "plot", "A plot") from None
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+__all__ = [
+    "BLUE",
+    "DPI",
+    "FAINT",
+    "GREEN",
+    "GREY",
+    "INK",
+    "LARGE",
+    "MEDIUM",
+    "ORANGE",
+    "PURPLE",
+    "SKY",
+    "SMALL",
+    "SYMBOL",
+    "VERMILION",
+    "Axes",
+    "ConstrainedLayoutEngine",
+    "Figure",
+    "FuncFormatter",
+    "Line2D",
+    "LogLocator",
+    "MaxNLocator",
+    "NullLocator",
+    "Patch",
+    "SubFigure",
+    "save_figure",
+    "style",
+    "symbol",
+]
+
+# Okabe and Ito's colours: told apart with any colour vision; shapes tell the same once more.
+BLUE: Final = "#0072B2"
+VERMILION: Final = "#D55E00"
+GREEN: Final = "#009E73"
+PURPLE: Final = "#CC79A7"
+SKY: Final = "#56B4E9"
+ORANGE: Final = "#E69F00"
+INK: Final = "#222222"
+GREY: Final = "#777777"
+FAINT: Final = "#DDDDDD"
+
+DPI: Final = 120
+SMALL: Final = 9.0
+MEDIUM: Final = 10.0
+SYMBOL: Final = 11.5
+LARGE: Final = 13.0
+"""Sizes of letters, points."""
+
+
+def style(axes: Axes, *, grid: str = "y") -> None:
+    """Frame a panel: spines on the left and below, a faint grid behind the data.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    grid : "x", "y" or "both"
+    """
+    axes.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
+    axes.grid(axis=grid, color=FAINT, linewidth=0.7)  # type: ignore[arg-type]
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(GREY)
+
+
+def symbol(name: str) -> str:
+    """Give a parameter's symbol, as κxx, with all but its letter set low."""
+    return rf"{name[0]}$_\mathrm{{{name[1:]}}}$"
+
+
+def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
+    """Write a figure, whole or not at all.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    path : path-like
+        Ends in .png, .pdf or .svg.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    with atomic_path(path) as temporary:
+        # Without a date, the same result makes the same file.
+        undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+        figure.savefig(temporary, metadata=undated.get(temporary.suffix.lower()))

@@ -1,0 +1,156 @@
+"""``srt inspect``: table, JSON, picture, and exit codes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sims
+import srt
+from sims import campaigns
+from srt.catalogue import SEQUENCES
+from srt.cli import main
+from srt.cli.inspection_report import significant
+
+RATE = 100.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Table 1 by a tactical unit, labelled, in degrees and g as its logger would write them."""
+    scenario = sims.load_scenario("tactical-fog")
+    kept = scenario.recording.model_copy(update={"sample_rate_hz": RATE, "kind": "rate", "serial": "T-7"})
+    recording = sims.simulate(scenario.model_copy(update={"recording": kept})).recording
+    path = tmp_path_factory.mktemp("inspect") / "unit"
+    factor = np.degrees(1.0)
+    logged = replace(recording, gyro=recording.gyro * factor, accel=recording.accel / 9.80665)
+    srt.write_recording(logged, path, samples_format="npz")
+    toml = path / "recording.toml"
+    text = toml.read_text(encoding="utf-8").replace('"rad/s"', '"deg/s"').replace('"m/s^2"', '"g"')
+    toml.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory):
+    """A minute at rest."""
+    rng = np.random.default_rng(1)
+    gyro = 1e-3 * rng.standard_normal((6000, 3))
+    accel = np.array([0.0, 0.0, 9.80665]) + 1e-2 * rng.standard_normal((6000, 3))
+    path = tmp_path_factory.mktemp("inspect") / "shelf"
+    srt.write_recording(srt.Recording(np.arange(1, 6001) / RATE, gyro, accel, campaigns.SITE), path)
+    return path
+
+
+def test_the_table_says_what_the_recording_is(folder, capfd):
+    assert main(["inspect", str(folder)]) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "serial T-7" in lines[0]
+    for words in ("100 Hz, evenly spaced", "gyros deg/s, accelerometers g, time s", "34 windows", "16, the longest"):
+        assert words in out
+    rows = [line.split() for line in lines if "%" in line and "°" in line]
+    assert [row[-1] for row in rows] == list(SEQUENCES)
+    assert [row[-3] for row in rows] == list(SEQUENCES)
+    assert "17 sequences of Table 1 recognised" in out.replace("\n            ", "")
+    assert "0.0667" in out  # the random walk that is stated, °/√h
+
+
+def test_a_rest_alone_is_shown_with_its_allan_deviation(shelf, capfd):
+    code = main(["inspect", str(shelf)])
+    out, _ = capfd.readouterr()
+    assert code in (0, 1)
+    assert max(map(len, out.splitlines())) <= 80
+    assert "Allan deviation of one window of 5" in out
+    assert "95 % intervals" in out.replace("\n  ", " ")
+
+
+def test_json_and_picture(folder, tmp_path, capfd):
+    document, picture = tmp_path / "x.json", tmp_path / "x.png"
+    assert main(["inspect", str(folder), "--json", str(document), "--plot", str(picture), "-q"]) == 0
+    assert capfd.readouterr() == ("", "")
+    read = json.loads(document.read_text(encoding="utf-8"))
+    assert read["units"] == {"gyro": "deg/s", "accel": "g", "time": "s"}
+    assert [turn["sequence"] for turn in read["turns"]] == [turn["labelled"] for turn in read["turns"]]
+    assert read["stamps"]["gaps"] == 16
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_written_files_are_named(shelf, tmp_path, capfd):
+    picture = tmp_path / "x.svg"
+    main(["inspect", str(shelf), "--plot", str(picture)])
+    assert f"Written: {picture}" in capfd.readouterr().out
+    assert picture.read_bytes().startswith(b"<?xml")
+
+
+def test_what_refuses_the_recording_is_said_and_1(folder, tmp_path, capfd):
+    """Degrees declared as radians: the turns are 57 times too large."""
+    wrong = tmp_path / "wrong"
+    shutil.copytree(folder, wrong)
+    toml = wrong / "recording.toml"
+    toml.write_text(toml.read_text(encoding="utf-8").replace('"deg/s"', '"rad/s"'), encoding="utf-8")
+    document = tmp_path / "x.json"
+    assert main(["inspect", str(wrong), "--json", str(document)]) == 1
+    out, err = capfd.readouterr()
+    assert err.startswith("srt: ")
+    assert err.count("\n") == 1
+    assert "deg" in err
+    assert "Refused: " in out
+    findings = json.loads(document.read_text(encoding="utf-8"))["findings"]
+    assert any(f["effect"] == "exit 1" and f["sentence"] in err for f in findings)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (["absent"], ["absent", "check the path"]),
+        (["absent", "--json", "x.txt"], ["x.txt", ".json"]),
+        (["absent", "--plot", "x.gif"], ["x.gif", ".png", ".svg"]),
+        ([], ["RECORDING"]),
+    ],
+)
+def test_what_cannot_be_read_or_written_is_2(arguments, fragments, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert main(["inspect", *arguments]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("srt: ")
+    assert err.count("\n") == 1
+    for fragment in fragments:
+        assert fragment in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom srt.cli import main\nassert main(['inspect', '--help']) == 0\n"
+        "sys.exit(any(m in sys.modules for m in ('numpy', 'scipy', 'matplotlib', 'allantools')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, capture_output=True).returncode == 0
+
+
+def test_an_absent_matplotlib_is_noticed_before_the_work():
+    code = (
+        "import sys\nsys.modules['matplotlib'] = None\n"
+        "from srt.cli import main\nsys.exit(main(['inspect', 'absent', '--plot', 'x.png']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("srt: A plot needs the package 'matplotlib'")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0667, "0.0667"), (0.06, "0.0600"), (12.34, "12.3"), (123.4, "123"), (98765.4, "98765"), (0.0, "0.00"),
+     (1.234e-7, "1.23e-07"), (-5.678, "-5.68")],
+)  # fmt: skip
+def test_three_digits(value, text):
+    assert significant(value) == text
