@@ -7,6 +7,7 @@ can name other files on the disk. All of that is refused in one sentence before 
 from __future__ import annotations
 
 import math
+import mmap
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     import zipfile
     from pathlib import Path
     from typing import BinaryIO
+
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_TREE_MAGIC = b"TREE"
 
 DEFLATE_LIMIT: Final = 1032
 """Deflate cannot make anything smaller than by this factor; other compressors are held to it, too."""
@@ -121,6 +125,43 @@ def guard_hdf5(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> 
     require_size(path, f"dataset {name}", math.prod(int(n) for n in node.shape or ()) * item, stored)
     if node.chunks is not None:
         require_size(path, f"a chunk of dataset {name}", math.prod(int(n) for n in node.chunks) * item, file_size)
+
+
+def guard_hdf5_trees(path: Path) -> None:
+    """Refuse an HDF5 file in which nodes of a tree name one another in a circle: its library would go round for ever.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+    """
+    with path.open("rb") as file:
+        if not file.seek(0, 2):
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            base = max(data.find(_HDF5_MAGIC), 0)
+            # How long an address is stands in another place since the second version.
+            width = data[base + 13] if data[base + 8 : base + 9] < b"\x02" and len(data) > base + 13 else 8
+            width = width if width in (2, 4, 8) else 8
+            following: dict[int, int] = {}
+            place = data.find(_TREE_MAGIC)
+            while place >= 0:
+                after = data[place + 8 + width : place + 8 + 2 * width]
+                following[place] = base + int.from_bytes(after, "little")
+                place = data.find(_TREE_MAGIC, place + 1)
+    done: set[int] = set()
+    for start in following:
+        chain: set[int] = set()
+        node = start
+        while node in following and node not in done:
+            done.add(node)
+            chain.add(node)
+            node = following[node]
+        if node in chain:
+            raise InputError(f"{path} is damaged: a part of its index leads back to itself; copy or export it again.")
 
 
 def guard_parquet(path: Path, metadata: Any, file_size: int) -> None:

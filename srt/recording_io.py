@@ -36,7 +36,7 @@ from srt.recording_keys import (
     toml_value,
 )
 from srt.samples_io import SAMPLES_FORMATS, Samples, is_foreign, read_samples, write_samples
-from srt.suggestions import did_you_mean
+from srt.suggestions import clipped, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -321,12 +321,12 @@ def _read_toml(toml: Path) -> dict[str, Any]:
             document = tomllib.load(file)
     except OSError as error:
         raise InputError(f"Cannot read {toml} ({error.strerror}): check its permissions.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{toml} is not valid TOML ({error}): correct it there.") from None
     for section in document:
         if section not in SECTIONS:
             raise InputError(
-                f"{toml}: [{section}] is no known section{did_you_mean(section, SECTIONS)}: "
+                f"{toml}: [{clipped(section)}] is no known section{did_you_mean(section, SECTIONS)}: "
                 f"remove it, or use one of {', '.join(SECTIONS)}."
             )
     return document

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
-from srt.suggestions import did_you_mean
+from srt.suggestions import clipped, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -227,7 +227,7 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
     for name, value in values.items():
         if name not in known:
             raise InputError(
-                f"{file}: {section}.{name} is no known key{did_you_mean(name, known)}: "
+                f"{file}: {section}.{clipped(name)} is no known key{did_you_mean(name, known)}: "
                 f"remove it, or use one of {', '.join(known)}."
             )
         try:

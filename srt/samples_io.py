@@ -7,6 +7,7 @@ are read one at a time where the format allows, so that a table never stands in 
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -17,9 +18,9 @@ import numpy as np
 
 from srt.atomic import atomic_path
 from srt.exceptions import InputError, MissingExtraError
-from srt.file_guards import guard_hdf5, guard_npz, guard_parquet
+from srt.file_guards import guard_hdf5, guard_hdf5_trees, guard_npz, guard_parquet
 from srt.samples_csv import read_csv, write_csv
-from srt.suggestions import did_you_mean
+from srt.suggestions import clipped, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -178,7 +179,7 @@ def select_columns(path: Path, available: Sequence[str], *, time_required: bool)
     missing = [name for name in required if name not in available]
     if missing:
         others = [name for name in available if name not in required]
-        found = ", ".join(available[:12]) + (" ..." if len(available) > 12 else "")
+        found = ", ".join(map(clipped, available[:12])) + (" ..." if len(available) > 12 else "")
         raise InputError(
             f"{path} has no column {missing[0]}{did_you_mean(missing[0], others)} "
             f"(found: {found or 'none'}): name the columns {', '.join(required)}, "
@@ -246,7 +247,10 @@ def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]])
 
 def _read_npz(path: Path, time_required: bool) -> Samples:
     # What numpy and zipfile raise for a damaged file depends on where the damage is.
-    damage = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, KeyError, NotImplementedError, OSError)
+    damage = (
+        zipfile.BadZipFile, zlib.error, tokenize.TokenError, ValueError, EOFError, KeyError, NotImplementedError,
+        OSError, SyntaxError, RecursionError,
+    )  # fmt: skip
     try:
         # Opened here, as numpy leaves files open that it cannot read.
         with path.open("rb") as file:
@@ -308,6 +312,7 @@ def _read_hdf5(path: Path, time_required: bool) -> Samples:
         return values
 
     try:
+        guard_hdf5_trees(path)
         with h5py.File(path, "r") as file:
             names = select_columns(path, list(file), time_required=time_required)
             return _fill(path, names, column)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.file_guards import guard_hdf5, guard_npy, guard_npz, guard_parquet
+from srt.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet
 from srt.importers.channels import assign, clean, listed, with_temperature
 from srt.importers.guarded import library
 from srt.importers.imported import Imported, Units, assemble
@@ -292,6 +292,7 @@ def hdf5_store(path: Path, title: str, *, matlab: bool = False) -> Iterator[Stor
     except ImportError:
         raise MissingExtraError("h5py", "io", f"The {title}") from None
     size = path.stat().st_size
+    guard_hdf5_trees(path)
     with library(path, title):
         file = h5py.File(path, "r")
     try:

@@ -1,0 +1,276 @@
+"""Damaged and hostile input to every reader and to recording.toml: nothing but a recording or a clear error.
+
+``python benchmarks/fuzz.py`` gives 100,000 inputs, shared out evenly; ``--count N`` as many in all, ``--only NAME ...``
+some readers, ``--one NAME:INDEX`` a single input again, its error unhidden (``--keep`` leaves its files).
+
+Each input is a valid file, made by its format's own library, and damaged: bits turned, bytes cut off, moved, doubled,
+numbers in it replaced by hostile ones. What is checked of every one:
+
+- a recording or imported samples come out, or InputError, DataError; the message is one line;
+- no more than ``--memory`` MiB are reserved beyond what the process has at its start, and less than 10 s are used;
+- no file is opened outside the input's folder, no program is run, no pickle is read, no code is made of the input.
+
+A reader's inputs run in a process of their own, so that a crash is counted, not suffered. The numbers of the inputs
+are the seeds: the same number makes the same input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import sysconfig
+import traceback
+import warnings
+import zlib
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from fuzz_mutations import mutate
+from fuzz_seeds import READERS, RECORDINGS, Seed
+
+import srt
+from srt.exceptions import DataError, InputError
+from srt.importers.imported import to_recording
+from srt.importers.registry import IMPORTERS, import_file, importer
+from srt.recording import Site
+
+SECONDS_PER_INPUT = 10
+"""Of this process's computing, so that a busy machine does not count."""
+SECONDS_TO_KILL = 20
+"""The same, after which the process is ended: compiled code does not stop for the interpreter."""
+TOTAL = 100_000
+FORBIDDEN_EVENTS = frozenset({"pickle.find_class", "os.system", "subprocess.Popen", "os.exec", "os.posix_spawn"})
+SITE = Site(9.80665, 5e-4)
+
+
+class HangError(BaseException):
+    """An input that takes too long; no Exception, so that nothing on the way takes it for damage."""
+
+
+class Watch:
+    """What the interpreter reports of files and code while an input is read."""
+
+    def __init__(self, folder: Path) -> None:
+        places = [sys.prefix, sys.base_prefix, *sysconfig.get_paths().values(), str(Path(srt.__file__).parents[1])]
+        self.allowed = (*{os.path.realpath(place) for place in (*places, folder)}, "/dev/null", "/proc/")
+        self.temporary = os.path.realpath(folder.parent)
+        self.on = False
+        self.seen: list[str] = []
+        sys.addaudithook(self.hook)
+
+    def hook(self, event: str, args: tuple[Any, ...]) -> None:
+        if not self.on:
+            return
+        if event in FORBIDDEN_EVENTS:
+            self.seen.append(f"{event} {args!r}"[:200])
+        elif event == "exec":
+            name = getattr(args[0], "co_filename", "?")
+            # Modules imported late are executed as well; a namedtuple or dataclass made of fixed names is not.
+            if not name.startswith(self.allowed) and not name.startswith("<frozen"):
+                self.seen.append(f"exec {name}")
+        elif event == "open" and isinstance(args[0], str | bytes | os.PathLike):
+            path = os.path.realpath(os.fsdecode(args[0]))
+            if not path.startswith(self.allowed) and not path.startswith(f"{self.temporary}/srt-"):
+                self.seen.append(f"open {path}"[:200])
+
+
+def place(seed: Seed, folder: Path, rng: np.random.Generator | None, pool: list[bytes]) -> Path:
+    """Write a seed's files, one of them damaged (none without a generator)."""
+    damaged = ""
+    if rng is not None:
+        names = seed.damaged or tuple(sorted(seed.files))
+        damaged = names[int(rng.integers(len(names)))]
+    for name, data in seed.files.items():
+        (folder / name).write_bytes(mutate(data, name, pool, rng) if rng is not None and name == damaged else data)
+    return folder / seed.target
+
+
+def read(name: str, seed: Seed, path: Path) -> None:
+    """Read one input to the end, as the command line does."""
+    if name in RECORDINGS:
+        srt.load_recording(path)
+        return
+    options = seed.options
+    if options.second is not None:
+        options = replace(options, second=path.parent / options.second)
+    _, imported = import_file(path, options, name)
+    to_recording(imported, SITE)
+
+
+def judge(name: str, seed: Seed, path: Path, watch: Watch) -> str:
+    """Outcome of one input: "read", "refused", or what is wrong."""
+    watch.seen.clear()
+    watch.on = True
+    signal.setitimer(signal.ITIMER_PROF, SECONDS_PER_INPUT)
+    signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS_TO_KILL)
+    try:
+        read(name, seed, path)
+        outcome = "read"
+    except (InputError, DataError) as error:
+        text = str(error)
+        outcome = "refused"
+        if len(text.splitlines()) != 1 or len(text) > 1500:
+            outcome = f"message of {len(text.splitlines())} lines, {len(text)} characters"
+        elif "fit into memory" in text:
+            outcome = "memory"
+    except HangError:
+        outcome = f"more than {SECONDS_PER_INPUT} s"
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        outcome = f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}: {str(error)[:120]}"
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        watch.on = False
+    return watch.seen[0] if watch.seen else outcome
+
+
+def seeds_of(name: str) -> list[Seed]:
+    return (READERS | RECORDINGS)[name]()
+
+
+def generator(name: str, index: int) -> np.random.Generator:
+    return np.random.default_rng([zlib.crc32(name.encode()), index])
+
+
+def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> None:
+    """Run a reader's inputs; lines "index outcome" of all that is wrong, then the counts, on standard output."""
+    seeds = seeds_of(name)
+    pool = [data for seed in seeds for data in seed.files.values()]
+    folder = scratch / "input"
+    progress = scratch / "progress"
+    watch = Watch(folder)
+    unraisable: list[str] = []
+    sys.unraisablehook = lambda info: unraisable.append(f"unraisable {info.exc_type.__name__}: {info.exc_value}"[:160])
+    signal.signal(signal.SIGPROF, _alarm)
+    # What is loaded or made once, is so before the watch begins.
+    for each in IMPORTERS:
+        importer(each)
+    for seed in seeds:
+        _fresh(folder)
+        read(name, seed, place(seed, folder, None, pool))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        limit = used + (memory_mib << 20)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        outcomes: Counter[str] = Counter()
+        with progress.open("wb", buffering=0) as mark:
+            for index in range(start, stop):
+                os.pwrite(mark.fileno(), struct.pack("<qqq", index, outcomes["read"], outcomes["refused"]), 0)
+                _fresh(folder)
+                rng = generator(name, index)
+                seed = seeds[index % len(seeds)]
+                path = place(seed, folder, rng, pool)
+                unraisable.clear()
+                outcome = judge(name, seed, path, watch)
+                outcome = unraisable[0] if unraisable and outcome in ("read", "refused") else outcome
+                outcomes[outcome if outcome in ("read", "refused") else "failed"] += 1
+                if outcome not in ("read", "refused"):
+                    print(f"{index} {outcome!r}", flush=True)
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10
+    print(f"done {outcomes['read']} {outcomes['refused']} {grown}", flush=True)
+
+
+def supervise(name: str, count: int, memory_mib: int) -> tuple[int, int, list[str], int]:
+    """Run a reader's inputs in processes of their own; read, refused, failures with their seeds, peak growth in MiB."""
+    failures: list[str] = []
+    taken, refused, grown, start = 0, 0, 0, 0
+    with TemporaryDirectory(prefix="fuzz-") as scratch:
+        mark = Path(scratch) / "progress"
+        while start < count:
+            command = [sys.executable, __file__, "--worker", name, str(start), str(count), scratch]
+            environment = os.environ | {"TMPDIR": scratch}
+            done = subprocess.run(
+                [*command, "--memory", str(memory_mib)], capture_output=True, text=True, env=environment, check=False
+            )
+            lines = done.stdout.splitlines()
+            failures += [f"{name}:{line}" for line in lines if not line.startswith("done ")]
+            if done.returncode == 0:
+                read_now, refused_now, grown = (int(word) for word in lines[-1].split()[1:])
+                return taken + read_now, refused + refused_now, failures, grown
+            if not mark.exists():
+                raise SystemExit(f"{name}: the process ended before its first input:\n{done.stderr}")
+            index, read_now, refused_now = struct.unpack("<qqq", mark.read_bytes())
+            if done.returncode == -signal.SIGVTALRM:
+                reason = f"more than {SECONDS_TO_KILL} s in compiled code"
+            else:
+                reason = f"the process ended with {done.returncode}: {done.stderr[-300:]!r}"
+            failures.append(f"{name}:{index} {reason}")
+            taken, refused, start = taken + read_now, refused + refused_now, index + 1
+    return taken, refused, failures, grown
+
+
+def _alarm(*_: object) -> None:
+    raise HangError
+
+
+def _fresh(folder: Path) -> None:
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir()
+
+
+def once(text: str, *, keep: bool) -> None:
+    """Read one input again, its error unhidden."""
+    name, _, index = text.rpartition(":")
+    seeds = seeds_of(name)
+    pool = [data for seed in seeds for data in seed.files.values()]
+    seed = seeds[int(index) % len(seeds)]
+    with TemporaryDirectory(prefix="fuzz-") as folder:
+        path = place(seed, Path(folder), generator(name, int(index)), pool)
+        if keep:
+            shutil.copytree(folder, "fuzz-input", dirs_exist_ok=True)
+        read(name, seed, path)
+        print("read")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = [*READERS, *RECORDINGS]
+    parser.add_argument("--count", type=int, default=TOTAL, help="inputs in all")
+    parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="NAME", help=", ".join(names))
+    parser.add_argument("--memory", type=int, default=512, help="MiB beyond those at the start (default 512)")
+    parser.add_argument("--one", metavar="NAME:INDEX", help="one input again")
+    parser.add_argument("--keep", action="store_true", help="with --one: copy its files to ./fuzz-input")
+    parser.add_argument("--worker", nargs=4, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.worker:
+        name, start, stop, scratch = arguments.worker
+        worker(name, int(start), int(stop), arguments.memory, Path(scratch))
+        return 0
+    if arguments.one:
+        once(arguments.one, keep=arguments.keep)
+        return 0
+    print(f"{'reader':<16}{'inputs':>8}{'read':>8}{'refused':>9}{'failed':>8}{'grown, MiB':>12}", flush=True)
+    shares = np.full(len(arguments.only), arguments.count // len(arguments.only))
+    shares[: arguments.count % len(arguments.only)] += 1
+    sums, failures = np.zeros(4, dtype=int), []
+    for name, share in zip(arguments.only, shares.tolist(), strict=True):
+        taken, refused, wrong, grown = supervise(name, share, arguments.memory)
+        row = (share, taken, refused, len(wrong))
+        sums += row
+        failures += wrong
+        print(
+            f"{name:<16}" + "".join(f"{n:>{w}}" for n, w in zip((*row, grown), (8, 8, 9, 8, 12), strict=True)),
+            flush=True,
+        )
+    print(f"{'in all':<16}" + "".join(f"{n:>{w}}" for n, w in zip(sums.tolist(), (8, 8, 9, 8), strict=True)))
+    for failure in failures:
+        print(failure)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,250 @@
+"""ArduPilot logs (DataFlash, .bin or .log as text): IMU, or GYR with ACC; rad/s and m/s² as ArduPilot defines them.
+
+The library finds the messages and their layout; numpy takes their columns, all samples at once.
+"""
+
+from __future__ import annotations
+
+import struct
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.importers.guarded import library, require, silence_below
+from srt.importers.log_streams import Stream, choose_instance, join, to_imported
+from srt.importers.options import option
+from srt.importers.registry import Importer, head
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    import mmap
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from srt.importers.imported import Imported
+    from srt.importers.options import ImportOptions
+
+MAGIC: Final = b"\xa3\x95\x80"  # the first message of a log defines the message that defines messages
+
+GYRO_COLUMNS: Final = ("GyrX", "GyrY", "GyrZ")
+ACCEL_COLUMNS: Final = ("AccX", "AccY", "AccZ")
+
+TOPICS: Final = {
+    "IMU": (("IMU", (*GYRO_COLUMNS, *ACCEL_COLUMNS)),),
+    "GYR": (("GYR", GYRO_COLUMNS), ("ACC", ACCEL_COLUMNS)),
+}
+"""What ``topic`` may say, and the messages and columns that it stands for, in order of preference."""
+
+_TITLE = "ArduPilot log"
+_VARIANTS = ("", "1", "2", "3")  # before there was a column for it, the instance stood in the message's name
+_STAMPS = (("SampleUS", 10**6), ("TimeUS", 10**6), ("TimeMS", 10**3))
+_HEADER_BYTES = 3
+_TEXT_BLOCK = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Log:
+    """A log's messages of interest.
+
+    Attributes
+    ----------
+    path : Path
+    tables : dict of message name to dict of column to ndarray, shape (n,)
+    """
+
+    path: Path
+    tables: dict[str, dict[str, NDArray[Any]]]
+
+    def instances(self, message: str) -> dict[int, tuple[str, NDArray[np.bool_] | slice]]:
+        """By instance: the name under which its messages stand, and which of them are its own."""
+        found: dict[int, tuple[str, NDArray[np.bool_] | slice]] = {}
+        for variant in _VARIANTS:
+            table = self.tables.get(message + variant)
+            if table is None:
+                continue
+            if "I" in table:
+                for each in np.unique(table["I"]).tolist():
+                    found.setdefault(int(each), (message + variant, table["I"] == each))
+            else:
+                found.setdefault(max(int(variant or 1) - 1, 0), (message + variant, slice(None)))
+        return dict(sorted(found.items()))
+
+    def stream(self, message: str, instance: int, columns: tuple[str, ...]) -> Stream:
+        """One instance's samples."""
+        name, rows = self.instances(message)[instance]
+        table = self.tables[name]
+        missing = next((column for column in columns if column not in table), None)
+        if missing is not None:
+            raise InputError(f"{self.path}: the message {name} has no column {missing}: it is not ArduPilot's.")
+        stamps = next(((table[key][rows], ticks) for key, ticks in _STAMPS if key in table and table[key].any()), None)
+        if stamps is None:
+            raise InputError(f"{self.path}: the message {name} has no time stamps: it is not ArduPilot's.")
+        time, ticks = stamps
+        if time.dtype.kind not in "iu" or (time.size and int(time.max()) >= 2**62):
+            raise InputError(f"{self.path}: the time stamps of {name} are no plausible ones: the log is damaged.")
+        values = np.stack([np.asarray(table[column][rows], dtype=np.float64) for column in columns], axis=1)
+        temperature = np.asarray(table["T"][rows], dtype=np.float64) if "T" in table else None
+        return Stream(f"{name} [{instance}]", time.astype(np.int64), ticks, values, temperature)
+
+
+def _read(path: Path, options: ImportOptions) -> Imported:
+    wanted = options.topic
+    if wanted is not None and wanted not in TOPICS:
+        raise InputError(
+            f"{option('topic')} is {wanted!r}{did_you_mean(wanted, TOPICS)}, but a log is read from one of "
+            f"{', '.join(TOPICS)}."
+        )
+    log = _Log(path, _tables(path))
+    complete = [topic for topic, parts in TOPICS.items() if all(log.instances(message) for message, _ in parts)]
+    if not complete or wanted not in (None, *complete):
+        there = ", ".join(sorted(log.tables)) or "none of them"
+        raise InputError(
+            f"{path} holds no samples in messages {'IMU, or GYR with ACC' if wanted is None else wanted} "
+            f"(found: {there}): log the IMU (LOG_BITMASK), or the raw IMU (GYR, ACC)."
+        )
+    topic = wanted or complete[0]
+    notes = ["ArduPilot has applied its own calibration: what is found here is left over from that."]
+    if len(complete) > 1 and wanted is None:
+        notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
+    instance = choose_instance(path, topic, list(log.instances(TOPICS[topic][0][0])), options.instance, notes)
+    with np.errstate(all="ignore"):
+        streams = []
+        for message, columns in TOPICS[topic]:
+            others = log.instances(message)
+            streams.append(log.stream(message, instance if instance in others else next(iter(others)), columns))
+        stream = streams[0] if len(streams) == 1 else join(streams[0], streams[1], notes)
+    return to_imported(stream, options, notes)
+
+
+def _tables(path: Path) -> dict[str, dict[str, NDArray[Any]]]:
+    names = [message + variant for parts in TOPICS.values() for message, _ in parts for variant in _VARIANTS]
+    take = _from_text if _is_text(path) else _from_binary
+    with _indexed(path, binary=take is _from_binary) as reader:
+        tables = {name: take(path, reader, name) for name in names}
+    return {name: table for name, table in tables.items() if table}
+
+
+def _from_binary(path: Path, reader: Any, name: str) -> dict[str, NDArray[Any]]:
+    """Columns of a message, those of numbers; empty if there is none."""
+    if name not in reader.name_to_id:
+        return {}
+    kind = reader.name_to_id[name]
+    layout = reader.formats[kind]
+    columns, codes = layout.columns, layout.msg_struct.lstrip("<")
+    units = [struct.Struct("<" + code).size for code in _codes(codes)]
+    if len(columns) != len(units) or len({*columns, ""}) <= len(columns) or sum(units) + _HEADER_BYTES != layout.len:
+        raise InputError(f"{path}: the definition of the message {name} contradicts itself: the log is damaged.")
+    places = np.array(reader.offsets[kind], dtype=np.int64) + _HEADER_BYTES
+    size = sum(units)
+    raw = np.frombuffer(reader.data_map, dtype=np.uint8)
+    places = places[(places >= 0) & (places + size <= raw.size)]
+    if not places.size:
+        return {}
+    # Every window of a message's length is a view; taking those at the messages' places copies once.
+    rows = np.lib.stride_tricks.sliding_window_view(raw, size)[places]
+    fields = zip(columns, (f"<{code}" for code in _codes(codes)), strict=True)
+    table = rows.view(
+        np.dtype(
+            [(column, code.replace("s", "").replace("<", "S") if "s" in code else code) for column, code in fields]
+        )
+    )[:, 0]
+    factors = dict(zip(columns, layout.msg_mults, strict=True))
+    return {
+        column: table[column] if factors[column] is None else table[column] * factors[column]
+        for column in columns
+        if table[column].dtype.kind in "fiu"
+    }
+
+
+def _codes(codes: str) -> list[str]:
+    """Split "QB64sf" into the code of each column."""
+    result, digits = [], ""
+    for code in codes:
+        if code.isdigit():
+            digits += code
+        else:
+            result.append(digits + code)
+            digits = ""
+    return result
+
+
+def _from_text(path: Path, reader: Any, name: str) -> dict[str, NDArray[Any]]:
+    """Columns of a message in a log as text."""
+    if name not in reader.formats or name not in reader.offsets:
+        return {}
+    layout = reader.formats[name]
+    wanted = [column for column, code in zip(layout.columns, layout.format, strict=False) if code not in "nNZa"]
+    places = [layout.columns.index(column) + 1 for column in wanted]
+    lines = [_line(reader.data_map, start) for start in reader.offsets[name]]
+    full = [line for line in lines if line.count(",") >= len(layout.columns)]
+    if len(full) < len(lines) - 1 or not wanted or len(set(wanted)) != len(wanted):
+        raise InputError(f"{path}: messages {name} do not have the columns of their definition: the log is damaged.")
+    if not full:
+        return {}
+    whole = {"Q", "q", "I", "i", "B", "b", "H", "h"}
+    kinds = dict(zip(layout.columns, layout.format, strict=False))
+    table = {}
+    for column, place in zip(wanted, places, strict=True):
+        cells = [line.split(",")[place] for line in full]
+        try:
+            # Integers of 64 bits do not fit into a double.
+            table[column] = np.array(cells).astype(np.int64 if kinds[column] in whole else np.float64)
+        except (ValueError, OverflowError):
+            bad = next((cell for cell in cells if not _is_number(cell)), cells[0]).strip()[:40]
+            raise InputError(f"{path}: column {column} of {name} holds {bad!r}, which is no number there.") from None
+    return table
+
+
+def _line(data: mmap.mmap, start: int) -> str:
+    end = data.find(b"\n", start, start + _TEXT_BLOCK)
+    return data[start : end if end >= 0 else start + _TEXT_BLOCK].decode("latin-1").rstrip()
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def _indexed(path: Path, *, binary: bool) -> Iterator[Any]:
+    """Let the library find all messages, and close its file whatever happens."""
+    module = require("pymavlink", "An ArduPilot log", lambda: __import__("pymavlink.DFReader", fromlist=["DFReader"]))
+    base = module.DFReader_binary if binary else module.DFReader_text
+    # Looking for the satellites' time would parse all messages one by one.
+    kind: Any = type("Reader", (base,), {"init_clock": lambda _: None})
+    reader = kind.__new__(kind)
+    try:
+        with library(path, _TITLE), silence_below():
+            reader.__init__(str(path))
+        yield reader
+    finally:
+        for name in ("data_map", "filehandle"):
+            with suppress(AttributeError, BufferError):
+                getattr(reader, name).close()
+
+
+def _is_text(path: Path) -> bool:
+    return any(line.startswith(b"FMT,") for line in head(path).splitlines()[:20])
+
+
+def _sniff(path: Path) -> bool:
+    return head(path, len(MAGIC)) == MAGIC or _is_text(path)
+
+
+ARDUPILOT: Final = Importer(
+    "ardupilot",
+    "ArduPilot log (.bin or .log)",
+    (),  # .bin and .log are what many others call their files, too
+    "formats",
+    _sniff,
+    _read,
+    frozenset({"topic", "instance"}),
+)

@@ -1,0 +1,226 @@
+"""What logs of several sensors have in common: choosing one of them, the order of its samples, joining two streams."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.importers.imported import Imported, Units, assemble, join_streams
+from srt.importers.options import option
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from srt.importers.options import ImportOptions
+
+SI_UNITS: Final = ("rad/s", "m/s^2")
+
+LATE_LIMIT_S: Final = 1.0
+"""Samples that arrive this late were delayed on the way; a clock that goes back further was set."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """Readings of one sensor, or of both, with their stamps.
+
+    Attributes
+    ----------
+    name : str
+        What messages and notes call it.
+    stamps : ndarray of int64, shape (n,)
+    per_second : int
+        Ticks of the stamps, a power of ten.
+    values : ndarray, shape (n, 3) or (n, 6)
+        In the units of the format.
+    temperature : ndarray, shape (n,), °C, or None
+    """
+
+    name: str
+    stamps: NDArray[np.int64]
+    per_second: int
+    values: NDArray[np.float64]
+    temperature: NDArray[np.float64] | None = field(default=None)
+
+
+def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None, how: str, notes: list[str]) -> str:
+    """Choose one of several sensors: the one asked for, else the one with most samples, naming the others in a note.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What each is, such as "topic".
+    counts : mapping of str to int
+        Samples of each.
+    wanted : str or None
+    how : str
+        The option that chooses.
+    notes : list of str
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        If the one asked for is not there, or there is none.
+    """
+    there = ", ".join(f"{name} ({count})" for name, count in sorted(counts.items())[:12])
+    if wanted is not None:
+        if wanted not in counts:
+            raise InputError(
+                f"{path} holds no IMU {what} {wanted}{did_you_mean(wanted, counts)}: "
+                f"use one of those there, {there or 'none'} (samples in brackets)."
+            )
+        return wanted
+    chosen = max(sorted(counts), key=lambda name: counts[name])
+    if len(counts) > 1:
+        notes.append(f"Several IMUs there: {there}; {what} {chosen} was read. Choose another with {how}.")
+    return chosen
+
+
+def choose_instance(path: Path, topic: str, there: list[int], wanted: int | None, notes: list[str]) -> int:
+    """Choose one of several sensors of the same kind: the one asked for, else the first, naming the others in a note.
+
+    Parameters
+    ----------
+    path : Path
+    topic : str
+    there : list of int
+    wanted : int or None
+    notes : list of str
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InputError
+        If the one asked for is not there.
+    """
+    listed = ", ".join(map(str, there))
+    if wanted is None:
+        if len(there) > 1:
+            notes.append(
+                f"{topic} has the instances {listed}; {there[0]} was read. Choose another with {option('instance')}."
+            )
+        return there[0]
+    if wanted not in there:
+        raise InputError(f"{path}: {topic} has no instance {wanted}: use one of {listed}.")
+    return wanted
+
+
+def in_order(stream: Stream, notes: list[str]) -> Stream:
+    """Sort samples that arrived late by their stamps; a clock that was set back is left for the recording to refuse."""
+    stamps = stream.stamps
+    if stamps.size < 2:
+        return stream
+    late = np.maximum.accumulate(stamps) - stamps
+    if not late.any() or float(late.max()) > LATE_LIMIT_S * stream.per_second:
+        return stream
+    order = np.argsort(stamps, kind="stable")
+    notes.append(f"{stream.name}: {np.count_nonzero(late)} samples that arrived late were put in order.")
+    temperature = stream.temperature
+    return Stream(
+        stream.name,
+        stamps[order],
+        stream.per_second,
+        stream.values[order],
+        None if temperature is None else temperature[order],
+    )
+
+
+def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
+    """Make one stream of six columns at the gyros' stamps.
+
+    Parameters
+    ----------
+    gyro, accel : Stream
+        Of three columns each, with the same clock.
+    notes : list of str
+
+    Returns
+    -------
+    Stream
+
+    Raises
+    ------
+    InputError
+        Streams without time in common, or stamps that do not increase.
+    """
+    gyro, accel = (_without_twins(in_order(stream, notes), notes) for stream in (gyro, accel))
+    if not (gyro.stamps.size and accel.stamps.size):
+        empty = gyro if not gyro.stamps.size else accel
+        raise InputError(f"{empty.name} holds no samples: choose another sensor.")
+    if gyro.name != accel.name:
+        notes.append(f"Gyros from {gyro.name}, accelerometers from {accel.name}.")
+    # Counted from one stamp as integers, so that seconds lose nothing however large the clock's reading is.
+    zero = gyro.stamps[0]
+    seconds = [(stream.stamps - zero) / stream.per_second for stream in (gyro, accel)]
+    kept, values = join_streams(seconds[0], seconds[1], accel.values, notes)
+    temperature = gyro.temperature
+    return Stream(
+        gyro.name,
+        gyro.stamps[kept],
+        gyro.per_second,
+        np.hstack([gyro.values[kept], values]),
+        None if temperature is None else temperature[kept],
+    )
+
+
+def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more: Any) -> Imported:
+    """Bring a stream of six columns, rates in SI, to what readers give back.
+
+    Parameters
+    ----------
+    stream : Stream
+    options : ImportOptions
+    notes : list of str
+    **more
+        Further arguments of :func:`srt.importers.imported.assemble`.
+
+    Returns
+    -------
+    Imported
+    """
+    stream = in_order(stream, notes)
+    gyro_unit, accel_unit = more.pop("units", SI_UNITS)
+    unit = {10**9: "ns", 10**6: "us", 10**3: "ms"}[stream.per_second]
+    return assemble(
+        options,
+        gyro=stream.values[:, :3],
+        accel=stream.values[:, 3:],
+        time=stream.stamps,
+        stated=Units(gyro_unit, accel_unit, unit),
+        kind=more.pop("kind", "rate"),
+        temperature=stream.temperature,
+        notes=tuple(notes),
+        **more,
+    )
+
+
+def _without_twins(stream: Stream, notes: list[str]) -> Stream:
+    """Drop samples that repeat the one before, stamp and readings: interpolation needs stamps that increase."""
+    twins = np.zeros(stream.stamps.size, dtype=bool)
+    twins[1:] = (stream.stamps[1:] == stream.stamps[:-1]) & np.all(stream.values[1:] == stream.values[:-1], axis=1)
+    count = int(twins.sum())
+    if not count:
+        return stream
+    notes.append(f"{stream.name}: {count} repeated samples (same stamp, same readings) dropped.")
+    temperature = stream.temperature
+    return Stream(
+        stream.name,
+        stream.stamps[~twins],
+        stream.per_second,
+        stream.values[~twins],
+        None if temperature is None else temperature[~twins],
+    )
