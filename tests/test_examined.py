@@ -1,0 +1,64 @@
+"""Calibration of recordings that were looked through for faults first."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import srt
+from sims.faults import Case
+from srt.constants import DEG
+from srt.examined import calibrate_examined
+from srt.options import Options
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return Case("tactical-fog", 900).recording
+
+
+def test_a_sound_recording_gains_nothing(recording):
+    examined = calibrate_examined(recording, options=Options())
+    plain = srt.calibrate(recording)
+    np.testing.assert_array_equal(examined.errors.vector, plain.errors.vector)
+    assert examined.diagnostics["faults"] == []
+    assert examined.warnings == plain.warnings
+
+
+def test_a_fault_that_makes_it_senseless_refuses_it_by_name(recording):
+    wrong = replace(recording, gyro=recording.gyro / DEG)
+    with pytest.raises(srt.DataError, match="correct gyro_unit") as caught:
+        calibrate_examined(wrong, options=Options())
+    assert caught.value.fault == "gyro_degrees"
+
+
+def test_force_goes_on_to_what_the_calibration_itself_says(recording):
+    wrong = replace(recording, gyro=recording.gyro / DEG)
+    with pytest.raises(srt.DataError, match=r"The likely cause: .* correct gyro_unit"):
+        calibrate_examined(wrong, options=Options(), force=True)
+
+
+def test_a_fault_that_is_told_stands_with_the_result(recording):
+    wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
+    examined = calibrate_examined(wrong, options=Options())
+    (finding,) = [f for f in examined.diagnostics["faults"] if f["fault"] == "gravity"]
+    assert finding["effect"] == "warning"
+    assert finding["sentence"] in examined.warnings
+
+
+def test_what_only_a_calibration_shows_is_looked_for(recording):
+    truth = srt.SensorErrors.from_dict({"gyro_asymmetry_x": 2e-3})
+    from sims.campaigns import GRADES
+    from sims.imu import read_out
+
+    case = Case("tactical-fog", 901)
+    asymmetric = read_out(case.simulation.motion, truth, GRADES["tactical"], np.random.default_rng(1))
+    examined = calibrate_examined(asymmetric, options=Options(asymmetry=False))
+    assert "asymmetry_omitted" in [f["fault"] for f in examined.diagnostics["faults"]]
+
+
+def test_findings_survive_the_file(recording, tmp_path):
+    wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
+    calibrate_examined(wrong, options=Options()).save(tmp_path / "unit.json")
+    loaded = srt.load_calibration(tmp_path / "unit.json")
+    assert [f["fault"] for f in loaded.diagnostics["faults"]] == ["gravity"]
