@@ -231,7 +231,7 @@ _ROWS: Final = (
     (
         "gyro_per_hour",
         "units",
-        "Gyro readings per hour, declared per second",
+        "Gyro readings per hour, declared per second, or the other way round",
         "turned angles against those stated",
         "Turns come out {ratio:.4g} times as large as stated ({title}): the gyro readings look like {unit}, "
         "declared as "
@@ -479,9 +479,8 @@ _ROWS: Final = (
         "windows",
         "The fixture had not settled",
         "oscillation at the start of windows that dies away",
-        "The fixture still rings at the start of the window from {time:.6g} s ({amplitude:.2g} m/s², {count} "
-        "windows in "
-        "all): wait longer after a turn, or start the windows later.",
+        "The fixture still rings at the start of the window from {time:.6g} s ({sequence}; by {amplitude}, {count} "
+        "such windows in all): wait longer after a turn, or start the windows later.",
         "warning",
     ),
     (

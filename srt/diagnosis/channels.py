@@ -1,0 +1,193 @@
+"""Channels and logger: columns that are dead, twice there or exchanged, readings that stick or jump out."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.catalogue import AXES
+from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
+from srt.diagnosis.findings import check, found
+from srt.diagnosis.frame_evidence import turns_of
+from srt.diagnosis.repeat_evidence import stuck_runs
+from srt.diagnosis.spike_evidence import find_spikes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+
+    Array = NDArray[np.float64]
+
+CHANNELS: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in AXES)
+_SAMPLES: Final = 20_000
+"""Rows looked at where all would tell no more."""
+_PIECES: Final = 8
+_SAME: Final = 1e-9
+"""Correlation that two columns of noise lack by chance at most; conversion of units rounds by 1e-16."""
+_MANY: Final = 50
+"""Changes in a column below which its correlation says nothing."""
+_SCALES: Final = 10.0
+"""Factor by which the values of a count on the axes of one triad differ at most."""
+_POLE: Final = 1.02
+"""The Earth's rate over gravity at the poles, with room for scale errors; elsewhere less is proportional to gravity."""
+_GRAVITY: Final = 4.0
+"""Largest over smallest magnitude (of 99 % of the readings) of a triad that holds gravity: half of scale error and of
+bias either way make 3.2, while gyros turn at many times what they read at rest."""
+_TURNED: Final = 0.95
+"""Length of the mean over the mean length, above which a vector hardly changed its direction."""
+
+
+def _columns(evidence: Evidence) -> list[Array]:
+    recording = evidence.recording
+    return [table[:, axis] for table in (recording.gyro, recording.accel) for axis in range(3)]
+
+
+def _constant(column: Array) -> bool:
+    # Nearly every column is ruled out by its first readings.
+    return bool(np.all(column[:100] == column[0]) and np.all(column == column[0]))
+
+
+@check("gyro_channel_dead", "accel_channel_dead")
+def dead_channels(evidence: Evidence) -> Iterator[Finding]:
+    """A column with one value throughout, of a triad whose other columns are noisy, or whose axis was turned."""
+    for sensor, table, moved_axes in (
+        ("gyro", evidence.recording.gyro, _turned_axes),
+        ("accel", evidence.recording.accel, _tilted_axes),
+    ):
+        dead = np.array([_constant(table[:, axis]) for axis in range(3)])
+        if not dead.any():
+            continue
+        # Readings without noise may well be constant: only what must have moved is dead then.
+        noisy = any(_noisy(evidence, column) for column in _columns(evidence))
+        moved = moved_axes(evidence)
+        named = [axis for axis in range(3) if dead[axis] and (noisy or moved[axis])]
+        if named:
+            yield found(
+                f"{sensor}_channel_dead",
+                channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in named),
+                value=float(table[0, named[0]]),
+            )
+
+
+def _noisy(evidence: Evidence, column: Array) -> bool:
+    """Whether readings at rest scatter by more than rounding."""
+    if evidence.data is None:
+        return False
+    a, b = evidence.data.windows.samples[0].tolist()
+    return bool(np.std(np.diff(column[a:b])) > 1e-9 * np.abs(column[a:b]).max(initial=0.0) > 0.0)
+
+
+def _turned_axes(evidence: Evidence) -> NDArray[np.bool_]:
+    """Axes about which the labels have the unit turned."""
+    if evidence.data is None or evidence.recording.fixture is None:
+        return np.zeros(3, dtype=bool)
+    turned = [np.abs(s.axes).max(axis=0) for s in evidence.data.catalogue if s is not None]
+    return np.asarray(np.any(np.array(turned) > 0.5, axis=0)) if turned else np.zeros(3, dtype=bool)
+
+
+def _tilted_axes(evidence: Evidence) -> NDArray[np.bool_]:
+    """Axes along which the labels have gravity change."""
+    if evidence.data is None or evidence.recording.fixture is None:
+        return np.zeros(3, dtype=bool)
+    nominal, _ = evidence.poses
+    if len(nominal) == 0:
+        return np.zeros(3, dtype=bool)
+    return np.asarray(np.ptp(nominal, axis=0) > 0.5 * evidence.recording.site.gravity_m_s2)
+
+
+@check("columns_repeat")
+def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
+    """Two columns with the same readings, or the same but for a constant factor of their units."""
+    columns = _columns(evidence)
+    n = len(columns[0])
+    length = max(2, min(n, _SAMPLES // _PIECES))
+    starts = np.unique(np.linspace(0, n - length, _PIECES).astype(np.intp))
+    # Differences of neighbours show noise, which no two columns share, and no bias.
+    steps = np.array([np.concatenate([np.diff(c[a : a + length]) for a in starts.tolist()]) for c in columns])
+    size = np.sqrt(np.einsum("cn,cn->c", steps, steps))
+    changes = np.count_nonzero(steps, axis=1)
+    for i, j in combinations(range(6), 2):
+        if min(changes[i], changes[j]) < _MANY:
+            continue
+        product = float(steps[i] @ steps[j])
+        if abs(product) < (1.0 - _SAME) * size[i] * size[j]:
+            continue
+        factor = product / float(size[j]) ** 2
+        off = columns[i] - factor * columns[j]
+        if np.ptp(off) <= 1e-6 * np.ptp(columns[i]) and _may_repeat(evidence, i, j, factor):
+            yield found("columns_repeat", channel=CHANNELS[i], other=CHANNELS[j])
+            return
+
+
+def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
+    """Whether proportional columns cannot be sound; without noise, some may be: residues, or the Earth's rate."""
+    if i // 3 == j // 3:
+        return 1.0 / _SCALES < abs(factor) < _SCALES
+    earth = EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
+    return abs(factor) > _POLE * earth or _noisy(evidence, _columns(evidence)[j])
+
+
+@check("sensors_exchanged")
+def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
+    """The gyro columns hold one length whose direction changes, and the accelerometer columns do not."""
+    recording = evidence.recording
+    stride = max(1, len(recording.time) // _SAMPLES)
+    gyro, accel = recording.gyro[::stride], recording.accel[::stride]
+    if not (_holds_gravity(gyro) and _range_of_size(accel) > _GRAVITY):
+        return
+    turns = turns_of(evidence)
+    rate, force = (gyro, accel) if turns is None else (turns.rate / evidence.per_rate, turns.force / evidence.per_rate)
+    yield found(
+        "sensors_exchanged",
+        gyro=float(np.median(np.linalg.norm(rate, axis=1))) * evidence.per_rate,
+        accel=float(np.median(np.linalg.norm(force, axis=1))) * evidence.per_rate,
+    )
+
+
+def _range_of_size(vectors: Array) -> float:
+    low, high = np.quantile(np.linalg.norm(vectors, axis=1), (0.005, 0.995))
+    return float(high / low) if low > 0.0 else float("inf")
+
+
+def _holds_gravity(vectors: Array) -> bool:
+    size = float(np.linalg.norm(vectors, axis=1).mean())
+    turned = float(np.linalg.norm(vectors.mean(axis=0))) < _TURNED * size
+    return turned and _range_of_size(vectors) < _GRAVITY
+
+
+@check("samples_stuck", "gyro_stuck", "accel_stuck")
+def stuck(evidence: Evidence) -> Iterator[Finding]:
+    """Runs of equal rows, longer than the recording's own repeats explain."""
+    for fault, runs in zip(("samples_stuck", "gyro_stuck", "accel_stuck"), stuck_runs(evidence), strict=True):
+        if runs:
+            run = max(runs, key=lambda r: r.count)
+            yield found(
+                fault,
+                count=run.count + 1,
+                time=float(evidence.recording.time[run.first]),
+                sequence=evidence.called_at(run.first),
+            )
+
+
+@check("spikes")
+def spikes(evidence: Evidence) -> Iterator[Finding]:
+    """Single readings that jump out; told is the largest of the channel that has most of them."""
+    there = find_spikes(evidence)
+    if there.sample.size == 0:
+        return
+    most = int(np.argmax(np.bincount(there.channel)))
+    k = int(np.argmax(np.where(there.channel == most, np.abs(there.jump), -1.0)))
+    yield found(
+        "spikes",
+        channel=CHANNELS[int(there.channel[k])],
+        size=f"{abs(float(there.jump[k])) * evidence.per_rate:.3g} {'rad/s' if there.channel[k] < 3 else 'm/s²'}",
+        time=float(evidence.recording.time[there.sample[k]]),
+        count=int(there.sample.size),
+        sequence=evidence.called_at(int(there.sample[k])),
+    )

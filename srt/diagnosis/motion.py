@@ -1,0 +1,218 @@
+"""Faults of turns that only gyros and accelerometers together show: other times, and lost samples.
+
+The gyros carry the measured specific force back to the start of each sequence, where it should stay what it was. What
+it does instead, seen along the direction in which gravity turns, is an angle by which gyros and accelerometers
+disagree.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import stdtrit
+
+from srt.diagnosis.findings import check, found
+from srt.diagnosis.turn_evidence import Blocks, Swing, blocks, cross, once, swing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+
+    Array = NDArray[np.float64]
+
+FALSE_ALARM: Final = 1e-5
+"""Of each of the two faults in a whole recording, all turns together: a tenth of what a clean one may raise."""
+_FEWEST_TURNS: Final = 4
+_LEAST_OFFSET: Final = 0.02
+"""Of the sampling interval: where within a sample a reading counts is not known better than that."""
+_COARSE: Final = 5
+"""Blocks that are taken together to find an offset, which lasts for the whole turn."""
+_DEGENERATE: Final = 1e-9
+"""Of the largest eigenvalue: errors that no turn tells apart, which then share what they explain."""
+_MOVING: Final = 0.2
+"""Share of the highest rate above which a block belongs to a turn."""
+_SIDE: Final = 20
+"""Blocks on each side of a step that are looked at."""
+_HALF_A_SAMPLE: Final = 0.5
+"""Of the angle turned in one sample: fewer than one cannot be lost."""
+_RAYLEIGH_MEDIAN: Final = 1.1774
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Offset:
+    """Time between the sensors, with what else the turns show of the accelerometers.
+
+    Attributes
+    ----------
+    late_s, sigma_s : float
+        By which the accelerometers come after the gyros, in the mean of the turns.
+    typical_s : float
+        Likewise the median, which a turn that lost samples does not move.
+    turns : int
+        That show it.
+    errors : ndarray, shape (15,)
+        Errors of the accelerometers, columns of :func:`_error_columns`.
+    """
+
+    late_s: float
+    sigma_s: float
+    typical_s: float
+    turns: int
+    errors: Array
+
+
+@once
+def offset(evidence: Evidence) -> Offset | None:
+    """Time between the sensors; None if fewer than four turns show it."""
+    path, turns = swing(evidence), blocks(evidence)
+    if path is None or turns is None:
+        return None
+    chosen = [
+        equations
+        for s, e in pairwise(turns.starts.tolist())
+        if (equations := _equations(path, turns, s, e)) is not None
+    ]
+    n = len(chosen)
+    if n < _FEWEST_TURNS:
+        return None
+    # Errors of the accelerometers are those of all turns. Of every turn alone are the error of its start, that of the
+    # gyro's scale in its sense, and the offset: their scatter over the turns is that of everything not in here. What a
+    # turn alone decides is projected out, so that many turns cost no more than their sum.
+    projected = []
+    for columns, angle in chosen:
+        own, _ = np.linalg.qr(columns[:, :3])
+        rest = np.concatenate([columns[:, 3:], angle[:, None]], axis=1)
+        projected.append(rest - own @ (own.T @ rest))
+    stacked = np.concatenate(projected)
+    common = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=1e-9)[0]
+    late = np.array(
+        [
+            np.linalg.lstsq(columns[:, :3], angle - columns[:, 3:] @ common, rcond=1e-9)[0][0]
+            for columns, angle in chosen
+        ]
+    )
+    sigma = float(late.std(ddof=1)) / math.sqrt(n)
+    return Offset(float(late.mean()), sigma, float(np.median(late)), n, np.asarray(common))
+
+
+def _equations(path: Swing, turns: Blocks, s: int, e: int) -> tuple[Array, Array] | None:
+    """Equations of a sequence that is one turn about one horizontal axis: columns offset, start, scale, errors; angle.
+
+    None if it is not such a turn.
+    """
+    if e - s < 2 * _COARSE:
+        return None
+    rate = np.einsum("mab,mb->ma", path.attitude[s:e], path.rate[s:e])
+    total = rate.sum(axis=0) * turns.step_s
+    size = float(np.linalg.norm(total))
+    if size < 1.0 or size < 0.9 * float(np.linalg.norm(rate, axis=1).sum()) * turns.step_s:
+        return None
+    across = cross(total / size, path.up[s])
+    horizontal = float(np.linalg.norm(across))
+    if horizontal < 0.9:
+        return None
+    across /= horizontal
+    about = rate @ (total / size)
+    own = np.stack([about * horizontal, np.ones(e - s), np.cumsum(about) * turns.step_s], axis=1)
+    seen = _error_columns(across @ path.attitude[s:e], path.up_body[s:e], path.rate[s:e], turns.step_s)
+    return _coarser(np.concatenate([own, seen], axis=1)), _coarser(path.carried[s:e] @ across)
+
+
+def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array:
+    """How errors of the accelerometers change the specific force along a direction in B, over gravity; shape (n, 15).
+
+    Symmetric matrix (6), bias (3), asymmetry (3), and the place of the accelerometers off the axes of rotation (3), in
+    s². A rotation of the whole triad moves the angle of a turn by a constant, its start error.
+    """
+    change = np.gradient(rate, step_s, axis=0)
+    ahead = [1, 2, 0]
+    mixed = along * up[:, ahead] + along[:, ahead] * up
+    lever = cross(along, change) + cross(rate, cross(rate, along))
+    return np.concatenate([along * up, mixed, along, along * np.abs(up), lever], axis=1)
+
+
+def _expected(path: Swing, turns: Blocks, seen: Offset) -> Array:
+    """What an offset in time and the errors of the accelerometers change of the specific force in B, shape (m, 3)."""
+    e, up, rate = seen.errors, path.up_body, path.rate
+    symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
+    change = np.gradient(rate, turns.step_s, axis=0)  # sequences begin and end at rest
+    out = seen.typical_s * cross(rate, up) + up @ symmetric + e[6:9] + e[9:12] * np.abs(up)
+    return np.asarray(out + cross(change, e[12:]) + cross(rate, cross(rate, e[12:])))
+
+
+def _coarser(values: Array) -> Array:
+    n = len(values) // _COARSE
+    return np.asarray(values[: n * _COARSE].reshape(n, _COARSE, *values.shape[1:]).mean(axis=1))
+
+
+@check("sensor_time_offset")
+def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
+    """Ask whether the accelerometers see gravity turn later than the gyros do, in all turns alike."""
+    seen = offset(evidence)
+    if seen is None:
+        return
+    limit = -float(stdtrit(seen.turns - 1.0, 0.5 * FALSE_ALARM))
+    if abs(seen.late_s) > max(limit * seen.sigma_s, _LEAST_OFFSET * evidence.dt):
+        yield found("sensor_time_offset", offset_ms=1e3 * seen.late_s, sigma_ms=1e3 * seen.sigma_s)
+
+
+@check("samples_lost")
+def samples_lost(evidence: Evidence) -> Iterator[Finding]:
+    """Look for steps in what the gyros carry back; on a fixture, as a hand accelerates the unit in steps, too."""
+    path, turns = swing(evidence), blocks(evidence)
+    if path is None or turns is None or evidence.recording.fixture is None:
+        return
+    seen = offset(evidence)
+    speed = np.linalg.norm(cross(path.rate, path.up_body), axis=1)
+    moving = speed > _MOVING * speed.max()
+    left = path.carried - path.up
+    if seen is not None:
+        # An offset in time would make steps of the beginning and the end of a turn.
+        left -= np.einsum("mab,mb->ma", path.attitude, _expected(path, turns, seen))
+    left -= np.einsum("ma,ma->m", left, path.up)[:, None] * path.up
+    steps, whole = _steps(left, turns.starts)
+    places = np.flatnonzero(moving & whole)
+    height = np.linalg.norm(steps[places], axis=1)
+    if len(height) == 0:
+        return
+    # Most places hold no step: their median tells the noise of turns.
+    scale = float(np.median(height)) / _RAYLEIGH_MEDIAN
+    limit = math.sqrt(-2.0 * math.log(FALSE_ALARM / len(height))) * scale
+    best = int(np.argmax(height))
+    block = int(places[best])
+    if height[best] <= max(limit, _HALF_A_SAMPLE * speed[block] * evidence.dt):
+        return
+    yield found(
+        "samples_lost",
+        sequence=evidence.title(int(turns.sequence[block])),
+        time=float(evidence.recording.time[turns.first_sample[block]]) - evidence.dt,
+        angle_deg=math.degrees(float(height[best])),
+        duration=float(height[best] / speed[block]),
+    )
+
+
+def _steps(values: Array, starts: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
+    """Height of a step before each place, beside a straight line through its surroundings, shape (m, 3).
+
+    Also whether the surroundings all belong to one sequence, shape (m,).
+    """
+    shortest = int(np.diff(starts).min())
+    side = min(_SIDE, shortest // 4)
+    if side < 2:
+        return np.zeros_like(values), np.zeros(len(values), dtype=np.bool_)
+    x = np.arange(-side, side) + 0.5
+    weight = np.linalg.pinv(np.stack([np.ones(2 * side), x, x > 0.0], axis=1))[2]
+    steps = np.zeros_like(values)
+    for column in range(3):
+        steps[side : len(values) - side + 1, column] = np.convolve(values[:, column], weight[::-1], mode="valid")
+    place = np.arange(len(values)) - np.repeat(starts[:-1], np.diff(starts))
+    whole = (place >= side) & (place <= np.repeat(np.diff(starts), np.diff(starts)) - side)
+    return steps, whole

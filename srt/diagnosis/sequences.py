@@ -1,0 +1,318 @@
+"""Faults of sequences and labels: windows beside the stillness, turns that are not what their labels say."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt import closed_form
+from srt.catalogue import SEQUENCES
+from srt.diagnosis.findings import check, found
+from srt.diagnosis.turn_evidence import blocks, legs, nominal_sums, once, solved, sums, swing, triads
+from srt.exceptions import DataError
+from srt.segmentation import find_windows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+
+    Array = NDArray[np.float64]
+
+_BLOCK_S: Final = 0.1
+_MOVING: Final = 0.05
+"""Share of the rate of a turn above which a window is no stillness: a bump or a creep is slower by far."""
+_BESIDE_S: Final = 2.0 * _BLOCK_S
+"""The edges of the stillness found are a block or two inside the true ones."""
+_SLACK_S: Final = 0.03
+"""Time in each window by which a shift may be worse than the best one, if it is smaller."""
+_SOME_WINDOWS: Final = 40
+_FEW_WINDOWS: Final = 8
+"""Windows that a common shift is judged by, and those that it is proposed by: it is that of all of them."""
+_STILL: Final = 0.9
+"""Share of the labelled time that a common shift of the labels must bring to rest."""
+_FAR: Final = 1.0
+"""Squared distance between two sequences, in half turns and in faces: the nearest two of Table 1 are 2 apart (one
+half turn more, or about another axis), a unit with errors of 10 % is within 0.1 of its own."""
+_SIGMAS: Final = 6.0
+"""As calibration judges turns (:func:`srt.executed.wrong_turns`)."""
+_AGREE: Final = 0.5
+"""Share of an angle to which the accelerometers confirm it: an angle that the gyros alone are off by, because they
+lost it or have asymmetric scale factors, is off by all of it."""
+_NOTHING: Final = 1e-12
+"""Specific force, m/s², that any accelerometer at rest exceeds."""
+_SHORT: Final = 0.5
+"""Share of the median length below which a window limits its sequence: its mean is noisier by √2."""
+
+
+@check("labels_shifted")
+def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
+    """Compare labelled windows in which the unit turns with the stillness found in the samples."""
+    seen = _shift(evidence)
+    if seen is not None and evidence.data is not None:
+        yield found("labels_shifted", shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
+
+
+@once
+def _shift(evidence: Evidence) -> tuple[float, int] | None:
+    """Time by which labels are late, s, and the windows that it spoils; None if the labels are where they belong."""
+    data = evidence.data
+    if data is None or not evidence.labelled:
+        return None
+    turning = _turning(evidence)
+    if not turning.any():
+        return None
+    try:
+        still = find_windows(evidence.recording)
+    except DataError:
+        return None
+    time, dt, samples = evidence.recording.time, evidence.dt, data.windows.samples
+    rest = np.stack([time[still[:, 0]] - dt, time[still[:, 1] - 1]], axis=1)
+    labelled = np.stack([time[samples[:, 0]] - dt, time[samples[:, 1] - 1]], axis=1)
+    shift = _common_shift(labelled, rest)
+    if shift is not None:
+        return shift, int(turning.sum())
+    single = _intrusions(labelled[turning], rest)
+    single = single[np.abs(single) > _BESIDE_S]
+    return (float(np.median(single)), int(single.size)) if single.size else None
+
+
+def _turning(evidence: Evidence) -> NDArray[np.bool_]:
+    """Windows in which the rate goes through a fair part of that of the turns, shape (W,)."""
+    data = evidence.data
+    assert data is not None
+    size = max(1, round(_BLOCK_S / evidence.dt))
+    samples = data.windows.samples
+    in_turns, in_windows = np.empty(data.K), np.zeros(len(samples))
+    for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
+        first, last = int(samples[s, 0]), int(samples[e, 1])
+        count = (last - first) // size
+        means = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3).mean(axis=1)
+        in_turns[k] = _change(means)
+        for w in (s, e):
+            inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
+            in_windows[w] = _change(means[inside])
+    return np.asarray(in_windows > _MOVING * float(np.median(in_turns)))
+
+
+def _change(means: Array) -> float:
+    return float((means.max(axis=0) - means.min(axis=0)).max()) if len(means) else 0.0
+
+
+def _common_shift(labelled: Array, rest: Array) -> float | None:
+    """Smallest time by which all labels are late, s, if taking it off brings them to rest and nothing less does."""
+    some = labelled[np.unique(np.linspace(0, len(labelled) - 1, _SOME_WINDOWS).astype(int))]
+    # With the labels shifted by any of these an edge of a window and one of the stillness meet: the best is among them.
+    late = np.unique(np.append((some[:_FEW_WINDOWS, None, :, None] - rest[None, :, None, :]).ravel(), 0.0))
+    edges = rest.ravel()
+    still_until = np.repeat(np.concatenate([[0.0], np.cumsum(rest[:, 1] - rest[:, 0])]), 2)[1:-1]
+    until = np.interp(some[None] - late[:, None, None], edges, still_until)
+    at_rest = np.sum(until[:, :, 1] - until[:, :, 0], axis=1)
+    enough = late[at_rest >= at_rest.max() - _SLACK_S * len(some)]
+    best = float(enough[np.argmin(np.abs(enough))])
+    if at_rest.max() < _STILL * float(np.sum(some[:, 1] - some[:, 0])) or abs(best) <= _BESIDE_S:
+        return None
+    return best
+
+
+def _intrusions(labelled: Array, rest: Array) -> Array:
+    """Time by which single windows are late (or early, negative) against the stillness they share most with."""
+    out = []
+    for a, b in labelled.tolist():
+        shared = np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0])
+        low, high = rest[int(np.argmax(shared))].tolist()
+        late, early = max(0.0, b - high), max(0.0, low - a)
+        # What stands still on both sides of a knock is no wrong label, nor is a window that is too long.
+        beside = np.clip(np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0]), 0.0, None).sum() - shared.max()
+        if shared.max() > 0.0 and min(late, early) <= _BESIDE_S and beside < 0.5 * max(late, early):
+            out.append(late if late > early else -early)
+    return np.array(out)
+
+
+@check("labels_exchanged", "wrong_direction", "wrong_angle")
+def executed_otherwise(evidence: Evidence) -> Iterator[Finding]:
+    """Compare every turn with its label: another sequence, the other way round, another angle."""
+    data = evidence.data
+    if data is None or _shift(evidence) is not None:  # nothing fits labels that lie beside their turns
+        return
+    exchanged = _exchanged(evidence) if evidence.labelled else {}
+    if exchanged:
+        yield found(
+            "labels_exchanged",
+            labelled=", ".join(data.ids[k] for k in exchanged),
+            found=", ".join(exchanged.values()),
+            count=len(exchanged),
+            of=data.K,
+        )
+    numbers, nominal, turned = legs(evidence)
+    angle = np.linalg.norm(nominal, axis=1)
+    matrix = triads(evidence)[0]
+    done = np.einsum("la,la->l", solved(matrix, turned), nominal) / np.maximum(angle, 1e-300)
+    known = ~np.isin(numbers, list(exchanged))
+    # What was recognised in the samples has the direction that it has.
+    backwards = known & (done < -_AGREE * angle) & evidence.labelled
+    if backwards.any():
+        leg = int(np.flatnonzero(backwards)[0])
+        expected = _signed(nominal[leg])
+        yield found(
+            "wrong_direction",
+            title=_turn_title(evidence, leg),
+            found=math.degrees(math.copysign(done[leg], -expected)),
+            expected=math.degrees(expected),
+        )
+    known &= ~np.isin(numbers, numbers[backwards])
+    yield from _wrong_angles(evidence, known, done - angle)
+
+
+def _exchanged(evidence: Evidence) -> dict[int, str]:
+    """Places in the run whose turn and faces are those of another sequence, with its name."""
+    data, seen = evidence.data, sums(evidence)
+    assert data is not None
+    assert seen is not None
+    places = [k for k, name in enumerate(data.ids) if name in SEQUENCES]
+    if not places:
+        return {}
+    table = [nominal_sums(sequence) for sequence in SEQUENCES.values()]
+    signed, absolute, before, after = (np.array([row[i] for row in table]) for i in range(4))
+    names = list(SEQUENCES)
+    own = np.array([names.index(data.ids[k]) for k in places])
+    # Exchanging labels leaves the total that every axis turned as it is, hence the scales of the raw readings.
+    stated = absolute[own].sum(axis=0)
+    scale = np.where(stated > 1.0, seen.absolute[places].sum(axis=0) / np.maximum(stated, 1.0), 1.0)
+    gravity = float(np.median(np.linalg.norm(np.concatenate([seen.before, seen.after]), axis=1)))
+    if not (np.all(scale > 0.0) and gravity > 0.0):
+        return {}
+    distance = np.zeros((len(places), len(names)))
+    for measured, nominal, unit in (
+        (seen.signed / scale, signed, math.pi),
+        (seen.absolute / scale, absolute, math.pi),
+        (seen.before / gravity, before, 1.0),
+        (seen.after / gravity, after, 1.0),
+    ):
+        distance += np.sum((measured[places][:, None] - nominal) ** 2, axis=2) / unit**2
+    best = np.argmin(distance, axis=1)
+    rows = np.arange(len(places))
+    off = (best != own) & (distance[rows, own] > _FAR) & (distance[rows, best] < 0.5 * _FAR)
+    swapped = Counter(own[off].tolist()) == Counter(best[off].tolist())
+    # One that was turned the other way round is also another of Table 1 where that has both: unless the other one was
+    # turned like it in exchange, its direction is wrong and not its label.
+    opposite = np.all(np.abs(signed[own] + signed[best]) < 1e-9, axis=1) & np.all(before[own] == before[best], axis=1)
+    return {places[i]: names[best[i]] for i in np.flatnonzero(off & (swapped | ~opposite)).tolist()}
+
+
+def _wrong_angles(evidence: Evidence, known: NDArray[np.bool_], excess: Array) -> Iterator[Finding]:
+    """Turns of a fixture that are off, as the gyros and the accelerometers have it."""
+    fixture = evidence.recording.fixture
+    if fixture is None:
+        return
+    numbers, nominal, _ = legs(evidence)
+    allowed = _SIGMAS * math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)
+    off = np.flatnonzero(known & (np.abs(excess) > allowed))
+    left = _end_mismatch(evidence)
+    off = off[[left.get(int(k), math.inf) < _AGREE * abs(e) for k, e in zip(numbers[off], excess[off], strict=True)]]
+    if off.size == 0:
+        return
+    leg = int(off[np.argmax(np.abs(excess[off]))])
+    expected = _signed(nominal[leg])
+    yield found(
+        "wrong_angle",
+        title=_turn_title(evidence, leg),
+        found=math.degrees(expected + math.copysign(1.0, expected) * excess[leg]),
+        expected=math.degrees(expected),
+        count=len(off),
+    )
+
+
+def _end_mismatch(evidence: Evidence) -> dict[int, float]:
+    """Angle between the vertical carried through each sequence by the gyros and the one measured at its end, rad."""
+    data, path, turns = evidence.data, swing(evidence), blocks(evidence)
+    if data is None or path is None or turns is None:
+        return {}
+    _, accel, bias = triads(evidence)
+    last = turns.starts[1:] - 1
+    sequences = turns.sequence[last]
+    measured = solved(accel, evidence.rest_force[data.end[sequences]] - bias)
+    measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), _NOTHING)
+    carried = np.einsum("kab,kb->ka", path.attitude[last], measured)
+    angle = np.linalg.norm(carried - path.up[last], axis=1)
+    return dict(zip(sequences.tolist(), angle.tolist(), strict=True))
+
+
+def _signed(rotation: Array) -> float:
+    """Angle of a rotation about one axis, with its sign, rad."""
+    return float(rotation[np.argmax(np.abs(rotation))])
+
+
+def _turn_title(evidence: Evidence, leg: int) -> str:
+    """What a sentence that begins with a turn calls it."""
+    numbers = legs(evidence)[0]
+    k = int(numbers[leg])
+    title = evidence.title(k)
+    mine = np.flatnonzero(numbers == k)
+    if len(mine) > 1:
+        title = f"turn {leg - int(mine[0]) + 1} of {title}"
+    return title[0].upper() + title[1:]
+
+
+@check("sequence_missing")
+def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
+    """Ask the closed form what cannot be found from the sequences that are there."""
+    ids = _catalogue_ids(evidence)
+    if not ids:
+        return
+    held = set(evidence.options.held_names)
+    lost = [n for n in closed_form.missing_parameters(closed_form.formulas(set(ids))) if n not in held]
+    if not lost:
+        return
+    missing = [name for name in SEQUENCES if name not in ids]
+    several = len(missing) > 1
+    yield found(
+        "sequence_missing",
+        missing=f"Sequences {', '.join(missing)} are" if several else f"Sequence {missing[0]} is",
+        found=len(SEQUENCES) - len(missing),
+        parameters=", ".join(lost),
+        them="them" if several else "it",
+    )
+
+
+@check("sequence_repeated")
+def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
+    """Count the sequences."""
+    often = {name: count for name, count in Counter(_catalogue_ids(evidence)).items() if count > 1}
+    if often:
+        listed = ", ".join(f"{name} ({count} times)" for name, count in often.items())
+        yield found("sequence_repeated", sequences=listed)
+
+
+def _catalogue_ids(evidence: Evidence) -> list[str]:
+    """Sequences of Table 1 by name, in the order of the run; none without a fixture, where they mean nothing."""
+    if evidence.recording.fixture is None or evidence.data is None:
+        return []
+    return [name for name in evidence.data.ids if name in SEQUENCES]
+
+
+@check("window_short")
+def window_short(evidence: Evidence) -> Iterable[Finding]:
+    """Compare the windows of a fixture's sequences with their median; turns by hand have no planned length."""
+    data = evidence.data
+    if data is None or evidence.recording.fixture is None or _shift(evidence) is not None:
+        return
+    duration = data.windows.duration_s
+    typical = float(np.median(duration))
+    w = int(np.argmin(duration))
+    if duration[w] >= _SHORT * typical:
+        return
+    k = int(np.flatnonzero((data.start == w) | (data.end == w))[0])
+    yield found(
+        "window_short",
+        time=float(evidence.recording.time[data.windows.samples[w, 0]] - evidence.dt),
+        duration=float(duration[w]),
+        typical=typical,
+        sequence=evidence.title(k),
+    )

@@ -1,0 +1,202 @@
+"""Single readings that jump out from their neighbours, by the noise around them.
+
+A reading is predicted from the two before and the two after it by a cubic. Where these four do not agree among
+themselves on a slope, the unit moves in jerks and nothing is said; what is left is a reading with sound neighbours.
+A knock that turns the unit within one sample jumps out of the gyros in the same way, but it shows in several of them,
+and gravity stays turned by its angle afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.noise_estimation import smallest_step
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+
+    Array = NDArray[np.float64]
+
+_SIGMAS: Final = 7.5
+"""Of normal noise 6e-14 of the readings lie beyond; with noise known to 10 % as from 500 readings, 2e-11: 5e-6 of
+300 000 readings, 4e-4 of twenty million."""
+_JERK: Final = 3.0
+"""Jump over disagreement of the neighbours' slopes: a step or a kink of the motion gives at most 1."""
+_QUANTILE: Final = 0.9
+_NORMAL: Final = 1.6449
+"""Sigmas within which that share of a normal distribution lies."""
+_FOR_NOISE: Final = 500
+"""Readings of a stretch that its noise is taken from."""
+_FEW: Final = 8
+_FOR_STEP: Final = 4000
+"""Windows, or readings of the motion, that the step of the readings is taken from."""
+_ROUNDING: Final = 1e-9
+_BLOCK_S: Final = 0.1
+_SLOW: Final = 0.1
+_MISPLACED: Final = 2
+"""Windows in motion, from which the labels are taken to be wrong rather than the unit disturbed."""
+_MEAN_S: Final = 4.0
+_SEEN: Final = 3.0
+"""Sigmas of the change of gravity that a knock must cause, for the accelerometers to decide."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spikes:
+    """Single readings of one sequence that jump out.
+
+    Attributes
+    ----------
+    sample, channel : ndarray of int, shape (n,)
+        Sample, and channel 0 to 5: gyro x, y, z, accelerometer x, y, z.
+    jump : ndarray, shape (n,)
+        Reading less its prediction, as stored.
+    """
+
+    sample: NDArray[np.intp]
+    channel: NDArray[np.intp]
+    jump: Array
+
+
+_NONE: Final = Spikes(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0))
+
+
+def find_spikes(evidence: Evidence) -> Spikes:
+    """All single readings that jump out inside sequences, knocks left out."""
+    data = evidence.data
+    parts = [_NONE]
+    if data is not None:
+        least, windows = _least_noise(evidence), data.windows.samples
+        for k in np.flatnonzero(evidence.whole).tolist():
+            (a, turn), (still, b) = windows[data.start[k]].tolist(), windows[data.end[k]].tolist()
+            parts.append(_in_sequence(evidence, (a, turn, still, b), least))
+    sample, channel, jump = (
+        np.concatenate([part.sample for part in parts]),
+        np.concatenate([part.channel for part in parts]),
+        np.concatenate([part.jump for part in parts]),
+    )
+    if np.any(channel < 3) and _windows_in_motion(evidence) >= _MISPLACED:
+        # The windows lie beside the stillness, where a table also makes moves as short as a sample.
+        sample, channel, jump = sample[channel >= 3], channel[channel >= 3], jump[channel >= 3]
+    return Spikes(sample, channel, jump)
+
+
+def _windows_in_motion(evidence: Evidence) -> int:
+    """Windows in which the unit turns for a while, at a tenth of its fastest turn or more."""
+    assert evidence.data is not None
+    size = max(3, round(_BLOCK_S / evidence.dt))
+
+    def blocks(a: int, b: int) -> Array:
+        count = (b - a) // size
+        return np.asarray(np.median(evidence.recording.gyro[a : a + count * size].reshape(count, size, 3), axis=1))
+
+    rest = np.median(evidence.rest_rate, axis=0) / evidence.per_rate
+    fastest = [np.abs(blocks(a, b) - rest).max() for a, b in evidence.data.rotation.tolist() if b - a >= size]
+    slow = _SLOW * max(fastest, default=0.0)
+    windows = [blocks(a, b) for a, b in evidence.data.windows.samples.tolist() if b - a >= size]
+    return sum(bool(np.any(np.abs(rate - np.median(rate, axis=0)) > slow)) for rate in windows)
+
+
+def _least_noise(evidence: Evidence) -> Array:
+    """What the noise of each channel is at least, shape (6,): that at rest, the step of the readings, and rounding.
+
+    In a turn in which a channel is clipped, or pulses come evenly, hardly anything scatters.
+    """
+    assert evidence.data is not None
+    windows = [(a, min(b, a + _FOR_NOISE)) for a, b in evidence.data.windows.samples.tolist() if b - a > 8]
+    if not windows:
+        return np.full(6, np.inf)
+    out = []
+    for table in (evidence.recording.gyro, evidence.recording.accel):
+        # By the median, as a single window may be disturbed.
+        noise = np.median([_noise(np.abs(_off(table[a:b]))) for a, b in windows], axis=0)
+        some = table[:: max(1, len(table) // _FOR_STEP)]
+        out.append(np.maximum(np.maximum(noise, _step(table, windows, some)), _ROUNDING * np.abs(some).max()))
+    return np.concatenate(out)
+
+
+def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
+    """Step of the readings, by the median of a few windows; of motion, for channels that show none at rest."""
+    few = windows[:: max(1, len(windows) // _FEW)]
+    steps = np.array([smallest_step(table[a:b]) for a, b in few])
+    seen = np.array([np.median(s[s > 0.0]) if np.any(s > 0.0) else 0.0 for s in steps.T])
+    return seen if np.all(seen > 0.0) else np.where(seen > 0.0, seen, smallest_step(some))
+
+
+def _off(x: Array) -> Array:
+    """Readings less their prediction, without the first and last two, shape (n - 4, 3)."""
+    return np.asarray(x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - x[:-4] - x[4:]) / 6.0)
+
+
+def _noise(size: Array) -> Array:
+    """One sigma of columns from their magnitudes."""
+    some = size[:: max(1, len(size) // _FOR_NOISE)].T.copy()
+    rank = int(_QUANTILE * (some.shape[1] - 1))
+    return np.asarray(np.partition(some, rank, axis=1)[:, rank] / _NORMAL)
+
+
+def _in_sequence(evidence: Evidence, bounds: tuple[int, int, int, int], least: Array) -> Spikes:
+    """Spikes of one sequence: windows [a, turn) and [still, b), the rotation between them."""
+    a, turn, still, b = bounds
+    if b - a < 8:
+        return _NONE
+    tables = (evidence.recording.gyro, evidence.recording.accel)
+    off = np.concatenate([_off(table[a:b]) for table in tables], axis=1)
+    suspects = []
+    edges = np.array([0, turn - a - 2, still - a - 2, b - a - 4]).clip(0, b - a - 4)
+    by_hand = evidence.recording.fixture is None  # and knocked when it is set down
+    for part_of, (lo, hi) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
+        if hi - lo < 4 or (by_hand and part_of == 1):
+            continue
+        part = np.abs(off[lo:hi])
+        rows, channels = np.nonzero(part > _SIGMAS * np.maximum(_noise(part), least))
+        suspects.append((rows + lo, channels))
+    rows = np.concatenate([r for r, _ in suspects]) if suspects else np.zeros(0, dtype=np.intp)
+    channels = np.concatenate([c for _, c in suspects]) if suspects else np.zeros(0, dtype=np.intp)
+    sample = a + 2 + rows
+    around = np.array(
+        [[tables[c // 3][i + j, c % 3] for j in (-2, -1, 1, 2)] for i, c in zip(sample, channels, strict=True)]
+    ).reshape(-1, 4)
+    slopes = np.stack(
+        [around[:, 1] - around[:, 0], 0.5 * (around[:, 2] - around[:, 1]), around[:, 3] - around[:, 2]], axis=1
+    )
+    jump = off[rows, channels]
+    keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
+    sample, channels, jump = sample[keep], channels[keep], jump[keep]
+    sound = np.array([not _is_knock(evidence, bounds, i, sample, channels, off) for i in sample.tolist()], dtype=bool)
+    return Spikes(sample[sound], channels[sound], jump[sound])
+
+
+def _is_knock(
+    evidence: Evidence,
+    bounds: tuple[int, int, int, int],
+    at: int,
+    sample: NDArray[np.intp],
+    channels: NDArray[np.intp],
+    off: Array,
+) -> bool:
+    """Whether what jumps out at a sample of a window is the unit being turned in it: gravity then stays turned."""
+    a, turn, still, b = bounds
+    together = channels[sample == at]
+    if np.any(together >= 3) or turn <= at < still:
+        return False
+    first, last = (a, turn) if at < turn else (still, b)
+    most = max(1, round(_MEAN_S / evidence.dt))
+    before, after = slice(max(first, at - most), at), slice(at + 1, min(last, at + 1 + most))
+    fewest = min(before.stop - before.start, after.stop - after.start)
+    if fewest < 2:
+        return len(together) > 1
+    force = evidence.recording.accel
+    mean = force[before].mean(axis=0)
+    change = force[after].mean(axis=0) - mean
+    noise = np.std(np.diff(force[before], axis=0), axis=0) / np.sqrt(fewest)
+    angle = off[at - a - 2, :3] * evidence.per_rate * evidence.dt
+    turned = np.cross(mean, angle)
+    sigma = float(np.linalg.norm(noise * turned)) / max(float(np.linalg.norm(turned)), 1e-300)
+    if np.linalg.norm(turned) < _SEEN * sigma:
+        return len(together) > 1
+    return bool(change @ turned > 0.5 * (turned @ turned))

@@ -1,0 +1,341 @@
+"""What was turned: sums of every turn, the triads by robust linear fits, and specific force carried back by the gyros.
+
+Nothing here trusts a single label: fits are by absolute deviations first, so that a few sequences that were run
+otherwise than labelled do not bend them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, wraps
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+
+from srt import quaternion
+from srt.executed import end_attitude
+from srt.playback_data import nominal_attitude
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from srt.catalogue import Sequence
+    from srt.diagnosis.evidence import Evidence
+
+    Array = NDArray[np.float64]
+
+_T = TypeVar("_T")
+_STEP_S: Final = 0.01
+"""Samples are summed up to this: a turn at 1 rad/s goes 10 mrad in it."""
+_MARGIN_S: Final = 0.5
+"""Of stillness before and after a turn that is looked at with it."""
+_MOVING: Final = 0.2
+"""Share of a sequence's highest rate above which it turns."""
+_SHORTEST_RUN: Final = 0.02
+"""Share of a sequence that a rotation takes at least."""
+_ROUNDS: Final = 12
+_MANY_WINDOWS: Final = 12
+"""Three times as many as a bias and three slopes have unknowns."""
+_SOUND: Final = 10.0
+"""Condition of a triad's matrix beyond which the fit has gone wrong."""
+
+
+def once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
+    """Keep what was worked out with the evidence that it was worked out from."""
+    key = f"_{work.__module__}.{work.__name__}"
+
+    @wraps(work)
+    def kept(evidence: Evidence) -> _T:
+        store: dict[str, Any] = vars(evidence)
+        if key not in store:
+            store[key] = work(evidence)
+        result: _T = store[key]
+        return result
+
+    return kept
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross product along the last axis; shapes broadcast (numpy's own takes ten times as long for a few vectors)."""
+    ahead, behind = [1, 2, 0], [2, 0, 1]
+    return np.asarray(a[..., ahead] * b[..., behind] - a[..., behind] * b[..., ahead])
+
+
+def solved(matrix: Array, readings: Array) -> Array:
+    """True values of readings ``matrix @ value``, both of shape (n, 3)."""
+    return np.asarray(readings @ np.linalg.inv(matrix).T)
+
+
+@cache
+def end_of(sequence: Sequence) -> Array:
+    """Nominal attitude at the end of a sequence, worked out once; not to be changed."""
+    return end_attitude(sequence)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """Every turn as a whole, raw.
+
+    Attributes
+    ----------
+    signed, absolute : ndarray, shape (K, 3), rad
+        Gyro reading less the mean of both windows, summed over the turn as it is and as absolute values.
+    before, after : ndarray, shape (K, 3), m/s²
+        Mean accelerometer reading of the windows.
+    """
+
+    signed: Array
+    absolute: Array
+    before: Array
+    after: Array
+
+
+@once
+def sums(evidence: Evidence) -> Sums | None:
+    """Sums of all sequences; None if there are none."""
+    data = evidence.data
+    if data is None:
+        return None
+    recording, rest = evidence.recording, evidence.rest_rate
+    signed, absolute = np.empty((data.K, 3)), np.empty((data.K, 3))
+    for k, (a, b) in enumerate(data.rotation.tolist()):
+        bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
+        interval = recording.interval_s
+        steps: float | Array = interval if isinstance(interval, float) else interval[a:b, None]
+        angle = recording.gyro[a:b] * (steps if recording.kind == "rate" else 1.0) - bias * steps
+        signed[k] = angle.sum(axis=0)
+        absolute[k] = np.abs(angle, out=angle).sum(axis=0)
+    force = evidence.rest_force
+    return Sums(signed, absolute, force[data.start], force[data.end])
+
+
+@cache
+def nominal_sums(sequence: Sequence) -> tuple[Array, Array, Array, Array]:
+    """What a perfect unit shows of a sequence: signed and absolute sums (rad), and up before and after it."""
+    vectors = sequence.axes * sequence.angles_rad[:, None]
+    up = -nominal_attitude(sequence)[2]
+    return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, end_of(sequence).T @ up
+
+
+@once
+def bias_per_force(evidence: Evidence) -> Array:
+    """Change of the raw rate at rest with the raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, Earth's rate.
+
+    Zero where the windows do not show it. Between two windows of a sequence the unit stands in faces that neither of
+    them has.
+    """
+    data = evidence.data
+    if data is None or len(evidence.rest_force) < _MANY_WINDOWS:
+        return np.zeros((3, 3))
+    design = np.hstack([evidence.rest_force / data.gravity, np.ones((len(evidence.rest_force), 1))])
+    if np.linalg.matrix_rank(design, tol=0.1) < design.shape[1]:
+        return np.zeros((3, 3))
+    return robust_fit(design, evidence.rest_rate)[:3].T / data.gravity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """Raw readings through the turns, in means over about 10 ms, with half a second of stillness around each turn.
+
+    Attributes
+    ----------
+    sequence : ndarray of int, shape (m,)
+        Of each block; only sequences without a gap.
+    starts : ndarray of int, shape (K' + 1,)
+        First block of each of the K' sequences, and one past the last of all.
+    first_sample : ndarray of int, shape (m,)
+    step_s : float
+        Length of a block.
+    rate : ndarray, shape (m, 3), rad/s
+        Less the mean of the sequence's windows, and what specific force changes of it.
+    force : ndarray, shape (m, 3), m/s²
+    """
+
+    sequence: NDArray[np.intp]
+    starts: NDArray[np.intp]
+    first_sample: NDArray[np.intp]
+    step_s: float
+    rate: Array
+    force: Array
+
+
+@once
+def blocks(evidence: Evidence) -> Blocks | None:
+    """Readings through all turns; None if there are none."""
+    data = evidence.data
+    if data is None or not evidence.whole.any():
+        return None
+    recording, per_force = evidence.recording, bias_per_force(evidence)
+    rest = evidence.rest_rate - evidence.rest_force @ per_force.T
+    size = max(1, round(_STEP_S / evidence.dt))
+    margin = round(_MARGIN_S / evidence.dt)
+    sequences = np.flatnonzero(evidence.whole)
+    first: list[NDArray[np.intp]] = []
+    rate: list[Array] = []
+    force: list[Array] = []
+    for k in sequences.tolist():
+        (low, a), (b, high) = data.windows.samples[[data.start[k], data.end[k]]].tolist()
+        begin = max(low, a - margin)
+        count = (min(high, b + margin) - begin) // size
+        for values, means in ((recording.gyro, rate), (recording.accel, force)):
+            mean = values[begin : begin + count * size].reshape(count, size, 3).mean(axis=1)
+            means.append(mean * evidence.per_rate if evidence.per_rate != 1.0 else mean)
+        rate[-1] -= force[-1] @ per_force.T + 0.5 * (rest[data.start[k]] + rest[data.end[k]])
+        first.append(begin + size * np.arange(count))
+    lengths = [len(part) for part in first]
+    return Blocks(
+        np.repeat(sequences, lengths),
+        np.concatenate([[0], np.cumsum(lengths)]),
+        np.concatenate(first),
+        size * evidence.dt,
+        np.concatenate(rate),
+        np.concatenate(force),
+    )
+
+
+@once
+def legs(evidence: Evidence) -> tuple[NDArray[np.intp], Array, Array]:
+    """Single rotations of the sequences that have the number of them that their label says.
+
+    A rotation begins where the turning axis changes, or where the unit stood between two about one axis.
+
+    Returns
+    -------
+    sequence : ndarray of int, shape (L,)
+    nominal, turned : ndarray, shape (L, 3), rad
+        Stated rotation, signed angle times axis, and the raw reading of it.
+    """
+    data, path = evidence.data, blocks(evidence)
+    numbers, nominal, turned = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 3))], [np.zeros((0, 3))]
+    if data is None or path is None:
+        return numbers[0], nominal[0], turned[0]
+    for s, e in pairwise(path.starts.tolist()):
+        k = int(path.sequence[s])
+        sequence = data.catalogue[k]
+        if sequence is None:
+            continue
+        cuts = _cuts(path.rate[s:e])
+        if len(cuts) == len(sequence.rotations):
+            numbers.append(np.full(len(cuts), k))
+            nominal.append(sequence.axes * sequence.angles_rad[:, None])
+            turned.append(np.add.reduceat(path.rate[s:e], cuts, axis=0) * path.step_s)
+    return np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned)
+
+
+def _cuts(rate: Array) -> NDArray[np.intp]:
+    """First block of each rotation of a sequence, the first one from the start of all blocks."""
+    size = np.abs(rate)
+    speed = size.max(axis=1)
+    axis = np.where(speed > _MOVING * speed.max(), np.argmax(size, axis=1), -1)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1, [len(axis)]])
+    runs = [(a, b) for a, b in pairwise(edges.tolist()) if axis[a] >= 0 and b - a > _SHORTEST_RUN * len(axis)]
+    # Stillness between two rotations is shared by them.
+    return np.array([0, *((before[1] + after[0]) // 2 for before, after in pairwise(runs))], dtype=np.intp)
+
+
+@once
+def triads(evidence: Evidence) -> tuple[Array, Array, Array]:
+    """Raw gyro matrix, and raw accelerometer matrix and bias (m/s²), over the nominal frame.
+
+    The unit matrix and zero where no fixture says what was turned, or too few directions were seen.
+    """
+    gyro: Array = np.eye(3)
+    accel: Array = np.eye(3)
+    bias: Array = np.zeros(3)
+    if evidence.data is None:
+        return gyro, accel, bias
+    _, nominal, turned = legs(evidence)
+    angle = np.linalg.norm(nominal, axis=1, keepdims=True)
+    if len(angle) and np.linalg.matrix_rank(nominal, tol=0.1) == 3:
+        # By angle: full turns shall not outweigh the many half ones.
+        gyro = robust_fit(nominal / angle, turned / angle).T
+    vertical, reading = evidence.poses
+    gravity = evidence.data.gravity
+    design = np.hstack([vertical / gravity, np.ones((len(vertical), 1))])
+    if np.linalg.matrix_rank(design, tol=0.1) == 4:
+        solution = robust_fit(design, reading)
+        accel, bias = solution[:3].T / gravity, solution[3]
+    usable = all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel))
+    return (gyro, accel, bias) if usable else (np.eye(3), np.eye(3), np.zeros(3))
+
+
+def robust_fit(x: Array, y: Array) -> Array:
+    """Solve ``y ≈ x @ b`` for the smallest sum of lengths of the residuals (least absolute deviations), by reweighting.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, p)
+    y : ndarray, shape (n, 3)
+
+    Returns
+    -------
+    ndarray, shape (p, 3)
+    """
+    weight = np.ones(len(x))
+    floor = 1e-9 * float(np.abs(y).max(initial=1e-300))
+    solution: NDArray[np.floating[Any]] = np.zeros((x.shape[1], y.shape[1]))
+    for _ in range(_ROUNDS):
+        solution = np.asarray(np.linalg.lstsq(x * weight[:, None], y * weight[:, None], rcond=None)[0])
+        weight = 1.0 / np.sqrt(np.maximum(np.linalg.norm(y - x @ solution, axis=1), floor))
+    return np.asarray(solution, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swing:
+    """Specific force through the turns, carried back to the start of each sequence by the gyros, block by block.
+
+    Attributes
+    ----------
+    attitude : ndarray, shape (m, 3, 3)
+        B to B_Strt at the middle of the block.
+    rate : ndarray, shape (m, 3), rad/s
+        In B, less that at rest.
+    force : ndarray, shape (m, 3)
+        In B, over gravity.
+    up : ndarray, shape (m, 3)
+        Measured vertical at the start of the block's sequence, unit vectors in B_Strt.
+    up_body : ndarray, shape (m, 3)
+        The same in B, as the gyros have it.
+    carried : ndarray, shape (m, 3)
+        Specific force in B_Strt over gravity, which a perfect unit sees constant.
+    """
+
+    attitude: Array
+    rate: Array
+    force: Array
+    up: Array
+    up_body: Array
+    carried: Array
+
+
+@once
+def swing(evidence: Evidence) -> Swing | None:
+    """Specific force through all turns; None if there are none."""
+    data, path = evidence.data, blocks(evidence)
+    if data is None or path is None:
+        return None
+    gyro, accel, bias = triads(evidence)
+    rate = solved(gyro, path.rate)
+    angle = rate * path.step_s
+    attitude = _attitudes(angle, path.starts)
+    vertical = solved(accel, evidence.rest_force[data.start] - bias)
+    size = np.linalg.norm(vertical, axis=1, keepdims=True)
+    up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)
+    force = solved(accel, path.force - bias) / data.gravity
+    up = up[path.sequence]
+    up_body = np.einsum("ma,mab->mb", up, attitude)
+    return Swing(attitude, rate, force, up, up_body, np.einsum("mab,mb->ma", attitude, force))
+
+
+def _attitudes(angle: Array, starts: NDArray[np.intp]) -> Array:
+    """Attitude at the middle of every step of chains of rotation vectors, against the start of each; (n, 3, 3)."""
+    half = quaternion.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
+    ends = quaternion.prefix_product(quaternion.multiply(half, half))
+    begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
+    # All chains are one: taken back to the start of each, and from the end of a step half of it back.
+    back = np.repeat(quaternion.conjugate(begins), np.diff(starts), axis=1)
+    middle = quaternion.multiply(quaternion.multiply(back, ends), quaternion.conjugate(half))
+    return np.ascontiguousarray(np.moveaxis(quaternion.to_matrix(middle), 2, 0))

@@ -1,0 +1,181 @@
+"""The unit itself: temperature, drift, noise, and an asymmetry that was left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import stdtrit
+
+from srt.catalogue import AXES
+from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
+from srt.diagnosis.findings import Finding, check, found
+from srt.diagnosis.noise_evidence import Sensor, shown_noise
+from srt.diagnosis.rest_evidence import RestFit, rest_fit
+from srt.exceptions import DataError
+from srt.options import Options
+from srt.sensor_errors import GROUP_SLICES, NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+    from srt.diagnosis.evidence import Evidence
+    from srt.playback_data import PlaybackData
+
+    Array = NDArray[np.float64]
+
+BENCH_C: Final = (-60.0, 90.0)
+"""Below and above this no unit is tested: parts are made for -40 to 85 °C, military ones to -55 °C."""
+_OTHER_UNITS: Final = (
+    (150.0, "degrees Fahrenheit"),
+    (200.0, "tenths of a degree, or raw counts"),
+    (400.0, "kelvin"),
+    (1000.0, "tenths of a degree, or raw counts"),
+    (10_000.0, "hundredths of a degree, or raw counts"),
+    (np.inf, "thousandths of a degree, or raw counts"),
+)
+"""What the highest temperature looks like, up to a limit."""
+STEADY_C: Final = 2.0
+"""Sequences whose mean temperatures lie within this are at one temperature: ±1 °C is what data sheets call constant."""
+FALSE_ALARM: Final = 2e-5
+"""Probability of naming a sound unit for one of the things here: some twenty such questions are asked of a recording,
+and one of a hundred sound recordings may raise any."""
+NOISE_RATIO: Final = 1.5
+"""Noise between the stated figure over this and times this is as stated: units of one kind differ by as much."""
+_NO_ASYMMETRY = NAMES[GROUP_SLICES["gyro_asymmetry"]]
+
+
+@check("temperature_unit", "temperature_drift")
+def temperature(evidence: Evidence) -> Iterator[Finding]:
+    """Range of the temperatures; means by sequence."""
+    T = evidence.recording.temperature
+    if T is None:
+        return
+    low, high = float(T.min()), float(T.max())
+    if low < BENCH_C[0] or high > BENCH_C[1]:
+        unit = "raw counts" if low < BENCH_C[0] else next(name for limit, name in _OTHER_UNITS if high <= limit)
+        yield found("temperature_unit", low=low, high=high, unit=unit)
+        return
+    data = evidence.data
+    if data is None:
+        return
+    samples = data.windows.samples
+    first, last = samples[data.start, 0], samples[data.end, 1]
+    by_sequence = np.array([T[a:b].mean() for a, b in zip(first.tolist(), last.tolist(), strict=True)])
+    if np.ptp(by_sequence) > STEADY_C:
+        yield found(
+            "temperature_drift",
+            first=float(by_sequence[np.argmin(first)]),
+            last=float(by_sequence[np.argmax(last)]),
+            range=float(np.ptp(by_sequence)),
+            mean=float(T.mean()),
+        )
+
+
+@check("gyro_bias_drift")
+def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
+    """Trend of the rates at rest over time, once g-sensitivity and the Earth's rate are taken off."""
+    fit = rest_fit(evidence)
+    if fit is None:
+        return
+    ratio = np.abs(fit.drift) / fit.drift_sigma
+    axis = int(np.argmax(ratio))
+    if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
+        yield found("gyro_bias_drift", axis=AXES[axis], change_deg_h=float(fit.drift[axis] / DEG_PER_H))
+
+
+@check("gyro_noise")
+def gyro_noise(evidence: Evidence) -> Iterator[Finding]:
+    """White noise of the gyros in the windows against the one stated."""
+    yield from _noise(evidence, "gyro", DEG_PER_SQRT_H, ("Gyro {} shows", "The gyros show"))
+
+
+@check("accel_noise")
+def accel_noise(evidence: Evidence) -> Iterator[Finding]:
+    """White noise of the accelerometers in the windows against the one stated."""
+    yield from _noise(evidence, "accel", MICRO_G, ("Accelerometer {} shows", "The accelerometers show"))
+
+
+def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str, str]) -> Iterator[Finding]:
+    shown = shown_noise(evidence, sensor)
+    if shown is None:
+        return
+    ratio = shown.found / shown.stated
+    # Either sense, three channels and all of them together.
+    odd = np.where(ratio > 1.0, shown.more, shown.less) < FALSE_ALARM / 8.0
+    odd &= (ratio > NOISE_RATIO) | (ratio < 1.0 / NOISE_RATIO)
+    if not odd.any():
+        return
+    # The triad is named if it is odd as a whole, else the channel that is farthest off.
+    distance = np.abs(np.log(np.maximum(ratio, 1e-9)))
+    which = 3 if odd[3] else int(np.argmax(np.where(odd, distance, -1.0)))
+    yield found(
+        f"{sensor}_noise",
+        who=subjects[1] if which == 3 else subjects[0].format(AXES[which]),
+        found=float(shown.found[which] / unit),
+        stated=shown.stated / unit,
+    )
+
+
+@check("asymmetry_omitted", needs_result=True)
+def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
+    """Asymmetry of the gyros as a calibration with it finds it, where the one made holds it."""
+    if not set(_NO_ASYMMETRY) <= set(evidence.options.held_names) or evidence.data is None:
+        return
+    held = evidence.result
+    fit = rest_fit(evidence)
+    if held is None or held.status not in ("converged", "partial") or fit is None:
+        return
+    free = _with_asymmetry(evidence, fit)
+    if free is None or free.status not in ("converged", "partial"):
+        return
+    part = GROUP_SLICES["gyro_asymmetry"]
+    chi_square, freedom = free.noise["chi_square"], free.noise["degrees_of_freedom"]
+    inflation = max(1.0, chi_square / freedom) if freedom > 0 else 1.0
+    sigma = np.sqrt(inflation * free.sigma[part] ** 2 + _of_g_sensitivity(evidence.data, fit) ** 2)
+    off = free.errors.vector[part] - held.errors.vector[part]
+    with np.errstate(invalid="ignore"):
+        ratio = np.nan_to_num(np.abs(off) / sigma)  # an asymmetry that is not observed has no sigma
+    axis = int(np.argmax(ratio))
+    if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
+        yield found(
+            "asymmetry_omitted",
+            axis=AXES[axis],
+            found_ppm=float(free.errors.vector[part][axis] * 1e6),
+            sigma_ppm=float(sigma[axis] * 1e6),
+            held_ppm=float(held.errors.vector[part][axis] * 1e6),
+        )
+
+
+def _with_asymmetry(evidence: Evidence, fit: RestFit) -> Calibration | None:
+    """Calibrate with asymmetry, from gyro readings less their g-sensitivity.
+
+    A g-sensitivity is a bias that the windows show and the turn, over which gravity turns too, does not: of a pair of
+    turns in both senses it leaves a false asymmetry.
+    """
+    from srt.estimation import automatic_estimator, find_estimator
+
+    recording = evidence.recording
+    latitude = recording.site.latitude_rad
+    vertical = 0.0 if latitude is None else -EARTH_RATE_RAD_S * float(np.sin(latitude))
+    # The specific force at rest is -g times the downward vertical, per increment as per rate.
+    gyro = recording.gyro + recording.accel @ (fit.gamma(vertical).T / recording.site.gravity_m_s2)
+    changed = replace(recording, gyro=gyro, sequences=evidence.labels)
+    # What other estimators are told beside is no matter of this one.
+    options = Options(hold=tuple(name for name in evidence.options.hold if name not in _NO_ASYMMETRY))
+    try:
+        return find_estimator(automatic_estimator(changed))(changed, options)
+    except (DataError, np.linalg.LinAlgError):
+        return None
+
+
+def _of_g_sensitivity(data: PlaybackData, fit: RestFit) -> float:
+    """One sigma of asymmetry from that of the g-sensitivity: a rate through a full turn."""
+    samples, rotation = data.windows.samples, data.rotation
+    duration = float(np.median(rotation[:, 1] - rotation[:, 0])) * data.recording.nominal_interval_s
+    assert len(samples) > 0
+    return float(np.max(fit.g_sensitivity_sigma)) * duration / (2.0 * np.pi)

@@ -1,0 +1,215 @@
+"""Units, kinds, values of a count and sample rates: factors by which all that is read is off.
+
+Units are factors of their own, mostly far beyond what an uncalibrated unit (half of scale error) could read, so that
+the nearest one is named. Ranges (powers of two) and sample rates lie among what such a unit may read, and are told by
+how alike its axes are: errors of its making differ from axis to axis, a wrong factor does not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
+from srt.diagnosis.findings import check, found
+from srt.diagnosis.range_evidence import clipped_parts
+from srt.diagnosis.scale_evidence import Scales, accel_scales, gyro_scales, rest_spread
+from srt.recording_checks import LEGAL_RATIO
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+
+    Array = NDArray[np.float64]
+
+_G: Final = STANDARD_GRAVITY_M_S2
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """One wrong unit: what readings are multiplied by, what they are, and what they are declared as."""
+
+    fault: str
+    factor: float
+    unit: str
+    declared: str
+    rates_only: bool = True
+
+
+_GYRO_UNITS: Final = (
+    _Unit("gyro_degrees", 1.0 / DEG, "degrees", "radians", rates_only=False),
+    _Unit("gyro_radians", DEG, "radians", "degrees", rates_only=False),
+    _Unit("gyro_per_hour", 1.0 / DEG_PER_H, "deg/h", "rad/s"),
+    _Unit("gyro_per_hour", DEG / DEG_PER_H, "deg/h", "deg/s"),
+    _Unit("gyro_per_hour", DEG_PER_H / DEG, "deg/s", "deg/h"),
+    _Unit("gyro_per_hour", DEG_PER_H, "rad/s", "deg/h"),
+)
+_ACCEL_UNITS: Final = (
+    _Unit("accel_g", 1.0 / _G, "g", "m/s²", rates_only=False),
+    _Unit("accel_g", 1e-3, "g", "mg"),
+    _Unit("accel_mg", 1e3 / _G, "mg", "m/s²", rates_only=False),
+    _Unit("accel_mg", 1e3, "mg", "g"),
+    _Unit("accel_m_s2", _G, "m/s²", "g", rates_only=False),
+    _Unit("accel_m_s2", 1e-3 * _G, "m/s²", "mg"),
+)
+_MATCH: Final = math.log(1.8)
+"""Within this a factor is recognised through the errors of an uncalibrated unit."""
+_BOTH: Final = math.log(1.5)
+"""Within this gyros and accelerometers are off by one and the same factor."""
+_TIGHT: Final = 0.07
+"""Within this whole numbers are a unit rather than counts: mg are often logged without decimals, and pulses of a part
+of an arc second are whole numbers of deg/h (but not every whole number)."""
+_POWERS: Final = tuple(k for k in range(-4, 5) if k)
+"""Ranges of one unit are 16 apart at most (125 to 2000 °/s, 2 to 32 g)."""
+_NEAR_POWER: Final = 0.04
+_LIKE_POWER: Final = 0.05
+"""How near to a power of two (logarithms), and how alike: of uncalibrated MEMS (1.5 % one sigma) 1e-5 differ by more,
+of units off by tens of per cent 1e-4 look like it by chance."""
+_SPREADS: Final = 8.0
+"""Common factor over the spread of the axes, from which it is no chance: of three independent errors the mean is so
+large in 0.5 % of all units, whatever their class, but with the next figure only in those off by tens of per cent."""
+_COMMON: Final = 0.05
+"""Common scale error that no class of units has: sensitivities of uncalibrated MEMS are given to 3 % (two sigma)."""
+_SURE: Final = 57.7
+"""Likewise for 1e-4 of all units: Student's t of two degrees of freedom is beyond 100, over √3."""
+_ON_EARTH: Final = 0.01
+"""Gravity differs by no more than this from 9.80 m/s² anywhere on the Earth's surface (9.76 to 9.84)."""
+_WHOLE: Final = 1e-6
+_READINGS: Final = 4000
+_FEWEST_COUNTS: Final = 10.0
+_MOST_COUNTS: Final = 2.0**52
+
+
+@check(
+    "increments_as_rates",
+    "rates_as_increments",
+    "gyro_degrees",
+    "gyro_radians",
+    "gyro_per_hour",
+    "gyro_counts",
+    "accel_g",
+    "accel_mg",
+    "accel_m_s2",
+    "accel_counts",
+    "gyro_lsb",
+    "accel_lsb",
+)
+def wrong_units(evidence: Evidence) -> Iterator[Finding]:
+    """One factor on all readings of a triad: first of both together, then of each."""
+    gyro, accel = gyro_scales(evidence), accel_scales(evidence)
+    if rest_spread(evidence) > _MATCH:
+        accel = Scales(math.nan, np.full(3, np.nan), math.nan)  # windows in motion: nothing is known of rest
+    kind = _wrong_kind(evidence, gyro, accel)
+    if kind is not None:
+        yield kind
+        return
+    rates = evidence.recording.kind == "rate"
+    for sensor, scales, units, wholes in (
+        ("gyro", gyro, _GYRO_UNITS, (1.0, DEG, DEG_PER_H)[: 3 if rates else 2]),
+        ("accel", accel, _ACCEL_UNITS, (1.0, _G, 1e-3 * _G)[: 3 if rates else 1]),
+    ):
+        if not scales.known or LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
+            power = _power_of_two(scales)
+            if power is not None:
+                yield found(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
+            continue
+        off = math.log(scales.typical)
+        nearest = min((u for u in units if rates or not u.rates_only), key=lambda u: abs(off - math.log(u.factor)))
+        distance = abs(off - math.log(nearest.factor))
+        step = _common_step(getattr(evidence.recording, sensor), wholes)
+        if (step and distance > _TIGHT) or (step == 1 and sensor == "gyro"):
+            yield found(f"{sensor}_counts", **_fields(evidence, sensor, scales, None))
+            continue
+        power = _power_of_two(scales)
+        if power is not None and abs(scales.common - math.log(power)) < distance:
+            yield found(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
+        elif distance < _MATCH:
+            yield found(nearest.fault, **_fields(evidence, sensor, scales, nearest))
+
+
+def _wrong_kind(evidence: Evidence, gyro: Scales, accel: Scales) -> Finding | None:
+    """Increments and rates taken for each other: both triads are off by the sampling interval."""
+    if not (gyro.known and accel.known):
+        return None
+    rates = evidence.recording.kind == "rate"
+    factor = math.log(evidence.dt) if rates else -math.log(evidence.dt)
+    turned, rest = math.log(gyro.typical), math.log(accel.typical)
+    illegal = not LEGAL_RATIO[0] < gyro.typical < LEGAL_RATIO[1]
+    if not illegal or abs(turned - rest) > _BOTH or max(abs(turned - factor), abs(rest - factor)) > _MATCH:
+        return None
+    return found(
+        "increments_as_rates" if rates else "rates_as_increments",
+        accel=accel.typical * evidence.recording.site.gravity_m_s2,
+        turn=gyro.typical,
+        interval=evidence.dt,
+    )
+
+
+def _fields(evidence: Evidence, sensor: str, scales: Scales, unit: _Unit | None) -> dict[str, object]:
+    gravity = evidence.recording.site.gravity_m_s2
+    names = {} if unit is None else {"unit": unit.unit, "declared": unit.declared}
+    if sensor == "accel":
+        return {"found": scales.typical * gravity, "expected": gravity, **names}
+    return {"ratio": scales.typical, "title": _first_turn(evidence), **names}
+
+
+def _first_turn(evidence: Evidence) -> str:
+    """What sentences call the first turn that was compared."""
+    if evidence.data is None:
+        return "free turns"
+    numbers, _, _ = evidence.legs
+    return evidence.title(int(numbers[0])) if len(numbers) else "free turns"
+
+
+def _common_step(table: Array, units: tuple[float, ...]) -> int:
+    """Greatest whole number of which all readings are multiples, in one of some units; 0 if they are not whole."""
+    some = table[:: max(1, len(table) // _READINGS)]
+    for unit in units:
+        numbers = some / unit
+        nearest = np.rint(numbers)
+        if np.abs(numbers - nearest).max() < _WHOLE and _FEWEST_COUNTS <= np.ptp(nearest) < _MOST_COUNTS:
+            return int(np.gcd.reduce(nearest.astype(np.int64), axis=None))
+    return 0
+
+
+def _power_of_two(scales: Scales) -> float | None:
+    """Power of two that all axes are off by alike."""
+    if not scales.by_axis:
+        return None
+    nearest = min(_POWERS, key=lambda k: abs(scales.common - k * math.log(2.0)))
+    off = abs(scales.common - nearest * math.log(2.0))
+    return 2.0**nearest if off < _NEAR_POWER and scales.unlike < _LIKE_POWER else None
+
+
+@check("sample_rate")
+def sample_rate(evidence: Evidence) -> Iterator[Finding]:
+    """All axes of the triad that is multiplied or divided by the interval are off by one factor, no power of two."""
+    rates = evidence.recording.kind == "rate"
+    scales = gyro_scales(evidence) if rates else accel_scales(evidence)
+    if not scales.by_axis or not LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
+        return
+    common, unlike = scales.common, scales.unlike
+    if not rates:
+        # Stated gravity may be wrong, but not by more than gravity differs.
+        common = math.copysign(max(abs(common) - _ON_EARTH, 0.0), common)
+    sure = abs(common) > _SURE * unlike or (abs(common) > _COMMON and abs(common) > _SPREADS * unlike)
+    if not sure or _power_of_two(scales) is not None:
+        return
+    if rates and any(part.channel.startswith("gyro") for _, parts in clipped_parts(evidence) for part in parts):
+        return
+    stated, ratio = 1.0 / evidence.dt, math.exp(scales.common)
+    yield found(
+        "sample_rate",
+        sensor="gyros" if rates else "accelerometers",
+        ratio=ratio,
+        spread=float(np.std(np.log(scales.axes), ddof=1)),
+        rate=stated * ratio if rates else stated / ratio,
+        stated=stated,
+    )

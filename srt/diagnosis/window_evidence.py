@@ -1,0 +1,193 @@
+"""Stationary windows looked at inside: block means, noise from sample to sample, and what happens at their start.
+
+All figures are rates (rad/s, m/s²) of the six raw channels, gyro then accelerometer. What a unit shows at rest is
+judged by what it shows in its other windows; nothing is taken from the noise that is stated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.diagnosis.turn_evidence import end_of, once, robust_fit, solved, triads
+from srt.noise_estimation import ACCEL_FLOOR, GYRO_FLOOR, smallest_step
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+
+    Array = NDArray[np.float64]
+
+BLOCKS: Final = 80
+"""Blocks of a window of median length: an eighth of a second in ten, about as long as a knock lasts."""
+FEWEST_BLOCKS: Final = 12
+HEADS_S: Final = (0.25, 0.5, 1.0, 2.0)
+"""How long a fixture may ring on, s."""
+GYRO: Final = slice(0, 3)
+ACCEL: Final = slice(3, 6)
+MAD: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+_RESOLUTION_WINDOWS: Final = 6
+_RESOLUTION_SAMPLES: Final = 200
+"""Of each of the windows looked at for the finest step between readings."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stillness:
+    """The windows that are long enough to be looked at, V of W.
+
+    Attributes
+    ----------
+    window : ndarray of int, shape (V,)
+        Number in the play-back data.
+    size : int
+        Samples of a block.
+    step_s : float
+        Length of a block.
+    groups : tuple of (ndarray of int, shape (g,), and ndarray, shape (g, B, 6))
+        Windows of B blocks, counted among the V, and their block means.
+    blocks : ndarray of int, shape (V,)
+        Number of blocks of each window.
+    count : ndarray of int, shape (V,)
+        Samples of each window.
+    sample_variance : ndarray, shape (V, 6)
+        Noise of single samples, from their first differences.
+    late_variance : ndarray, shape (V, 6)
+        Variance of the second half about its own mean.
+    heads : ndarray of int, shape (H,)
+        Samples of the starts looked at, ascending.
+    head_power : ndarray, shape (V, H, 6)
+        Variance of the start of the window about its own mean: a tilt later on is no ringing.
+    least_variance : ndarray, shape (6,)
+        What resolution and rounding alone may make of a sample.
+    block_doubt : ndarray, shape (6,)
+        What pulses or coarse words alone may add to a block mean.
+    """
+
+    window: NDArray[np.intp]
+    size: int
+    step_s: float
+    groups: tuple[tuple[NDArray[np.intp], Array], ...]
+    blocks: NDArray[np.intp]
+    count: NDArray[np.intp]
+    sample_variance: Array
+    late_variance: Array
+    heads: NDArray[np.intp]
+    head_power: Array
+    least_variance: Array
+    block_doubt: Array
+
+
+@once
+def stillness(evidence: Evidence) -> Stillness | None:
+    """Look into the windows; None if fewer than four are long enough to be compared."""
+    data = evidence.data
+    if data is None:
+        return None
+    recording, samples = evidence.recording, data.windows.samples
+    lengths = samples[:, 1] - samples[:, 0]
+    size = max(1, int(np.median(lengths)) // BLOCKS)
+    chosen = np.flatnonzero(lengths >= FEWEST_BLOCKS * size)
+    if len(chosen) < 4:
+        return None
+    longest = int(np.median(lengths[chosen])) // 4
+    heads = np.unique([min(longest, round(head / evidence.dt)) for head in HEADS_S])
+    heads = heads[heads >= 4]
+    if len(heads) == 0:
+        return None
+    V = len(chosen)
+    means: list[Array] = []
+    sample, late, power = np.empty((V, 6)), np.empty((V, 6)), np.empty((V, len(heads), 6))
+    for v, (a, b) in enumerate(samples[chosen].tolist()):
+        n = b - a
+        count = n // size
+        x = np.empty((n, 6))
+        x[:, GYRO], x[:, ACCEL] = recording.gyro[a:b], recording.accel[a:b]
+        x *= evidence.per_rate
+        means.append(np.einsum("bsc->bc", x[: count * size].reshape(count, size, 6)) / size)
+        step = x[1:] - x[:-1]
+        sample[v] = 0.5 * np.einsum("nc,nc->c", step, step) / (n - 1)
+        rest = x[n // 2 :]
+        middle = np.einsum("nc->c", rest) / len(rest)
+        rest -= middle
+        late[v] = np.einsum("nc,nc->c", rest, rest) / len(rest)
+        own = np.minimum(heads, n // 2)[:, None]  # of a window shorter than most
+        start = x[: int(own[-1, 0])] - middle
+        square, total = (np.cumsum(values, axis=0)[own[:, 0] - 1] for values in (start**2, start))
+        power[v] = (square - total**2 / own) / own
+    number = np.array([len(m) for m in means])
+    resolution = _resolution(evidence, samples[chosen])
+    floor = np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(evidence.dt)
+    typical = np.sqrt(np.median(late, axis=0))
+    pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
+    # A running sum in pulses is off by one of them at most; words that noise does not move, by half a bit each.
+    coarse = np.where(pulses, resolution / size, np.where(typical < resolution, 0.5 * resolution, 0.0))
+    return Stillness(
+        chosen,
+        size,
+        size * evidence.dt,
+        tuple((np.flatnonzero(number == n), np.stack([m for m in means if len(m) == n])) for n in np.unique(number)),
+        number,
+        lengths[chosen],
+        sample,
+        late,
+        heads,
+        power,
+        np.maximum(floor, 0.5 * resolution) ** 2,
+        coarse,
+    )
+
+
+def _resolution(evidence: Evidence, samples: NDArray[np.intp]) -> Array:
+    """Smallest step between readings at rest, shape (6,), as a rate."""
+    some = samples[:: max(1, len(samples) // _RESOLUTION_WINDOWS)]
+    steps = np.zeros((len(some), 6))
+    for v, (a, b) in enumerate(some.tolist()):
+        part = slice(a, min(b, a + _RESOLUTION_SAMPLES))
+        steps[v] = *smallest_step(evidence.recording.gyro[part]), *smallest_step(evidence.recording.accel[part])
+    # One window that something disturbs holds finer steps; readings that hardly ever change hold none.
+    seen = np.where(steps > 0.0, steps, np.nan)
+    shown = np.isfinite(seen).any(axis=0)
+    out = np.zeros(6)
+    out[shown] = np.nanmedian(seen[:, shown], axis=0)
+    return out * evidence.per_rate
+
+
+def block_sigma(view: Stillness) -> Array:
+    """One sigma of a block mean, (V, 6): of all windows, or of the window's own where that is noisier.
+
+    From first differences of neighbouring blocks by their median, which neither a drift nor a single step moves.
+    """
+    own = np.empty((len(view.window), 6))
+    for v, means in view.groups:
+        own[v] = MAD / np.sqrt(2.0) * np.median(np.abs(np.diff(means, axis=1)), axis=1)
+    floor = np.sqrt(view.least_variance) / view.size
+    return np.maximum(np.maximum(own, np.median(own, axis=0)), floor)
+
+
+def rest_rate_left(evidence: Evidence) -> Array:
+    """Rate at rest less what bias, g-sensitivity and the Earth explain over all windows; (W, 3), rad/s, true axes."""
+    data = evidence.data
+    assert data is not None
+    gyro = triads(evidence)[0]
+    rate = evidence.rest_rate - _earth(evidence) @ gyro.T
+    design = np.hstack([evidence.rest_force / data.gravity, np.ones((len(rate), 1))])
+    return solved(gyro, rate - design @ robust_fit(design, rate))
+
+
+def _earth(evidence: Evidence) -> Array:
+    """Rate of the Earth in the nominal attitude of every window, (W, 3), rad/s; zero where that is not known."""
+    data = evidence.data
+    assert data is not None
+    out = np.zeros((len(data.windows.samples), 3))
+    if data.nominal is None:
+        return out
+    at_start = np.swapaxes(data.nominal, 1, 2) @ data.earth_rate_base()
+    out[data.start] = at_start
+    for k, sequence in enumerate(data.catalogue):
+        if sequence is not None:
+            out[data.end[k]] = end_of(sequence).T @ at_start[k]
+    return out

@@ -1,0 +1,291 @@
+"""Faults of stillness: ringing, knocks, creep and noise inside stationary windows.
+
+One after the other, as the first explains what the next would see: what rings at the start of a window also steps,
+what steps also drifts, and all of them are noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import chdtri, fdtri, ndtri
+
+from srt.diagnosis.findings import check, found
+from srt.diagnosis.turn_evidence import cross, solved, triads
+from srt.diagnosis.window_evidence import ACCEL, GYRO, MAD, Stillness, block_sigma, rest_rate_left, stillness
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+
+    Array = NDArray[np.float64]
+
+FALSE_ALARM: Final = 1e-5
+"""Of each kind of fault in a whole recording of a unit with normal noise, all windows and channels together: a tenth
+of what a clean recording may raise by all checks."""
+_TWICE: Final = 2.0
+"""Power at the start of a window over that of its second half, below which ringing is no matter."""
+_NOISIER: Final = 2.25
+"""Variance over that of the other windows, below which a window is as good as any: its mean is off by 1.5 sigma."""
+_SPREAD: Final = 6.0
+"""Sigmas of the logarithm of the windows' own scatter of noise: rests in a hand differ by more than noise has them."""
+_EDGE_BLOCKS: Final = 2
+"""Blocks at both ends of a window in which no step can be told, as one side of it is not seen."""
+_SPANS: Final = (1, 2, 3)
+"""Blocks over which a knock turns the unit; what turns it for longer is none."""
+_AGREE: Final = 0.35
+"""Share of a tilt by which raw sensors may differ on it: scale factors of 10 %, and a step not quite resolved."""
+_PLAUSIBLE: Final = 1e-3
+_CONTRARY: Final = 1e-4
+_MAD_EFFICIENCY: Final = 0.37
+"""Degrees of freedom of a median absolute deviation, for each value it is made of."""
+
+
+@check("unsettled", "bump", "creep", "noisy_window")
+def windows_not_still(evidence: Evidence) -> Iterator[Finding]:
+    """Look into all windows for what the unit does not do in its others."""
+    view = stillness(evidence)
+    if view is None:
+        return
+    ringing, amplitude = _ringing(view)
+    if evidence.recording.fixture is None:
+        ringing[:] = False  # a hand lets go when it does
+    steps = _steps(evidence, view)
+    # What rings before the step is no knock; a knock in the first seconds is no ringing.
+    for v in list(steps):
+        if ringing[v].any() and ringing[v] @ (view.heads <= steps[v].block * view.size):
+            del steps[v]
+    rings: NDArray[np.bool_] = np.asarray(ringing.any(axis=1))
+    rings[list(steps)] = False
+    if rings.any():
+        worst = int(np.argmax(np.where(rings, amplitude[:, :2].max(axis=1), 0.0)))
+        yield found("unsettled", count=int(rings.sum()), amplitude=_said(view, worst), **_place(evidence, view, worst))
+    if steps:
+        v = max(steps, key=lambda v: steps[v].size)
+        yield found(
+            "bump",
+            **_place(evidence, view, v) | {"time": _time(evidence, view, v, (steps[v].block + 0.5) * view.step_s)},
+            angle_mrad=1e3 * steps[v].size,
+        )
+    done = rings.copy()
+    done[list(steps)] = True
+    creep = _creep(evidence, view, done)
+    if creep is not None:
+        v, rate = creep
+        done[v] = True
+        yield found("creep", rate_urad_s=1e6 * rate, **_place(evidence, view, v))
+    noisy = _noisy(view, done)
+    if noisy is not None:
+        v, ratio, sensor = noisy
+        yield found("noisy_window", ratio=ratio, sensor=sensor, **_place(evidence, view, v))
+
+
+def _time(evidence: Evidence, view: Stillness, v: int, later_s: float = 0.0) -> float:
+    data = evidence.data
+    assert data is not None
+    first = int(data.windows.samples[view.window[v], 0])
+    return float(evidence.recording.time[first]) - evidence.dt + later_s
+
+
+def _place(evidence: Evidence, view: Stillness, v: int) -> dict[str, object]:
+    """Where a window begins and whose it is."""
+    data = evidence.data
+    assert data is not None
+    w = int(view.window[v])
+    k = int(np.flatnonzero((data.start == w) | (data.end == w))[0])
+    return {"time": _time(evidence, view, v), "sequence": evidence.title(k)}
+
+
+# --- ringing ---------------------------------------------------------------------------------------------------------
+
+
+def _ringing(view: Stillness) -> tuple[NDArray[np.bool_], Array]:
+    """Starts of windows that are far more powerful than the second halves, by length of the start; shape (V, H).
+
+    Also the power over that of noise, of gyros and accelerometers, shape (V, 2).
+    """
+    noise = np.maximum(np.maximum(view.late_variance, np.median(view.late_variance, axis=0)), view.least_variance)
+    ratio = view.head_power / noise[:, None]
+    by_sensor = np.stack([ratio[:, :, GYRO].mean(axis=2), ratio[:, :, ACCEL].mean(axis=2)], axis=2)
+    freedom = 3.0 * view.heads
+    probability = FALSE_ALARM / max(1, by_sensor.size)
+    limit = np.maximum(_TWICE, chdtri(freedom, probability) / freedom)
+    loud = by_sensor > limit[:, None]
+    return np.asarray(loud.any(axis=2)), np.asarray(by_sensor.max(axis=1, initial=0.0))
+
+
+def _said(view: Stillness, v: int) -> str:
+    """Amplitude of the ringing at the start of a window."""
+    excess = np.maximum(view.head_power[v, 0] - view.late_variance[v], 0.0)
+    sigma = excess / np.maximum(view.late_variance[v], view.least_variance)
+    by_gyros = sigma[GYRO].max() >= sigma[ACCEL].max()
+    size = np.sqrt(2.0 * excess[GYRO if by_gyros else ACCEL].sum())
+    return f"{1e3 * size:.2g} mrad/s" if by_gyros else f"{size:.2g} m/s²"
+
+
+# --- knocks ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A step of attitude: its block, and its angle, rad."""
+
+    block: int
+    size: float
+
+
+def _steps(evidence: Evidence, view: Stillness) -> dict[int, _Step]:
+    """Windows in which the gyros turn within a few blocks, and the accelerometers do not deny it."""
+    gyro, accel, bias = triads(evidence)
+    data = evidence.data
+    assert data is not None
+    sigma = block_sigma(view)
+    tests = len(_SPANS) * int(view.blocks.sum())
+    limit, z = float(chdtri(3.0, FALSE_ALARM / tests)), -float(ndtri(0.5 * FALSE_ALARM / tests))
+    noise = _step_noise(view, accel)
+    own = np.maximum(1.0, (sigma[:, ACCEL] / np.median(sigma[:, ACCEL], axis=0)).max(axis=1))
+    out = {}
+    for windows, means in view.groups:
+        rate = means[:, :, GYRO] - np.median(means[:, :, GYRO], axis=1, keepdims=True)
+        power = _turning_power(rate, sigma[windows, None, GYRO], view.block_doubt[GYRO])
+        for i in np.flatnonzero([any((p[i] > limit).any() for p in power) for i in range(len(windows))]).tolist():
+            v, count = int(windows[i]), means.shape[1]
+            span = _turning_span([p[i] for p in power], limit)
+            if span is None or span[0] < _EDGE_BLOCKS or span[1] > count - _EDGE_BLOCKS:
+                continue
+            first, last = span
+            angle = np.linalg.solve(gyro, rate[i, first:last].sum(axis=0) * view.step_s)
+            force = solved(accel, means[i, :, ACCEL] - bias)
+            before, after = force[:first], force[last:]
+            change = after.mean(axis=0) - before.mean(axis=0)
+            expected = cross(before.mean(axis=0), angle)
+            # In units of that of two halves.
+            doubt = noise * own[v] * np.sqrt((1.0 / len(before) + 1.0 / len(after)) * 0.25 * count)
+            if np.linalg.norm(change - expected) <= _AGREE * np.linalg.norm(expected) + z * doubt:
+                out[v] = _Step(first + 1, float(np.linalg.norm(angle)))
+    return out
+
+
+def _turning_power(rate: Array, sigma: Array, doubt: Array) -> list[Array]:
+    """Squared angles over spans of blocks in units of their noise, for each length of span, shape (g, B - span + 1)."""
+    total = np.concatenate([np.zeros((len(rate), 1, 3)), np.cumsum(rate, axis=1)], axis=1)
+    power = []
+    for span in _SPANS:
+        mean = (total[:, span:] - total[:, :-span]) / span
+        beyond = np.maximum(np.abs(mean) - doubt, 0.0) / sigma
+        power.append(span * np.einsum("gbc,gbc->gb", beyond, beyond))
+    return power
+
+
+def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
+    """Blocks, first and one past the last, over which a window turns at once; None if it does so more than once.
+
+    One block more on each side, as what it does not show for itself belongs to the step all the same.
+    """
+    at = np.concatenate([np.arange(len(p))[:, None] + [0, span] for p, span in zip(power, _SPANS, strict=True)])
+    every = np.concatenate(power)
+    loud = at[every > limit]
+    first, last = at[int(np.argmax(every))].tolist()
+    elsewhere = (loud[:, 1] <= first - 1) | (loud[:, 0] >= last + 1)
+    return None if elsewhere.any() else (first - 1, last + 1)
+
+
+def _step_noise(view: Stillness, accel: Array) -> float:
+    """One sigma of the difference of the two halves of a window, robustly over all windows, m/s²."""
+    change = np.empty((len(view.window), 3))
+    for v, means in view.groups:
+        half = means.shape[1] // 2
+        change[v] = means[:, half:, ACCEL].mean(axis=1) - means[:, :half, ACCEL].mean(axis=1)
+    return float(MAD * np.median(np.abs(solved(accel, change))))
+
+
+# --- creep -----------------------------------------------------------------------------------------------------------
+
+
+def _creep(evidence: Evidence, view: Stillness, done: NDArray[np.bool_]) -> tuple[int, float] | None:
+    """The window that tilts fastest at a steady rate, and that rate, rad/s; None if none does.
+
+    The accelerometers see the vertical drift, the gyros a rate beyond bias, g-sensitivity and the Earth's. Each has
+    its own scatter over the windows, bias instability included; together they must be far outside of it, and neither
+    may be within what is common or deny the other.
+    """
+    _, accel, bias = triads(evidence)
+    V = len(view.window)
+    force, slope = np.empty((V, 3)), np.empty((V, 3))
+    for v, means in view.groups:
+        count = means.shape[1]
+        time = view.step_s * (np.arange(count) - 0.5 * (count - 1))
+        force[v] = means[:, :, ACCEL].mean(axis=1)
+        slope[v] = np.einsum("b,gbc->gc", time / (time @ time), means[:, :, ACCEL])
+    up = solved(accel, force - bias)
+    square = np.sum(up**2, axis=1, keepdims=True)
+    if not np.all(square > 0.0):
+        return None
+    # A body that turns by ω sees df/dt = -ω × f, which tells the part of ω across f.
+    across = -cross(up, solved(accel, slope)) / square
+    plane = _horizontal(up / np.sqrt(square))
+    by_accel = np.einsum("vjc,vc->vj", plane, across)
+    by_gyro = np.einsum("vjc,vc->vj", plane, rest_rate_left(evidence)[view.window])
+    freedom = max(4.0, _MAD_EFFICIENCY * by_accel.size)
+    sigma = block_sigma(view)
+    noisier = np.maximum(1.0, (sigma / np.median(sigma, axis=0)).max(axis=1))
+    a, g = (np.maximum(MAD * float(np.median(np.abs(x))), 1e-12) ** 2 * noisier**2 for x in (by_accel, by_gyro))
+    both = (by_accel / a[:, None] + by_gyro / g[:, None]) / (1.0 / a + 1.0 / g)[:, None]
+    size2 = np.sum(both**2, axis=1)
+
+    def limit(probability: float) -> float:
+        return 2.0 * float(fdtri(2.0, freedom, 1.0 - probability))
+
+    apart2 = np.sum((by_accel - by_gyro) ** 2, axis=1)
+    creeps = (
+        ~done
+        & (size2 * (1.0 / a + 1.0 / g) > limit(FALSE_ALARM / V))
+        & (np.sum(by_accel**2, axis=1) / a > limit(_PLAUSIBLE))
+        & ((apart2 < limit(_CONTRARY) * (a + g)) | (apart2 < _AGREE**2 * size2))
+    )
+    if not creeps.any():
+        return None
+    fastest = int(np.argmax(np.where(creeps, size2, 0.0)))
+    return fastest, float(np.sqrt(size2[fastest]))
+
+
+def _horizontal(up: Array) -> Array:
+    """Two unit vectors across each of the unit vectors (n, 3), shape (n, 2, 3)."""
+    first = cross(up, np.eye(3)[np.argmin(np.abs(up), axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, cross(up, first)], axis=1)
+
+
+# --- noise -----------------------------------------------------------------------------------------------------------
+
+
+def _noisy(view: Stillness, done: NDArray[np.bool_]) -> tuple[int, float, str] | None:
+    """The window that is noisier than the others by most, by how much, and in which sensor."""
+    blocks = np.empty((len(view.window), 6))
+    for v, means in view.groups:
+        blocks[v] = 0.5 * np.mean(np.diff(means, axis=1) ** 2, axis=1)
+    # First differences of n white values have two thirds of n degrees of freedom.
+    for variance, floor, freedom in (
+        (view.sample_variance, 2.0 * view.least_variance, 2.0 * view.count),
+        (blocks, view.least_variance / view.size**2 + view.block_doubt**2, 2.0 * view.blocks),
+    ):
+        ratio = variance / np.maximum(np.median(variance, axis=0), floor)
+        told = []
+        for name, channels in (("gyros", GYRO), ("accelerometers", ACCEL)):
+            power = ratio[:, channels].mean(axis=1)
+            scatter = MAD * float(np.median(np.abs(np.log(np.maximum(power, 1e-12)))))
+            limit = np.maximum(_NOISIER, chdtri(freedom, FALSE_ALARM / (4 * len(power))) / freedom)
+            excess = np.where(done, 0.0, power / np.maximum(limit, np.exp(_SPREAD * scatter)))
+            loudest = int(np.argmax(excess))
+            if excess[loudest] > 1.0:
+                told.append((float(power[loudest]), loudest, name))
+        if told:
+            most, window, name = max(told)
+            return window, float(np.sqrt(most)), name
+    return None

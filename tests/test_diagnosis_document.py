@@ -1,0 +1,21 @@
+"""The page of faults is made from the catalogue, and the committed one is up to date."""
+
+from pathlib import Path
+
+from srt.diagnosis.document import document
+from srt.diagnosis.faults import FAULTS, STAGES
+
+PAGE = Path(__file__).parents[1] / "docs" / "faults.md"
+
+
+def test_the_committed_page_is_up_to_date():
+    assert PAGE.read_text(encoding="utf-8") == document(), "run python -m srt.diagnosis.document"
+
+
+def test_every_fault_stands_once_under_its_stage():
+    sections = document().split("\n## ")[1:]
+    assert [section.splitlines()[0] for section in sections] == list(STAGES.values())
+    for stage, section in zip(STAGES, sections, strict=True):
+        rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| ")][1:]
+        assert [row[1].strip("`") for row in rows] == [f.name for f in FAULTS.values() if f.stage == stage]
+        assert all(len(row) == 5 for row in rows)

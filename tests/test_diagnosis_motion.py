@@ -1,0 +1,379 @@
+"""Faults of labels, stillness and turns: one unit of each grade per fault.
+
+``benchmarks/faults.py`` runs 200 of each.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache, cached_property
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+import sims.fault_motion  # noqa: F401 - registers its injections
+import srt.diagnosis.sequences
+import srt.diagnosis.windows  # noqa: F401 - registers its checks
+from sims import recorded
+from sims.faults import GRADES, INJECTIONS, Case
+from sims.sequences import TABLE_1
+from srt.diagnosis.evidence import Evidence
+from srt.diagnosis.findings import checks_of, in_order
+from srt.diagnosis.motion import offset
+from srt.diagnosis.turn_evidence import cross, legs, robust_fit
+from srt.exceptions import InputError
+from srt.options import Options
+from srt.recording import Fixture, Recording, SequenceLabel, Site
+from srt.segmentation import find_turns
+
+STAGES = ("sequences", "windows", "motion")
+FAULTS = (
+    "labels_shifted",
+    "labels_exchanged",
+    "wrong_direction",
+    "wrong_angle",
+    "sequence_missing",
+    "sequence_repeated",
+    "window_short",
+    "unsettled",
+    "bump",
+    "creep",
+    "noisy_window",
+    "sensor_time_offset",
+    "samples_lost",
+)
+IDS = tuple(TABLE_1)
+SEED = 320_000
+FOLDER = recorded.data_folder()
+
+
+class Labelled(Evidence):
+    """Evidence of what is labelled alone."""
+
+    @cached_property
+    def recognition(self):
+        return None
+
+
+def findings(recording, options=None):
+    evidence = Labelled(recording, options)
+    found = []
+    for stage in STAGES:
+        found += [finding for registered in checks_of(stage) for finding in registered.run(evidence)]
+        if any(f.effect.startswith("exit") for f in found):
+            break
+    return in_order(found)
+
+
+@cache
+def case(grade):
+    return Case(grade, SEED)
+
+
+def named(fault, grade="navigation-rlg", severity=None):
+    """The finding of a fault that was put in; it must be the first one."""
+    found = findings(INJECTIONS[fault].recording(case(grade), severity))
+    assert found
+    assert found[0].fault == fault
+    return found[0]
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_a_sound_recording_raises_nothing(grade):
+    assert findings(case(grade).recording) == ()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("grade", GRADES)
+def test_each_fault_is_named(fault, grade):
+    assert named(fault, grade).fault == fault
+
+
+def test_every_grade_shows_every_fault():
+    assert all(set(INJECTIONS[fault].severity) == set(GRADES) for fault in FAULTS)
+
+
+# --- sequences and labels --------------------------------------------------------------------------------------------
+
+
+@cache
+def with_moves():
+    return case("tactical-fog").changed(schedule={"moves": "recorded"}).recording
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.floats(0.5, 5.0), st.sampled_from([-1.0, 1.0]))
+def test_the_shift_of_labels_is_told(size, sign):
+    recording = with_moves()
+    inner = recording.sequences[1:-1]  # the outermost windows have no room to be shifted
+    moved = tuple(
+        replace(
+            label,
+            start_static_s=tuple(t + sign * size for t in label.start_static_s),
+            end_static_s=tuple(t + sign * size for t in label.end_static_s),
+        )
+        for label in inner
+    )
+    first = findings(recording.with_sequences(moved))[0]
+    assert first.fault == "labels_shifted"
+    # The smallest shift that brings them to rest: there are 0.2 s of settling before a window, and both the stillness
+    # found and the shift go by steps of 0.1 s.
+    assert sign * first.details["shift"] == pytest.approx(size - 0.1, abs=0.35)
+    assert 0 < first.details["count"] <= first.details["of"] == 2 * len(inner)
+
+
+def test_one_window_beside_the_stillness_is_told_with_its_own_shift():
+    recording = with_moves()
+    label = recording.sequences[6]
+    a, b = label.start_static_s
+    beside = replace(label, start_static_s=(a + 3.0, b + 1.5))
+    sequences = (*recording.sequences[:6], beside, *recording.sequences[7:])
+    first = findings(recording.with_sequences(sequences))[0]
+    assert first.fault == "labels_shifted"
+    assert first.details["count"] == 1
+    assert first.details["shift"] == pytest.approx(1.5, abs=0.35)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.permutations(IDS))
+def test_any_exchange_of_labels_is_told_with_the_right_names(order):
+    assume(tuple(order) != IDS)
+    recording = case("consumer-mems").recording
+    labels = tuple(replace(label, id=name) for label, name in zip(recording.sequences, order, strict=True))
+    first = findings(recording.with_sequences(labels))[0]
+    pairs = [(wrong, right) for wrong, right in zip(order, IDS, strict=True) if wrong != right]
+    assert first.fault == "labels_exchanged"
+    assert first.details["labelled"] == ", ".join(wrong for wrong, _ in pairs)
+    assert first.details["found"] == ", ".join(right for _, right in pairs)
+    assert first.details["count"] == len(pairs)
+
+
+def test_a_pair_exchanged_is_no_wrong_direction_and_one_of_it_alone_is():
+    recording = case("industrial-mems").recording
+    both = {"1": "1a", "1a": "1"}
+    exchanged = tuple(replace(s, id=both.get(s.id, s.id)) for s in recording.sequences)
+    assert findings(recording.with_sequences(exchanged))[0].fault == "labels_exchanged"
+    # Sequence 1 turned as 1a is, and no other one there to have changed places with.
+    alone = tuple(replace(s, id=both.get(s.id, s.id)) for s in recording.sequences if s.id != "1")
+    first = findings(recording.with_sequences(alone))[0]
+    assert first.fault == "wrong_direction"
+    assert first.details["expected"] == pytest.approx(360.0)
+    assert first.details["found"] == pytest.approx(-360.0, abs=1.0)  # raw: 500 ppm, fixture 1 mrad
+    assert first.sentence.startswith("Sequence 1 was turned the other way (-3")
+
+
+@pytest.mark.parametrize("severity", [2.0, 10.0, 90.0])
+def test_a_wrong_angle_is_told_within_the_fixture(severity):
+    finding = named("wrong_angle", severity=severity)
+    error = abs(finding.details["found"]) - abs(finding.details["expected"])
+    # Each turn has an error of 1 mrad of its own, 0.06°; six sigmas of two of them.
+    assert abs(error) == pytest.approx(severity, abs=0.5)
+    assert finding.details["count"] == 1
+
+
+def test_an_angle_that_the_fixture_allows_is_not_told():
+    recording = INJECTIONS["wrong_angle"].recording(case("navigation-rlg"), 0.2)
+    assert findings(recording) == ()
+
+
+def test_missing_sequences_are_named_with_what_they_would_show():
+    recording = case("tactical-fog").recording
+    without = recording.with_sequences(tuple(s for s in recording.sequences if s.id not in ("1a", "9")))
+    (finding,) = findings(without)
+    lost = {"gyro_asymmetry_y", "accel_misalignment_zx", "accel_scale_x", "accel_asymmetry_x"}
+    assert set(finding.details["parameters"].split(", ")) == lost
+    assert finding.sentence.startswith("Sequences 1a, 9 are missing (15 of 17 are there)")
+    # What is held on request is not missed.
+    (finding,) = findings(without, Options(asymmetry=False))
+    assert set(finding.details["parameters"].split(", ")) == lost - {"gyro_asymmetry_y"}
+    six = recording.with_sequences(tuple(s for s in recording.sequences if s.id not in ("1a", "2a", "3a")))
+    assert findings(six, Options(asymmetry=False)) == ()
+
+
+def test_repeated_sequences_are_a_note():
+    finding = named("sequence_repeated", severity=2.0)
+    assert finding.effect == "note"
+    assert finding.details["sequences"].count("(2 times)") == 2
+
+
+@pytest.mark.parametrize("share", [0.01, 0.15, 0.2, 0.45])
+def test_a_short_window_is_told_with_its_time(share):
+    finding = named("window_short", severity=share)
+    # To a sample of 10 ms on either side.
+    assert finding.details["duration"] == pytest.approx(10.0 * share, abs=0.03)
+    assert finding.details["typical"] == pytest.approx(10.0, abs=0.03)
+
+
+# --- stillness -------------------------------------------------------------------------------------------------------
+
+
+def test_ringing_is_told_in_all_windows_that_have_it():
+    finding = named("unsettled", "tactical-fog")
+    assert finding.details["count"] == 33  # nothing was turned before the first window
+    assert finding.details["amplitude"].endswith("mrad/s")
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_a_bump_is_told_with_its_angle(grade):
+    finding = named("bump", grade, severity=2.0)
+    # A knock is over in 0.3 s, about two blocks; of its angle what is resolved, to six sigmas of the noise of half a
+    # second (0.12 mrad for the noisiest gyros) and scale factors of 1.5 %.
+    assert finding.details["angle_mrad"] == pytest.approx(2.0, abs=0.9 if grade == "consumer-mems" else 0.3)
+
+
+def test_a_step_that_the_accelerometers_deny_is_no_bump():
+    recording = case("tactical-fog").recording
+    a, b = recording.sequences[4].start_static_s
+    rows = recording.window_indices(a + 0.5 * (b - a), a + 0.5 * (b - a) + 0.2)
+    gyro = recording.gyro.copy()
+    gyro[rows, 1] += 1e-3 / (rows.stop - rows.start)
+    assert "bump" not in [f.fault for f in findings(replace(recording, gyro=gyro))]
+
+
+@pytest.mark.parametrize("grade", ["navigation-rlg", "tactical-fog"])
+def test_creep_is_told_with_its_rate(grade):
+    finding = named("creep", grade)
+    # Six sigmas of a drift over 10 s: 0.6 and 15 µrad/s (accelerometers alone).
+    sigma = {"navigation-rlg": 0.6, "tactical-fog": 15.0}[grade]
+    assert finding.details["rate_urad_s"] == pytest.approx(INJECTIONS["creep"].severity[grade], abs=6.0 * sigma)
+
+
+def test_a_noisy_window_is_told_with_its_factor():
+    finding = named("noisy_window", "industrial-mems", severity=4.0)
+    # White noise alone: a variance from 2000 differences is known to 3 %, its root to 1.6 %; six sigmas.
+    assert finding.details["ratio"] == pytest.approx(4.0, rel=0.1)
+    assert finding.details["sensor"] in ("gyros", "accelerometers")
+
+
+@pytest.mark.skipif(FOLDER is None, reason="the recorded sets are not at hand")
+def test_a_real_bump_is_seen_by_both_units_that_were_turned_together():
+    told = []
+    for unit in (0, 1):
+        recording = recorded.mpu9150(FOLDER, unit)
+        found = findings(recording.with_sequences(find_turns(recording)))
+        told.append(next(f.details for f in found if f.fault == "bump"))
+    # Started by hand within a fraction of a second of one another; scale factors agree to a few per cent.
+    assert told[0]["time"] == pytest.approx(told[1]["time"], abs=0.3)
+    assert told[0]["angle_mrad"] == pytest.approx(told[1]["angle_mrad"], rel=0.15)
+
+
+# --- turns -----------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.floats(-8.0, 8.0))
+def test_the_offset_of_the_sensors_is_found_to_its_sigma(milliseconds):
+    # The injection draws its own sign.
+    recording = INJECTIONS["sensor_time_offset"].recording(case("industrial-mems"), milliseconds)
+    seen = offset(Labelled(recording))
+    # t of 11 degrees of freedom: 1e-6 of all samples lie beyond 9.5 sigmas, and 0.1 ms is what interpolation costs.
+    assert abs(1e3 * seen.late_s) == pytest.approx(abs(milliseconds), abs=9.5e3 * seen.sigma_s + 0.1)
+
+
+def test_half_a_sample_is_told_with_its_sign():
+    recording = INJECTIONS["sensor_time_offset"].recording(case("consumer-mems"))
+    (finding,) = findings(recording)
+    assert f"{finding.details['offset_ms']:+.3g} ms after the gyros" in finding.sentence
+
+
+@pytest.mark.parametrize("samples", [1, 5, 30])
+def test_lost_samples_are_told_with_place_and_duration(samples):
+    finding = named("samples_lost", severity=0.01 * samples)
+    duration, angle = finding.details["duration"], math.radians(finding.details["angle_deg"])
+    # At 1 rad/s, but less where the loss meets the end of a turn; a longer loss than the 0.2 s looked at on both
+    # sides of it is a step all the same.
+    assert 0.3 * 0.01 * samples < angle < 1.1 * 0.01 * samples
+    assert duration > 0.3 * 0.01 * samples
+
+
+@pytest.mark.parametrize("dwell", [0.0, 1.0])
+def test_turns_are_told_apart_whether_or_not_the_unit_stands_between_them(dwell):
+    run = case("navigation-rlg").changed(schedule={"leg_dwell_s": dwell}).simulation
+    numbers, nominal, turned = legs(Labelled(run.recording))
+    assert numbers.tolist() == [k for k, s in enumerate(TABLE_1.values()) for _ in s.rotations]
+    # Six sigmas: about axes 1 mrad off in three ways, angles 1 mrad off, scale factors of 100 ppm, non-orthogonality
+    # and frame of 0.5 mrad; all in full turns.
+    assert np.abs(turned - nominal).max() < 6.0 * 2.0 * math.pi * math.hypot(1e-3, 1e-3, 1e-3, 0.5e-3, 0.5e-3)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_a_fit_by_absolute_deviations_does_not_heed_an_eighth_of_wrong_rows(seed):
+    rng = np.random.default_rng(seed)
+    x, truth = rng.standard_normal((32, 3)), rng.standard_normal((3, 3))
+    y = x @ truth
+    wrong = rng.choice(32, 4, replace=False)
+    y[wrong] += rng.standard_normal((4, 3))
+    # Exact but for the reweighting's convergence, which halves the error at each of its twelve rounds or better.
+    assert np.abs(robust_fit(x, y) - truth).max() < 1e-2
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_cross_products_are_numpys(seed):
+    a, b = np.random.default_rng(seed).standard_normal((2, 5, 3))
+    np.testing.assert_allclose(cross(a, b), np.cross(a, b), rtol=0.0, atol=1e-14)
+
+
+# --- odd recordings --------------------------------------------------------------------------------------------------
+
+SITE = Site(9.8)
+
+
+def odd(n, gyro, accel, labels=(), fixture=None, **changes):
+    time = 0.01 * np.arange(1, n + 1)
+    return Recording(
+        time, np.full((n, 3), gyro), np.full((n, 3), accel), SITE, sequences=labels, fixture=fixture, **changes
+    )
+
+
+@pytest.mark.parametrize("fixture", [None, Fixture()])
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+@pytest.mark.parametrize(
+    "labels",
+    [
+        (),
+        (SequenceLabel((0.0, 0.02), (0.1, 0.12), "1"),),
+        (SequenceLabel((0.0, 1.0), (2.0, 3.0)),),
+        (SequenceLabel((0.0, 1.0), (2.0, 3.0), "7"), SequenceLabel((3.0, 4.0), (5.0, 6.0), "7")),
+        tuple(SequenceLabel((t, t + 0.4), (t + 0.5, t + 0.9), name) for t, name in enumerate(IDS[:8])),
+    ],
+)
+@pytest.mark.parametrize(("gyro", "accel"), [(0.0, 0.0), (1e-3, [0.0, 0.0, -9.8])])
+def test_recordings_without_noise_or_motion_are_no_matter(fixture, kind, labels, gyro, accel):
+    found = {f.fault for f in findings(odd(900, gyro, accel, labels, fixture, kind=kind))}
+    assert found <= {"sequence_missing", "sequence_repeated", "wrong_angle"}  # a turn that was not made
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@given(st.data())
+def test_no_recording_makes_a_check_fail(data):
+    n = data.draw(st.integers(20, 600))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    size = data.draw(st.sampled_from([0.0, 1e-6, 1.0, 1e6]))
+    steps = rng.choice([1.0, 1.0, 1.0, 30.0], n)
+    edges = np.sort(rng.uniform(0.0, 0.01 * n, 16))
+    labels = []
+    for a, b, c, d in edges.reshape(4, 4).tolist():
+        name = data.draw(st.sampled_from([None, "1", "4", "13"]))
+        if a < b < c < d:
+            labels.append(SequenceLabel((a, b), (c, d), name))
+    smooth = np.cumsum(rng.standard_normal((2, n, 3)), axis=1) * size
+    try:
+        recording = Recording(
+            0.01 * np.cumsum(steps),
+            np.round(smooth[0], data.draw(st.integers(0, 6))),
+            smooth[1] + [0.0, 0.0, -9.8],
+            SITE,
+            fixture=data.draw(st.sampled_from([None, Fixture()])),
+            kind=data.draw(st.sampled_from(["rate", "increment"])),
+            sequences=tuple(labels),
+        )
+    except InputError:
+        assume(False)
+        return
+    for finding in findings(recording):
+        assert finding.sentence

@@ -1,0 +1,303 @@
+"""Stamps, channels and ranges: what a logger does to a recording, named; sound and odd recordings left alone.
+
+One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, cached_property
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sims.fault_samples  # noqa: F401 - registers its injections
+import srt.diagnosis.frames
+import srt.diagnosis.ranges
+import srt.diagnosis.timing
+import srt.diagnosis.units  # noqa: F401 - register their checks
+from sims.disturbances import tilt_step
+from sims.faults import GRADES, INJECTIONS, Case
+from sims.imu import read_out
+from srt.diagnosis.channels import CHANNELS
+from srt.diagnosis.evidence import Evidence
+from srt.diagnosis.faults import FAULTS
+from srt.diagnosis.findings import checks_of, in_order
+from srt.diagnosis.repeat_evidence import stuck_runs
+from srt.diagnosis.spike_evidence import find_spikes
+from srt.exceptions import SrtError
+from srt.recording import ImuNoise, Recording, SequenceLabel, Site
+
+SEED = 320_000
+STAGES = ("timing", "channels", "units", "frames")
+ON_READING = tuple(name for name, fault in FAULTS.items() if fault.stage == "file")
+CLIPPED = ("gyro_clipped", "accel_clipped")
+LATER = tuple(name for name, fault in FAULTS.items() if fault.stage in STAGES[:2] or name in CLIPPED)
+
+
+class WithoutRecognition(Evidence):
+    """Evidence of what is labelled alone."""
+
+    @cached_property
+    def recognition(self):
+        return None
+
+
+def examine(recording):
+    """Findings of the stages tested here, the first cause first."""
+    evidence, out = WithoutRecognition(recording), []
+    for stage in STAGES:
+        for registered in checks_of(stage):
+            out += registered.run(evidence)
+        if any(finding.effect.startswith("exit") for finding in out):
+            break
+    return in_order(out)
+
+
+@cache
+def case(grade):
+    return Case(grade, SEED)
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_a_sound_recording_raises_nothing(grade):
+    assert examine(case(grade).recording) == ()
+
+
+@pytest.mark.parametrize("fault", ON_READING)
+@pytest.mark.parametrize("grade", GRADES)
+def test_what_reading_refuses_is_named_by_the_error(fault, grade):
+    with pytest.raises(SrtError) as refused:
+        INJECTIONS[fault].recording(case(grade))
+    assert refused.value.fault == fault
+
+
+@pytest.mark.parametrize("fault", LATER)
+@pytest.mark.parametrize("grade", GRADES)
+def test_a_fault_is_named_first(fault, grade):
+    injection = INJECTIONS[fault]
+    assert grade in injection.severity
+    assert examine(injection.recording(case(grade)))[0].fault == fault
+
+
+# --- what the sentences say ------------------------------------------------------------------------------------------
+
+
+def rows_of(label, recording):
+    return recording.window_indices(*label.start_static_s).start, recording.window_indices(*label.end_static_s).stop
+
+
+def test_a_gap_is_placed_and_measured():
+    recording = case("industrial-mems").recording
+    first, last = rows_of(recording.sequences[6], recording)
+    cut = slice((first + last) // 2, (first + last) // 2 + 30)
+    keep = np.ones(len(recording.time), dtype=bool)
+    keep[cut] = False
+    broken = replace(recording, time=recording.time[keep], gyro=recording.gyro[keep], accel=recording.accel[keep])
+    (finding,) = examine(broken)
+    assert finding.details["duration"] == pytest.approx(0.3, abs=1e-9)
+    assert finding.details["time"] == pytest.approx(recording.time[cut.stop], abs=1e-9)
+    assert finding.sentence.startswith("Sequence 4: samples are missing for 0.3 s before")
+    assert "warning" in finding.effect
+
+
+def test_gaps_between_sequences_are_no_fault():
+    recording = case("industrial-mems").recording
+    assert recording.gaps.size == 16
+    assert examine(recording) == ()
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (
+            1e3,
+            "10 s apart, but 5e-06 to 0.5 s is expected: the time stamps look like milliseconds, declared as seconds",
+        ),
+        (1e6, "look like microseconds, declared as seconds"),
+        (1e-3, "1e-05 s apart, and turns come out 0.001 times as large as it is: the time stamps look like seconds, "),
+        (1e-6, "look like seconds, declared as microseconds"),
+    ],
+)
+def test_a_time_unit_is_told_by_its_factor(factor, said):
+    recording = case("industrial-mems").recording
+    labels = tuple(
+        SequenceLabel(
+            tuple(factor * np.array(label.start_static_s)), tuple(factor * np.array(label.end_static_s)), label.id
+        )
+        for label in recording.sequences
+    )
+    (finding,) = examine(replace(recording, time=factor * recording.time, sequences=labels))
+    assert said in finding.sentence
+
+
+def test_jitter_is_measured():
+    recording = case("tactical-fog").recording
+    # Uniform over ±0.2 intervals: one sigma is 0.4/√12 = 0.115, known to 1/√(2·46000) = 0.3 %.
+    late = np.random.default_rng(4).uniform(-0.2, 0.2, len(recording.time))
+    (finding,) = examine(replace(recording, time=recording.time + 0.01 * late))
+    assert finding.fault == "stamp_jitter"
+    assert finding.details["jitter"] == pytest.approx(0.4 / np.sqrt(12.0), rel=0.03)
+
+
+def test_stamps_in_bursts_are_jitter_and_no_gaps():
+    recording = case("industrial-mems").recording
+    n = len(recording.time)
+    burst = 0.1 * np.ceil(np.arange(1, n + 1) / 10) + 0.001 * (np.arange(n) % 10)
+    (finding,) = examine(replace(recording, time=burst, sequences=()))
+    assert finding.fault == "stamp_jitter"
+    # Nine steps of 1 ms and one of 91 ms: one sample in 10 ms.
+    assert finding.details["interval"] == pytest.approx(0.01, rel=1e-3)
+
+
+@pytest.mark.parametrize("channel", [0, 2, 4])
+def test_a_dead_column_is_named_with_its_value(channel):
+    recording = case("consumer-mems").recording
+    columns = np.hstack([recording.gyro, recording.accel])
+    columns[:, channel] = 0.25
+    finding = examine(replace(recording, gyro=columns[:, :3], accel=columns[:, 3:]))[0]
+    assert finding.details["channel"] == CHANNELS[channel]
+    assert finding.details["value"] == 0.25
+
+
+def test_a_column_named_twice_is_seen_through_another_unit():
+    recording = case("tactical-fog").recording
+    gyro = recording.gyro.copy()
+    gyro[:, 1] = np.radians(recording.accel[:, 2])
+    finding = examine(replace(recording, gyro=gyro))[0]
+    assert (finding.details["channel"], finding.details["other"]) == ("gyro_y", "accel_z")
+
+
+@pytest.mark.parametrize(
+    ("sensors", "fault"), [("gyro accel", "samples_stuck"), ("gyro", "gyro_stuck"), ("accel", "accel_stuck")]
+)
+def test_a_run_of_repeats_is_placed_and_counted(sensors, fault):
+    recording = case("industrial-mems").recording
+    first, _ = rows_of(recording.sequences[3], recording)
+    held = slice(first + 700, first + 740)
+    for sensor in sensors.split():
+        values = getattr(recording, sensor).copy()
+        values[held] = values[held.start - 1]
+        recording = replace(recording, **{sensor: values})
+    (finding,) = examine(recording)
+    assert finding.fault == fault
+    assert finding.details["count"] == 41  # the reading that is held, and forty that hold it
+    assert finding.details["time"] == pytest.approx(recording.time[held.start - 1])
+    assert finding.details["sequence"] == "sequence 1a"
+
+
+def test_a_spike_is_placed_and_counted():
+    recording = case("navigation-rlg").recording
+    first, _ = rows_of(recording.sequences[7], recording)
+    accel = recording.accel.copy()
+    accel[[first + 300, first + 1200], 1] += [0.02, -0.05]
+    (finding,) = examine(replace(recording, accel=accel))
+    assert finding.details["channel"] == "accel_y"
+    assert finding.details["count"] == 2
+    assert finding.details["time"] == pytest.approx(recording.time[first + 1200])
+    assert "5 m/s²" in finding.sentence  # 0.05 m/s in 0.01 s, known to a sample's noise: 5 µg/√Hz is 5e-4 m/s²
+    assert finding.sentence.endswith("repeat sequence 5.")
+
+
+@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_knock_that_turns_the_unit_is_no_spike(grade, axis):
+    """A slip within one sample is a single reading in the gyros, too: gravity, or the other gyros, tell it."""
+    simulation = case(grade).simulation
+    vector = np.full(3, 1e-3)
+    vector[axis] = 8e-3
+    slipped = tilt_step(simulation.motion, simulation.windows[7][0][0] + 5.0, vector)
+    recording = read_out(
+        slipped, simulation.truth, simulation.imu, np.random.default_rng(1), kind=case(grade).recording.kind
+    )
+    assert examine(recording) == ()
+
+
+def test_clipping_is_seen_without_a_stated_range_where_readings_are_noisy():
+    simulation = case("industrial-mems").simulation
+    limited = replace(simulation.imu, gyro_range=0.8)
+    recording = read_out(simulation.motion, simulation.truth, limited, np.random.default_rng(1))
+    finding = examine(replace(recording, noise=replace(recording.noise, gyro_range=None)))[0]
+    assert finding.fault == "gyro_clipped"
+    assert finding.details["limit"] == pytest.approx(0.8)
+
+
+def test_readings_beyond_the_stated_range_are_not_clipped():
+    recording = case("industrial-mems").recording
+    assert examine(replace(recording, noise=replace(recording.noise, gyro_range=0.5))) == ()
+
+
+# --- silence ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sequences", [["1"], ["7"], ["9", "9", "9", "9"], ["2", "3", "13"]])
+@pytest.mark.parametrize("site", ["latitude-45", "still-earth", "arctic"])
+def test_readings_without_noise_are_sound(sequences, site):
+    """Without noise rows repeat, columns are constant or proportional, and extremes are held: no fault."""
+    faultless = Case("navigation-rlg", SEED).changed(
+        imu={"from": "perfect"},
+        fixture={"from": "perfect"},
+        site={"from": site},
+        schedule={"sequences": sequences, "dwell_s": 4.0},
+        recording={"kind": "rate"},
+    )
+    assert examine(faultless.recording) == ()
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 50.0])
+def test_pulses_repeat_by_nature(rate_hz):
+    """At rest few pulses come, and in a turn they come evenly: readings repeat in all windows and turns."""
+    assert examine(case("navigation-rlg").changed(recording={"sample_rate_hz": rate_hz}).recording) == ()
+
+
+def odd(kind, n, windows, rng):
+    label = SequenceLabel(*windows, "7")
+    return Recording(
+        0.01 * np.arange(1, n + 1),
+        rng.standard_normal((n, 3)),
+        rng.standard_normal((n, 3)),
+        Site(9.8),
+        kind,
+        noise=ImuNoise(gyro_range=0.5),
+        sequences=(label,),
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    kind=st.sampled_from(["rate", "increment"]),
+    n=st.integers(6, 40),
+    scale=st.sampled_from([0.0, 1e-300, 1.0, 1e200]),
+    seed=st.integers(0, 2**32 - 1),
+    labelled=st.booleans(),
+)
+def test_no_readings_make_a_check_raise(kind, n, scale, seed, labelled):
+    """Whatever is read, down to windows of two samples: what a check finds is a finding, and never an error."""
+    recording = odd(kind, n, ((0.0, 0.02), (0.01 * n - 0.02, 0.01 * n)), np.random.default_rng(seed))
+    with np.errstate(all="ignore"):
+        recording = replace(recording, gyro=scale * recording.gyro, accel=scale * recording.accel)
+        for finding in examine(recording if labelled else recording.with_sequences(())):
+            assert finding.fault in FAULTS
+
+
+def test_nothing_is_found_without_windows():
+    evidence = WithoutRecognition(case("industrial-mems").recording.with_sequences(()))
+    assert stuck_runs(evidence) == ([], [], [])
+    assert find_spikes(evidence).sample.size == 0
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), size=st.floats(20.0, 1e4), channel=st.integers(0, 5))
+def test_a_spike_is_found_where_it_is(seed, size, channel):
+    """Twenty sigmas are found whatever channel and sample: the threshold is 7.5 of a prediction's 1.39 sigmas."""
+    recording = case("tactical-fog").recording
+    rng = np.random.default_rng(seed)
+    first, _ = rows_of(recording.sequences[0], recording)
+    row = first + int(rng.integers(10, 900))
+    columns = np.hstack([recording.gyro, recording.accel])
+    sigma = np.std(np.diff(columns[first : first + 900, channel])) / np.sqrt(2.0)
+    columns[row, channel] += size * sigma
+    found = find_spikes(WithoutRecognition(replace(recording, gyro=columns[:, :3], accel=columns[:, 3:])))
+    assert (found.sample.tolist(), found.channel.tolist()) == ([row], [channel])

@@ -1,0 +1,213 @@
+"""Gravity, latitude and heading as stated against one another and against the Earth's rate at rest.
+
+One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each.
+"""
+
+import math
+from dataclasses import replace
+from functools import cache, cached_property
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sims.fault_statements  # registers its injections
+from sims.faults import GRADES, INJECTIONS, Case
+from sims.imu import ImuModel
+from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
+from srt.diagnosis.evidence import Evidence
+from srt.diagnosis.findings import checks_of
+from srt.diagnosis.rest_evidence import flicker_covariance, rest_fit
+from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M  # registers its checks
+from srt.recording import Fixture, Recording, SequenceLabel, Site
+from srt.sensor_errors import SensorErrors
+
+FAULTS = ("gravity", "latitude", "north")
+SEED = 300_000
+LATITUDE_RAD = 45.0 * DEG
+
+
+class Labelled(Evidence):
+    """Evidence of what is labelled alone."""
+
+    @cached_property
+    def recognition(self):
+        return None
+
+
+def findings(recording):
+    evidence = Labelled(recording)
+    return [finding for registered in checks_of("site") for finding in registered.run(evidence)]
+
+
+@cache
+def case(grade):
+    made = Case(grade, SEED)
+    assert made.recording.site.latitude_rad == pytest.approx(LATITUDE_RAD)
+    return made
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_a_sound_recording_raises_nothing(grade):
+    assert findings(case(grade).recording) == []
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("grade", GRADES)
+def test_each_fault_is_named(fault, grade):
+    injection = INJECTIONS[fault]
+    if grade in injection.unseen:
+        assert grade not in injection.severity
+        pytest.skip(injection.unseen[grade])
+    assert [f.fault for f in findings(injection.recording(case(grade)))] == [fault]
+
+
+def test_gravity_of_another_place():
+    recording = case("consumer-mems").recording
+    recording = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
+    (finding,) = findings(recording)
+    assert finding.sentence == (
+        "Gravity is stated as 9.78 m/s², but at 45° it lies between 9.78979 and 9.80874 m/s²: correct gravity_m_s2 or "
+        "latitude_deg."
+    )
+
+
+def test_the_other_hemisphere():
+    recording = case("navigation-rlg").recording
+    (finding,) = findings(replace(recording, site=replace(recording.site, latitude_rad=-LATITUDE_RAD)))
+    assert finding.sentence.startswith("The gyros see the Earth turn as at 4")
+    assert finding.sentence.endswith("latitude, but -45° is stated: correct latitude_deg (north is positive).")
+    assert abs(finding.details["found"] - 45.0) < 4.5 * finding.details["sigma"]
+    assert finding.details["sigma"] < 0.5
+
+
+@pytest.mark.parametrize("off_deg", [-120.0, 30.0, 180.0])
+def test_heading(off_deg):
+    """The heading that is found is the true one, whichever way and however far the stated one is off."""
+    recording = case("navigation-rlg").recording
+    (finding,) = findings(replace(recording, fixture=replace(recording.fixture, heading_rad=off_deg * DEG)))
+    assert finding.fault == "north"
+    assert abs(math.remainder(finding.details["found"], 360.0)) < 4.5 * finding.details["sigma"]
+    assert finding.details["sigma"] < 0.5
+    assert f"but {off_deg:g}° is stated: correct heading_deg" in finding.sentence
+
+
+def test_wrong_latitude_and_heading_are_both_named():
+    recording = case("navigation-rlg").recording
+    recording = replace(
+        recording,
+        site=replace(recording.site, latitude_rad=-LATITUDE_RAD),
+        fixture=replace(recording.fixture, heading_rad=90.0 * DEG),
+    )
+    assert [f.fault for f in findings(recording)] == ["latitude", "north"]
+
+
+@pytest.mark.parametrize("grade", ["tactical-fog", "industrial-mems"])
+def test_noise_stated_too_low_raises_nothing(grade):
+    """The scatter of the windows decides, not the noise that is stated."""
+    recording = case(grade).recording
+    noise = replace(recording.noise, gyro_noise=0.1 * recording.noise.gyro_noise, gyro_bias_instability=None)
+    assert findings(replace(recording, noise=noise)) == []
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    latitude_deg=st.floats(-90.0, 90.0),
+    height_m=st.floats(HEIGHTS_M[1], HEIGHTS_M[0]),
+    anomaly=st.floats(-1.0, 1.0),
+)
+def test_gravity_of_every_place_on_land_fits_its_latitude(latitude_deg, height_m, anomaly):
+    gravity = normal_gravity_m_s2(latitude_deg * DEG, height_m) + 0.999 * anomaly * ANOMALY_M_S2
+    assert not [f for f in findings(still(Site(gravity, latitude_rad=latitude_deg * DEG))) if f.fault == "gravity"]
+
+
+@settings(max_examples=50, deadline=None)
+@given(latitude_deg=st.floats(-90.0, 90.0), beyond=st.floats(1e-6, 1e-2), high=st.booleans())
+def test_gravity_beyond_every_height_does_not(latitude_deg, beyond, high):
+    height, sign = (HEIGHTS_M[1], 1.0) if high else (HEIGHTS_M[0], -1.0)
+    gravity = normal_gravity_m_s2(latitude_deg * DEG, height) + sign * (ANOMALY_M_S2 + beyond)
+    assert [f.fault for f in findings(still(Site(gravity, latitude_rad=latitude_deg * DEG)))] == ["gravity"]
+
+
+def still(site):
+    """Two samples of nothing."""
+    return Recording([0.0, 0.01], np.zeros((2, 3)), np.zeros((2, 3)), site)
+
+
+def test_rates_at_rest_are_taken_apart():
+    """A unit without noise but with g-sensitivity, on a perfect fixture.
+
+    The Earth's rate comes out to that of the raw gyro matrix, which the Earth's rate over a turn (6 s of 7e-5 rad/s)
+    puts off by 5e-4 / 2π of itself; so does the g-sensitivity, of which the part like the unit matrix is known.
+    """
+    gamma = 1e-4 * np.random.default_rng(1).standard_normal((3, 3))  # rad/s per g upon the downward vertical
+    g = 9.80665
+    motion = sims.table1_motion(
+        site=Site(g, latitude_rad=LATITUDE_RAD), sample_rate_hz=100.0, heading_rad=0.3, stated_fixture=Fixture(0.3)
+    )
+    imu = ImuModel(gyro_g_sensitivity=-gamma / g)
+    fit = rest_fit(Labelled(sims.read_out(motion, SensorErrors(), imu)))
+    down, level = -EARTH_RATE_RAD_S * math.sin(LATITUDE_RAD), EARTH_RATE_RAD_S * math.cos(LATITUDE_RAD)
+    np.testing.assert_allclose(fit.gamma(down), gamma, rtol=0.0, atol=2e-4 * EARTH_RATE_RAD_S)
+    np.testing.assert_allclose(
+        fit.horizontal, level * np.array([math.cos(0.3), -math.sin(0.3)]), rtol=0.0, atol=2e-4 * EARTH_RATE_RAD_S
+    )
+    assert np.abs(fit.drift).max() < 2e-4 * EARTH_RATE_RAD_S
+
+
+@settings(max_examples=50, deadline=None)
+@given(length=st.floats(2.0, 1000.0), shift=st.floats(-1e5, 1e5))
+def test_flicker_has_its_allan_floor(length, shift):
+    """Half the mean square difference of neighbouring averages is one for all τ; decades ripple by 3 %."""
+    at = shift + length * np.arange(3.0)
+    covariance = flicker_covariance(at[:-1], at[1:])
+    assert covariance[0, 0] - covariance[0, 1] == pytest.approx(1.0, rel=0.04)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+def label(a, b, **more):
+    return SequenceLabel(a, b, **more)
+
+
+def odd_recordings():
+    """Recordings of which nothing can be said."""
+    rng = np.random.default_rng(2)
+    time = 0.01 * np.arange(1, 2001)
+    noise = 1e-3 * rng.standard_normal((2000, 3))
+    gravity = np.tile([0.0, 0.0, -9.8], (2000, 1)) + noise
+    site, fixture = Site(9.8, latitude_rad=LATITUDE_RAD), Fixture(0.0)
+    free = (label((0.0, 5.0), (7.0, 12.0)), label((7.0, 12.0), (14.0, 19.0)))
+    one = (label((0.0, 5.0), (12.0, 17.0), id="1"),)
+    tiny = tuple(label((t, t + 0.02), (t + 1.0, t + 1.02), id=i) for t, i in ((0.0, "1"), (2.0, "7"), (4.0, "9")))
+    all_short = tuple(
+        label((t, t + 0.02), (t + 0.5, t + 0.52), id=i) for t, i in zip(np.arange(17.0), sims.TABLE_1, strict=True)
+    )
+    plain = Recording(time, noise, gravity, site, fixture=fixture)
+    late = np.where(time > 10.0, time + 5.0, time)
+    return {
+        "without labels": plain,
+        "free": replace(plain, fixture=None, sequences=free),
+        "one sequence": plain.with_sequences(one),
+        "windows of two samples": plain.with_sequences(tiny),
+        "all sequences, two samples each": plain.with_sequences(all_short),
+        "dead": replace(plain, gyro=np.zeros((2000, 3)), accel=np.zeros((2000, 3)), sequences=all_short),
+        "no latitude": replace(plain, site=Site(9.8), sequences=all_short),
+        "no heading": replace(plain, fixture=Fixture(None), sequences=all_short),
+        "a gap": replace(plain, time=late, sequences=one),
+    }
+
+
+@pytest.mark.parametrize("name", odd_recordings())
+def test_nothing_is_said_of_odd_recordings(name):
+    assert findings(odd_recordings()[name]) == []
+
+
+def test_a_knock_in_one_window_is_no_matter_of_the_place():
+    """A rate of 20 °/h in one window, as a knock of 1 mrad leaves, is left out of the fit."""
+    recording = case("navigation-rlg").recording
+    gyro = recording.gyro.copy()
+    gyro[recording.window_indices(*recording.sequences[5].start_static_s)] += (
+        20.0 * DEG_PER_H * recording.nominal_interval_s
+    )
+    assert findings(replace(recording, gyro=gyro)) == []
