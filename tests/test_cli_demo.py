@@ -67,9 +67,10 @@ def test_it_replaces_its_own_recording_and_no_other(demo, capfd):
 
 def test_without_matplotlib_there_is_no_plot_and_a_warning(tmp_path, capfd, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.delitem(sys.modules, "srt.plots", raising=False)
-    if hasattr(srt, "plots"):
-        monkeypatch.delattr(srt, "plots")
+    for name in ("plots", "figure_style"):
+        monkeypatch.delitem(sys.modules, f"srt.{name}", raising=False)
+        if hasattr(srt, name):
+            monkeypatch.delattr(srt, name)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("srt.cli.demo.SCENARIO", "noise-free")
         assert main(["demo", "-o", str(tmp_path), "-q"]) == 0
