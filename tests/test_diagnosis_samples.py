@@ -6,10 +6,11 @@ One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 import pytest
+from diagnosing import WithoutRecognition, examine_stages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,9 +23,7 @@ from sims.disturbances import tilt_step
 from sims.faults import GRADES, INJECTIONS, Case
 from sims.imu import read_out
 from srt.diagnosis.channels import CHANNELS
-from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.findings import checks_of, in_order
 from srt.diagnosis.repeat_evidence import stuck_runs
 from srt.diagnosis.spike_evidence import find_spikes
 from srt.exceptions import SrtError
@@ -37,23 +36,9 @@ CLIPPED = ("gyro_clipped", "accel_clipped")
 LATER = tuple(name for name, fault in FAULTS.items() if fault.stage in STAGES[:2] or name in CLIPPED)
 
 
-class WithoutRecognition(Evidence):
-    """Evidence of what is labelled alone."""
-
-    @cached_property
-    def recognition(self):
-        return None
-
-
 def examine(recording):
     """Findings of the stages tested here, the first cause first."""
-    evidence, out = WithoutRecognition(recording), []
-    for stage in STAGES:
-        for registered in checks_of(stage):
-            out += registered.run(evidence)
-        if any(finding.effect.startswith("exit") for finding in out):
-            break
-    return in_order(out)
+    return examine_stages(recording, STAGES)
 
 
 @cache

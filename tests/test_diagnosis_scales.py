@@ -6,10 +6,11 @@ One unit of each grade per fault here; ``benchmarks/faults.py`` runs 200 of each
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 import pytest
+from diagnosing import WithoutRecognition, examine_stages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,23 +32,9 @@ STAGES = ("units", "frames")
 MINE = tuple(name for name, fault in FAULTS.items() if fault.stage in STAGES and not name.endswith("clipped"))
 
 
-class WithoutRecognition(Evidence):
-    """Evidence of what is labelled alone."""
-
-    @cached_property
-    def recognition(self):
-        return None
-
-
 def examine(recording):
     """Findings of the stages tested here, the first cause first."""
-    evidence, out = WithoutRecognition(recording), []
-    for stage in STAGES:
-        for registered in checks_of(stage):
-            out += registered.run(evidence)
-        if any(finding.effect.startswith("exit") for finding in out):
-            break
-    return in_order(out)
+    return examine_stages(recording, STAGES)
 
 
 @cache

@@ -1,0 +1,27 @@
+"""What the tests of the diagnosis share: the checks of some stages alone, on what is labelled."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from srt.diagnosis.evidence import Evidence
+from srt.diagnosis.findings import checks_of, in_order
+
+
+class WithoutRecognition(Evidence):
+    """Evidence of what is labelled alone."""
+
+    @cached_property
+    def recognition(self):
+        return None
+
+
+def examine_stages(recording, stages):
+    """Findings of some stages, the first cause first."""
+    evidence, out = WithoutRecognition(recording), []
+    for stage in stages:
+        for registered in checks_of(stage):
+            out += registered.run(evidence)
+        if any(finding.effect.startswith("exit") for finding in out):
+            break
+    return in_order(out)
