@@ -90,7 +90,7 @@ class Pair:
     named, of : int
         Injections at that severity which were named first.
     smallest : float or None
-        Smallest severity seen; None if the stated one is not.
+        Smallest severity seen; None if the stated one is not, or smaller ones were not tried.
     misnamed : mapping of str to int
         What was named first instead; "nothing" for no finding.
     reason : str
@@ -275,6 +275,10 @@ class Study:
                 out.append(fault)
         return out
 
+    def _tried(self, fault: str, grade: str) -> bool:
+        """Whether smaller severities were tried, or there are none."""
+        return severity_at(self.catalogue[fault], grade, 1) is None or bool(self.rows(fault, grade, 1, LADDER_UNITS))
+
     def _missed(self, fault: str, grade: str, rung: int) -> bool:
         return any(row.named != fault for row in self.rows(fault, grade, rung, LADDER_UNITS))
 
@@ -315,7 +319,7 @@ class Study:
                     injection.unit,
                     len(rows) - misnamed.total(),
                     len(rows),
-                    severity_at(injection, grade, rung - 1) if rung else None,
+                    severity_at(injection, grade, rung - 1) if rung and self._tried(fault, grade) else None,
                     dict(misnamed.most_common()),
                 )
 

@@ -22,8 +22,9 @@ def markdown(study: Study) -> str:
         "# How reliably faults are named",
         "",
         "Each cell: severity injected, how many of the injections were detected and named as the first cause, and (≥) "
-        "the\nsmallest severity still seen. Simulated units of four grades (`configs/imu`) on the 1 mrad fixture, 17 "
-        f"sequences, 100 Hz,\nseeds from {study.seed}. What the faults are and say is in [faults.md](faults.md).",
+        "the\nsmallest severity still seen, where smaller ones were tried. Simulated units of four grades "
+        "(`configs/imu`) on the\n1 mrad fixture, 17 sequences, 100 Hz, seeds from "
+        f"{study.seed}. What the faults are and say is in [faults.md](faults.md).",
         "",
         f"The stated severity is halved (of a factor, the square root is taken) for as long as all of {LADDER_UNITS} "
         "units are\nnamed; the smallest one seen is that of the last such step. A fault that is named in 99 % of the "
@@ -63,10 +64,12 @@ def cell(pair: Pair) -> str:
         return "unseen"
     if pair.of == 0:
         return "not run"
-    smallest = "none seen" if pair.smallest is None else f"≥ {pair.smallest:.4g}"
     if pair.unit in ALL_OR_NOTHING:
         return f"{pair.named}/{pair.of}"
-    return f"{pair.severity:.4g} {pair.unit}: {pair.named}/{pair.of}; {smallest}"
+    smallest = "" if pair.seen else "; none seen"
+    if pair.smallest is not None:
+        smallest = f"; ≥ {pair.smallest:.4g}"
+    return f"{pair.severity:.4g} {pair.unit}: {pair.named}/{pair.of}{smallest}"
 
 
 def missed_targets(study: Study) -> Iterator[str]:

@@ -314,7 +314,9 @@ def _read_hdf5(path: Path, time_required: bool) -> Samples:
     try:
         guard_hdf5_trees(path)
         with h5py.File(path, "r") as file:
-            names = select_columns(path, list(file), time_required=time_required)
+            # Names that are not UTF-8 come as bytes, and are no columns of ours.
+            available = [name if isinstance(name, str) else repr(name) for name in file]
+            names = select_columns(path, available, time_required=time_required)
             return _fill(path, names, column)
     except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
         raise _damaged(path, "HDF5", error) from None

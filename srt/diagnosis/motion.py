@@ -35,8 +35,6 @@ _LEAST_OFFSET: Final = 0.02
 """Of the sampling interval: where within a sample a reading counts is not known better than that."""
 _COARSE: Final = 5
 """Blocks that are taken together to find an offset, which lasts for the whole turn."""
-_DEGENERATE: Final = 1e-9
-"""Of the largest eigenvalue: errors that no turn tells apart, which then share what they explain."""
 _MOVING: Final = 0.2
 """Share of the highest rate above which a block belongs to a turn."""
 _SIDE: Final = 20
