@@ -51,6 +51,8 @@ _SPLIT: Final = 0.05
 """Cost, in legs, of a rest inside a sequence."""
 _JOIN: Final = 0.6
 """Cost, in legs, of a jump of attitude inside a rest that nothing else shows."""
+_JOIN_OF_TWO: Final = 0.3
+"""The same in a rest as long as two dwells: on both sides of a sequence of one leg they cost less than it explains."""
 _ANGLE_SIGMA: Final = 0.05
 """One sigma of a leg's angle about its nominal one, for the confidence: fixture and unit together, with room."""
 _STEP: Final = 60.0
@@ -230,10 +232,12 @@ def recognise(recording: Recording) -> Recognition:
     rates = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     force = np.array([recording.accel[a:b].mean(axis=0) for a, b in windows.tolist()]) * rates
     identity = (np.eye(3), np.eye(3))
-    best = _Reading.of(turns, apart, force, recording.site.gravity_m_s2, identity)
+    length = windows[:, 1] - windows[:, 0]
+    join_cost = np.where(length > _TWO_DWELLS * np.median(length), _JOIN_OF_TWO, _JOIN)
+    best = _Reading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, identity)
     if len(turns) >= _ENOUGH and len({m.name for m in best.matches}) < _NEARLY_ALL:
         for mapping in _promising(turns, faces(force, recording.site.gravity_m_s2)):
-            other = _Reading.of(turns, apart, force, recording.site.gravity_m_s2, mapping)
+            other = _Reading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, mapping)
             if other.legs >= _CLEARLY * max(best.legs, 1):
                 best = other
     return _result(recording, windows, turns, best)
@@ -331,6 +335,7 @@ class _Reading:
         turns: SequenceOf[Turn],
         apart: SequenceOf[bool],
         force: Array,
+        join_cost: Array,
         gravity: float,
         mapping: tuple[Array, Array],
     ) -> _Reading:
@@ -351,7 +356,7 @@ class _Reading:
             )
             if cut:
                 if begin < t:
-                    found_here, joined = _read_piece(mapped, words, face, begin, t)
+                    found_here, joined = _read_piece(mapped, words, face, join_cost, begin, t)
                     matches += found_here
                     joins |= joined
                 begin = t
@@ -386,6 +391,7 @@ def _read_piece(
     turns: SequenceOf[Turn],
     words: SequenceOf[Word | None],
     face: SequenceOf[tuple[int, int] | None],
+    join_cost: Array,
     begin: int,
     end: int,
 ) -> tuple[list[_Match], set[int]]:
@@ -405,10 +411,12 @@ def _read_piece(
                 if word == spelled and face[turns[i].start_window] == down:
                     attitude = _STARTS[name] @ carried[i - begin].T
                     options.append(_Match(name, i, j, tuple(attitude.ravel().tolist())))
-    return _best_path(options, begin, end)
+    return _best_path(options, begin, end, [float(join_cost[t.start_window]) for t in turns[begin:end]])
 
 
-def _best_path(options: SequenceOf[_Match], begin: int, end: int) -> tuple[list[_Match], set[int]]:
+def _best_path(
+    options: SequenceOf[_Match], begin: int, end: int, join_cost: SequenceOf[float]
+) -> tuple[list[_Match], set[int]]:
     """Highest-scoring selection of matches that do not overlap, the piece's attitude changing as seldom as may be."""
     states = sorted({m.attitude for m in options})
     if not states:
@@ -423,13 +431,14 @@ def _best_path(options: SequenceOf[_Match], begin: int, end: int) -> tuple[list[
     came: dict[tuple[int, int], tuple[int, int, _Match | None]] = {}
     for i in range(begin, end + 1):
         row = score[i - begin]
-        top = int(np.argmax(row))
-        for s in range(len(states)):
-            if row[s] < row[top] - _JOIN:
-                row[s] = row[top] - _JOIN
-                came[i, s] = (i, top, None)
         if i == end:
             break
+        top = int(np.argmax(row))
+        joined = row[top] - join_cost[i - begin]
+        for s in range(len(states)):
+            if row[s] < joined:
+                row[s] = joined
+                came[i, s] = (i, top, None)
         for s in range(len(states)):
             if row[s] > score[i + 1 - begin, s]:
                 score[i + 1 - begin, s] = row[s]
@@ -508,10 +517,12 @@ def _parted_rests(
         if margin < 1:
             continue
         at, gain = best_join(recording, a + margin, b - margin)
-        if w in hidden or gain > _STEP:
+        if gain > _STEP:
             out[w] = at
         elif length[w] > _TWO_DWELLS * typical:
-            out[w] = (a + b) // 2
+            out[w] = (a + b) // 2  # where noise alone would choose the place, two dwells are taken as alike
+        elif w in hidden:
+            out[w] = at
     return out
 
 
