@@ -272,7 +272,10 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
 
 
 def _mappings() -> list[tuple[Array, Array]]:
-    """Other ways to name the axes: of both sensors, of the gyros alone, of the accelerometers alone."""
+    """Other ways to name the axes: of the accelerometers alone, of the gyros alone, of both.
+
+    Both may differ by a sign: where the axes are left-handed, gyros follow either rule.
+    """
     eye = np.eye(3)
     signed = [
         np.array(sign)[:, None] * eye[list(order)]
@@ -280,7 +283,12 @@ def _mappings() -> list[tuple[Array, Array]]:
         for sign in product((1.0, -1.0), repeat=3)
     ]
     others = [P for P in signed if not np.array_equal(P, eye)]
-    return [*((eye, P) for P in others), *((P, eye) for P in others), *((P, P) for P in others)]
+    return [
+        *((eye, P) for P in others),
+        *((P, eye) for P in others),
+        *((P, P) for P in others),
+        *((-P, P) for P in others if not np.array_equal(P, -eye)),
+    ]
 
 
 def _promising(turns: SequenceOf[Turn], face: SequenceOf[tuple[int, int] | None]) -> list[tuple[Array, Array]]:

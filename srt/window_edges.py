@@ -181,10 +181,14 @@ def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Step:
     # The sum of counts over a chunk is wrong by less than one, at either end.
     variance = np.maximum(variance, 2.0 * floor / size**2)
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(mean, axis=0)])
+    # A bias that wanders as stated steps by this much between neighbouring means, however long they are: the Allan
+    # variance of flicker noise is flat.
+    stated = (recording.noise.gyro_bias_instability, recording.noise.accel_bias_instability)
+    wander = 2.0 * np.repeat([figure or 0.0 for figure in stated], 3) ** 2
     # Means over `span` chunks on both sides of one chunk, in which the jump may lie.
     before = (total[span : count - span] - total[: count - 2 * span]) / span
     after = (total[2 * span + 1 :] - total[span + 1 : count - span + 1]) / span
-    gain = np.sum((after - before) ** 2 / variance, axis=1) * 0.5 * span
+    gain = np.sum((after - before) ** 2 / (2.0 * variance / span + wander), axis=1)
     best = int(np.argmax(gain))
     elsewhere = gain[np.abs(np.arange(len(gain)) - best) > span]
     lo, hi = a + size * max(0, best + span - 1), a + size * min(count, best + span + 2)
