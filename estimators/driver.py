@@ -205,6 +205,8 @@ def iterate(
         if point.attitude is None:
             point = problem.place(point, played)
         near = bool(corrections) and corrections[-1] < _NEAR
+        if near and not renewed:
+            problem.update_mounting(point)
         if near and renewed < _RENEWALS:  # no more, or a scatter on the border of being noise would go on and off
             problem.update_wander(point, played)
             renewed += 1

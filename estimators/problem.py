@@ -129,6 +129,11 @@ class Problem:
             return Chain(np.array([north, 0.0, down]), np.zeros(3), fixture)
         return Chain(np.array([0.0, 0.0, down]), np.array([1.0, 1.0, 0.0]) * north / math.sqrt(2.0), fixture)
 
+    def update_mounting(self, point: Point) -> None:
+        """Renew the mounting's prior by what the turns show near the solution: it must not hang on the start."""
+        if self.data.nominal is not None:
+            self.U_prior, self.U_note = self._mounting(self.player.play(point.errors, U=point.U).U)
+
     def _mounting(self, U: Array) -> tuple[Array, str]:
         """Prior mean of U: the nominal mounting; what the turns showed where MARS is clearly turned from it."""
         fixture = self.data.recording.fixture

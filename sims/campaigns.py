@@ -16,7 +16,7 @@ import numpy as np
 import srt
 from sims.fixture import FixtureDraw, draw_fixture, rotation
 from sims.free_motion import free_motion, random_attitude, random_turns
-from sims.imu import ImuModel, read_out
+from sims.imu import ImuModel, is_imu, read_out
 from sims.sequences import TABLE_1, table_sequences
 from sims.table_motion import table1_motion
 from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 SITE: Final = Site(STANDARD_GRAVITY_M_S2, 5e-6, 45.0 * DEG)
-SMALLEST_SINGULAR_VALUE: Final = 0.15
 IN_G: Final = np.ones(N_PARAMETERS)
 """Divides the 27 errors into the units that accuracy is quoted in: accelerometer bias in g, all else SI."""
 IN_G[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
@@ -99,13 +98,7 @@ def large_errors(rng: np.random.Generator) -> tuple[SensorErrors, int]:
         for group, bound in _LARGE.items():
             part = GROUP_SLICES[group]
             vector[part] = rng.uniform(-bound, bound, part.stop - part.start)
-        s, a = vector[GROUP_SLICES["gyro_scale"]], vector[GROUP_SLICES["accel_scale"]]
-        xy, yz, zx = 0.5 * vector[GROUP_SLICES["gyro_orthogonality"]]
-        m = vector[GROUP_SLICES["accel_misalignment"]]
-        Mg = np.array([[1 + s[0], xy, zx], [xy, 1 + s[1], yz], [zx, yz, 1 + s[2]]])
-        Ma = np.array([[1 + a[0], m[0], m[1]], [m[2], 1 + a[1], m[3]], [m[4], m[5], 1 + a[2]]])
-        singular = min(np.linalg.svd(M, compute_uv=False)[-1] for M in (Mg, Ma))
-        if np.linalg.eigvalsh(Mg)[0] > 0.0 and np.linalg.det(Ma) > 0.0 and singular >= SMALLEST_SINGULAR_VALUE:
+        if is_imu(SensorErrors(vector)):
             return SensorErrors(vector), redrawn
         redrawn += 1
 

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 CORRELATION_TIMES_S: Final = (1.0, 10.0, 100.0, 1000.0)
 """Correlation times of the processes whose sum is the bias instability."""
-
+SMALLEST_SINGULAR_VALUE: Final = 0.15
+"""Of a matrix that a unit may have: below it a channel shows next to nothing of its axis."""
 ALLAN_FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Allan deviation of a unit flicker at its floor, 0.664."""
 
@@ -119,6 +120,24 @@ def accel_matrix(errors: SensorErrors) -> NDArray[np.float64]:
         for j, b in enumerate("xyz"):
             matrix[i, j] += errors[f"accel_scale_{a}" if i == j else f"accel_misalignment_{a}{b}"]
     return matrix
+
+
+def is_imu(errors: SensorErrors) -> bool:
+    """Whether errors are those of a unit that could exist.
+
+    Parameters
+    ----------
+    errors : SensorErrors
+
+    Returns
+    -------
+    bool
+        Mg is positive definite, as a symmetric matrix near to a rotation's is; Ma has a positive determinant (no axis
+        flipped, no left-handed triad); and no singular value of either is below :data:`SMALLEST_SINGULAR_VALUE`.
+    """
+    Mg, Ma = gyro_matrix(errors), accel_matrix(errors)
+    singular = min(np.linalg.svd(M, compute_uv=False)[-1] for M in (Mg, Ma))
+    return bool(np.linalg.eigvalsh(Mg)[0] > 0.0 and np.linalg.det(Ma) > 0.0 and singular >= SMALLEST_SINGULAR_VALUE)
 
 
 def _by_axis(errors: SensorErrors, stem: str) -> NDArray[np.float64]:

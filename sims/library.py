@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from srt.exceptions import InputError
 
-FOLDERS: Final = ("imu", "fixture", "site", "scenario")
+FOLDERS: Final = ("imu", "fixture", "site", "scenario", "robustness")
 """Folders of the library."""
 
 
@@ -87,3 +87,32 @@ def overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
         below = merged.get(key)
         merged[key] = overlay(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
     return merged
+
+
+def resolved(tables: dict[str, Any], *, name: str, near: Path | None = None) -> dict[str, Any]:
+    """Lay the sections of a scenario over the files that their ``from`` names.
+
+    Parameters
+    ----------
+    tables : dict
+        Of a scenario; not changed.
+    name : str
+        What error messages call the scenario.
+    near : Path, optional
+        Folder that relative paths in ``from`` start from.
+
+    Raises
+    ------
+    InputError
+        A ``from`` that is no text, or names no file.
+    """
+    out = dict(tables)
+    for section in ("imu", "fixture", "site"):
+        table = out.get(section)
+        if isinstance(table, dict) and "from" in table:
+            source = table["from"]
+            if not isinstance(source, str):
+                raise InputError(f"{name}: [{section}] from is {source!r}: give a name of the library or a path.")
+            own = {key: value for key, value in table.items() if key != "from"}
+            out[section] = overlay(read_toml(find(section, source, near=near)), own)
+    return out

@@ -349,20 +349,10 @@ def scenario_from_dict(tables: dict[str, Any], *, name: str = "scenario", near: 
     near : Path, optional
         Folder that relative paths in ``from`` start from.
     """
-    resolved = dict(tables)
-    for section in ("imu", "fixture", "site"):
-        table = resolved.get(section)
-        if isinstance(table, dict) and "from" in table:
-            source = table["from"]
-            if not isinstance(source, str):
-                raise InputError(f"{name}: [{section}] from is {source!r}: give a name of the library or a path.")
-            below = library.read_toml(library.find(section, source, near=near))
-            own = {key: value for key, value in table.items() if key != "from"}
-            resolved[section] = library.overlay(below, own)
     try:
-        return Scenario.model_validate(resolved)
+        return Scenario.model_validate(library.resolved(tables, name=name, near=near))
     except ValidationError as error:
-        raise InputError(f"{name}: {_sentence(error)}") from None
+        raise InputError(f"{name}: {validation_sentence(error, Scenario)}") from None
 
 
 _EXPECTED = {
@@ -383,14 +373,21 @@ _EXPECTED = {
 """What a value should have been, by pydantic's type of error and with the names in its context."""
 
 
-def _sentence(error: ValidationError) -> str:
-    """Put the first finding of a validation into one sentence."""
+def validation_sentence(error: ValidationError, root: type[BaseModel]) -> str:
+    """Put the first finding of a validation into one sentence.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+    root : type
+        The model that was validated; it knows the keys that there are.
+    """
     first = error.errors(include_url=False)[0]
     path, kind, context = first["loc"], first["type"], first.get("ctx", {})
     *parents, last = path or ("",)
     where = f"[{_dotted(parents)}]" if parents else "the top level"
     if kind == "extra_forbidden":
-        known = _keys_at(parents)
+        known = _keys_at(parents, root)
         near = difflib.get_close_matches(str(last), known, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"the keys there are {', '.join(known)}."
         return f"unknown key {last!r} in {where}: {hint}"
@@ -415,12 +412,12 @@ def _dotted(path: Sequence[int | str]) -> str:
     return text.removeprefix(".")
 
 
-def _keys_at(path: Sequence[int | str]) -> list[str]:
-    """Known keys of the table at a place in a scenario."""
-    model: type[BaseModel] = Scenario
+def _keys_at(path: Sequence[int | str], root: type[BaseModel]) -> list[str]:
+    """Known keys of the table at a place."""
+    model = root
     for part in path:
-        if isinstance(part, int):
-            continue
+        if isinstance(part, int) or part not in model.model_fields:
+            continue  # a place in an array, or a name that the file's author chose
         annotation = model.model_fields[part].annotation
         model = next(t for t in _flatten(annotation) if isinstance(t, type) and issubclass(t, BaseModel))
     keys = list(model.model_fields)

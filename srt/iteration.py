@@ -137,7 +137,6 @@ class Iteration:
         near = self.resumed
         status, message = "not_converged", ""
         final: Playback | None = None
-        U = self._first_orientation(U)
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
             # Once near, the full weights are taken, and kept: they change with the estimate by parts in a thousand.
@@ -193,12 +192,6 @@ class Iteration:
                 with_noise=True,
             )
         return self._finish(final, errors, U, corrections, status, message)
-
-    def _first_orientation(self, U: Array) -> Array:
-        """Orientation of MARS on the table for errors that were given, or none: as the data show it under them."""
-        if self.options.start == "auto" or self.resumed or self.data.nominal is None:
-            return U
-        return self.player.play(self.first, U=U, nominal_vertical=True).U
 
     def _gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
         try:

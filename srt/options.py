@@ -41,7 +41,8 @@ class Options:
     step : "jacobian" or "coefficients"
         Correction of a play-back: full Jacobian at the estimate, added; or the coefficients of eq. 13, composed.
     start : "auto", "zero" or SensorErrors
-        First estimate: from the fixture's nominal angles (or, without one, from gravity), no errors, or given ones.
+        First estimate: from the fixture's nominal angles (or, without one, from gravity); from no errors, the shortest
+        turns first, whatever the fixture did; or given ones.
     asymmetry : bool
         False holds gyro scale-factor asymmetry at its start value (eq. 14).
     hold : tuple of str

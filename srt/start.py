@@ -1,4 +1,4 @@
-"""The first estimate: from the fixture, from gravity alone, from given errors, or none."""
+"""The first estimate: from the fixture, from gravity alone, from the recorded turns, or from given errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import numpy as np
 from srt.attitude import gyro_stream
 from srt.fixture_start import start_from_fixture
 from srt.gravity_start import start_from_gravity
+from srt.playback import Player
 from srt.sensor_errors import SensorErrors
+from srt.staged_start import start_in_stages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,10 +29,10 @@ def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, 
     options : Options
         ``start``: "auto", "zero", or the errors themselves.
     """
-    if isinstance(options.start, SensorErrors):
-        return options.start, np.eye(3)
-    if options.start == "zero":
-        return SensorErrors(), np.eye(3)
+    if options.start != "auto":
+        errors = options.start if isinstance(options.start, SensorErrors) else start_in_stages(data, options)
+        # How MARS lies on the table is as the data show it under these errors.
+        return errors, Player(data, options).play(errors, nominal_vertical=True).U
     if data.nominal is None:
         return start_from_gravity(data), np.eye(3)
     stream = gyro_stream(

@@ -1,0 +1,420 @@
+"""Campaigns: which units to simulate and which estimators to try on them, as TOML checked before anything runs.
+
+Tables of a campaign::
+
+    [campaign]   name, description, seed, trials (of every point of the grid), fixed_point
+    [scenario]   as for ``srt simulate``; from = "name" takes one of the library and lays these keys over it
+    [grid]       key = [values]: every combination of the lists is a point
+    [random]     key = {low, high, log} or {choices}: drawn anew for every trial
+    [[estimator]]  name, label, start, and any other option of an estimator
+
+A key is one of :data:`AXES`, which say in one number what takes several in a scenario, or a scenario's own key with
+dots, as ``schedule.dwell_s``. A unit and its recording depend on the seed, the point and the number of the trial alone:
+every estimator gets the same recording, and one trial can be repeated without the others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sims import library
+from sims.scenario import Finite, Flag, Scenario, scenario_from_dict, validation_sentence
+from sims.sequences import TABLE_1
+from srt.estimation import find_estimator
+from srt.exceptions import InputError
+from srt.options import Options
+from srt.sensor_errors import SensorErrors
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+Value = float | int | str | bool
+STARTS: Final = ("truth", "unguided")
+"""Starts that only a campaign has: at the true errors, and at none without the stages of the estimators' own "zero"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """What a campaign may vary by one number or word.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Keys of a scenario that it sets.
+    factor : float
+        From the axis to the scenario's unit; an error with uniform distribution is within ± the axis' value, one with
+        normal distribution has it as sigma.
+    error : bool
+        Whether it is a size of sensor errors.
+    text : str
+    kind : type
+        float, int or str.
+    """
+
+    keys: tuple[str, ...]
+    factor: float
+    text: str
+    error: bool = False
+    kind: type = float
+
+
+AXES: Final[Mapping[str, Axis]] = {
+    "scale_percent": Axis(("imu.errors.gyro_scale_ppm", "imu.errors.accel_scale_ppm"), 1e4, "scale factors", True),
+    "misalignment_mrad": Axis(
+        ("imu.errors.gyro_orthogonality_urad", "imu.errors.accel_misalignment_urad"),
+        1e3,
+        "angles between gyros, and of accelerometers to the body axes",
+        True,
+    ),
+    "asymmetry_ppm": Axis(
+        ("imu.errors.gyro_asymmetry_ppm", "imu.errors.accel_asymmetry_ppm"), 1.0, "scale-factor asymmetries", True
+    ),
+    "gyro_asymmetry_ppm": Axis(("imu.errors.gyro_asymmetry_ppm",), 1.0, "of the gyros alone", True),
+    "accel_bias_mg": Axis(("imu.errors.accel_bias_ug",), 1e3, "accelerometer biases", True),
+    "gyro_bias_deg_s": Axis(("imu.errors.gyro_bias_deg_per_h",), 3600.0, "gyro biases", True),
+    "fixture_mrad": Axis(
+        (
+            "fixture.level_sigma_mrad",
+            "fixture.north_sigma_mrad",
+            "fixture.mounting_sigma_mrad",
+            "fixture.non_orthogonality_sigma_mrad",
+            "fixture.rotation_sigma_mrad",
+            "fixture.stated_alignment_sigma_mrad",
+            "fixture.stated_rotation_sigma_mrad",
+        ),
+        1.0,
+        "levelling, north, mounting, axes and rotations of the fixture, true and stated",
+    ),
+    "grade": Axis(("imu",), 1.0, "grade of the unit: a name of configs/imu", kind=str),
+    "missing_sequences": Axis((), 1.0, "sequences left out, chosen at random", kind=int),
+    "repeated_sequences": Axis((), 1.0, "sequences run twice, chosen at random", kind=int),
+}
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class CampaignTable(_Table):
+    """What the campaign is."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    description: str = ""
+    seed: Annotated[int, Field(strict=True, ge=0)]
+    trials: Annotated[int, Field(strict=True, ge=1)]
+    """Of every point of the grid."""
+    fixed_point: Flag = True
+    """Iterate from the true errors, too, which tells a wrong minimum; without it a status is believed."""
+
+
+class RandomTable(_Table):
+    """Distribution of a quantity that every trial draws."""
+
+    low: Finite | None = None
+    high: Finite | None = None
+    log: Flag = False
+    """Whether its logarithm is even between the bounds."""
+    choices: Annotated[tuple[Value, ...], Field(min_length=1)] | None = None
+
+    def model_post_init(self, _context: object) -> None:
+        """Refuse what is neither bounds nor choices."""
+        bounds = self.low is not None and self.high is not None
+        if bounds == (self.choices is not None) or (self.low is None) != (self.high is None):
+            raise ValueError("give either low and high, or choices")
+        if self.low is not None and self.high is not None:
+            if self.low > self.high:
+                raise ValueError("low is above high")
+            if self.log and self.low <= 0.0:
+                raise ValueError("log needs a low above 0")
+
+    def draw(self, rng: np.random.Generator) -> Value:
+        """Draw one value."""
+        if self.choices is not None:
+            return self.choices[int(rng.integers(len(self.choices)))]
+        assert self.low is not None
+        assert self.high is not None
+        if self.log:
+            return math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
+        return float(rng.uniform(self.low, self.high))
+
+    def __str__(self) -> str:
+        if self.choices is not None:
+            return "one of " + ", ".join(map(str, self.choices))
+        return f"{self.low:g} to {self.high:g}" + (", log" if self.log else "")
+
+
+class _Campaign(_Table):
+    campaign: CampaignTable
+    scenario: dict[str, Any]
+    grid: dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]] = {}
+    random: dict[str, RandomTable] = {}
+    estimator: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorChoice:
+    """One way to calibrate a recording.
+
+    Attributes
+    ----------
+    label : str
+        Names it in the results.
+    name : str
+        Of the registry, or "auto".
+    options : Options
+    from_truth : bool
+        Start at the true errors: a campaign's own "start".
+    """
+
+    label: str
+    name: str
+    options: Options
+    from_truth: bool = False
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign, checked.
+
+    Attributes
+    ----------
+    name, description : str
+    seed, trials : int
+    fixed_point : bool
+    scenario : dict
+        Tables of the scenario that every trial starts from, ``from`` resolved.
+    grid : dict of str to tuple
+    random : dict of str to RandomTable
+    estimators : tuple of EstimatorChoice
+    text : str
+        The file as it was written.
+    """
+
+    name: str
+    description: str
+    seed: int
+    trials: int
+    fixed_point: bool
+    scenario: dict[str, Any]
+    grid: dict[str, tuple[Value, ...]]
+    random: dict[str, RandomTable]
+    estimators: tuple[EstimatorChoice, ...]
+    text: str = field(default="", repr=False)
+
+    @cached_property
+    def points(self) -> tuple[dict[str, Value], ...]:
+        """Values of the grid's axes at every point, the last axis fastest."""
+        return tuple(dict(zip(self.grid, values, strict=True)) for values in itertools.product(*self.grid.values()))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Everything that varies: the grid's axes, then the random ones."""
+        return (*self.grid, *self.random)
+
+    @property
+    def tasks(self) -> Iterator[tuple[int, int]]:
+        """Point and number of every trial; all points once before any a second time, so that a part shows the whole."""
+        return ((point, k) for k in range(self.trials) for point in range(len(self.points)))
+
+    @property
+    def size(self) -> int:
+        """Number of trials."""
+        return len(self.points) * self.trials
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the recordings have noise: else a sigma is a floor, and honest at best by chance."""
+        varied = self.grid.get("recording.noise", ())
+        fixed = Scenario.model_fields["recording"].get_default()
+        return bool(self.scenario.get("recording", {}).get("noise", fixed.noise)) and False not in varied
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of all that a trial's numbers depend on; the number of trials is none of it."""
+        parts = {
+            "seed": self.seed,
+            "scenario": self.scenario,
+            "grid": self.grid,
+            "random": {key: table.model_dump() for key, table in self.random.items()},
+            "fixed_point": self.fixed_point,
+            "estimators": [(e.label, e.name, e.options.as_dict(), e.from_truth) for e in self.estimators],
+        }
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+    def unit(self, point: int, trial: int) -> tuple[Scenario, dict[str, Value]]:
+        """Scenario of one trial, and the values of all axes in it.
+
+        Parameters
+        ----------
+        point, trial : int
+
+        Raises
+        ------
+        InputError
+            A value that no scenario may have.
+        """
+        seeds = np.random.SeedSequence(self.seed, spawn_key=(point, trial))
+        rng = np.random.default_rng(seeds.spawn(1)[0])
+        drawn = {key: table.draw(rng) for key, table in self.random.items()}
+        values = {**self.points[point], **drawn}
+        tables = self.scenario
+        for key, value in values.items():
+            tables = library.overlay(tables, _set(key, value, tables))
+        tables = _with_sequences(tables, values, rng)
+        # 63 bits: what TOML can hold, so that a trial's scenario can be written down.
+        tables = {**tables, "seed": int(seeds.generate_state(1, np.uint64)[0] >> np.uint64(1))}
+        return scenario_from_dict(tables, name=f"{self.name}, point {point}"), values
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """Read a campaign from a TOML file, or a name of configs/robustness, and check all of it.
+
+    Raises
+    ------
+    InputError
+        In one sentence: what was found, where, what was expected, and what to do.
+    """
+    file = library.find("robustness", path)
+    tables = library.read_toml(file)
+    try:
+        read = _Campaign.model_validate(tables)
+    except ValidationError as error:
+        raise InputError(f"{file.name}: {validation_sentence(error, _Campaign)}") from None
+    estimators = tuple(_estimator(table, file.name) for table in read.estimator)
+    labels = [e.label for e in estimators]
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        raise InputError(f"{file.name}: two estimators are labelled {twice!r}: give each a label of its own.")
+    both = sorted(set(read.grid) & set(read.random))
+    if both:
+        raise InputError(f"{file.name}: {both[0]!r} is in [grid] and in [random]: keep one.")
+    campaign = Campaign(
+        **dict(read.campaign),
+        scenario=_resolved(read.scenario, file),
+        grid=dict(read.grid),
+        random=dict(read.random),
+        estimators=estimators,
+        text=file.read_text(encoding="utf-8"),
+    )
+    for axis in campaign.axes:
+        _check_axis(axis, campaign, file.name)
+    for point in range(len(campaign.points)):  # a bad value shows now, and not after an hour
+        try:
+            campaign.unit(point, 0)
+        except InputError as error:
+            raise InputError(f"{file.name}: {error}") from None
+    return campaign
+
+
+def _resolved(tables: dict[str, Any], file: Path) -> dict[str, Any]:
+    """Tables of the scenario with those that ``from`` names below them, its sections' own ``from`` included."""
+    own = {key: value for key, value in tables.items() if key != "from"}
+    if "from" in tables:
+        source = library.find("scenario", str(tables["from"]), near=file.parent)
+        own = library.overlay(library.read_toml(source), own)
+    own.setdefault("seed", 0)
+    return library.resolved(own, name=file.name, near=file.parent)
+
+
+def _estimator(table: dict[str, Any], name: str) -> EstimatorChoice:
+    """One [[estimator]], its options checked as the library checks them."""
+    options = {key: value for key, value in table.items() if key not in ("name", "label")}
+    estimator, label = table.get("name"), table.get("label", table.get("name"))
+    if not isinstance(estimator, str) or not isinstance(label, str):
+        raise InputError(f'{name}: an [[estimator]] lacks its name, or it is no text: add name = "closed-form".')
+    unknown = next((key for key in options if key not in Options.__dataclass_fields__), None)
+    if unknown is not None:
+        near = did_you_mean(unknown, Options.__dataclass_fields__)
+        raise InputError(
+            f"{name}: [[estimator]] {label!r} has an unknown option {unknown!r}{near}: the options are "
+            f"{', '.join(Options.__dataclass_fields__)}."
+        )
+    from_truth = options.get("start") == "truth"
+    if options.get("start") in STARTS:
+        options["start"] = SensorErrors()
+    try:
+        if estimator != "auto":
+            find_estimator(estimator)
+        return EstimatorChoice(label, estimator, Options(**options), from_truth)
+    except InputError as error:
+        raise InputError(f"{name}: [[estimator]] {label!r}: {error}") from None
+
+
+def _check_axis(key: str, campaign: Campaign, name: str) -> None:
+    """Refuse an axis that is no key of a scenario, and one that would have no effect."""
+    axis = AXES.get(key)
+    if axis is None and "." not in key:
+        raise InputError(
+            f"{name}: there is nothing named {key!r} to vary{did_you_mean(key, AXES)}: the names are "
+            f"{', '.join(AXES)}, or a key of a scenario with its table, as schedule.dwell_s."
+        )
+    if axis is not None and axis.error and campaign.scenario.get("errors", {}).get("draw") == "none":
+        raise InputError(f'{name}: {key} has no effect while [scenario.errors] draw is "none": take "uniform".')
+    values = campaign.grid.get(key, ())
+    if axis is not None:
+        wrong = next((v for v in values if not _is(v, axis.kind)), None)
+        if wrong is not None:
+            kind = {float: "a number", int: "a whole number", str: "a name in quotes"}[axis.kind]
+            raise InputError(f"{name}: [grid] {key} has {wrong!r}: give {kind}.")
+
+
+def _is(value: Value, kind: type) -> bool:
+    return isinstance(value, (int, float) if kind is float else kind) and not isinstance(value, bool)
+
+
+def _set(key: str, value: Value, tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables that set one axis in a scenario."""
+    axis = AXES.get(key)
+    if axis is None:
+        return _nested(key, value)
+    if key == "grade":
+        grade = library.read_toml(library.find("imu", str(value)))
+        # What the campaign itself says of the unit, its errors above all, is not the grade's to change.
+        return {"imu": {k: grade[k] for k in ("name", "noise") if k in grade}}
+    factor = axis.factor
+    if axis.error:
+        settings = tables.get("errors", {})
+        if settings.get("draw", "normal") == "uniform":
+            factor /= math.sqrt(3.0)  # a scenario states sigmas
+        factor /= settings.get("factor", 1.0)
+    out: dict[str, Any] = {}
+    for name in axis.keys:
+        out = library.overlay(out, _nested(name, float(value) * factor))
+    return out
+
+
+def _nested(key: str, value: Value) -> dict[str, Any]:
+    table: Any = value
+    for part in reversed(key.split(".")):
+        table = {part: table}
+    assert isinstance(table, dict)
+    return table
+
+
+def _with_sequences(tables: dict[str, Any], values: Mapping[str, Value], rng: np.random.Generator) -> dict[str, Any]:
+    """Leave out and repeat sequences, as many as two axes say."""
+    missing, repeated = (int(values.get(key, 0)) for key in ("missing_sequences", "repeated_sequences"))
+    if not missing and not repeated:
+        return tables
+    schedule = tables.get("schedule", {})
+    all_ids = list(schedule.get("sequences", TABLE_1))
+    if not 0 <= missing < len(all_ids) or not 0 <= repeated <= len(all_ids) - missing:
+        raise InputError(
+            f"missing_sequences is {missing} and repeated_sequences {repeated}, of {len(all_ids)} sequences in all: "
+            "leave one at least, and repeat no more than are left."
+        )
+    out = set(rng.choice(len(all_ids), missing, replace=False).tolist())
+    left = [name for k, name in enumerate(all_ids) if k not in out]
+    again = [left[k] for k in rng.choice(len(left), repeated, replace=False).tolist()]
+    return library.overlay(tables, {"schedule": {"sequences": [*left, *again]}})

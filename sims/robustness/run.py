@@ -1,0 +1,68 @@
+"""A campaign from its beginning, or from where an earlier run stopped, to its table."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from sims.robustness.store import Store
+from sims.robustness.trial import run_trial
+from srt.engines import Engine
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    import pyarrow as pa
+
+    from sims.robustness.config import Campaign
+
+    Progress = Callable[[int, int], None]
+
+
+def run_campaign(
+    campaign: Campaign,
+    folder: Path,
+    *,
+    engine: Engine | None = None,
+    fresh: bool = False,
+    progress: Progress | None = None,
+) -> pa.Table:
+    """Run what a folder does not hold yet of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    folder : Path
+        Of the results; made if absent.
+    engine : Engine, optional
+        Default: this process alone. The numbers do not depend on it.
+    fresh : bool
+        Throw away what the folder holds.
+    progress : callable, optional
+        Called with the numbers of finished and of all trials, first before any is run.
+
+    Returns
+    -------
+    pyarrow.Table
+        One row for each trial and estimator, sorted; also in ``results.parquet`` in the folder.
+
+    Raises
+    ------
+    InputError
+        A folder of another campaign, one that cannot be written, or a scheduler that does not answer.
+    DataError
+        A worker that died; finished trials are kept.
+    """
+    with Store(folder, campaign, fresh=fresh) as store:
+        # Trials of an earlier, longer run of the same campaign may be there, too.
+        finished = sum(number < campaign.trials for _, number in store.done)
+        if progress is not None:
+            progress(finished, campaign.size)
+        left = (task for task in campaign.tasks if task not in store.done)
+        for rows in (engine or Engine()).run(partial(run_trial, campaign), left):
+            store.add(rows)
+            finished += 1
+            if progress is not None:
+                progress(finished, campaign.size)
+        return store.finish()

@@ -1,0 +1,286 @@
+"""Results of a campaign on disk: every trial kept from the moment it is finished, and read back as one table.
+
+A folder holds::
+
+    campaign.toml     the campaign as it was written
+    campaign.json     what its numbers depend on, as a hash, and the version that made them
+    journal.jsonl     trials since the last part, one line each
+    parts/            Parquet, a thousand rows each
+    results.parquet   all of them in the order of trial, point and estimator, once the campaign is through
+
+A Parquet file is unreadable until it is closed, so a trial goes to the journal first, which a process killed outright
+leaves whole but for its last line. Parts appear whole or not at all, and only then the journal begins anew: what both
+hold counts once.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from sims.robustness.config import AXES
+from srt.assembly import software
+from srt.atomic import atomic_path, atomic_write_text, unwritable
+from srt.exceptions import InputError, MissingExtraError
+from srt.sensor_errors import NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import TracebackType
+
+    import pyarrow as pa
+
+    from sims.robustness.config import Campaign
+    from sims.robustness.trial import Row
+
+_FORMAT: Final = "srt-robustness"
+_VERSION: Final = 1
+_ROWS: Final = 1000
+"""Rows of a part: a megabyte, and some seconds of work."""
+_ORDER: Final = [("replicate", "ascending"), ("point", "ascending"), ("estimator", "ascending")]
+
+
+def schema(campaign: Campaign) -> pa.Schema:
+    """Columns of a campaign's table.
+
+    Parameters
+    ----------
+    campaign : Campaign
+
+    Returns
+    -------
+    pyarrow.Schema
+        SI units; axes in the unit that their name says.
+    """
+    pa = _pyarrow()
+    columns = [("point", pa.int32()), ("replicate", pa.int32()), ("seed", pa.int64()), ("estimator", pa.string())]
+    columns += [(axis, _axis_type(campaign, axis)) for axis in campaign.axes]
+    columns += [(name, pa.string()) for name in ("outcome", "status", "message")]
+    columns += [("playbacks", pa.int32()), ("observed", pa.int32())]
+    columns += [(name, pa.float64()) for name in ("distance", "nees", "largest", "simulate_s", "calibrate_s")]
+    columns += [(f"{stem}_{name}", pa.float64()) for stem in ("truth", "error", "sigma") for name in NAMES]
+    return pa.schema(columns)
+
+
+def _axis_type(campaign: Campaign, axis: str) -> Any:
+    pa = _pyarrow()
+    table = campaign.random.get(axis)
+    values = campaign.grid.get(axis, () if table is None else table.choices or (0.5,))
+    if axis in AXES and AXES[axis].kind is int:
+        return pa.int32()
+    if all(isinstance(v, bool) for v in values):
+        return pa.bool_()
+    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
+        return pa.float64()
+    return pa.string()
+
+
+class Store:
+    """The folder of one campaign, held by one process at a time.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if absent.
+    campaign : Campaign
+    fresh : bool
+        Throw away what the folder holds of an earlier run.
+
+    Raises
+    ------
+    InputError
+        A folder that cannot be written, is in use, or holds another campaign.
+    """
+
+    def __init__(self, folder: Path, campaign: Campaign, *, fresh: bool = False) -> None:
+        self.folder, self.campaign, self.schema = folder, campaign, schema(campaign)
+        self.done: set[tuple[int, int]] = set()
+        self._rows: list[Row] = []
+        try:
+            (folder / "parts").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(unwritable(folder, error)) from None
+        self._lock = _locked(folder)
+        self._journal = folder / "journal.jsonl"
+        try:
+            if fresh:
+                self._clear()
+            self._check()
+            self._absorb()
+            self._file = self._journal.open("a", encoding="utf-8")
+        except OSError as error:
+            self._lock.release()
+            raise InputError(unwritable(folder, error)) from None
+        except InputError:
+            self._lock.release()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(OSError):
+            self._file.close()
+        self._lock.release()
+
+    def add(self, rows: list[Row]) -> None:
+        """Keep the rows of one trial, from now on whatever happens.
+
+        Parameters
+        ----------
+        rows : list of dict
+
+        Raises
+        ------
+        InputError
+            If they cannot be written.
+        """
+        self.done.add(_key(rows[0]))
+        self._rows += rows
+        try:
+            self._file.write(json.dumps(rows) + "\n")
+            self._file.flush()
+            if len(self._rows) >= _ROWS:
+                self._to_part()
+        except OSError as error:
+            raise InputError(unwritable(self.folder, error)) from None
+
+    def table(self) -> pa.Table:
+        """All rows so far, those of trials beyond the campaign's number left out, in an order of their own.
+
+        Returns
+        -------
+        pyarrow.Table
+        """
+        pa = _pyarrow()
+        import pyarrow.compute as pc
+
+        tables = [self._read(path) for path in self._parts()]
+        tables.append(pa.Table.from_pylist(self._rows, schema=self.schema))
+        table = pa.concat_tables(tables)
+        return table.filter(pc.less(table["replicate"], self.campaign.trials)).sort_by(_ORDER)
+
+    def finish(self) -> pa.Table:
+        """Put all parts into results.parquet, and give the table."""
+        self._to_part()
+        table = self.table()
+        _write(table, self.folder / "results.parquet")
+        return table
+
+    def _to_part(self) -> None:
+        """Move the journal's rows into a part."""
+        if not self._rows:
+            return
+        pa = _pyarrow()
+        number = 1 + max((int(path.stem.split("-")[1]) for path in self._parts()), default=0)
+        _write(
+            pa.Table.from_pylist(self._rows, schema=self.schema), self.folder / "parts" / f"part-{number:06d}.parquet"
+        )
+        self._rows = []
+        self._file.close()
+        self._file = self._journal.open("w", encoding="utf-8")
+
+    def _absorb(self) -> None:
+        """Find what earlier runs finished; the journal that the last one left becomes a part."""
+        for path in self._parts():
+            table = self._read(path, ["point", "replicate"])
+            self.done |= set(zip(table["point"].to_pylist(), table["replicate"].to_pylist(), strict=True))
+        self._rows = [row for rows in _lines(self._journal) if _key(rows[0]) not in self.done for row in rows]
+        self.done |= {_key(row) for row in self._rows}
+        self._file = self._journal.open("a", encoding="utf-8")
+        self._to_part()
+        self._file.close()
+        # What is left of it is in a part, or is a line that was never finished.
+        self._journal.write_text("", encoding="utf-8")
+
+    def _check(self) -> None:
+        """Refuse the folder of another campaign; sign one that is new."""
+        path = self.folder / "campaign.json"
+        if path.exists():
+            try:
+                sign = json.loads(path.read_text(encoding="utf-8"))
+                same = (
+                    sign["format"] == _FORMAT and sign["version"] == _VERSION and sign["digest"] == self.campaign.digest
+                )
+            except (ValueError, KeyError, TypeError, UnicodeDecodeError):
+                same = False
+            if not same:
+                raise InputError(
+                    f"The folder {self.folder} holds results of another campaign, or of other settings of this one: "
+                    "name another folder, or add --fresh to throw them away."
+                )
+        elif self._parts() or self._journal.exists():
+            raise InputError(f"The folder {self.folder} holds results of unknown origin: name another folder.")
+        sign = {"format": _FORMAT, "version": _VERSION, "digest": self.campaign.digest, "software": software()}
+        atomic_write_text(path, json.dumps(sign, indent=2) + "\n")
+        atomic_write_text(self.folder / "campaign.toml", self.campaign.text)
+
+    def _clear(self) -> None:
+        for path in (*self._parts(), self.folder / "results.parquet", self._journal, self.folder / "campaign.json"):
+            path.unlink(missing_ok=True)
+
+    def _parts(self) -> list[Path]:
+        return sorted((self.folder / "parts").glob("part-*.parquet"))
+
+    def _read(self, path: Path, columns: list[str] | None = None) -> pa.Table:
+        from pyarrow import ArrowInvalid, parquet
+
+        try:
+            return parquet.read_table(path, columns=columns)
+        except (ArrowInvalid, OSError) as error:
+            reason = str(error).splitlines()[0].rstrip(".")
+            raise InputError(
+                f"{path} cannot be read ({reason}): remove it, and the trials that it held will be run again."
+            ) from None
+
+
+def _lines(path: Path) -> Iterator[list[Row]]:
+    """Trials of a journal; a line cut off in its middle ends it."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            for line in file:
+                try:
+                    rows = json.loads(line)
+                except ValueError:
+                    return
+                if line.endswith("\n"):
+                    yield rows
+    except FileNotFoundError:
+        return
+
+
+def _key(row: Row) -> tuple[int, int]:
+    return row["point"], row["replicate"]
+
+
+def _write(table: pa.Table, path: Path) -> None:
+    from pyarrow import parquet
+
+    with atomic_path(path) as temporary:
+        parquet.write_table(table, temporary)
+
+
+def _locked(folder: Path) -> Any:
+    """Lock that the system lifts when its process ends, in whatever way."""
+    try:
+        from filelock import FileLock, Timeout
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("filelock", "campaign", "A campaign") from error
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise InputError(f"Another run is writing to {folder}: wait for it, or name another folder.") from None
+    return lock
+
+
+def _pyarrow() -> Any:
+    try:
+        import pyarrow as pa
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("pyarrow", "campaign", "Keeping the results of a campaign") from error
+    return pa

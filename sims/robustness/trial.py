@@ -1,0 +1,144 @@
+"""One trial of a campaign: simulate a unit, calibrate it with every estimator, and score what comes out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+import srt
+from sims.imu import is_imu
+from sims.simulation import simulate
+from srt.constants import STANDARD_GRAVITY_M_S2
+from srt.exceptions import SrtError
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from sims.robustness.config import Campaign, EstimatorChoice
+    from sims.simulation import Simulation
+    from srt.calibration import Calibration
+    from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
+    Row = dict[str, Any]
+
+OUTCOMES: Final = {
+    "converged": "says so, and it is the fixed point that an iteration from the true errors reaches",
+    "wrong_minimum": "says converged, at another place",
+    "not_converged": "says that it did not",
+    "outside_model": "says that the errors are those of no unit it can describe",
+    "refused": "raised an error, in one sentence",
+    "unverified": "says converged; from the true errors the iteration did not, so there is nothing to compare with",
+    "no_imu": "the drawn errors are those of no IMU: not tried, and left out of every rate",
+}
+"""What can become of a trial, in the words of the results."""
+
+_SUCCESS: Final = ("converged", "partial")
+_EXACT: Final = np.full(N_PARAMETERS, 1e-8)
+_EXACT[GROUP_SLICES["accel_bias"]] *= STANDARD_GRAVITY_M_S2
+"""Largest distance of one fixed point from itself where sigmas are smaller than rounding (accelerometer bias in g)."""
+_DISTANCE_SIGMAS: Final = 0.01
+
+
+def run_trial(campaign: Campaign, task: tuple[int, int]) -> list[Row]:
+    """Simulate one unit and calibrate it with every estimator of the campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    task : (int, int)
+        Point of the grid, and number of the trial there.
+
+    Returns
+    -------
+    list of dict
+        One row for each estimator: the columns of :mod:`sims.robustness.store`.
+    """
+    point, number = task
+    began = time.thread_time()
+    scenario, values = campaign.unit(point, number)
+    simulation = simulate(scenario)
+    row = {"point": point, "replicate": number, "seed": scenario.seed, **values}
+    row |= {f"truth_{name}": value for name, value in simulation.truth.as_dict().items()}
+    row["simulate_s"] = time.thread_time() - began
+    if not is_imu(simulation.truth):
+        return [row | {"estimator": e.label, "outcome": "no_imu"} for e in campaign.estimators]
+    return [row | score(simulation, e, fixed_point=campaign.fixed_point) for e in campaign.estimators]
+
+
+def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool) -> Row:
+    """Calibrate with one estimator, and compare with the truth and with the fixed point reached from it.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    choice : EstimatorChoice
+    fixed_point : bool
+        Whether to look for the fixed point; without, what says that it converged is believed.
+
+    Returns
+    -------
+    dict
+        The columns of one row that depend on the estimator.
+    """
+    truth = simulation.truth
+    at_truth = replace(choice.options, start=truth)
+    options = at_truth if choice.from_truth else choice.options
+    began = time.thread_time()
+    try:
+        found = srt.calibrate(simulation.recording, choice.name, options=options)
+    except SrtError as error:
+        spent = time.thread_time() - began
+        return {"estimator": choice.label, "outcome": "refused", "message": str(error), "calibrate_s": spent}
+    row: Row = {
+        "estimator": choice.label,
+        "status": found.status,
+        "message": found.message,
+        "outcome": "converged" if found.status in _SUCCESS else found.status,
+        "playbacks": len(found.corrections),
+        "calibrate_s": time.thread_time() - began,
+        **errors_of(found, truth),
+    }
+    if found.status in _SUCCESS and fixed_point:
+        if choice.from_truth:
+            row["distance"] = 0.0
+            return row
+        try:
+            reference = srt.calibrate(simulation.recording, choice.name, options=at_truth)
+        except SrtError:
+            reference = None
+        if reference is None or reference.status not in _SUCCESS:
+            row["outcome"] = "unverified"
+        else:
+            row["distance"] = distance(found, reference)
+            row["outcome"] = "converged" if row["distance"] <= 1.0 else "wrong_minimum"
+    return row
+
+
+def errors_of(found: Calibration, truth: SensorErrors) -> Row:
+    """Errors, sigmas and their normalised squares, of the observed parameters; NaN for the others."""
+    seen = found.observed
+    difference = np.where(seen, found.errors.vector - truth.vector, np.nan)
+    sigma = np.where(seen, found.sigma, np.nan)
+    row: Row = {"observed": int(seen.sum()), "nees": np.nan, "largest": np.nan}
+    if seen.any():
+        scaled = difference[seen] / sigma[seen]
+        correlation = found.covariance[np.ix_(seen, seen)] / np.outer(sigma[seen], sigma[seen])
+        row["nees"] = float(scaled @ np.linalg.solve(correlation, scaled))
+        row["largest"] = float(np.abs(scaled).max())
+    for stem, vector in (("error", difference), ("sigma", sigma)):
+        row |= {f"{stem}_{name}": value for name, value in zip(NAMES, vector.tolist(), strict=True)}
+    return row
+
+
+def distance(found: Calibration, reference: Calibration) -> float:
+    """Largest difference of two results over 1e-8 or 0.01 sigma, whichever is larger, of what both observe."""
+    seen = found.observed & reference.observed
+    if not seen.any():
+        return 0.0
+    difference = np.abs(found.errors.vector - reference.errors.vector)
+    return float(np.max((difference / np.maximum(_EXACT, _DISTANCE_SIGMAS * found.sigma))[seen]))

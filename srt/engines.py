@@ -1,0 +1,148 @@
+"""Many independent tasks on the processes of one machine (joblib) or of many (Dask): the same code, the same numbers.
+
+A task is a picklable value, and what is done with it a function at the top of a module; everything random in it comes
+from the value. Every worker keeps to one thread of linear algebra: the last digits of a matrix product depend on how
+many share it, and threads of neighbours only wait for one another.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from srt.exceptions import DataError, InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    T = TypeVar("T")
+    R = TypeVar("R")
+
+_AHEAD: Final = 4
+"""Tasks handed out for each worker: enough that none waits, few enough that memory stays flat."""
+_CONNECT_S: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """Where tasks run.
+
+    Attributes
+    ----------
+    workers : int
+        Processes on this machine; 1 runs in this one, 0 stands for one on each core.
+    scheduler : str, optional
+        Address of a Dask scheduler, as ``tcp://host:8786``; its workers are used instead.
+
+    Raises
+    ------
+    InputError
+        Fewer workers than none.
+    """
+
+    workers: int = 1
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers < 0:
+            raise InputError(f"The number of workers is {self.workers}; give 1 or more, or 0 for one on each core.")
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        """Results as they come, in no particular order.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module, as other processes import it. What it raises ends the run.
+        tasks : iterable
+            Taken as they are needed, so that any number of them takes no memory.
+
+        Yields
+        ------
+        object
+            What the function returned for a task.
+
+        Raises
+        ------
+        DataError
+            A worker that died.
+        InputError
+            A scheduler that does not answer.
+        MissingExtraError
+            Without joblib, or Dask, or threadpoolctl.
+        """
+        call = partial(single_threaded, function)
+        if self.scheduler is not None:
+            return _on_cluster(call, tasks, self.scheduler)
+        workers = self.workers or os.cpu_count() or 1
+        return (call(task) for task in tasks) if workers == 1 else _on_this_machine(call, tasks, workers)
+
+
+def single_threaded(function: Callable[[T], R], task: T) -> R:
+    """Call a function while linear algebra keeps to one thread."""
+    try:
+        from threadpoolctl import threadpool_limits
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("threadpoolctl", "campaign", "Keeping each worker to one thread") from error
+    with threadpool_limits(limits=1):
+        return function(task)
+
+
+def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: int) -> Iterator[R]:
+    try:
+        from joblib import Parallel, delayed, parallel_config
+        from joblib.externals.loky.process_executor import TerminatedWorkerError
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("joblib", "campaign", "Running in several processes") from error
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        parallel = Parallel(
+            n_jobs=workers, return_as="generator_unordered", batch_size=1, pre_dispatch=_AHEAD * workers
+        )
+        try:
+            yield from parallel(delayed(call)(task) for task in tasks)
+        except TerminatedWorkerError:
+            raise DataError(
+                "A worker process was ended from outside or ran out of memory: what finished before is kept; "
+                "run the same again to go on, with fewer workers."
+            ) from None
+
+
+def _on_cluster(call: Callable[[Any], R], tasks: Iterable[Any], address: str) -> Iterator[R]:
+    try:
+        from distributed import Client, as_completed
+        from distributed.scheduler import KilledWorker
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("distributed", "cluster", "Running on a Dask scheduler") from error
+    try:
+        client = Client(address, timeout=_CONNECT_S)
+    except (OSError, ValueError, TimeoutError) as error:
+        reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
+        raise InputError(
+            f"No Dask scheduler answers at {address!r} ({reason}): start one with 'dask scheduler' and workers with "
+            f"'dask worker ADDRESS --nthreads 1', and give its address, as tcp://host:8786."
+        ) from None
+    with client:
+        threads = sum(client.nthreads().values())
+        if threads == 0:
+            raise InputError(
+                f"The Dask scheduler at {address} has no workers: start them with 'dask worker {address}'."
+            )
+        waiting = iter(tasks)
+        # Tasks that are alike are not the same: Dask would give the result of one for both.
+        submit = partial(client.submit, call, pure=False)
+        first = [submit(task) for _, task in zip(range(_AHEAD * threads), waiting, strict=False)]
+        running = as_completed(first, with_results=True)
+        try:
+            for future, result in running:
+                yield result
+                future.release()
+                for task in waiting:
+                    running.add(submit(task))
+                    break
+        except KilledWorker:
+            raise DataError(
+                "Workers of the cluster died over one task, several times: what finished before is kept; look at the "
+                "workers' memory, and run the same again to go on."
+            ) from None
