@@ -22,6 +22,7 @@ COMMANDS: Final = {
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
     "apply": ("srt.cli.apply:apply", "Correct a recording by a calibration, or write it as a C header."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
+    "robustness": ("srt.cli.robustness:robustness", "Ask simulated units how far from true one may be."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }
 """Where each command is (module:attribute), and its line in the help: all that a new one needs here."""

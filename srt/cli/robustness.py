@@ -1,0 +1,225 @@
+"""``srt robustness``: how far from true a unit may be, asked of simulated units, and answered by a map."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from srt.cli.output import check_directory, check_file, say
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from sims.robustness.answers import Header
+    from sims.robustness.config import Campaign
+
+_LINE_EVERY_S: Final = 30.0
+"""Between lines of progress where there is no terminal."""
+_ALWAYS: Final = ("trials", "converged")
+"""Columns of the table that are shown even if they are zero."""
+
+
+@click.command()
+@click.argument("config", metavar="CONFIG")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Folder of the results, or of the recording with --replay. Default for results: robustness-NAME.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default="one on each core",
+    metavar="N",
+    help="Processes on this machine. The numbers do not depend on it.",
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler, as tcp://host:8786.")
+@click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Of every point, instead of the file's.")
+@click.option("--fresh", is_flag=True, help="Throw away what the folder holds of an earlier run.")
+@click.option("--replay", metavar="POINT:TRIAL", help="Repeat one trial and show it; -o keeps its recording.")
+@click.option("--markdown", type=click.Path(path_type=Path), help="Tables of the report, for a document: FILE.md.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
+def robustness(
+    config: str,
+    output: Path | None,
+    workers: int,
+    scheduler: str | None,
+    trials: int | None,
+    fresh: bool,
+    replay: str | None,
+    markdown: Path | None,
+    quiet: bool,
+) -> int:
+    """Run the campaign CONFIG: a TOML file, or the name of a shipped one such as 'quick'.
+
+    Many units are simulated, each calibrated by every estimator that the campaign names, and judged against the truth:
+    converged, at a wrong minimum, not converged, outside the model. The folder then holds report.html, with maps and
+    the first failures, and results.parquet, one row for each trial and estimator.
+
+    A campaign that was interrupted, in whatever way, goes on where it stopped when the same command is given again.
+    Its numbers depend on its seed alone, not on the workers or the machine's load.
+
+    Exit codes: 0 the campaign ran, whatever became of its trials; 1 a worker died; 2 wrong usage or unreadable input.
+    """
+    from sims.robustness.config import load_campaign
+
+    campaign = load_campaign(config)
+    if replay is not None:
+        return show_trial(campaign, parse_trial(replay, campaign), output)
+    if trials is not None:
+        campaign = replace(campaign, trials=trials)
+    folder = output or Path(f"robustness-{campaign.name}")
+    check_directory(folder)
+    if markdown is not None:
+        check_file(markdown, (".md",), "The document")
+    from sims.robustness.report import html_report, markdown_tables, short_answer, text_summary
+    from sims.robustness.run import run_campaign
+    from srt.atomic import atomic_write_text
+    from srt.engines import Engine
+
+    with campaign_progress(campaign.name, quiet=quiet) as progress:
+        try:
+            table = run_campaign(campaign, folder, engine=Engine(workers, scheduler), fresh=fresh, progress=progress)
+        except KeyboardInterrupt:
+            say(f"Interrupted: finished trials are kept in {folder}, and the same command goes on with the rest.")
+            raise
+    header = header_of(campaign, config)
+    atomic_write_text(folder / "report.html", html_report(table, header))
+    if markdown is not None:
+        atomic_write_text(markdown, markdown_tables(table, header))
+    if not quiet:
+        click.echo(rendered(_narrow(text_summary(table, header))))
+        click.echo("\n".join(short_answer(table, header)))
+        click.echo(f"\nWritten: {folder / 'report.html'}, {folder / 'results.parquet'}")
+    return 0
+
+
+def header_of(campaign: Campaign, config: str) -> Header:
+    """What the report says of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    config : str
+        As it was named on the command line.
+    """
+    from sims.robustness.answers import Header
+
+    return Header(
+        name=campaign.name,
+        description=campaign.description,
+        seed=campaign.seed,
+        trials=campaign.trials,
+        grid=campaign.grid,
+        random={key: str(table) for key, table in campaign.random.items()},
+        estimators=tuple(e.label for e in campaign.estimators),
+        noisy=campaign.noisy,
+        replay=f"srt robustness {config} --replay ",
+    )
+
+
+def parse_trial(text: str, campaign: Campaign) -> tuple[int, int]:
+    """Point and number of a trial from POINT:TRIAL.
+
+    Raises
+    ------
+    InputError
+        A text of another form, or a point that the grid does not have.
+    """
+    point, _, number = text.partition(":")
+    if not (point.isdecimal() and number.isdecimal()):
+        raise InputError(f"--replay {text} is not POINT:TRIAL, two whole numbers as the report lists them.")
+    if int(point) >= len(campaign.points):
+        raise InputError(f"--replay {text}: the points of {campaign.name} are 0 to {len(campaign.points) - 1}.")
+    return int(point), int(number)
+
+
+def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -> int:
+    """Repeat one trial: write its recording if asked to, and show what became of it."""
+    from sims.robustness.trial import run_trial
+
+    scenario, values = campaign.unit(*task)
+    click.echo("\n".join(f"{key} = {value}" for key, value in values.items()))
+    if output is not None:
+        from sims import simulate
+        from srt.cli.simulate import check_target, write_simulation
+
+        check_target(output, overwrite=False)
+        write_simulation(simulate(scenario), output, samples_format=scenario.recording.format, overwrite=False)
+        click.echo(f"Written: {output}; 'srt calibrate {output} --truth {output / 'truth.json'}' tries it again.")
+    rows = [("estimator", "outcome", "play-backs", "largest error / sigma", "message")]
+    for row in run_trial(campaign, task):
+        largest = row.get("largest")
+        shown = "" if largest is None else f"{largest:.3g}"
+        rows.append((row["estimator"], row["outcome"], str(row.get("playbacks", "")), shown, row.get("message", "")))
+    click.echo(rendered([row[:-1] for row in rows]))
+    for label, *_, message in rows[1:]:
+        if message:
+            click.echo(f"{label}: {message}")
+    return 0
+
+
+def _narrow(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Columns that fit a terminal: outcomes that no trial had, and ranges, are left to the report."""
+    shown = [
+        k
+        for k, column in enumerate(zip(*rows, strict=True))
+        if column[0] in _ALWAYS or (set(column[1:]) != {"0"} and "95 %" not in column[0])
+    ]
+    return [tuple(row[k] for k in shown) for row in rows]
+
+
+def rendered(rows: list[tuple[str, ...]]) -> str:
+    """A table as text; the first row is its heading, the first column left-justified."""
+    from srt.tables import text_table
+
+    heads = [head.replace(" ", "\n") for head in rows[0]]
+    return text_table(heads, rows[1:], "l" + "r" * (len(heads) - 1))
+
+
+@contextmanager
+def campaign_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Lend a function that takes the numbers of finished and of all trials: a bar, or a line now and then."""
+    if quiet:
+        yield None
+        return
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns: tuple[Any, ...] = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task(name, total=None)
+            yield lambda done, size: bar.update(task, completed=done, total=size)
+        return
+    began = said = time.monotonic()
+    first: int | None = None
+
+    def line(done: int, size: int) -> None:
+        nonlocal said, first
+        now = time.monotonic()
+        if first is None:
+            first = done
+            click.echo(
+                f"{name}: {done} of {size} trials are there already" if done else f"{name}: {size} trials", err=True
+            )
+        elif done == size or now - said > _LINE_EVERY_S:
+            said = now
+            left = (now - began) / (done - first) * (size - done)
+            click.echo(f"{name}: {done} of {size} trials, {left:.0f} s left", err=True)
+
+    yield line

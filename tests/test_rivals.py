@@ -1,0 +1,219 @@
+"""imucal's Ferraris calibration in the words of this project, and the comparison that is made with it.
+
+A small form of ``benchmarks/rivals.py``, which calibrates 20 units on three fixtures.
+"""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sims.campaigns import SITE, normal_errors
+from sims.ferraris import (
+    TABLE_1_FACES,
+    TABLE_1_TURN_RAD,
+    TABLE_1_TURNS,
+    TURN_RAD,
+    TURN_SEQUENCES,
+    Take,
+    face_seconds,
+    ferraris_motions,
+    imucal_errors,
+    mars_errors,
+    non_orthogonality,
+    signal_regions,
+)
+from sims.fixture import FixtureDraw, earth_rate_ned, rotation
+from sims.imu import read_out
+from sims.motion import RateProfile
+from sims.table_motion import Schedule, run_schedule, table1_motion
+from srt.exceptions import DataError, InputError, MissingExtraError
+from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+RATE_HZ = 50.0
+DWELL_S = 2.0
+PROFILE = RateProfile(1.0, 10.0)
+SLACK_S = PROFILE.rate_rad_s / PROFILE.accel_rad_s2 + 2.0 / RATE_HZ
+"""By how much a turning region is longer than its angle at full rate: half of both ramps, and rests of samples."""
+EARTH = np.abs(earth_rate_ned(SITE.latitude_rad))
+NORTH, UP = EARTH[0], EARTH[2]
+
+
+def unit(seed=3):
+    """Every error that imucal knows, of 1e-3; gyro bias up to 1 mrad/s."""
+    vector = normal_errors(np.random.default_rng(seed), 1e-3, 1e-3).vector.copy()
+    for group in ("gyro_asymmetry", "accel_asymmetry"):
+        vector[GROUP_SLICES[group]] = 0.0
+    return SensorErrors(vector)
+
+
+def by_ferraris(truth, **fixture):
+    motions = ferraris_motions(site=SITE, face_s=DWELL_S, profile=PROFILE, sample_rate_hz=RATE_HZ, **fixture)
+    faces, turns = (Take(read_out(m, truth), m.windows) for m in motions)
+    regions = signal_regions(faces, turns, face_s=DWELL_S)
+    return imucal_errors(regions, sample_rate_hz=RATE_HZ, gravity_m_s2=SITE.gravity_m_s2)
+
+
+def by_table_1(truth, **fixture):
+    motion = table1_motion(site=SITE, dwell_s=DWELL_S, sample_rate_hz=RATE_HZ, **fixture)
+    take = Take(read_out(motion, truth), motion.windows)
+    regions = signal_regions(take, take, face_s=2.0 * DWELL_S, face_picks=TABLE_1_FACES, turn_picks=TABLE_1_TURNS)
+    return imucal_errors(regions, sample_rate_hz=RATE_HZ, gravity_m_s2=SITE.gravity_m_s2, turn_rad=TABLE_1_TURN_RAD)
+
+
+AS_MOUNTED = {"U": None}
+TURNED = {"U": rotation([0.1, -0.1, 0.15]), "fixture_draw": FixtureDraw(mounting=np.array([3e-3, -4e-3, 5e-3]))}
+
+
+@pytest.mark.parametrize("fixture", [AS_MOUNTED, TURNED], ids=["MARS as mounted", "MARS turned, mounting off"])
+@pytest.mark.parametrize("calibrate", [by_ferraris, by_table_1])
+def test_the_truth_comes_back_from_a_perfect_fixture_on_an_earth_at_rest(calibrate, fixture):
+    """All signs, units and frames of the conversion: nothing but rounding is left.
+
+    A sum over some 1,000 samples of 1 rad/s or g rounds to 1e-13 at most; a hundred times that is allowed.
+    """
+    pytest.importorskip("imucal")
+    truth = unit()
+    found = calibrate(truth, earth_rate=False, **fixture)
+    np.testing.assert_allclose(found.vector, truth.vector, rtol=0.0, atol=1e-11)
+
+
+def test_earths_rate_limits_imucal_to_a_microradian():
+    """Its turns are about the vertical or about east, its faces pairs about east, so that next to nothing is left.
+
+    Vertical rate ends in K_ga and is taken off exactly, wherever up is. The horizontal rate turns with full turns and
+    averages out over their plateau; over what a turn lasts longer, SLACK_S, it adds at most NORTH times that, and K_ga
+    (which holds up to NORTH / g off its diagonal) as much again. Symmetric parts count twice in an orthogonality.
+    """
+    pytest.importorskip("imucal")
+    truth = unit()
+    d = np.abs(by_ferraris(truth).vector - truth.vector)
+    left = NORTH * SLACK_S / TURN_RAD
+    assert d[GROUP_SLICES["gyro_scale"]].max() < 2.0 * left
+    assert d[GROUP_SLICES["gyro_orthogonality"]].max() < 4.0 * left
+    assert d[GROUP_SLICES["accel_misalignment"]].max() < 4.0 * left
+    # The faces hold no turn. What the accelerometers share with the gyros is the frame, turned by at most as much,
+    # which enters their scale times their misalignments; the Earth's rate cancels in the mean of the faces.
+    assert d[GROUP_SLICES["accel_scale"]].max() < 4.0 * left * 5e-3
+    assert d[GROUP_SLICES["gyro_bias"]].max() < 1e-15
+    assert d[GROUP_SLICES["accel_bias"]].max() < 1e-12
+
+
+def test_in_the_samples_of_table_1_the_turn_about_z_has_north_along_it():
+    """z lies along the table's x axis, which is north, and turns by the right hand: the rate counts as scale.
+
+    Sequence 3 starts with x down by a turn of the outer axis of -90°, which lays z to the south.
+    """
+    pytest.importorskip("imucal")
+    d = by_table_1(SensorErrors())["gyro_scale_z"]
+    lasts = TABLE_1_TURN_RAD / PROFILE.rate_rad_s + PROFILE.rate_rad_s / PROFILE.accel_rad_s2
+    # Up to one sample more, and K_ga times the specific force left over, as above.
+    assert d == pytest.approx(-NORTH * lasts / TABLE_1_TURN_RAD, abs=(UP + NORTH) * SLACK_S / TABLE_1_TURN_RAD)
+    assert -53e-6 < d < -51e-6
+
+
+def test_errors_of_the_fixture_become_errors_of_the_unit():
+    """A start angle and a turned angle off by a milliradian: their first-order effects, by hand.
+
+    With the inner axis off by δ, the unit's x axis lies at -δ from the outer axis: what should be (1, 0, 0) is
+    (1, -δ, 0), and the sum of the elements xy and yx of the gyro matrix is -δ. An angle off by ε makes a scale of
+    ε over the angle. Second orders are below δ².
+    """
+    pytest.importorskip("imucal")
+    delta = 1e-3
+    fixture = {"site": SITE, "sample_rate_hz": RATE_HZ, "earth_rate": False}
+    faces, _ = ferraris_motions(face_s=DWELL_S, profile=PROFILE, **fixture)
+    off = FixtureDraw(
+        starts=np.array([[delta, 0.0], [0.0, 0.0], [0.0, 0.0]]),
+        legs=(np.zeros(1), np.zeros(1), np.array([delta])),
+    )
+    turns = run_schedule(Schedule(TURN_SEQUENCES, PROFILE, dwell_s=1.0), fixture_draw=off, **fixture)
+    take = [Take(read_out(m, SensorErrors()), m.windows) for m in (faces, turns)]
+    regions = signal_regions(*take, face_s=DWELL_S)
+    d = imucal_errors(regions, sample_rate_hz=RATE_HZ, gravity_m_s2=SITE.gravity_m_s2)
+    expected = dict.fromkeys(NAMES, 0.0)
+    expected["gyro_orthogonality_xy"] = -delta
+    expected["gyro_scale_z"] = delta / TURN_RAD
+    # The frame in which the gyro matrix is symmetric turns by half of it about z, and the accelerometers with it.
+    expected["accel_misalignment_xy"], expected["accel_misalignment_yx"] = -0.5 * delta, 0.5 * delta
+    np.testing.assert_allclose(d.vector, [expected[name] for name in NAMES], rtol=0.0, atol=delta**2)
+
+
+def test_orthogonality_depends_on_no_frame_and_no_length():
+    M = np.eye(3) + 0.01 * np.random.default_rng(5).standard_normal((3, 3))
+    turned = np.diag([1.1, 0.9, 1.2]) @ M @ rotation([0.3, -0.2, 0.5])
+    np.testing.assert_allclose(non_orthogonality(turned), non_orthogonality(M), rtol=0.0, atol=1e-15)
+    # To first order it is the sum of the opposite elements.
+    small = np.eye(3)
+    small[0, 1], small[1, 0], small[2, 0] = 3e-6, -1e-6, 5e-6
+    np.testing.assert_allclose(non_orthogonality(small), [2e-6, 0.0, 5e-6], rtol=0.0, atol=1e-10)
+
+
+def test_faces_and_turns_last_as_long_as_asked_for():
+    face_s = face_seconds(450.0, PROFILE)
+    # Three half turns between faces and three times three turns, each with half of both its ramps on top.
+    turning = 3 * math.pi + 3 * TURN_RAD + 6 * PROFILE.rate_rad_s / PROFILE.accel_rad_s2
+    assert 6.0 * face_s + turning == pytest.approx(450.0, abs=1e-9)
+
+
+def test_a_face_is_read_equally_from_its_windows_and_not_beyond_them():
+    motion, _ = ferraris_motions(site=SITE, face_s=DWELL_S, sample_rate_hz=RATE_HZ)
+    take = Take(read_out(motion, SensorErrors()), motion.windows)
+    gyro, accel = take.still(((2, 0), (2, 1)), DWELL_S)
+    assert len(gyro) == len(accel) == DWELL_S * RATE_HZ
+    np.testing.assert_allclose(accel, np.tile([0.0, 0.0, -SITE.gravity_m_s2], (len(accel), 1)), atol=1e-12)
+    with pytest.raises(DataError, match="ask for at most 4 s"):
+        take.still(((2, 0), (2, 1)), 2.1 * DWELL_S)
+
+
+def test_a_flipped_gyro_axis_is_refused():
+    with pytest.raises(DataError, match="flipped axis"):
+        mars_errors(np.diag([1.0, -1.0, 1.0]), np.eye(3), np.zeros(3), np.zeros(3))
+
+
+def test_rotation_errors_need_a_generator():
+    with pytest.raises(InputError, match="Generator"):
+        ferraris_motions(site=SITE, face_s=1.0, rotation_sigma_rad=1e-3)
+
+
+def test_what_to_install_is_said_where_imucal_is_absent(monkeypatch):
+    monkeypatch.setitem(sys.modules, "imucal", None)
+    with pytest.raises(MissingExtraError, match=r"strapdown-rotation-test\[benchmark\]"):
+        imucal_errors({}, sample_rate_hz=RATE_HZ, gravity_m_s2=9.8)
+
+
+def test_one_unit_of_the_comparison():
+    """One unit on one fixture: what is claimed of the fixture shows, and the page is whole.
+
+    At 5 mrad imucal's accelerometer misalignments have sigmas above 2 mrad and ours below 0.05 mrad (tactical noise):
+    a ratio below 10 would take six of imucal's within a quarter of their sigma.
+    """
+    for package in ("imucal", "gtsam", "filterpy", "rich"):
+        pytest.importorskip(package)
+    import rivals
+
+    study = rivals.Study(1, (5e-3,))
+    study.run(lambda line: None)
+    row = "accelerometer misalignment, µrad"
+    for population in rivals.POPULATIONS:
+        for method in (rivals.IMUCAL, rivals.IMUCAL_SAME):
+            assert study.ratio(population, 5e-3, row, over="closed-form", method=method) > 10.0
+    assert study.not_converged() == "none"
+    # Both tests take the same time, to the whole seconds of six faces.
+    assert 0.0 <= study.durations.table_1 - study.durations.ferraris < 6.5
+    page = rivals.markdown(study)
+    assert "{" not in page
+    assert sum(line.startswith("| 5 mrad |") for line in page.splitlines()) == 2 * len(rivals.ROWS)
+    # Asymmetries: two rows of each table, not estimated by imucal in either, nor by the graph that is told of none.
+    assert page.count("| – ") == 2 * (3 + 2)
+
+
+def test_figures_have_the_digits_asked_for():
+    import rivals
+
+    shown = [rivals.figure(v) for v in (1234.5, 0.012345, 0.3597, 9.996, 0.0, float("nan"))]
+    assert shown == ["1230", "0.0123", "0.360", "10.0", "0.00", "–"]

@@ -1,0 +1,355 @@
+"""Campaigns: the same numbers whoever computes them, nothing lost whatever happens, and mistakes said in a sentence."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import srt
+from sims.imu import accel_matrix, gyro_matrix, is_imu
+from sims.robustness.config import AXES, load_campaign
+from sims.robustness.run import run_campaign
+from sims.robustness.store import Store, schema
+from sims.robustness.trial import OUTCOMES, run_trial
+from sims.simulation import simulate
+from srt.constants import DEG
+from srt.engines import Engine
+from srt.exceptions import DataError, InputError
+from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
+
+TIMES = ("simulate_s", "calibrate_s")
+SMALL = """
+[campaign]
+name = "small"
+seed = 7
+trials = {trials}
+
+[scenario]
+from = "robustness"
+{scenario}
+[scenario.errors]
+draw = "uniform"
+factor = 1.0
+
+[scenario.schedule]
+dwell_s = 2.0
+rate_rad_s = 2.0
+
+[scenario.recording]
+sample_rate_hz = 50.0
+
+[grid]
+scale_percent = [5, 50]
+misalignment_mrad = [30]
+
+[random]
+gyro_bias_deg_s = {{ low = 0.0, high = 1.0 }}
+{extra}
+[[estimator]]
+name = "closed-form"
+"""
+
+
+@pytest.fixture
+def small(tmp_path):
+    def make(trials=2, extra="", scenario="", text=SMALL):
+        path = tmp_path / "small.toml"
+        path.write_text(text.format(trials=trials, extra=extra, scenario=scenario))
+        return load_campaign(path)
+
+    return make
+
+
+def numbers(table):
+    return table.drop_columns(TIMES).to_pylist()
+
+
+def same(a, b):
+    """Equal to the last bit, NaN to NaN."""
+    return json.dumps(numbers(a)) == json.dumps(numbers(b))
+
+
+# The same numbers
+
+
+def test_the_numbers_do_not_depend_on_the_workers(small, tmp_path):
+    campaign = small(trials=3)
+    one = run_campaign(campaign, tmp_path / "one", engine=Engine(1))
+    two = run_campaign(campaign, tmp_path / "two", engine=Engine(2))
+    assert one.num_rows == 6
+    assert same(one, two)
+
+
+def test_dask_gives_the_same_numbers(small, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    campaign = small(trials=2)
+    here = run_campaign(campaign, tmp_path / "here")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        there = run_campaign(campaign, tmp_path / "there", engine=Engine(scheduler=cluster.scheduler_address))
+    assert same(here, there)
+
+
+def test_more_trials_leave_those_before_alone(small, tmp_path):
+    few = run_campaign(small(trials=1), tmp_path / "a")
+    more = run_campaign(small(trials=2), tmp_path / "a")
+    assert same(more.slice(0, few.num_rows), few)
+    fewer_again = run_campaign(small(trials=1), tmp_path / "a")
+    assert same(fewer_again, few)
+
+
+def test_a_trial_repeats_alone(small, tmp_path):
+    campaign = small(trials=2)
+    table = run_campaign(campaign, tmp_path / "a")
+    (row,) = run_trial(campaign, (1, 1))
+    (kept,) = [r for r in numbers(table) if (r["point"], r["replicate"]) == (1, 1)]
+    assert {k: v for k, v in row.items() if k not in TIMES} == kept
+
+
+def test_every_estimator_gets_the_same_recording(small):
+    extra = '[[estimator]]\nname = "least-squares"\n'
+    rows = run_trial(small(extra=extra), (0, 0))
+    assert [row["estimator"] for row in rows] == ["least-squares", "closed-form"]
+    assert {row["seed"] for row in rows} == {rows[0]["seed"]}
+    for name in NAMES:
+        assert rows[0][f"truth_{name}"] == rows[1][f"truth_{name}"]
+
+
+def test_axes_mean_what_they_say(small):
+    campaign = small(extra="accel_bias_mg = { low = 100.0, high = 100.0 }\nasymmetry_ppm = { choices = [500] }\n")
+    bounds = {"gyro_scale": 0.5, "accel_scale": 0.5, "gyro_orthogonality": 0.03, "accel_misalignment": 0.03}
+    bounds |= {"accel_bias": 0.1 * 9.80665, "gyro_asymmetry": 5e-4, "accel_asymmetry": 5e-4, "gyro_bias": 1.0 * DEG}
+    drawn = np.array([simulate(campaign.unit(1, k)[0]).truth.vector for k in range(40)])
+    for group, bound in bounds.items():
+        part = np.abs(drawn[:, GROUP_SLICES[group]])
+        assert part.max() <= bound
+        # Of at least 120 even draws one lies in the outermost tenth (probability of none 0.9^120 = 3e-6).
+        assert part.max() > 0.9 * bound or group == "gyro_bias"  # whose bound is drawn itself
+
+
+def test_missing_and_repeated_sequences(small):
+    campaign = small(extra="missing_sequences = { choices = [2] }\nrepeated_sequences = { choices = [3] }\n")
+    ids = [label.id for label in simulate(campaign.unit(0, 0)[0]).recording.sequences]
+    assert len(ids) == 18
+    assert len(set(ids)) == 15
+
+
+# Scores
+
+
+def test_errors_of_no_imu_are_told():
+    for group, values in {"gyro_scale": [-1.1, 0.0, 0.0], "accel_scale": [0.0, -0.9, 0.0]}.items():
+        vector = np.zeros(27)
+        vector[GROUP_SLICES[group]] = values
+        errors = SensorErrors(vector)
+        singular = [np.linalg.svd(M)[1].min() for M in (gyro_matrix(errors), accel_matrix(errors))]
+        assert min(singular) < 0.15
+        assert not is_imu(errors)
+    assert is_imu(SensorErrors())
+
+
+def test_what_is_no_imu_is_counted_and_not_tried(small):
+    text = SMALL.replace("[5, 50]", "[200]")
+    campaign = small(text=text)
+    rows = [run_trial(campaign, (0, k))[0] for k in range(12)]
+    told = [row["outcome"] == "no_imu" for row in rows]
+    assert told == [not is_imu(simulate(campaign.unit(0, k)[0]).truth) for k in range(12)]
+    assert any(told)
+    assert all("status" not in row for row, t in zip(rows, told, strict=True) if t)
+
+
+def test_a_wrong_minimum_is_called_one(small, monkeypatch):
+    """An estimator that says converged where it stopped, and not where an iteration from the truth does."""
+    campaign = small()
+    real = srt.calibrate
+
+    def careless(recording, name, *, options):
+        found = real(recording, name, options=options)
+        if options.start != "auto":
+            return found
+        wrong = found.errors.vector.copy()
+        wrong[0] += 2e-8 + 0.02 * found.sigma[0]
+        return replace(found, errors=SensorErrors(wrong))
+
+    monkeypatch.setattr("srt.calibrate", careless)
+    (row,) = run_trial(campaign, (0, 0))
+    assert row["outcome"] == "wrong_minimum"
+    assert row["distance"] > 1.0
+
+
+def test_an_error_is_an_outcome(small, monkeypatch):
+    def refuse(*_, **__):
+        raise DataError("No.")
+
+    monkeypatch.setattr("srt.calibrate", refuse)
+    (row,) = run_trial(small(), (0, 0))
+    assert (row["outcome"], row["message"]) == ("refused", "No.")
+
+
+def test_starts_that_only_campaigns_have(small):
+    extra = '[[estimator]]\nname = "closed-form"\nlabel = "{0}"\nstart = "{0}"\n'
+    campaign = small(extra=extra.format("truth") + extra.format("unguided") + extra.format("zero"))
+    rows = {row["estimator"]: row for row in run_trial(campaign, (1, 0))}
+    assert set(rows) == {"truth", "unguided", "zero", "closed-form"}
+    assert {row["outcome"] for row in rows.values()} <= set(OUTCOMES)
+    for name in ("truth", "zero", "closed-form"):
+        assert rows[name]["outcome"] == "converged"
+    assert rows["truth"]["playbacks"] <= rows["closed-form"]["playbacks"]
+
+
+# Nothing is lost
+
+
+def test_a_campaign_that_was_killed_goes_on(small, tmp_path):
+    """Killed outright in the middle; every trial it had finished is there, and the rest comes out as it would have."""
+    campaign = small(trials=20)
+    whole = run_campaign(campaign, tmp_path / "whole", engine=Engine(1))
+    folder = tmp_path / "killed"
+    command = [sys.executable, "-m", "srt.cli", "robustness", str(tmp_path / "small.toml"), "-o", str(folder)]
+    process = subprocess.Popen([*command, "--workers", "1", "--quiet"], start_new_session=True)
+    journal = folder / "journal.jsonl"
+    deadline = time.monotonic() + 60.0
+    try:
+        while not (journal.exists() and journal.read_bytes().count(b"\n") >= 3):
+            assert process.poll() is None, "it ended before it could be killed"
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    finished = journal.read_bytes().count(b"\n")
+    assert 3 <= finished < 40
+    with journal.open("ab") as file:
+        file.write(b'[{"point": 1, "repl')  # as a line that was being written
+    with Store(folder, campaign) as store:
+        assert len(store.done) == finished
+    again = []
+    table = run_campaign(campaign, folder, progress=lambda done, size: again.append((done, size)))
+    assert again[0] == (finished, 40)
+    assert same(table, whole)
+
+
+def test_a_journal_that_became_a_part_counts_once(small, tmp_path):
+    campaign = small()
+    rows = run_trial(campaign, (0, 0))
+    with Store(tmp_path / "a", campaign) as store:
+        store.add(rows)
+    kept = (tmp_path / "a" / "journal.jsonl").read_bytes()
+    with Store(tmp_path / "a", campaign):
+        pass  # the journal is a part now
+    (tmp_path / "a" / "journal.jsonl").write_bytes(kept)  # killed between the two steps
+    with Store(tmp_path / "a", campaign) as store:
+        assert store.table().num_rows == 1
+
+
+def test_results_of_another_campaign_are_not_mixed(small, tmp_path):
+    campaign = small()
+    run_campaign(campaign, tmp_path / "a")
+    other = replace(campaign, seed=8)
+    with pytest.raises(InputError, match=r"another campaign.*--fresh"):
+        run_campaign(other, tmp_path / "a")
+    assert run_campaign(other, tmp_path / "a", fresh=True).num_rows == 4
+
+
+def test_two_runs_do_not_write_to_one_folder(small, tmp_path):
+    with (
+        Store(tmp_path / "a", small()),
+        pytest.raises(InputError, match="Another run is writing"),
+    ):
+        Store(tmp_path / "a", small())
+
+
+def test_a_broken_part_is_named(small, tmp_path):
+    run_campaign(small(), tmp_path / "a")
+    (part,) = (tmp_path / "a" / "parts").glob("*.parquet")
+    part.write_bytes(part.read_bytes()[:100])
+    with pytest.raises(InputError, match=r"part-000001.*remove it"):
+        run_campaign(small(), tmp_path / "a")
+
+
+def test_the_table_has_the_columns_that_are_promised(small, tmp_path):
+    extra = 'grade = { choices = ["tactical-fog", "industrial-mems"] }\n'
+    extra += '"schedule.leg_dwell_s" = { low = 0, high = 1 }\n'
+    campaign = small(trials=1, extra=extra)
+    table = run_campaign(campaign, tmp_path / "a")
+    assert table.schema == schema(campaign)
+    for axis in campaign.axes:
+        assert axis in table.column_names
+    assert set(table["grade"].to_pylist()) <= {"tactical-fog", "industrial-mems"}
+
+
+# Mistakes
+
+
+MISTAKES = {
+    "unknown axis": ("[grid]", "[grid]\nscale_percnt = [1]", "did you mean scale_percent"),
+    "unknown key": ("[grid]", '[grid]\n"schedule.dwel_s" = [1]', "did you mean 'dwell_s'"),
+    "unknown campaign key": ("seed = 7", "seed = 7\ntrails = 3", "did you mean 'trials'"),
+    "no seed": ("seed = 7\n", "", "'seed' is missing"),
+    "number in quotes": ("[5, 50]", '["5"]', "give a number"),
+    "empty list": ("[5, 50]", "[]", "scale_percent"),
+    "negative": ("[5, 50]", "[-5]", "not below 0"),
+    "both kinds": ("[random]", "[random]\nscale_percent = { low = 0, high = 1 }", "keep one"),
+    "low above high": ("low = 0.0, high = 1.0", "low = 2.0, high = 1.0", "low is above high"),
+    "half a range": ("low = 0.0, high = 1.0", "low = 2.0", "give either low and high, or choices"),
+    "log of zero": ("high = 1.0 }", "high = 1.0, log = true }", "log needs a low above 0"),
+    "unknown estimator": ('name = "closed-form"', 'name = "closed"', "closed-form"),
+    "unknown option": ('name = "closed-form"', 'name = "closed-form"\nstrat = "zero"', "did you mean start"),
+    "bad option": ('name = "closed-form"', 'name = "closed-form"\nstart = "nowhere"', "start"),
+    "twice a label": ("[[estimator]]", '[[estimator]]\nname = "closed-form"\n[[estimator]]', "label of its own"),
+    "no estimator": ("[[estimator]]", "[estimator]", "estimator"),
+    "errors off": ('draw = "uniform"', 'draw = "none"', "no effect"),
+    "too many missing": ("[grid]", "[grid]\nmissing_sequences = [17]", "leave one at least"),
+    "no such scenario": ('from = "robustness"', 'from = "robust"', "no shipped scenario"),
+    "no such grade": ("[grid]", '[grid]\ngrade = ["tactical"]', "no shipped imu"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_sentence(mistake, tmp_path):
+    old, new, said = MISTAKES[mistake]
+    text = SMALL.format(trials=1, extra="", scenario="")
+    assert old in text
+    (tmp_path / "bad.toml").write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        load_campaign(tmp_path / "bad.toml")
+    sentence = str(error.value)
+    assert sentence.startswith("bad.toml: ") or "no shipped" in sentence
+    assert said in sentence
+    assert "\n" not in sentence
+
+
+def test_every_axis_is_described():
+    assert all(axis.text for axis in AXES.values())
+
+
+# Engines
+
+
+def test_no_scheduler_is_said(small, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("srt.engines._CONNECT_S", 0.5)
+    with pytest.raises(InputError, match="No Dask scheduler answers at"):
+        run_campaign(small(), tmp_path / "a", engine=Engine(scheduler="tcp://127.0.0.1:9"))
+
+
+def test_workers_cannot_be_negative():
+    with pytest.raises(InputError, match="-1"):
+        Engine(-1)
+
+
+def die(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.filterwarnings("ignore:A worker stopped:UserWarning")
+def test_a_worker_that_dies_is_said():
+    with pytest.raises(DataError, match="what finished before is kept"):
+        list(Engine(2).run(die, range(4)))
