@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -20,11 +21,13 @@ if TYPE_CHECKING:
 _SIGMAS: Final = 6.0
 
 
+@cache
 def end_attitude(sequence: Sequence) -> Array:
-    """Nominal C_End of a sequence, B_End to B_Strt, shape (3, 3), for IMU axes along the table's."""
+    """Nominal C_End of a sequence, B_End to B_Strt, shape (3, 3), for IMU axes along the table's; read-only."""
     C = np.eye(3)
     for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
         C = C @ rotation_matrix(axis * angle)
+    C.flags.writeable = False
     return C
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,14 +37,17 @@ def sequence_of_label(label: SequenceLabel) -> Sequence | None:
     return Sequence(label.id, label.down, label.along_outer, float("nan"), float("nan"), label.rotations)
 
 
+@cache
 def nominal_attitude(sequence: Sequence) -> Array:
-    """C_nom at the start of a sequence: table-mounted body frame T to fixture base, shape (3, 3).
+    """C_nom at the start of a sequence: table-mounted body frame T to fixture base, shape (3, 3), read-only.
 
     The base z axis is down and its y axis the outer axis; for Table 1 this is R_y(outer) R_z(inner).
     """
     unit = np.eye(3)
     down, outer = unit[AXES.index(sequence.down)], unit[AXES.index(sequence.along_outer)]
-    return np.stack([np.cross(outer, down), outer, down])
+    C = np.stack([np.cross(outer, down), outer, down])
+    C.flags.writeable = False
+    return C
 
 
 @dataclass(frozen=True, eq=False)

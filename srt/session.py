@@ -119,21 +119,20 @@ def _check_turned(data: PlaybackData) -> None:
 def _check_stillness(data: PlaybackData) -> None:
     """Refuse a window in which the unit visibly turned; small drifts are integrated later instead of held."""
     recording, noise = data.recording, data.noise
-    for w, (a, b) in enumerate(data.windows.samples.tolist()):
-        n = min(_CHUNKS, b - a)
-        edges = np.linspace(0, b - a, n + 1).astype(int)[:-1]
-        counts = np.diff(np.append(edges, b - a))
-        sums = np.add.reduceat(recording.gyro[a:b], edges, axis=0)
-        rate = sums / counts[:, None]
-        if recording.kind == "increment":
-            rate = rate / recording.nominal_interval_s
-        T = float(data.windows.duration_s[w])
-        angle = np.cumsum((rate - np.median(rate, axis=0)) * (T / n), axis=0)
-        limit = np.maximum(_MOTION_RAD, _MOTION_SIGMAS * (noise.gyro_white * np.sqrt(T) + noise.gyro_edge))
-        if np.any(np.abs(angle) > limit):
-            chunk = int(np.argmax(np.max(np.abs(rate - np.median(rate, axis=0)), axis=1)))
-            raise DataError(
-                f"The unit moves in the stationary window from {recording.time[a]:.6g} s: the gyros turn by "
-                f"{np.degrees(np.abs(angle).max()):.3g}° around {recording.time[a + edges[chunk]]:.6g} s; "
-                "correct the window's times or leave the sequence out."
-            )
+    samples, T = data.windows.samples, data.windows.duration_s
+    n = min(_CHUNKS, int(np.diff(samples, axis=1).min()))
+    edges = np.linspace(samples[:, 0], samples[:, 1], n + 1, axis=1).astype(int)
+    sums = np.stack([np.add.reduceat(recording.gyro[e[0] : e[-1]], e[:-1] - e[0], axis=0) for e in edges])
+    rate = sums / np.diff(edges, axis=1)[:, :, None]
+    if recording.kind == "increment":
+        rate = rate / recording.nominal_interval_s
+    rate -= np.median(rate, axis=1, keepdims=True)
+    angle = np.abs(np.cumsum(rate * (T / n)[:, None, None], axis=1)).max(axis=1)
+    limit = np.maximum(_MOTION_RAD, _MOTION_SIGMAS * (noise.gyro_white * np.sqrt(T)[:, None] + noise.gyro_edge))
+    for w in np.flatnonzero(np.any(angle > limit, axis=1)).tolist():
+        chunk = int(np.argmax(np.max(np.abs(rate[w]), axis=1)))
+        raise DataError(
+            f"The unit moves in the stationary window from {recording.time[edges[w, 0]]:.6g} s: the gyros turn by "
+            f"{np.degrees(angle[w].max()):.3g}° around {recording.time[edges[w, chunk]]:.6g} s; "
+            "correct the window's times or leave the sequence out."
+        )

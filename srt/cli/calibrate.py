@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from srt.cli.fleet import FLEET_FROM, plan_fleet, run_fleet
 from srt.cli.output import check_directory, check_file, make_directory, recording_folder, say, warn
+from srt.cli.recordings import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
 
 if TYPE_CHECKING:
@@ -114,6 +116,15 @@ class Display:
     metavar="NAME=SIGMA",
     help="ekf: sigma wanted of a parameter or group, in the table's unit, as gyro_scale=1; repeatable.",
 )
+@click.option(
+    "--workers",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Units calibrated at a time; 0 for as many as there are cores.",
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers calibrate, as tcp://host:8786.")
 @click.option("--force", is_flag=True, help="Calibrate though a fault of the recording speaks against it.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 def calibrate(
@@ -131,9 +142,16 @@ def calibrate(
     prior: Path | None,
     no_fixture_states: bool,
     target: tuple[str, ...],
+    workers: int,
+    scheduler: str | None,
     **choices: Any,
 ) -> int:
     """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
+
+    A folder that holds recordings, however deep, stands for all of them, and so does a pattern in quotes, as
+    'lot-7/*'. Those, more than five recordings, and several with --workers or --scheduler, are a fleet: one table of
+    all units, with those marked that are outlying against the others; -o FOLDER keeps it as fleet.csv and fleet.json
+    beside the results.
 
     The table goes to standard output; -o keeps the whole result, with its covariance, as JSON. With several
     recordings -o names a folder, --plot gets the recordings' names before its ending, a recording that fails
@@ -144,12 +162,26 @@ def calibrate(
     model (written all the same, with that status), or data that cannot support a result; 2 wrong usage or
     unreadable input.
     """
-    jobs = plan_merging(recordings, output, plot) if merge else plan(recordings, output, plot)
+    found = find_recordings(recordings, files=RESULT_SUFFIXES if merge else ())
+    shared = scheduler is not None or (workers != 1 and len(found.paths) > 1)
+    fleet = not merge and (found.searched or shared or len(found.paths) >= FLEET_FROM)
+    jobs = (plan_merging if merge else plan_fleet if fleet else plan)(found.paths, output, plot)
     # Everything that can be refused without the samples is refused before they are read.
-    if truth is not None and len(jobs) > 1 and not merge:
-        raise InputError("The option --truth belongs to one recording: calibrate the others apart.")
-    if merge and prior is not None:
-        raise InputError("--merge and --prior do not go together: the prior would count with every recording.")
+    refusals = (
+        (
+            truth and not merge and (fleet or len(jobs) > 1),
+            "The option --truth belongs to one recording: calibrate the others apart.",
+        ),
+        (merge and prior, "--merge and --prior do not go together: the prior would count with every recording."),
+        (merge and shared, "--merge goes without --workers and --scheduler: its recordings are calibrated in turn."),
+        (
+            fleet and (budget or verdict),
+            "--budget and --verdict belong to the tables of few recordings: a fleet has one for all.",
+        ),
+    )
+    for refused, sentence in refusals:
+        if refused:
+            raise InputError(sentence)
     from srt.estimation import find_estimator
     from srt.options import Options
 
@@ -169,16 +201,32 @@ def calibrate(
         from srt.cli.truth import load_truth
 
         true_errors = load_truth(truth)
+    if fleet:
+        return run_fleet(
+            jobs,
+            estimator,
+            options,
+            workers=workers,
+            scheduler=scheduler,
+            output=output,
+            quiet=quiet,
+            force=force,
+        )
     display = Display(true_errors, budget, verdict, quiet, force)
     if merge:
         from srt.cli.merge import run_merging
 
         return run_merging(jobs, estimator, options, display, output, plot)
+    return run_each(jobs, estimator, options, display, output)
+
+
+def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Display, output: Path | None) -> int:
+    """Calibrate, write and show one recording after the other, and give the worst exit code."""
     if len(jobs) > 1 and output is not None:
         make_directory(output)
     codes = []
     for number, job in enumerate(jobs):
-        if number and not quiet:
+        if number and not display.quiet:
             click.echo()
         try:
             calibration = run_job(job, estimator, options, display)
@@ -189,7 +237,7 @@ def calibrate(
             codes.append(error.exit_code)
         else:
             codes.append(judge(job, calibration))
-    if output is None and not quiet and min(codes) == 0:
+    if output is None and not display.quiet and min(codes) == 0:
         click.echo("\nNothing was written: -o FILE.json keeps the result.")
     return max(codes)
 

@@ -1,0 +1,224 @@
+"""``srt calibrate`` of a fleet: many units, one table, and those that stand out from the others."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from srt.cli.output import check_directory, check_file, make_directory, say, warn
+from srt.cli.recordings import file_name, unit_names
+from srt.exceptions import InputError, SrtError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from srt.cli.calibrate import Job
+    from srt.engines import Engine
+    from srt.fleet_run import Fleet, Unit
+    from srt.options import Options
+
+FLEET_FROM: Final = 6
+"""More recordings than five are shown as a fleet: so many full tables nobody reads, and from six on it is judged."""
+
+
+def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Name the units, settle where every result goes, and that it can go there.
+
+    Raises
+    ------
+    InputError
+        A recording named twice, or a place that cannot be written.
+    """
+    from srt.cli.calibrate import PLOT_SUFFIXES, Job
+
+    if output is not None:
+        if output.suffix.lower() in (".json", ".csv"):
+            raise InputError(
+                f"The results of a fleet go to a folder, and {output} is called like a file: name another."
+            )
+        check_directory(output)
+    if plot is not None:
+        check_file(plot, PLOT_SUFFIXES, "The plot")
+    jobs = []
+    for path, name in zip(recordings, unit_names(recordings), strict=True):
+        file = output / f"{file_name(name)}.json" if output is not None else None
+        figure = plot.with_name(f"{plot.stem}-{file_name(name)}{plot.suffix}") if plot is not None else None
+        jobs.append(Job(path, name, file, figure))
+    return tuple(jobs)
+
+
+def run_fleet(
+    jobs: Sequence[Job],
+    estimator: str,
+    options: Options,
+    *,
+    workers: int,
+    scheduler: str | None,
+    output: Path | None,
+    quiet: bool,
+    force: bool,
+) -> int:
+    """Calibrate all units, write every result as it comes, and show the fleet.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+    estimator : str
+    options : Options
+    workers : int
+    scheduler : str or None
+    output : Path or None
+        Folder of the results.
+    quiet, force : bool
+
+    Returns
+    -------
+    int
+        The worst exit code of a unit; outlying units are warned of, and are no failure.
+
+    Raises
+    ------
+    SrtError
+        An engine that cannot start, or tables of the fleet that cannot be written.
+    """
+    from srt.atomic import atomic_write_text
+    from srt.fleet_run import calibrate_fleet
+
+    if output is not None:
+        make_directory(output)
+    by_name = {job.name: job for job in jobs}
+    unwritten: dict[str, SrtError] = {}
+    # Workers on other machines stand elsewhere in the tree of folders.
+    paths = {job.name: job.recording if scheduler is None else job.recording.absolute() for job in jobs}
+    engine = _engine(workers, scheduler)
+    with unit_progress(len(jobs), quiet=quiet) as progress:
+
+        def finished(unit: Unit) -> None:
+            try:
+                _write(unit, by_name[unit.name])
+            except SrtError as error:
+                unwritten[unit.name] = error
+            progress(unit)
+
+        fleet = calibrate_fleet(paths, estimator, options=options, engine=engine, force=force, finished=finished)
+    if output is not None:
+        atomic_write_text(output / "fleet.csv", fleet.to_csv())
+        document = json.dumps(fleet.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+        atomic_write_text(output / "fleet.json", document + "\n")
+    if not quiet:
+        from srt.cli.fleet_table import fleet_text
+
+        click.echo(fleet_text(fleet))
+        click.echo(
+            "\nNothing was written: -o FOLDER keeps the results."
+            if output is None
+            else f"\nWritten to {output}: the units' results, fleet.csv, fleet.json"
+        )
+    for error in unwritten.values():
+        say(str(error))
+    return max([_tell(fleet, by_name), *(error.exit_code for error in unwritten.values())])
+
+
+@contextmanager
+def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[Unit], None]]:
+    """Lend a function that is told of every unit that is done: a bar on a terminal, one line each elsewhere.
+
+    Parameters
+    ----------
+    count : int
+        Of all units.
+    quiet : bool
+
+    Yields
+    ------
+    callable
+        Takes the unit.
+    """
+    if quiet:
+        yield lambda unit: None  # noqa: ARG005 - nothing is shown
+        return
+    begun = time.monotonic()
+    done, failed = 0, 0
+    if sys.stderr.isatty():
+        try:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        except ModuleNotFoundError:
+            pass  # plain lines tell the same
+        else:
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            with Progress(*columns, console=Console(stderr=True, highlight=False), transient=True) as bar:
+                task = bar.add_task("units", total=count)
+
+                def advance(unit: Unit) -> None:
+                    nonlocal failed
+                    failed += unit.exit_code != 0
+                    bar.update(task, advance=1, description=f"units, {failed} failed" if failed else "units")
+
+                yield advance
+            return
+
+    def line(unit: Unit) -> None:
+        nonlocal done
+        done += 1
+        left = (time.monotonic() - begun) / done * (count - done)
+        rest = f", about {left:.0f} s left" if done < count else ""
+        click.echo(f"{unit.name}: {unit.status.replace('_', ' ')} ({done} of {count}{rest})", err=True)
+
+    yield line
+
+
+def _engine(workers: int, scheduler: str | None) -> Engine | None:
+    """Engine for the options; None, which is this process as it stands, where nothing else could run anyway."""
+    from srt.engines import Engine
+
+    engine = Engine(workers, scheduler)
+    # An engine keeps even one process to one thread, so that more of them give the same digits. Where that cannot be
+    # had there can be no more of them, and a fleet needs no extra package.
+    alone = workers == 1 and scheduler is None
+    return None if alone and importlib.util.find_spec("threadpoolctl") is None else engine
+
+
+def _write(unit: Unit, job: Job) -> None:
+    if unit.calibration is None:
+        return
+    if job.output is not None:
+        unit.calibration.save(job.output)
+    if job.plot is not None:
+        from srt.plots import calibration_figure, save_figure
+
+        save_figure(calibration_figure(unit.calibration, title=job.name), job.plot)
+
+
+def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:
+    """Say what is wrong with units, one sentence each, and give the worst exit code."""
+    from srt.sensor_errors import NAMES
+
+    partial = [unit.name for unit in fleet.units if unit.status == "partial"]
+    if partial:
+        warn(f"some parameters are held, not observed, in {len(partial)} of {len(fleet.units)}: {', '.join(partial)}.")
+    serials = [unit.serial for unit in fleet.units if unit.serial is not None and unit.sound]
+    for serial in dict.fromkeys(s for s in serials if serials.count(s) > 1):
+        warn(
+            f"{serials.count(serial)} recordings have the serial {serial}, and each counts as a unit of the fleet: "
+            "--merge makes one calibration of them."
+        )
+    for number, unit in enumerate(fleet.units):
+        found = fleet.flagged(number)
+        if found:
+            z = fleet.judgement.z[number, found[0]]
+            more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+            warn(f"{unit.recording} is outlying against the fleet: {NAMES[found[0]]} by z = {z:+.3g}{more}.")
+        elif unit.exit_code:
+            job = jobs[unit.name]
+            kept = f"; {job.output} holds it with that status" if unit.calibration and job.output else ""
+            sentence = f"{unit.message.rstrip('.')}{kept}."
+            say(sentence if unit.recording in sentence else f"{unit.recording}: {sentence}")
+    return max((unit.exit_code for unit in fleet.units), default=0)

@@ -1,0 +1,148 @@
+"""The RECORDING arguments of a command: recordings, folders that hold some, and patterns that no shell expanded."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from srt.cli.output import recording_folder
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_TOML: Final = "recording.toml"
+_RESERVED: Final = "fleet"
+"""Of the fleet's own files beside the results."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Recordings that the arguments stand for.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        In the order of the arguments; within one, by name, with numbers in names by their size.
+    searched : bool
+        Whether a folder of recordings or a pattern was among the arguments.
+    """
+
+    paths: tuple[Path, ...]
+    searched: bool
+
+
+def find_recordings(arguments: Sequence[Path], *, files: Sequence[str] = ()) -> Found:
+    """Resolve arguments to recordings.
+
+    An argument that exists is itself, whatever signs its name holds; a folder without ``recording.toml`` stands for
+    the recordings in it, however deep, but not in hidden folders, not inside recordings, and not behind links to
+    folders of recordings. What is neither there nor a pattern stays, to be refused where it is read.
+
+    Parameters
+    ----------
+    arguments : sequence of Path
+    files : sequence of str
+        Endings of files that a pattern may stand for as well, as ".json".
+
+    Raises
+    ------
+    InputError
+        A folder that cannot be looked through, or a pattern that matches no recording.
+    """
+    paths: list[Path] = []
+    searched = False
+    for argument in arguments:
+        inside = _below(argument)
+        if not inside and not argument.exists() and glob.has_magic(str(argument)):
+            inside = _matches(str(argument), files)
+        searched |= bool(inside)
+        paths += inside or [argument]
+    if searched:
+        # Patterns may overlap, and a unit counts once.
+        first: dict[Path, Path] = {}
+        for path in paths:
+            first.setdefault(recording_folder(path).resolve(), path)
+        paths = list(first.values())
+    return Found(tuple(paths), searched)
+
+
+def unit_names(paths: Sequence[Path]) -> tuple[str, ...]:
+    """Name units by their folders, with as many of the folders above as it takes to tell them apart.
+
+    Raises
+    ------
+    InputError
+        A recording that is named twice, or two whose results could not be told apart.
+    """
+    folders = [recording_folder(path).resolve() for path in paths]
+    twice = next((path for n, path in enumerate(paths) if folders[n] in folders[:n]), None)
+    if twice is not None:
+        raise InputError(f"The recording {twice} is named twice, and one unit must not count twice.")
+    for depth in range(1, max(len(folder.parts) for folder in folders) + 1):
+        names = ["/".join(folder.relative_to(folder.anchor).parts[-depth:]) for folder in folders]
+        # Some disks do not tell capitals apart.
+        files = {file_name(name).casefold() for name in names}
+        if len(files) == len(names) and _RESERVED not in files:
+            return tuple(names)
+    raise InputError(
+        "The results of two recordings would have one name, as their folders differ in capitals or hyphens alone: "
+        "calibrate them apart."
+    )
+
+
+def file_name(unit: str) -> str:
+    """Give the name of a unit's files, without an ending."""
+    return unit.replace("/", "-")
+
+
+def _below(folder: Path) -> list[Path]:
+    """Recordings below a folder that is none itself."""
+    if not folder.is_dir() or (folder / _TOML).exists():
+        return []
+    found = []
+    for place, folders, names in os.walk(folder, onerror=_refuse):
+        if _TOML in names:
+            found.append(Path(place))
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        # The walk does not enter links, which may go in circles; a link to a recording is one all the same.
+        links = (Path(place, name) for name in folders)
+        found += [link for link in links if link.is_symlink() and (link / _TOML).is_file()]
+    return sorted(found, key=_by_name)
+
+
+def _matches(pattern: str, files: Sequence[str]) -> list[Path]:
+    found: list[Path] = []
+    for path in sorted(map(Path, glob.glob(pattern, recursive=True)), key=_by_name):  # noqa: PTH207 - of any root
+        if (path / _TOML).is_file() or path.suffix in files:
+            found.append(path)
+        elif path.name == _TOML:
+            found.append(path.parent)
+        else:
+            found += _below(path)
+    if not found:
+        raise InputError(
+            f"No recording matches the pattern {pattern}: give one of folders with {_TOML}, or of folders above such."
+        )
+    return found
+
+
+def _refuse(error: OSError) -> None:
+    raise InputError(
+        f"The folder {error.filename} cannot be looked through for recordings ({error.strerror or error}): "
+        "name the recordings themselves, or change its permissions."
+    ) from None
+
+
+def _by_name(path: Path) -> list[list[tuple[bool, int, str]]]:
+    """Key that sorts unit-10 after unit-2."""
+    return [
+        [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in re.split(r"(\d+)", name)]
+        for name in path.parts
+    ]

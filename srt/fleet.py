@@ -1,0 +1,255 @@
+"""Units against their fleet: every value against what all the other units say, and when it lies too far off.
+
+For one parameter, ``y_i = m + s u_i + e_i`` are the values of n units: m and s are the fleet's middle and spread, u_i
+is standard normal, and e_i the error of the unit's own calibration, of known sigma ``σ_i``. Unit i is judged by all
+the others, so that it can neither hide itself nor spoil the measure that it is judged by:
+
+*Scatter*, without a middle: ``S = d / (√2 q)``, where d is the K-th smallest difference between two of the others,
+``K = h (h − 1) / 2`` counts the pairs among h good units, and q is the quantile of ``|N(0, 1)|`` that belongs to K
+(with h half of the units this is Qn of Rousseeuw and Croux, 1993). h leaves out a quarter of the others, one at
+least: so many more outlying units do no harm. Half, as in Qn, would cost small fleets all their power. S holds the
+measurement errors, and is never taken for less than the least σ of all units, ``σ_0``.
+
+*Middle*: the median, of variance ``v = (π / 2) S² / (n − 1)``.
+
+*Judgement*: ``z_i = (y_i − m) / √(S² + σ_i² − σ_0² + v)``, flagged beyond a limit.
+
+The limit holds the expected number of false flags in a whole table of 27 parameters at 0.01, so the chance of any is
+at most 1 %, however the parameters hang together (Bonferroni). It is the solution c of ``27 n T(n, c) = 0.01``, with
+T the chance that the z of one sound unit exceeds c in size where all σ are equal, :func:`tail_probability`: a σ that
+all share is then as good as spread between the units, and T does not depend on it. Unequal σ are the same with
+``s² + σ_0²`` for s², and the rest, ``σ_i² − σ_0²``, for σ_i²: errors beyond the common ones widen S for all, and the
+own ones stand in the denominator in full. That flags less than stated, never more; ``tests/test_fleet.py`` holds it to
+that. (Taking each pair's σ off its difference instead estimates s itself, but among unequal σ a few chance agreements
+then make it vanish: that flagged sound units in most fleets.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from srt.exceptions import InputError
+from srt.sensor_errors import N_PARAMETERS
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+
+FALSE_ALARMS: Final = 0.01
+"""Expected number of false flags in a table of 27 parameters, and so the most that the chance of one can be."""
+
+MINIMUM_UNITS: Final = 6
+"""With fewer, no unit is judged: among five the limit would be 96 sigmas, which flags nothing worth the word."""
+
+_LIMITS: Final = (
+    {6: 26.698, 7: 14.904, 8: 10.906, 9: 10.601, 10: 8.849, 11: 7.827, 12: 7.223, 13: 7.173, 14: 6.760, 15: 6.479}
+    | {16: 6.240, 17: 6.206, 18: 6.055, 19: 5.922, 20: 5.803, 23: 5.597, 27: 5.410, 33: 5.257, 40: 5.128, 50: 5.042}
+    | {70: 4.951, 100: 4.907, 200: 4.917}
+)
+"""Limits by number of units, from 6 million draws up to ten units, and 600 million over the square of their number."""
+
+_SCATTER_FROM: Final = 3
+_CHUNK: Final = 2_000_000
+"""Numbers in one work array, 16 MB."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetJudgement:
+    """All units against their fleet. NaN stands for what is not known or not judged.
+
+    Attributes
+    ----------
+    median, scatter : ndarray, shape (27,), SI
+        Of all units; the scatter is one sigma, the units' own errors included.
+    limit : ndarray, shape (27,)
+        Size of z beyond which a value is outlying; NaN with fewer than :data:`MINIMUM_UNITS` units.
+    others_median, others_scatter : ndarray, shape (n, 27), SI
+        Of all units but one, which is judged by them.
+    z : ndarray, shape (n, 27)
+        Value less the others' median, over the root of squares of the others' scatter, what the unit's own sigma has
+        beyond the least one, and the sigma of the median.
+    """
+
+    median: Array
+    scatter: Array
+    limit: Array
+    others_median: Array
+    others_scatter: Array
+    z: Array
+
+    @property
+    def flagged(self) -> Mask:
+        """Which values are outlying, shape (n, 27)."""
+        size = np.where(np.isnan(self.z), 0.0, np.abs(self.z))
+        out: Mask = size > np.where(np.isnan(self.limit), np.inf, self.limit)
+        return out
+
+
+def judge_fleet(values: ArrayLike, sigmas: ArrayLike) -> FleetJudgement:
+    """Judge every unit by all the others, parameter by parameter.
+
+    Parameters
+    ----------
+    values, sigmas : array_like, shape (n, p), SI
+        One row per unit; a sigma that is not positive and finite marks a value that is not known (a held parameter),
+        which takes no part.
+
+    Returns
+    -------
+    FleetJudgement
+        With p in place of 27 (the limits are those of a table of 27).
+
+    Raises
+    ------
+    InputError
+        Shapes that differ.
+    """
+    y, sigma = np.asarray(values, dtype=np.float64), np.asarray(sigmas, dtype=np.float64)
+    if y.ndim != 2 or y.shape != sigma.shape:
+        raise InputError(
+            f"Values of shape {y.shape} and sigmas of shape {sigma.shape}: give one row per unit and one column per "
+            "parameter, for both."
+        )
+    known = np.isfinite(sigma) & (sigma > 0.0) & np.isfinite(y)
+    n, p = y.shape
+    median, scatter, limit = (np.full(p, np.nan) for _ in range(3))
+    others = np.full((3, n, p), np.nan)
+    # Columns with the same units go together; mostly that is all of them.
+    patterns, kind = np.unique(known, axis=1, return_inverse=True)
+    for number, pattern in enumerate(patterns.T):
+        rows, columns = np.flatnonzero(pattern), np.flatnonzero(kind.reshape(-1) == number)
+        step = max(_CHUNK // max(len(rows), 1) ** 2, 1)
+        for part in (columns[k : k + step] for k in range(0, len(columns) if len(rows) else 0, step)):
+            at = np.ix_(rows, part)
+            least = sigma[at].min(axis=0)
+            median[part], scatter[part] = middle_and_scatter(y[at].T)
+            scatter[part] = np.maximum(scatter[part], least)
+            if len(rows) < MINIMUM_UNITS:
+                continue
+            limit[part] = critical_value(len(rows))
+            m, S = (found.T for found in _without_each(y[at].T))
+            S = np.maximum(S, least)
+            z = (y[at] - m) / np.sqrt(S**2 * _with_median(len(rows)) + sigma[at] ** 2 - least**2)
+            for whole, found in zip(others, (m, S, z), strict=True):
+                whole[at] = found
+    return FleetJudgement(median, scatter, limit, *others)
+
+
+def middle_and_scatter(y: Array) -> tuple[Array, Array]:
+    """Median and scatter of fleets, whoever is outlying in them.
+
+    Parameters
+    ----------
+    y : ndarray, shape (b, n)
+        Values of n units; one fleet per row.
+
+    Returns
+    -------
+    median, scatter : ndarray, shape (b,)
+        Below three units the scatter is not known, NaN.
+    """
+    n = y.shape[1]
+    median: Array = np.median(y, axis=1)
+    if n < _SCATTER_FROM:
+        return median, np.full(len(y), np.nan)
+    rank, quantile = _good_pairs(n)
+    return median, np.partition(_differences(y), rank, axis=1)[:, rank] / (math.sqrt(2.0) * quantile)
+
+
+def critical_value(units: int) -> float:
+    """Size of z beyond which a value is outlying among a number of units.
+
+    Parameters
+    ----------
+    units : int
+        :data:`MINIMUM_UNITS` or more.
+
+    Notes
+    -----
+    Solved at the knots of a table by :func:`tail_probability`; between them, its ratio to the limit of a fleet with
+    known middle and scatter is interpolated over 1/n, and goes to 1.
+    """
+    knots = np.array(list(_LIMITS), dtype=np.float64)
+    ratios = np.array(list(_LIMITS.values())) / _normal_limit(knots)
+    ratio = np.interp(-1.0 / units, [*(-1.0 / knots), 0.0], [*ratios, 1.0])
+    return float(ratio * _normal_limit(np.float64(units)))
+
+
+def tail_probability(units: int, limits: ArrayLike, rng: np.random.Generator, draws: int) -> Array:
+    """Chance that the z of one unit of a sound fleet exceeds a limit in size, where all sigmas are equal.
+
+    Parameters
+    ----------
+    units : int
+    limits : array_like
+    rng : numpy.random.Generator
+    draws : int
+        Of the other units. The unit itself is not drawn: its chance given the others is normal.
+
+    Returns
+    -------
+    ndarray, of the shape of limits
+    """
+    c = np.asarray(limits, dtype=np.float64)
+    total = np.zeros(c.shape)
+    step = max(_CHUNK // units**2, 1)
+    for start in range(0, draws, step):
+        others = rng.standard_normal((min(step, draws - start), units - 1))
+        middle, scatter = middle_and_scatter(others)
+        reach = c[..., None] * scatter * math.sqrt(_with_median(units))
+        total += np.sum(ndtr(-reach - middle) + ndtr(-reach + middle), axis=-1)
+    return total / draws
+
+
+def _normal_limit(units: Array | np.float64) -> Array:
+    out: Array = -ndtri(0.5 * FALSE_ALARMS / (N_PARAMETERS * units))
+    return out
+
+
+def _good_pairs(n: int) -> tuple[int, float]:
+    """Rank, from 0, of the pair that tells the scatter of n units, and the quantile of |N(0, 1)| that belongs to it."""
+    good = n - max(1, n // 4)
+    count = good * (good - 1) // 2
+    return count - 1, float(ndtri(0.5 + 0.5 * (count - 0.5) / (n * (n - 1) // 2)))
+
+
+def _with_median(n: int) -> float:
+    """Variance of a unit against the median of the n − 1 others, over that of a unit."""
+    return 1.0 + 0.5 * math.pi / (n - 1)
+
+
+def _differences(y: Array) -> Array:
+    """Size of the difference of every pair, shape (b, n (n − 1) / 2)."""
+    i, j = np.triu_indices(y.shape[1], 1)
+    out: Array = np.abs(y[:, i] - y[:, j])
+    return out
+
+
+def _without_each(y: Array) -> tuple[Array, Array]:
+    """Median and scatter of all but each unit, shape (b, n), in the time that sorting the pairs once takes."""
+    b, n = y.shape
+    rank, quantile = _good_pairs(n - 1)
+    pairs = _differences(y)
+    by_size = np.argsort(pairs, axis=1)
+    place = np.empty_like(by_size)
+    np.put_along_axis(place, by_size, np.broadcast_to(np.arange(pairs.shape[1]), pairs.shape), axis=1)
+    # Leaving out a unit's pairs moves the one of that rank up by the number of them that stand before it: its j-th pair
+    # (from 0) has "place − j" pairs of others before it.
+    i, j = np.triu_indices(n, 1)
+    own = np.array([np.flatnonzero((i == unit) | (j == unit)) for unit in range(n)])
+    before = np.sort(place[:, own], axis=2) - np.arange(n - 1) <= rank
+    at = np.take_along_axis(by_size, rank + before.sum(axis=2), axis=1)
+    scatter = np.take_along_axis(pairs, at, axis=1) / (math.sqrt(2.0) * quantile)
+    # So it is with the one or two in the middle: leaving out a unit moves those behind it.
+    order = np.argsort(y, axis=1)
+    middle = np.empty((b, n))
+    halves = (np.take_along_axis(y, order[:, k + (np.arange(n) <= k)], axis=1) for k in ((n - 2) // 2, (n - 1) // 2))
+    np.put_along_axis(middle, order, 0.5 * sum(halves), axis=1)
+    return middle, scatter
