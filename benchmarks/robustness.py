@@ -115,11 +115,8 @@ def memory(trials: int) -> None:
     def look(done: int, size: int) -> None:
         if done and done % (size // 10) == 0:
             used = [me.memory_info().rss, *(child.memory_info().rss for child in me.children(recursive=True))]
-            marks.append((done, used[0] / MIB, max(used[1:], default=0.0) / MIB))
-            peak[0] = max(peak[0], *used)
-            console.print(
-                f"{done} trials: this process {marks[-1][1]:.0f} MiB, the largest worker {marks[-1][2]:.0f} MiB"
-            )
+            mine, largest = used[0] / MIB, max(used[1:], default=0.0) / MIB
+            console.print(f"{done} trials: this process {mine:.0f} MiB, the largest worker {largest:.0f} MiB")
 
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
