@@ -17,12 +17,15 @@ import numpy as np
 from numpy.polynomial import legendre
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
 _MAX_PHASE = 0.5
 """Half-interval times bandwidth above which an interval is subdivided."""
+
+_BLOCK = 2048
+"""Intervals that go through the quadrature at once: what they need stays in the processor's cache."""
 
 _GRID = np.linspace(-1.0, 1.0, 33)
 """Where the interpolating polynomial is scanned for changes of sign."""
@@ -53,6 +56,8 @@ class Episode:
     evaluate : callable
         ``(piece, time) -> (k, n, 6)``: rate (rad/s) and specific force (m/s²) in B for pieces of shape (k,
         1) and times of shape (k, n).
+    first_piece : int
+        Number of the first piece to ``evaluate``: episodes that share it are evaluated together.
     """
 
     n_samples: int
@@ -60,6 +65,7 @@ class Episode:
     moving: NDArray[np.bool_]
     bandwidth_rad_s: float
     evaluate: Callable[[NDArray[np.intp], NDArray[np.float64]], NDArray[np.float64]]
+    first_piece: int = 0
 
 
 def node_count(phase: float) -> int:
@@ -79,15 +85,46 @@ def node_count(phase: float) -> int:
     return nodes
 
 
-def integrate(episode: Episode, interval_s: float) -> Integrals:
-    """Integrate rate, specific force and their absolute values over every sample of an episode.
+class _Intervals(NamedTuple):
+    """What the samples of an episode are cut into: left ends and widths, their pieces, and where samples begin."""
+
+    left: NDArray[np.float64]
+    width: NDArray[np.float64]
+    piece: NDArray[np.intp]
+    first: NDArray[np.intp]
+    moving: NDArray[np.bool_]
+
+
+def integrate(episodes: Sequence[Episode], interval_s: float) -> Integrals:
+    """Integrate rate, specific force and their absolute values over every sample of consecutive episodes.
 
     Parameters
     ----------
-    episode : Episode
+    episodes : sequence of Episode
     interval_s : float
         Sample interval, s.
     """
+    cut = [_intervals(episode, interval_s) for episode in episodes]
+    ends = np.cumsum([len(c.left) for c in cut])
+    values = np.empty((int(ends[-1]), 12))
+    # Episodes of one motion at one bandwidth go through the quadrature together: it costs calls more than numbers.
+    groups: dict[tuple[object, float], list[int]] = {}
+    for k, episode in enumerate(episodes):
+        groups.setdefault((episode.evaluate, episode.bandwidth_rad_s), []).append(k)
+    for members in groups.values():
+        rows = np.concatenate([np.arange(ends[k] - len(cut[k].left), ends[k]) for k in members])
+        values[rows] = _integrated([episodes[k] for k in members], [cut[k] for k in members])
+    starts = [c.first + end - len(c.left) for c, end in zip(cut, ends.tolist(), strict=True)]
+    first = np.concatenate(starts)
+    total = values[first]
+    # Few samples are cut, and what is cut off them follows in order.
+    rest = np.setdiff1d(np.arange(len(values)), first, assume_unique=True)
+    np.add.at(total, np.searchsorted(first, rest, side="right") - 1, values[rest])
+    return Integrals(total[:, 0:3], total[:, 6:9], total[:, 3:6], total[:, 9:12])
+
+
+def _intervals(episode: Episode, interval_s: float) -> _Intervals:
+    """Cut the samples of an episode where the motion changes its formula."""
     edges = np.arange(episode.n_samples + 1) * interval_s
     inside = episode.breaks_s[(episode.breaks_s > 0.0) & (episode.breaks_s < edges[-1])]
     place = np.searchsorted(edges, inside)
@@ -98,25 +135,34 @@ def integrate(episode: Episode, interval_s: float) -> Integrals:
     # An interval between neighbouring edges is one whole sample: its width without the rounding of the edges.
     width[is_edge[:-1] & is_edge[1:]] = interval_s
     left = points[:-1]
-    first = np.flatnonzero(is_edge[:-1])
     piece = np.searchsorted(episode.breaks_s, left + 0.5 * width, side="right") - 1
+    return _Intervals(left, width, piece, np.flatnonzero(is_edge[:-1]), episode.moving[piece])
 
+
+def _integrated(episodes: Sequence[Episode], cut: Sequence[_Intervals]) -> NDArray[np.float64]:
+    """Integrals over the intervals of episodes that share ``evaluate`` and bandwidth, shape (k, 12)."""
+    left, width, _, _, moving = (np.concatenate(column) for column in zip(*cut, strict=True))
+    piece = np.concatenate([c.piece + e.first_piece for c, e in zip(cut, episodes, strict=True)])
+    begin = np.concatenate([e.breaks_s[c.piece] for c, e in zip(cut, episodes, strict=True)])
+    evaluate = episodes[0].evaluate
     values = np.empty((len(left), 12))
-    moving = episode.moving[piece]
-    still_pieces, row = np.unique(piece[~moving], return_inverse=True)
+    still_pieces, where, row = np.unique(piece[~moving], return_index=True, return_inverse=True)
     if len(still_pieces):
-        constant = episode.evaluate(still_pieces[:, np.newaxis], episode.breaks_s[still_pieces][:, np.newaxis])[:, 0]
+        constant = evaluate(still_pieces[:, np.newaxis], begin[~moving][where][:, np.newaxis])[:, 0]
         values[~moving] = np.hstack([constant, np.abs(constant)])[row] * width[~moving, np.newaxis]
-    if moving.any():
-        values[moving] = _quadrature(episode, piece[moving], left[moving], width[moving])
-    total = values if len(values) == episode.n_samples else np.add.reduceat(values, first, axis=0)
-    return Integrals(total[:, 0:3], total[:, 6:9], total[:, 3:6], total[:, 9:12])
+    turning = np.flatnonzero(moving)
+    for rows in np.split(turning, range(_BLOCK, len(turning), _BLOCK)) if len(turning) else ():
+        values[rows] = _quadrature(episodes[0], piece[rows], left[rows], width[rows])
+    return values
 
 
 def _quadrature(
     episode: Episode, piece: NDArray[np.intp], left: NDArray[np.float64], width: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Integrals of the six components and of their absolute values over moving intervals, shape (k, 12)."""
+    """Integrals of the six components and of their absolute values over moving intervals, shape (k, 12).
+
+    ``episode`` stands for all that share its motion and bandwidth.
+    """
     phase = 0.5 * episode.bandwidth_rad_s * float(width.max())
     parts = max(1, math.ceil(phase / _MAX_PHASE))
     if parts > 1:

@@ -147,15 +147,12 @@ class AngleProfile:
         angle, rate : ndarray, shape (k, n, 2), rad and rad/s
             Columns inner, outer.
         """
-        since = (time_s - self.breaks_s[piece])[..., np.newaxis]
-        c = self.coefficients[piece]
-        angle = c[..., 0] + since * (c[..., 1] + since * c[..., 2])
-        rate = c[..., 1] + 2.0 * since * c[..., 2]
+        angle, rate = _polynomial(time_s - self.breaks_s[piece], self.coefficients[piece])
         for ringing in self.ringings:
-            self._add_ringing(ringing, piece, time_s, angle, rate)
+            self.add_ringing(ringing, piece, time_s, angle, rate)
         return angle, rate
 
-    def _add_ringing(
+    def add_ringing(
         self,
         ringing: Ringing,
         piece: NDArray[np.intp],
@@ -163,6 +160,7 @@ class AngleProfile:
         angle: NDArray[np.float64],
         rate: NDArray[np.float64],
     ) -> None:
+        """Add one oscillation to angles and rates of shape (k, n, 2), in place."""
         border = self.breaks_s[piece[:, 0]]
         rows = (border >= ringing.start_s) & (border < ringing.start_s + self.profile.settling_life_s)
         t = time_s[rows] - ringing.start_s
@@ -172,6 +170,51 @@ class AngleProfile:
         envelope_rate = 4.0 * self.profile.settling_rad * (2.0 * slow**2 - slow) / self.profile.settling_decay_s
         angle[rows, :, ringing.axis] += np.sin(w * t) * envelope
         rate[rows, :, ringing.axis] += w * np.cos(w * t) * envelope + np.sin(w * t) * envelope_rate
+
+
+class JoinedProfile:
+    """Profiles of many episodes with their pieces numbered through, so that all are evaluated in one call."""
+
+    def __init__(self) -> None:
+        self._profiles: list[AngleProfile] = []
+        self._first: list[int] = [0]
+        self._joined: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    def append(self, profile: AngleProfile) -> int:
+        """Add the profile of an episode, and give the number of its first piece."""
+        first = self._first[-1]
+        self._profiles.append(profile)
+        self._first.append(first + len(profile.moving))
+        self._joined = None
+        return first
+
+    def angles(
+        self, piece: NDArray[np.intp], time_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
+        if self._joined is None:
+            self._joined = (
+                np.concatenate([p.breaks_s[:-1] for p in self._profiles]),
+                np.concatenate([p.coefficients for p in self._profiles]),
+            )
+        breaks, coefficients = self._joined
+        angle, rate = _polynomial(time_s - breaks[piece], coefficients[piece])
+        for first, profile in zip(self._first, self._profiles, strict=False):
+            if profile.ringings:
+                rows = np.flatnonzero((piece[:, 0] >= first) & (piece[:, 0] < first + len(profile.moving)))
+                part = angle[rows], rate[rows]
+                for ringing in profile.ringings:
+                    profile.add_ringing(ringing, piece[rows] - first, time_s[rows], *part)
+                angle[rows], rate[rows] = part
+        return angle, rate
+
+
+def _polynomial(
+    since: NDArray[np.float64], coefficients: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Both angles and rates, shape (k, n, 2), of quadratics (k, 1, 2, 3) at times (k, n) since the pieces' borders."""
+    t, c = since[..., np.newaxis], coefficients
+    return c[..., 0] + t * (c[..., 1] + t * c[..., 2]), c[..., 1] + 2.0 * t * c[..., 2]
 
 
 def angle_profile(

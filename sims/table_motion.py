@@ -14,7 +14,7 @@ import numpy as np
 
 from sims.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
 from sims.integrals import Episode
-from sims.motion import AngleProfile, RateProfile, Ringing, angle_profile
+from sims.motion import AngleProfile, JoinedProfile, RateProfile, Ringing, angle_profile
 from sims.sequences import INNER, OUTER, TABLE_1, TurnSequence, table_sequences
 from sims.true_motion import Clock, TrueMotion
 from srt.exceptions import InputError
@@ -80,6 +80,7 @@ class _Run:
     clock: Clock
     angles: tuple[float, float]
     ringings: tuple[Ringing, ...] = ()
+    recorded: JoinedProfile = field(default_factory=JoinedProfile)
 
     def profile(self, legs: Sequence[tuple[int, float]], leg_dwell_s: float) -> AngleProfile:
         return angle_profile(self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings)
@@ -99,14 +100,16 @@ class _Run:
         )
 
     def _episode(self, profile: AngleProfile, n_samples: int) -> Episode:
-        def evaluate(piece: NDArray[np.intp], time: NDArray[np.float64]) -> NDArray[np.float64]:
-            angle, rate = profile.angles(piece, time)
-            inner, outer = angle[..., INNER], angle[..., OUTER]
-            constant = self.geometry.to_body(self.constant_base, inner, outer)
-            turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER])
-            return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
+        first = self.recorded.append(profile)
+        return Episode(n_samples, profile.breaks_s, profile.moving, profile.bandwidth_rad_s, self.sensed, first)
 
-        return Episode(n_samples, profile.breaks_s, profile.moving, profile.bandwidth_rad_s, evaluate)
+    def sensed(self, piece: NDArray[np.intp], time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rate and specific force in B at times of the pieces of all recorded episodes."""
+        angle, rate = self.recorded.angles(piece, time)
+        inner, outer = angle[..., INNER], angle[..., OUTER]
+        constant = self.geometry.to_body(self.constant_base, inner, outer)
+        turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER])
+        return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
 
     def attitude(self) -> NDArray[np.float64]:
         return self.geometry.attitude(*self.angles)

@@ -88,7 +88,7 @@ class Clock:
     sample_rate_hz: float
     start_s: float
     now: int
-    parts: list[Integrals]
+    episodes: list[Episode]
     numbers: list[NDArray[np.int64]]
 
     @classmethod
@@ -110,8 +110,8 @@ class Clock:
         return float(self.start_s + sample / self.sample_rate_hz)
 
     def record(self, episode: Episode) -> None:
-        """Integrate an episode and append it."""
-        self.parts.append(integrate(episode, self.interval))
+        """Append an episode."""
+        self.episodes.append(episode)
         self.numbers.append(np.arange(self.now, self.now + episode.n_samples))
         self.now += episode.n_samples
 
@@ -119,7 +119,5 @@ class Clock:
         """Time stamps, first sample of each gapless piece, and the integrals of everything recorded."""
         numbers = np.concatenate(self.numbers)
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) > 1)
-        columns = zip(*self.parts, strict=True)
-        stacked = Integrals(*(np.concatenate(column, dtype=np.float64) for column in columns))
         time = np.asarray(self.start_s + (numbers + 1) / self.sample_rate_hz, dtype=np.float64)
-        return time, starts, stacked
+        return time, starts, integrate(self.episodes, self.interval)
