@@ -86,6 +86,8 @@ def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
             width = place[int(parent)].stop - place[int(parent)].start
             R[place[key], place[int(parent)]] = S[:, at : at + width]
             at += width
+    if not np.all(np.isfinite(R)):
+        raise np.linalg.LinAlgError("the eliminated graph is not finite")
     inverse = solve_triangular(R, np.eye(len(R)))
     return GraphSolution(net.optimize(), inverse @ inverse.T, keys)
 

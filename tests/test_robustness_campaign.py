@@ -193,6 +193,20 @@ def test_an_error_is_an_outcome(small, monkeypatch):
     assert (row["outcome"], row["message"]) == ("refused", "No.")
 
 
+def test_a_defect_is_a_failure_of_its_trial_alone(small, monkeypatch):
+    real = srt.calibrate
+
+    def sometimes(recording, name, *, options):
+        if name == "least-squares":
+            raise ValueError("array must not contain infs or NaNs")
+        return real(recording, name, options=options)
+
+    monkeypatch.setattr("srt.calibrate", sometimes)
+    rows = run_trial(small(extra='[[estimator]]\nname = "least-squares"\n'), (0, 0))
+    assert [row["outcome"] for row in rows] == ["crashed", "converged"]
+    assert rows[0]["message"] == "ValueError: array must not contain infs or NaNs"
+
+
 def test_starts_that_only_campaigns_have(small):
     extra = '[[estimator]]\nname = "closed-form"\nlabel = "{0}"\nstart = "{0}"\n'
     campaign = small(extra=extra.format("truth") + extra.format("unguided") + extra.format("zero"))

@@ -132,7 +132,9 @@ def markdown_tables(table: pa.Table, header: Header) -> str:
     found = answer(table, header)
     tables = [varied_table(found), outcome_table(found), reach_table(found)]
     tables += [t for m in found.maps[:1] for t in map_tables(m, header.estimators)]
-    tables += accuracy_tables(found.accuracy[0], header.estimators, noisy=header.noisy)
+    for a in found.accuracy:
+        if a.axis is None or a.axis.on_grid:  # what is drawn has too many levels for a document
+            tables += accuracy_tables(a, header.estimators, noisy=header.noisy)
     tables += [*honesty_tables(found)[:1], effort_table(found)]
     text = "".join(f"- {_escaped(sentence)}\n" for sentence in sentences(found))
     return "\n".join([text, *(_markdown(t) for t in tables if t.rows)])

@@ -30,6 +30,7 @@ MEANINGS: Final = {
     "wrong minimum": "it says that it converged, but to another result: nothing warns the user",
     "not converged": "it says itself that it did not converge",
     "outside model": "it says that its estimate is no longer that of a possible unit",
+    "crashed": "it broke off with an error that is none of the input's: a defect of the estimator",
     "refused": "it stopped with a sentence that says why",
     "unverified": "it says that it converged, but a start from the true errors did not, so there is nothing to compare "
     "with; counted as not converged",

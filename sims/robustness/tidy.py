@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from sims.robustness.trial import OUTCOMES as TRIAL_OUTCOMES
 from srt.exceptions import DataError, InputError
 from srt.sensor_errors import NAMES
 
@@ -25,15 +26,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Codes = NDArray[np.intp]
 
-OUTCOMES: Final = (
-    "converged",
-    "wrong_minimum",
-    "not_converged",
-    "outside_model",
-    "refused",
-    "unverified",
-    "no_imu",
-)
+OUTCOMES: Final = tuple(TRIAL_OUTCOMES)
 """What can become of a trial; the last is left out of every rate."""
 CONVERGED: Final = OUTCOMES.index("converged")
 NO_IMU: Final = OUTCOMES.index("no_imu")

@@ -31,6 +31,7 @@ OUTCOMES: Final = {
     "wrong_minimum": "says converged, at another place",
     "not_converged": "says that it did not",
     "outside_model": "says that the errors are those of no unit it can describe",
+    "crashed": "raised an error that is none of the input's: a defect of the estimator, and a failure of the trial",
     "refused": "raised an error, in one sentence",
     "unverified": "says converged; from the true errors the iteration did not, so there is nothing to compare with",
     "no_imu": "the drawn errors are those of no IMU: not tried, and left out of every rate",
@@ -92,8 +93,9 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
     try:
         found = srt.calibrate(simulation.recording, choice.name, options=options)
     except SrtError as error:
-        spent = time.thread_time() - began
-        return {"estimator": choice.label, "outcome": "refused", "message": str(error), "calibrate_s": spent}
+        return _without_result(choice, "refused", str(error), began)
+    except Exception as error:  # a defect: one trial shows it, and the others go on
+        return _without_result(choice, "crashed", f"{type(error).__name__}: {error}", began)
     row: Row = {
         "estimator": choice.label,
         "status": found.status,
@@ -109,7 +111,8 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
             return row
         try:
             reference = srt.calibrate(simulation.recording, choice.name, options=at_truth)
-        except SrtError:
+        except Exception as error:  # whatever it was, there is nothing to compare with
+            row["message"] = f"{found.message} From the true errors: {error}"
             reference = None
         if reference is None or reference.status not in _SUCCESS:
             row["outcome"] = "unverified"
@@ -117,6 +120,11 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
             row["distance"] = distance(found, reference)
             row["outcome"] = "converged" if row["distance"] <= 1.0 else "wrong_minimum"
     return row
+
+
+def _without_result(choice: EstimatorChoice, outcome: str, message: str, began: float) -> Row:
+    spent = time.thread_time() - began
+    return {"estimator": choice.label, "outcome": outcome, "message": message, "calibrate_s": spent}
 
 
 def errors_of(found: Calibration, truth: SensorErrors) -> Row:
