@@ -20,8 +20,10 @@ COMMANDS: Final = {
     "convert": ("srt.cli.convert:convert", "Make a recording from a log in another format."),
     "inspect": ("srt.cli.inspect:inspect", "Show what a recording holds, and what is wrong with it."),
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
+    "align-mount": ("srt.cli.align_mount:align_mount", "Find the angles between the sensor axes and the mount."),
     "apply": ("srt.cli.apply:apply", "Correct a recording by a calibration, or write it as a C header."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
+    "budget": ("srt.cli.budget:budget", "Predict the accuracy of a test, source by source."),
     "robustness": ("srt.cli.robustness:robustness", "Ask simulated units how far from true one may be."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }

@@ -11,10 +11,15 @@ from srt.tables import WIDTH, decimals_for, fixed, text_table
 from srt.verdict_table import verdict_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from srt.calibration import Calibration
     from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
 
 SOURCE_LABELS: Final = {
     "gyro_noise": "gyro noise",
@@ -139,34 +144,56 @@ def contribution_table(calibration: Calibration) -> str:
 def budget_table(calibration: Calibration) -> str:
     """Set all sources of error as columns; empty if none are known."""
     observed = _observed(calibration)
-    sources = [s for s, sizes in calibration.contributions.items() if any(sizes[i] > 0.0 for i in observed)]
+    sources = {s: sizes for s, sizes in calibration.contributions.items() if any(sizes[i] > 0.0 for i in observed)}
     if not sources:
         return ""
-    left: list[list[str]] = []
-    columns: list[list[str]] = [[] for _ in sources]
-    for i in observed:
-        factor = DISPLAY_FACTORS[i]
-        sigma = float(calibration.sigma[i]) * factor
-        decimals = decimals_for(sigma)
-        left.append([SYMBOLS[i], DISPLAY_UNITS[i], fixed(sigma, decimals)])
-        for column, source in zip(columns, sources, strict=True):
-            column.append(fixed(float(calibration.contributions[source][i]) * factor, decimals))
-    heads = [_label(source).replace(" ", "\n") for source in sources]
     text = ["Sources of sigma, one sigma each; their squares add up"]
-    while columns:
-        count = _columns_that_fit(left, heads, columns)
-        rows = [[*cells, *sizes] for cells, *sizes in zip(left, *columns[:count], strict=True)]
-        text.append(text_table(["", "unit", "sigma", *heads[:count]], rows, "llr" + "r" * count, gap=1))
-        heads, columns = heads[count:], columns[count:]
+    text.append(sources_table(sources, calibration.sigma, observed))
     silent = [_label(source) for source in calibration.contributions if source not in sources]
     if silent:
         text += wrap(f"Nothing comes from: {', '.join(silent)}.")
     return "\n".join(text)
 
 
-def _columns_that_fit(left: list[list[str]], heads: list[str], columns: list[list[str]]) -> int:
-    """How many columns find room beside symbol, unit and sigma; at least one."""
-    used = sum(max(map(len, cells)) + 1 for cells in zip(*left, ["", "unit", "sigma"], strict=True))
+def sources_table(sources: Mapping[str, Array], total: Array | None, parameters: Sequence[int]) -> str:
+    """Set sizes by source as columns, below each other where they do not fit side by side.
+
+    Parameters
+    ----------
+    sources : mapping of str to ndarray, shape (27,)
+        SI.
+    total : ndarray, shape (27,), or None
+        Shown before the sources; it sets the decimals, without it the largest source does.
+    parameters : sequence of int
+        Rows.
+
+    Returns
+    -------
+    str
+    """
+    left: list[list[str]] = []
+    columns: list[list[str]] = [[] for _ in sources]
+    for i in parameters:
+        factor = DISPLAY_FACTORS[i]
+        size = max(float(sizes[i]) for sizes in sources.values()) if total is None else float(total[i])
+        decimals = decimals_for(size * factor)
+        left.append([SYMBOLS[i], DISPLAY_UNITS[i]] + ([] if total is None else [fixed(size * factor, decimals)]))
+        for column, sizes in zip(columns, sources.values(), strict=True):
+            column.append(fixed(float(sizes[i]) * factor, decimals))
+    first = ["", "unit"] + ([] if total is None else ["sigma"])
+    heads = [_label(source).replace(" ", "\n") for source in sources]
+    text = []
+    while columns:
+        count = _columns_that_fit(left, first, heads, columns)
+        rows = [[*cells, *sizes] for cells, *sizes in zip(left, *columns[:count], strict=True)]
+        text.append(text_table([*first, *heads[:count]], rows, "llr"[: len(first)] + "r" * count, gap=1))
+        heads, columns = heads[count:], columns[count:]
+    return "\n".join(text)
+
+
+def _columns_that_fit(left: list[list[str]], first: list[str], heads: list[str], columns: list[list[str]]) -> int:
+    """How many columns find room beside the first ones; at least one."""
+    used = sum(max(map(len, cells)) + 1 for cells in zip(*left, first, strict=True))
     for count, (head, column) in enumerate(zip(heads, columns, strict=True)):
         used += 1 + max(map(len, [*head.split("\n"), *column]))
         if used > WIDTH + 1:

@@ -1,0 +1,153 @@
+"""The predicted accuracy of a scenario against simulated units, source by source and together."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import sims
+import srt
+from sims.budget import FIXTURE, G_SENSITIVITY, NOT_COUNTED, budget
+from sims.simulation import simulate
+from srt.cli import main
+from srt.exceptions import InputError
+from srt.sensor_errors import NAMES
+
+QUICK = {"dwell_s": 4.0, "moves": "skipped", "settle_s": 0.5}
+
+
+def scenario(grade="tactical-fog", noise=None, **changes):
+    """A test of two minutes; ``noise`` replaces all figures of the grade."""
+    base = sims.load_scenario(grade)
+    imu = base.imu
+    if noise is not None:
+        imu = imu.model_copy(update={"noise": type(imu.noise)(**noise)})
+    recording = base.recording.model_copy(update={"sample_rate_hz": 50.0, "label_sequences": True, "kind": "rate"})
+    schedule = base.schedule.model_copy(update=QUICK)
+    return base.model_copy(update={"imu": imu, "recording": recording, "schedule": schedule, **changes})
+
+
+WHITE = {"gyro_noise_deg_per_sqrt_h": 0.0667, "accel_noise_ug_per_sqrt_hz": 60.0}
+PULSES = {"gyro_quantization_arcsec": 2.0, "accel_quantization_m_s": 1e-4}
+G = {"gyro_g_sensitivity_deg_per_h_per_g": 30.0}
+SOURCES = {
+    "white": (WHITE, {"gyro_noise", "accel_noise"}),
+    "pulses": (WHITE | PULSES, {"gyro_noise", "accel_noise", "gyro_quantization", "accel_quantization"}),
+    "g-sensitivity": (WHITE | G, {"gyro_noise", "accel_noise", G_SENSITIVITY}),
+}
+
+
+def observed(plan, units):
+    """Rms error of simulated units, every one with its own errors, fixture, noise and gravity."""
+    squares = np.zeros(27)
+    for seed in range(units):
+        simulation = simulate(plan.model_copy(update={"seed": 1000 + seed}))
+        squares += (srt.calibrate(simulation.recording, "closed-form").errors.vector - simulation.truth.vector) ** 2
+    return np.sqrt(squares / units)
+
+
+def assert_predicted(plan, units, chosen):
+    (found,) = budget(plan, draws=10)
+    assert chosen <= {name for name, sizes in found.sources.items() if np.nanmax(sizes) > 0.0}
+    ratio = found.total / observed(plan, units)
+    # A standard deviation from n draws has a standard error of 1 / √(2n); gravity is not drawn by the simulator.
+    band = 3.5 / math.sqrt(2.0 * units)
+    scale = np.array(["accel_scale" in name for name in NAMES])
+    without_gravity = np.sqrt(found.total**2 - found.sources["gravity"] ** 2)
+    ratio[scale] *= (without_gravity / found.total)[scale]
+    assert np.all(np.abs(1.0 / ratio - 1.0) < band), dict(zip(NAMES, ratio.round(3), strict=True))
+
+
+def test_predicted_sigma_is_that_of_300_simulated_units():
+    noise, chosen = SOURCES["white"]
+    assert_predicted(scenario(noise=noise), 300, chosen)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", SOURCES)
+def test_predicted_sigma_is_that_of_2500_simulated_units(source):
+    noise, chosen = SOURCES[source]
+    assert_predicted(scenario(noise=noise), 2500, chosen)
+
+
+def test_what_is_not_counted_is_told():
+    (found,) = budget(scenario(), draws=3)
+    assert set(found.not_counted) == set(NOT_COUNTED)
+    # Products of errors of some thousandths: more than a millionth, less than a thousandth.
+    second = found.not_counted["second_order_before_iteration"][:24]
+    assert 1e-6 < np.median(second) < 1e-3
+    bias = [NAMES.index(f"gyro_bias_{a}") for a in "xyz"]
+    # Held at zero, the bias is wrong by all of it.
+    truth = simulate(scenario()).truth.vector
+    np.testing.assert_allclose(found.not_counted["gyro_bias_if_not_measured"][bias], np.abs(truth[bias]), rtol=0.05)
+
+
+def test_the_total_is_the_root_of_the_squares():
+    (found,) = budget(scenario(), draws=2)
+    by_hand = np.sqrt(sum(sizes**2 for sizes in found.sources.values()))
+    np.testing.assert_allclose(found.total, by_hand, rtol=1e-14)
+    for k, name in enumerate(found.limiting):
+        assert found.sources[name][k] == max(sizes[k] for sizes in found.sources.values())
+    plain = json.loads(json.dumps(found.as_dict(), allow_nan=False))
+    assert plain["total"]["gyro_scale_x"] == found.total[0]
+    assert FIXTURE in plain["sources"]
+
+
+def test_a_parameter_without_its_sequence_has_none():
+    plan = scenario()
+    schedule = plan.schedule.model_copy(update={"sequences": tuple(s for s in sims.TABLE_1 if s != "1a")})
+    (found,) = budget(plan.model_copy(update={"schedule": schedule}), draws=2)
+    k = NAMES.index("gyro_asymmetry_y")
+    assert math.isnan(found.total[k])
+    assert found.limiting[k] is None
+    assert found.as_dict()["total"]["gyro_asymmetry_y"] is None
+
+
+def test_progress_ends_where_it_said():
+    told = []
+    budget(scenario(), draws=2, progress=lambda done, size: told.append((done, size)))
+    assert told[-1][0] == told[-1][1]
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_a_free_scenario_has_no_budget():
+    with pytest.raises(InputError, match=r"needs a scenario with a \[fixture\]"):
+        budget(sims.load_scenario("free-mems"))
+
+
+def test_command(tmp_path, capsys):
+    file, plot = tmp_path / "b.json", tmp_path / "b.png"
+    arguments = ["budget", "demo", "--estimator", "closed-form", "--draws", "2", "-o", str(file), "--plot", str(plot)]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert "Budget of closed-form" in out
+    assert max(map(len, out.splitlines())) <= 80
+    assert json.loads(file.read_text())["budgets"][0]["estimator"] == "closed-form"
+    assert plot.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_command_in_the_papers_mode(tmp_path, capsys):
+    file = tmp_path / "paper.json"
+    assert main(["budget", "demo", "--paper", "-o", str(file)]) == 0
+    assert "Savage 2020, §9: sequences of 40 s" in capsys.readouterr().out
+    rows = {row["quantity"]: row for row in json.loads(file.read_text())["quantities"]}
+    assert rows["υyz"]["gyro_noise"] == pytest.approx(0.002 / 60 * math.pi / 180 * math.sqrt(40) / 4, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["free-mems"], "needs a scenario with a [fixture]"),
+        (["free-mems", "--paper"], "17 sequences"),
+        (["no-such"], "no shipped scenario"),
+        (["demo", "--paper", "--plot", "x.png"], "leave one of the two options out"),
+        (["demo", "--estimator", "closed"], "closed-form"),
+        (["demo", "-o", "x.txt"], ".json"),
+    ],
+)
+def test_mistakes(arguments, said, capsys):
+    assert main(["budget", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert captured.out == ""
