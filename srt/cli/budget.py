@@ -97,14 +97,15 @@ def tables(found: Budget) -> str:
     import numpy as np
 
     from sims.budget import NOT_COUNTED
-    from srt.cli.report import sources_table
+    from srt.cli.report import sources_table, wrap
 
     seen = np.flatnonzero(np.isfinite(found.total)).tolist()
     text = [f"Budget of {found.estimator}: one sigma; the squares of the sources add up"]
     text.append(sources_table(found.sources, found.total, seen))
     text.append("\nNot in the sum")
     text.append(sources_table(found.not_counted, None, seen))
-    text += [f"  {name.replace('_', ' ')}: {meaning}" for name, meaning in NOT_COUNTED.items()]
+    for name, meaning in NOT_COUNTED.items():
+        text += wrap(f"{name.replace('_', ' ')}: {meaning}", "  ")
     return "\n".join(text)
 
 
