@@ -21,9 +21,9 @@ COMMANDS: Final = {
     "inspect": ("srt.cli.inspect:inspect", "Show what a recording holds, and what is wrong with it."),
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
     "align-mount": ("srt.cli.align_mount:align_mount", "Find the angles between the sensor axes and the mount."),
-    "apply": ("srt.cli.apply:apply", "Correct a recording by a calibration, or write it as a C header."),
+    "apply": ("srt.cli.apply:apply", "Correct a recording, or write the correction in C."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
-    "budget": ("srt.cli.budget:budget", "Predict the accuracy of a test, source by source."),
+    "budget": ("srt.cli.budget:budget", "Predict the accuracy of a test by source of error."),
     "robustness": ("srt.cli.robustness:robustness", "Ask simulated units how far from true one may be."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }
