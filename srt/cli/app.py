@@ -22,6 +22,7 @@ COMMANDS: Final = {
     "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
     "align-mount": ("srt.cli.align_mount:align_mount", "Find the angles between the sensor axes and the mount."),
     "apply": ("srt.cli.apply:apply", "Correct a recording, or write the correction in C."),
+    "export": ("srt.cli.export:export", "Write a calibration in the format of another tool."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
     "budget": ("srt.cli.budget:budget", "Predict the accuracy of a test by source of error."),
     "robustness": ("srt.cli.robustness:robustness", "Ask simulated units how far from true one may be."),

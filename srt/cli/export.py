@@ -1,0 +1,176 @@
+"""``srt export``: a calibration in the format of another tool, with what that leaves uncorrected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from srt.cli.apply import check_match, load_fit
+from srt.cli.output import check_file, warn
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from srt.calibration import Calibration
+    from srt.exporters.exporting import Exported
+    from srt.exporters.format import Exporter
+    from srt.exporters.residual import Readings
+
+
+def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if not wanted or context.resilient_parsing:
+        return
+    from srt.exporters import exporters
+    from srt.tables import text_table
+
+    rows = [(name, item.title, ", ".join(item.frames)) for name, item in exporters().items()]
+    click.echo(text_table(("target", "what is written", "axes"), rows, "lll"))
+    context.exit()
+
+
+@click.command("export")
+@click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.option("--to", "target", required=True, metavar="TARGET", help="Format to write; see --list.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write; without it, only what is lost.")
+@click.option("--recording", type=click.Path(path_type=Path), help="Raw readings to measure the loss on.")
+@click.option(
+    "--frame", type=click.Choice(("mars", "table", "accel")), help="Axes of the file, where there is a choice."
+)
+@click.option(
+    "--fit-asymmetry", is_flag=True, help="Choose the slopes that suit RECORDING best, for such motion alone."
+)
+@click.option("--topic", help="Topic of the readings, for formats that name it.  [default: /imu0]")
+@click.option("--rate-hz", type=float, help="Sample rate; default: the recording's.")
+@click.option("--gyro-random-walk", type=float, help="Of the gyro biases, rad/s^2/sqrt(Hz).")
+@click.option("--accel-random-walk", type=float, help="Of the accelerometer biases, m/s^3/sqrt(Hz).")
+@click.option("--instance", type=int, help="Which IMU of an autopilot, from 0.")
+@click.option("--force", is_flag=True, help="Whatever the calibration's status and the serial.")
+@click.option("-q", "--quiet", is_flag=True, help="No report.")
+@click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the targets.")
+def export(
+    calibration_file: Path,
+    target: str,
+    output: Path | None,
+    recording: Path | None,
+    frame: str | None,
+    fit_asymmetry: bool,
+    topic: str | None,
+    rate_hz: float | None,
+    gyro_random_walk: float | None,
+    accel_random_walk: float | None,
+    instance: int | None,
+    force: bool,
+    quiet: bool,
+) -> int:
+    """Write CALIBRATION, the JSON file of 'srt calibrate -o', in the format of another tool.
+
+    The file is read again and applied by the tool's own formula to the recording (or to 1 rad/s and 1 g in all
+    directions), and what it leaves beside 'srt apply' is shown.
+
+    Exit codes: 0 success; 1 a file that does not give the calibration back; 2 wrong usage, unreadable input, or a
+    calibration that the target would cut.
+    """
+    from srt.exporters.exporting import export as make
+    from srt.exporters.exporting import save
+    from srt.exporters.registry import exporter
+    from srt.exporters.source import Settings
+
+    chosen = exporter(target)
+    if output is not None:
+        _check_output(chosen, output, calibration_file)
+    if fit_asymmetry and recording is None:
+        raise InputError("--fit-asymmetry needs the motion to fit to: add --recording DIR.")
+    calibration = load_fit(calibration_file, force=force)
+    readings, measured_rate = None, None
+    if recording is not None:
+        readings, measured_rate = _readings(calibration, calibration_file, recording, force=force)
+    if rate_hz is None and "rate_hz" in chosen.options:
+        rate_hz = measured_rate
+    made = make(
+        calibration,
+        target,
+        readings=readings,
+        frame=frame,
+        asymmetry="fit" if fit_asymmetry else "leave",
+        settings=Settings(topic, rate_hz, gyro_random_walk, accel_random_walk, instance),
+    )
+    written = () if output is None else save(made, output)
+    if calibration.held:
+        from srt.cli.report import held_summary
+
+        warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
+    if made.unknown:
+        warn(f"{chosen.title} asks for what is not known, and it is not in the file: {'; '.join(made.unknown)}.")
+    if not quiet:
+        click.echo(report(made))
+        click.echo("".join(f"\nWritten to {place}" for place in written) or "\nNothing is written: add -o FILE.")
+    return 0
+
+
+def report(made: Exported) -> str:
+    """Say what a file is, how it is applied, what it leaves and what to mind.
+
+    Parameters
+    ----------
+    made : Exported
+
+    Returns
+    -------
+    str
+        Lines of up to 80 characters but for formulas.
+    """
+    from srt.tables import text_table
+
+    rows = [
+        (r.title, *(f"{value:.3e}" for value in (r.gyro_max, r.gyro_rms, r.accel_max, r.accel_rms)))
+        for r in made.residuals
+    ]
+    headers = ("beside srt apply", "gyro max\nrad/s", "rms\nrad/s", "accel. max\nm/s^2", "rms\nm/s^2")
+    axes = {
+        "mars": "MARS axes, those of the calibration",
+        "table": "axes of the table-mounted frame",
+        "accel": "axes that its accelerometer matrix defines",
+    }[made.frame]
+    lines = [
+        f"{made.format.title}",
+        f"formula: {made.format.formula}",
+        f"axes: {axes}",
+    ]
+    if made.frame != "mars":
+        x, y, z = made.turn_mrad
+        lines.append(f"turned from MARS axes by ({x:.4f}, {y:.4f}, {z:.4f}) mrad; v is C v there, C =")
+        lines += ["  " + "  ".join(f"{value: .12f}" for value in row) for row in made.C_FB.tolist()]
+    lines += [
+        "",
+        f"Left on {made.readings.title}:",
+        "",
+        text_table(headers, rows, "lrrrr"),
+        "",
+        "Not held:",
+        *(f"  {loss}" for loss in made.losses),
+    ]
+    if made.format.advice:
+        lines += ["", "Mind:", *(f"  {sentence}" for sentence in made.format.advice)]
+    return "\n".join(lines)
+
+
+def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:
+    from srt.exporters.exporting import part_paths
+
+    for place in part_paths(chosen, output).values():
+        check_file(place, chosen.suffixes, f"The {chosen.name} file")
+        if place.resolve() == calibration.resolve():
+            raise InputError(f"{place} is the calibration itself, which shall stay as it is: name another file.")
+
+
+def _readings(
+    calibration: Calibration, calibration_file: Path, path: Path, *, force: bool
+) -> tuple[Readings, float | None]:
+    import srt
+    from srt.exporters.residual import Readings
+
+    recording = srt.load_recording(path)
+    if not force:
+        check_match(calibration, recording, calibration_file, path)
+    return Readings.of(recording, str(path)), 1.0 / recording.nominal_interval_s

@@ -1,0 +1,333 @@
+"""A calibration to another's format and back: written, read again, applied by the target's formula, measured."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt.applier import Applier
+from srt.atomic import atomic_path
+from srt.compensation import Triad, accel_triad, gyro_triad, outside_model, to_mars
+from srt.exceptions import DataError, InputError, SrtError
+from srt.exporters.linear import ASYMMETRY, FACTORS, Linear, linear_part
+from srt.exporters.noise_fields import unknown
+from srt.exporters.registry import exporter
+from srt.exporters.residual import Readings, Residual, compare
+from srt.exporters.source import Settings, Source
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+    from srt.exporters.format import Exporter, Fields
+    from srt.exporters.residual import Correction
+    from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
+
+_G_SENSITIVITY_WITHIN = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exported:
+    """A calibration in another's format, and what that costs.
+
+    Attributes
+    ----------
+    format : Exporter
+    texts : dict of str to str
+        By part of the file's name.
+    frame : str
+        Axes of the file: "mars", "table" or "accel" (those that the format's accelerometer matrix defines).
+    C_FB : ndarray, shape (3, 3)
+        From MARS axes to those.
+    turn_mrad : ndarray, shape (3,)
+        The same as a rotation vector.
+    readings : Readings
+        What the residuals are measured on.
+    residuals : tuple of Residual
+        The file's own first; then, where they apply, with the biases given beside it, and of asymmetry alone.
+    losses : tuple of str
+        What the format cannot hold of this calibration.
+    unknown : tuple of str
+        What the format asks for and the calibration does not know.
+    """
+
+    format: Exporter
+    texts: dict[str, str]
+    frame: str
+    C_FB: Array
+    turn_mrad: Array
+    readings: Readings
+    residuals: tuple[Residual, ...]
+    losses: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """A pre-calibration out of another's format.
+
+    Attributes
+    ----------
+    errors : SensorErrors
+        In MARS axes; asymmetries, and biases where the format has none, are zero.
+    U : ndarray, shape (3, 3)
+        From the file's axes to MARS axes.
+    absent : tuple of str
+        Groups of errors that the format does not hold.
+    """
+
+    errors: SensorErrors
+    U: Array
+    absent: tuple[str, ...]
+
+
+def export(
+    calibration: Calibration,
+    target: str,
+    *,
+    readings: Readings | None = None,
+    frame: str | None = None,
+    asymmetry: str = "leave",
+    settings: Settings | None = None,
+) -> Exported:
+    """Put a calibration into another's format, in memory.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    target : str
+        Name of the format.
+    readings : Readings, optional
+        Raw readings of the unit to measure the residuals on; default: the standard motion.
+    frame : str, optional
+        Axes of the file; default: the first that the format takes.
+    asymmetry : "leave" or "fit"
+        How the linear part is chosen (:mod:`srt.exporters.linear`); "fit" needs readings.
+    settings : Settings, optional
+
+    Returns
+    -------
+    Exported
+
+    Raises
+    ------
+    InputError
+        An unknown format, axes or settings that it does not take, a calibration outside the model, values that the
+        target would cut or drop without a word.
+    DataError
+        If what was written does not give the linear part back.
+    """
+    chosen = exporter(target)
+    settings = settings or Settings()
+    extra = sorted(settings.stated - chosen.options)
+    if extra:
+        raise InputError(f"The format {target} has no place for {', '.join(extra)}: leave it out.")
+    if asymmetry not in ASYMMETRY:
+        raise InputError(f"asymmetry is {asymmetry!r}; it must be one of {', '.join(ASYMMETRY)}.")
+    if asymmetry == "fit" and (readings is None or chosen.asymmetry):
+        reason = "holds it" if chosen.asymmetry else "there is no recording to fit to"
+        raise InputError(
+            f"Asymmetry cannot be fitted for {target}, as {reason}: leave the fit out, or give a recording."
+        )
+    reason_outside = outside_model(calibration.errors)
+    if reason_outside is not None:
+        raise InputError(f"This calibration cannot be exported: {reason_outside}; calibrate the unit again.")
+    frame = frame or chosen.frames[0]
+    measured_on = readings or Readings.standard(calibration)
+    gyro, accel = _linear_parts(calibration, measured_on if asymmetry == "fit" else None)
+    C_FB = _axes(calibration, chosen, frame, accel.matrix)
+    source = Source(calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings)
+    texts = chosen.write(source)
+    return Exported(
+        format=chosen,
+        texts=texts,
+        frame=frame,
+        C_FB=C_FB,
+        turn_mrad=source.turn_mrad,
+        readings=measured_on,
+        residuals=_residuals(chosen, chosen.read(texts), source, measured_on),
+        losses=_losses(chosen, calibration),
+        unknown=unknown(source) if "rate_hz" in chosen.options else (),
+    )
+
+
+def save(exported: Exported, path: str | PathLike[str]) -> tuple[Path, ...]:
+    """Write the files, read them again as they are on disk, and only then let them take their place.
+
+    Parameters
+    ----------
+    exported : Exported
+    path : path-like
+        Formats of several files append to the stem of its name.
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    DataError
+        If what is on disk is not what was meant.
+    """
+    places = part_paths(exported.format, path)
+    with ExitStack() as stack:
+        temporary = {part: stack.enter_context(atomic_path(place)) for part, place in places.items()}
+        for part, place in temporary.items():
+            place.write_bytes(exported.texts[part].encode("utf-8"))
+        found = exported.format.read({part: place.read_bytes().decode("utf-8") for part, place in temporary.items()})
+        meant = exported.format.read(exported.texts)
+        if any(not np.array_equal(found[name], value) for name, value in meant.items()):
+            raise DataError(f"{path} does not read back as it was written: nothing is left of it; try another disk.")
+    return tuple(places.values())
+
+
+def load(path: str | PathLike[str], target: str) -> Loaded:
+    """Read a file of another's format as a pre-calibration.
+
+    Parameters
+    ----------
+    path : path-like
+        As it was given to :func:`save`: formats of several files append to the stem of its name.
+    target : str
+        Name of the format.
+
+    Returns
+    -------
+    Loaded
+        ``Prior.from_sigma(sigma, loaded.errors)`` makes a prior of it.
+
+    Raises
+    ------
+    InputError
+        A format that does not hold enough, a file that cannot be read or was edited or truncated, or one with
+        g-sensitivity, which the 27 errors have no place for.
+    """
+    chosen = exporter(target)
+    if not chosen.imports:
+        raise InputError(
+            f"A {target} file is no pre-calibration: it holds too little, or what srt wrote from a whole one."
+        )
+    texts = {}
+    for part, place in part_paths(chosen, path).items():
+        try:
+            texts[part] = place.read_bytes().decode("utf-8")
+        except OSError as error:
+            raise InputError(f"The file {place} cannot be read: {error.strerror}.") from None
+        except UnicodeDecodeError:
+            raise InputError(f"The file {place} is no text: name a {chosen.title}.") from None
+    try:
+        gyro, accel = _forward(chosen, chosen.read(texts))
+        errors, U = to_mars(gyro, accel)
+        reason = outside_model(errors)
+        if reason is not None:
+            raise InputError(f"{reason}.")
+    except SrtError as error:
+        raise InputError(f"{path}, read as {chosen.title}: {error}") from None
+    absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
+    return Loaded(errors, U, absent)
+
+
+def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
+    """Name the files of a format."""
+    base = Path(path)
+    return {part: base.with_name(base.stem + part + base.suffix) if part else base for part in chosen.parts}
+
+
+def _axes(calibration: Calibration, chosen: Exporter, frame: str, Ma: Array) -> Array:
+    if frame not in chosen.frames:
+        raise InputError(
+            f"The format {chosen.name} cannot be in {frame} axes: it takes {' or '.join(chosen.frames)}"
+            + (", those that its accelerometer matrix defines." if chosen.frames == ("accel",) else ".")
+        )
+    if frame == "accel":
+        assert chosen.triangle is not None
+        _, C_FB = FACTORS[chosen.triangle](Ma)
+        return C_FB
+    if frame == "mars":
+        return np.eye(3)
+    rotation = Applier(calibration, frame="table").rotation
+    assert rotation is not None
+    return np.array(rotation).reshape(3, 3)
+
+
+def _linear_parts(calibration: Calibration, fitted: Readings | None) -> tuple[Linear, Linear]:
+    rate, force = (None, None) if fitted is None else calibration.apply(fitted.gyro, fitted.accel)
+    return linear_part(gyro_triad(calibration.errors), rate), linear_part(accel_triad(calibration.errors), force)
+
+
+def _residuals(chosen: Exporter, fields: Fields, source: Source, readings: Readings) -> tuple[Residual, ...]:
+    calibration, C_FB = source.calibration, source.C_FB
+
+    def ours(gyro: Array, accel: Array) -> tuple[Array, Array]:
+        rate, force = calibration.apply(gyro, accel)
+        return rate @ C_FB.T, force @ C_FB.T
+
+    def linear(gyro: Array, accel: Array) -> tuple[Array, Array]:
+        return source.gyro.correct(gyro), source.accel.correct(accel)
+
+    def theirs(gyro: Array, accel: Array) -> tuple[Array, Array]:
+        return chosen.apply(fields, gyro, accel)
+
+    def beside(gyro: Array, accel: Array) -> tuple[Array, Array]:
+        return chosen.apply(fields, gyro - source.gyro.bias, accel - source.accel.bias)
+
+    whole = theirs if chosen.biases else beside
+    _check(chosen, readings, ours if chosen.asymmetry else linear, whole)
+    out = [compare("this file", readings, ours, theirs)]
+    if not chosen.biases:
+        out.append(compare("biases given beside it", readings, ours, beside))
+    if _asymmetric(calibration) and not chosen.asymmetry:
+        out.append(compare("asymmetry alone", readings, ours, linear))
+    return tuple(out)
+
+
+def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Correction) -> None:
+    """Refuse a file that does not give back what it was made of; lossy formats are measured instead."""
+    if chosen.within is None:
+        return
+    rate, force = expected(readings.gyro[:1000], readings.accel[:1000])
+    off = compare("", Readings(readings.gyro[:1000], readings.accel[:1000], ""), expected, found)
+    for name, values, worst in (("gyro", rate, off.gyro_max), ("accelerometer", force, off.accel_max)):
+        size = max(float(np.abs(values).max()), 1.0)
+        if not worst <= chosen.within * size:
+            raise DataError(
+                f"The {name} correction of the {chosen.name} file is {worst:.3g} off what it was made of, "
+                f"where {chosen.within * size:.1g} is allowed: it is not written; use another format."
+            )
+
+
+def _losses(chosen: Exporter, calibration: Calibration) -> tuple[str, ...]:
+    asymmetry = () if chosen.asymmetry or not _asymmetric(calibration) else ("scale-factor asymmetry",)
+    return (*asymmetry, *chosen.losses, "covariance")
+
+
+def _asymmetric(calibration: Calibration) -> bool:
+    return bool(calibration.errors.group("gyro_asymmetry").any() or calibration.errors.group("accel_asymmetry").any())
+
+
+def _forward(chosen: Exporter, fields: Fields) -> tuple[Triad, Triad]:
+    """Turn any format into readings ``y = M v + b``: its correction is affine, and seven readings show all of it."""
+    probes = np.vstack([np.zeros(3), np.eye(3)])
+    zero = np.zeros((4, 3))
+    rate, force = chosen.apply(fields, probes, probes)
+    rate_of_gyro, _ = chosen.apply(fields, probes, zero)
+    rate_of_accel = chosen.apply(fields, zero, probes)[0]
+    if np.abs(rate_of_accel[1:] - rate_of_accel[0]).max() > _G_SENSITIVITY_WITHIN * max(1.0, np.abs(rate).max()):
+        raise InputError("its gyros are g-sensitive, which the 27 sensor errors have no place for: set that to zero.")
+    linears = []
+    for values in (rate_of_gyro, force):
+        matrix = np.linalg.inv((values[1:] - values[0]).T)
+        linears.append(Linear(matrix, -matrix @ values[0]))
+    gyro, accel = (Triad(linear.matrix, np.zeros(3), linear.bias) for linear in linears)
+    return gyro, accel

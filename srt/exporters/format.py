@@ -1,0 +1,230 @@
+"""What a format is, and how its fields are read without trusting the file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from srt.exporters.source import Source
+
+    Array = NDArray[np.float64]
+    Texts = Mapping[str, str]
+    Fields = dict[str, Array]
+
+ROUNDING: Final = 1e-11
+"""Of the largest value: what two orders of the same exact operations may differ by (condition numbers reach 10)."""
+SINGLE: Final = 2e-6
+"""The same where the numbers of a file are kept in single precision (6e-8 each, a dozen of them)."""
+
+_ROTATION_WITHIN: Final = 1e-6
+_ZERO_WITHIN: Final = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Exporter:
+    """One format.
+
+    Attributes
+    ----------
+    name, title : str
+        On the command line, and for people.
+    suffixes : tuple of str
+        Endings that its file may have, the first preferred.
+    formula : str
+        How the target applies it, ASCII.
+    losses : tuple of str
+        What the format cannot hold beside asymmetry and covariance.
+    advice : tuple of str
+        What to know before loading the file.
+    frames : tuple of str
+        Axes that it can be written in, the first by default: "mars", "table" or, where the format decides them,
+        "accel".
+    write : callable
+        The texts of its files, by part.
+    read : callable
+        Fields by name out of the texts; raises InputError.
+    apply : callable
+        The target's formula: (fields, gyro, accel), shapes (n, 3) in SI, to the corrected ones in SI.
+    parts : tuple of str
+        Appended to the stem of the file's name; one empty part is one file.
+    triangle : "lower", "upper" or None
+        Of the accelerometer matrix in axes "accel".
+    within : float or None
+        The linear part comes back to this fraction of the largest value; None where the format is too small for it.
+    biases : bool
+        Whether it holds biases.
+    imports : bool
+        Whether it holds enough for a pre-calibration.
+    options : frozenset of str
+        Settings that it takes; others are refused.
+    asymmetry : bool
+        Whether it holds asymmetry.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    formula: str
+    losses: tuple[str, ...]
+    frames: tuple[str, ...]
+    write: Callable[[Source], dict[str, str]]
+    read: Callable[[Texts], Fields]
+    apply: Callable[[Fields, Array, Array], tuple[Array, Array]]
+    advice: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ("",)
+    triangle: str | None = None
+    within: float | None = ROUNDING
+    biases: bool = True
+    imports: bool = True
+    options: frozenset[str] = frozenset()
+    asymmetry: bool = False
+
+
+def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:
+    """Take an array out of a nested document.
+
+    Parameters
+    ----------
+    document : mapping
+    path : str
+        Keys, separated by points.
+    shape : tuple of int
+
+    Returns
+    -------
+    ndarray
+
+    Raises
+    ------
+    InputError
+        Absent, of another shape, or not finite numbers.
+    """
+    found = document
+    for key in path.split("."):
+        if not isinstance(found, dict) or key not in found:
+            raise InputError(f"there is no {path} in it: it was truncated, or is of another format.")
+        found = found[key]
+    return numbers(found, path, shape)
+
+
+def numbers(found: Any, name: str, shape: tuple[int, ...]) -> Array:
+    """Make an array of finite numbers of the shape, or raise InputError."""
+    try:
+        values = np.array(found, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is not {_sized(shape)} numbers: it was edited.") from None
+    if values.shape != shape:
+        raise InputError(
+            f"{name} has the shape {values.shape}, but {_sized(shape)} numbers are expected: it was edited."
+        )
+    if not np.all(np.isfinite(values)):
+        raise InputError(f"{name} holds values that are not finite numbers: it was edited.")
+    return values
+
+
+def triangular(values: Array, name: str, triangle: str) -> Array:
+    """Refuse a matrix with entries that its reader would drop without a word."""
+    dropped = np.triu(values, 1) if triangle == "lower" else np.tril(values, -1)
+    if np.abs(dropped).max() > _ZERO_WITHIN:
+        raise InputError(
+            f"{name} is not {triangle}-triangular (an entry of {np.abs(dropped).max():.3g} would be dropped silently): "
+            "factor it, or export the calibration anew."
+        )
+    return values
+
+
+def rotation(values: Array, name: str) -> Array:
+    """Refuse a matrix that is no rotation."""
+    if np.abs(values @ values.T - np.eye(3)).max() > _ROTATION_WITHIN or np.linalg.det(values) < 0.0:
+        raise InputError(f"{name} is no rotation: it was edited.")
+    return values
+
+
+def invertible(values: Array, name: str) -> Array:
+    """Refuse a matrix without an inverse."""
+    if not np.linalg.svd(values, compute_uv=False)[-1] > _ROTATION_WITHIN:
+        raise InputError(f"{name} has no inverse: it was edited.")
+    return values
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Write JSON, numbers in full."""
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def from_json(text: str) -> dict[str, Any]:
+    """Read JSON that holds a mapping. Raises InputError."""
+    try:
+        document = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"it is not valid JSON ({error}): is it truncated?") from None
+    return _mapping(document)
+
+
+def to_yaml(document: Mapping[str, Any], head: str = "") -> str:
+    """Write YAML, numbers in full and in a form that every reader takes for numbers. Raises MissingExtraError."""
+    yaml = _yaml()
+    # This dumper writes 1.0e-05, not 1e-05, which YAML 1.1 takes for a word.
+    return head + str(yaml.safe_dump(dict(document), sort_keys=False, default_flow_style=None, width=1000))
+
+
+def from_yaml(text: str) -> dict[str, Any]:
+    """Read YAML that holds a mapping, with or without OpenCV's first line. Raises InputError, MissingExtraError."""
+    yaml = _yaml()
+    first, _, rest = text.partition("\n")
+    try:
+        document = yaml.safe_load(rest if first.startswith("%YAML:") else text)
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"it is not valid YAML ({reason}): is it truncated?") from None
+    return _mapping(document)
+
+
+def whole_lines(text: str) -> list[str]:
+    """Split text into lines; the last must end, or a number in it may be half a number. Raises InputError."""
+    if not text.endswith("\n"):
+        raise InputError("its last line does not end: it was truncated.")
+    return text.splitlines()
+
+
+def single(values: Array) -> Array:
+    """Round to the numbers that single precision has."""
+    return np.asarray(values, dtype=np.float32).astype(np.float64)
+
+
+def solved(matrix: Array, vectors: Array) -> Array:
+    """Multiply each row of shape (n, 3) by the inverse of a matrix."""
+    return np.asarray(np.linalg.solve(matrix, vectors.T).T, dtype=np.float64)
+
+
+def rows(matrix: Array, vectors: Array) -> Array:
+    """Multiply each row of shape (n, 3) by a matrix."""
+    return np.asarray(vectors @ matrix.T)
+
+
+def _mapping(document: Any) -> dict[str, Any]:
+    if not isinstance(document, dict):
+        raise InputError("it holds no fields by name: it was truncated, or is of another format.")
+    return document
+
+
+def _sized(shape: Sequence[int]) -> str:
+    return " by ".join(map(str, shape))
+
+
+def _yaml() -> Any:
+    try:
+        import yaml
+    except ImportError:
+        raise MissingExtraError("pyyaml", "formats", "This format") from None
+    return yaml

@@ -1,0 +1,170 @@
+"""Formats that state what the sensor reads: ``measured = M true + b``.
+
+Kalibr (model scale-misalignment)::
+
+    a_m = M_a a_I + b_a        w_m = M_g C_gyro_i w_I + A C_gyro_i a_I + b_g
+
+with M_a, M_g lower-triangular. That defines the axes I: ``Ma = M_a C_IB``, ``Mg C_IBᵀ = M_g C_gyro_i``. There is no
+g-sensitivity here, so A = 0; there is no field for biases, which Kalibr's users estimate as they go.
+
+pyins: ``x_out = T x + b``, in any axes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.exporters.format import (
+    Exporter,
+    field,
+    from_json,
+    from_yaml,
+    invertible,
+    rotation,
+    rows,
+    solved,
+    to_json,
+    to_yaml,
+    triangular,
+)
+from srt.exporters.linear import lower_rotation
+from srt.exporters.noise_fields import DEFAULT_TOPIC, OPTIONS, named
+from srt.exporters.source import comment
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.exporters.format import Fields, Texts
+    from srt.exporters.source import Source
+
+    Array = NDArray[np.float64]
+
+_KALIBR_MODEL: Final = "scale-misalignment"
+
+NOISE_NAMES: Final = {
+    "accel_noise": "accelerometer_noise_density",
+    "accel_random_walk": "accelerometer_random_walk",
+    "gyro_noise": "gyroscope_noise_density",
+    "gyro_random_walk": "gyroscope_random_walk",
+    "rate_hz": "update_rate",
+}
+
+
+def chain_fields(source: Source) -> dict[str, object]:
+    """Give the entries of ``imu0`` that Kalibr and OpenVINS share."""
+    return {
+        "T_i_b": np.eye(4).tolist(),
+        **named(source, NOISE_NAMES),
+        "rostopic": source.settings.topic or DEFAULT_TOPIC,
+        "time_offset": 0.0,
+    }
+
+
+def _write_kalibr(source: Source) -> dict[str, str]:
+    M_g, C_gyro_i = lower_rotation(source.gyro.matrix)
+    document = {
+        "imu0": {
+            **chain_fields(source),
+            "model": _KALIBR_MODEL,
+            # Lower-triangular but for rounding, as the axes were chosen so.
+            "accelerometers": {"M": np.tril(source.accel.matrix).tolist()},
+            "gyroscopes": {"M": M_g.tolist(), "A": np.zeros((3, 3)).tolist(), "C_gyro_i": C_gyro_i.tolist()},
+        }
+    }
+    return {"": to_yaml(document, comment(source.heading(KALIBR)))}
+
+
+def _read_kalibr(texts: Texts) -> Fields:
+    document = from_yaml(texts[""])
+    imu = document.get("imu0")
+    model = imu.get("model") if isinstance(imu, dict) else None
+    if model != _KALIBR_MODEL:
+        raise InputError(f"the model of imu0 is {str(model)[:40]!r}, but {_KALIBR_MODEL!r} is read: export that one.")
+    return {
+        "M_a": invertible(
+            triangular(field(document, "imu0.accelerometers.M", (3, 3)), "accelerometers.M", "lower"),
+            "accelerometers.M",
+        ),
+        "M_g": invertible(
+            triangular(field(document, "imu0.gyroscopes.M", (3, 3)), "gyroscopes.M", "lower"), "gyroscopes.M"
+        ),
+        "A": field(document, "imu0.gyroscopes.A", (3, 3)),
+        "C_gyro_i": rotation(field(document, "imu0.gyroscopes.C_gyro_i", (3, 3)), "gyroscopes.C_gyro_i"),
+    }
+
+
+def _apply_kalibr(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    a, C = solved(fields["M_a"], accel), fields["C_gyro_i"]
+    in_gyro_axes = solved(fields["M_g"], gyro - rows(fields["A"] @ C, a))
+    return rows(C.T, in_gyro_axes), a
+
+
+KALIBR: Final = Exporter(
+    name="kalibr",
+    title="Kalibr IMU file (scale-misalignment)",
+    suffixes=(".yaml", ".yml"),
+    formula="a_m = M_a a + b_a; w_m = M_g C_gyro_i w + A C_gyro_i a + b_g",
+    losses=("biases: the file has no field for them, and what reads it estimates them itself",),
+    advice=("Extrinsics change with the axes: T_cam_imu becomes T_cam_imu [C' 0; 0 1], C' the transpose of C.",),
+    frames=("accel",),
+    triangle="lower",
+    write=_write_kalibr,
+    read=_read_kalibr,
+    apply=_apply_kalibr,
+    biases=False,
+    options=OPTIONS,
+)
+
+_SENSORS: Final = ("gyro", "accel")
+
+
+def _write_pyins(source: Source) -> dict[str, str]:
+    return {
+        "": to_json(
+            {
+                "comment": source.heading(PYINS),
+                **{
+                    name: {"transform": linear.matrix.tolist(), "bias": linear.bias.tolist()}
+                    for name, linear in zip(_SENSORS, (source.gyro, source.accel), strict=True)
+                },
+            }
+        )
+    }
+
+
+def _read_pyins(texts: Texts) -> Fields:
+    document = from_json(texts[""])
+    fields = {}
+    for sensor in _SENSORS:
+        name = f"{sensor}.transform"
+        fields[name] = invertible(field(document, name, (3, 3)), name)
+        fields[f"{sensor}.bias"] = field(document, f"{sensor}.bias", (3,))
+    return fields
+
+
+def _apply_pyins(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    out = [
+        solved(fields[f"{sensor}.transform"], readings - fields[f"{sensor}.bias"])
+        for sensor, readings in zip(_SENSORS, (gyro, accel), strict=True)
+    ]
+    return out[0], out[1]
+
+
+PYINS: Final = Exporter(
+    name="pyins",
+    title="pyins inertial sensor parameters",
+    suffixes=(".json",),
+    formula="x_out = transform x + bias",
+    losses=(),
+    advice=(
+        "pyins has no file of its own: Parameters(**document['gyro']) simulates, EstimationModel.transform and .bias "
+        "correct.",
+    ),
+    frames=("mars", "table"),
+    write=_write_pyins,
+    read=_read_pyins,
+    apply=_apply_pyins,
+)

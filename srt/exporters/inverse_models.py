@@ -1,0 +1,282 @@
+"""Formats that state how readings are corrected: ``true = M (measured − b)`` or ``true = M measured − b``.
+
+OpenVINS: ``w_I = R_GYROtoIMU Dw (w_m − Tg a_I − b_g)``, ``a_I = R_ACCtoIMU Da (a_m − b_a)``; the file holds the
+inverses Tw, Ta and the rotations from I. Tw and Ta are triangular, a full matrix is cut to its triangle without a word.
+With both rotations free any axes will do. Were there g-sensitivity, Tg would be Kalibr's A times C_gyro_i, not A.
+
+imucal: ``acc = R_a⁻¹ K_a⁻¹ (U − b_a)``, ``gyr = R_g⁻¹ K_g⁻¹ (U − K_ga acc − b_g)``, K diagonal and the rows of R of
+unit length; m/s² and deg/s.
+
+imu_tk: ``X' = T K (X − B)``, K diagonal, T of unit diagonal, upper-triangular for the accelerometers, which decides the
+axes: ``Ma = (T K)⁻¹ C_IB``.
+
+Basalt: ``cal = (I + S) raw − b``, S lower-triangular for the accelerometers, which decides the axes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.constants import DEG
+from srt.exceptions import InputError
+from srt.exporters.format import (
+    Exporter,
+    field,
+    from_json,
+    from_yaml,
+    invertible,
+    numbers,
+    rotation,
+    rows,
+    to_json,
+    to_yaml,
+    triangular,
+    whole_lines,
+)
+from srt.exporters.forward_models import chain_fields
+from srt.exporters.linear import lower_rotation
+from srt.exporters.noise_fields import OPTIONS, named
+from srt.exporters.source import comment
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.exporters.format import Fields, Texts
+    from srt.exporters.source import Source
+
+    Array = NDArray[np.float64]
+
+_TRIANGLES: Final = {"kalibr": "lower", "calibrated": "lower", "rpng": "upper"}
+
+
+def _write_openvins(source: Source) -> dict[str, str]:
+    Tw, to_gyro = lower_rotation(source.gyro.matrix)
+    Ta, to_accel = lower_rotation(source.accel.matrix)
+    document = {
+        "imu0": {
+            **chain_fields(source),
+            "model": "kalibr",
+            "Tw": Tw.tolist(),
+            "R_IMUtoGYRO": to_gyro.tolist(),
+            "Ta": Ta.tolist(),
+            "R_IMUtoACC": to_accel.tolist(),
+            "Tg": np.zeros((3, 3)).tolist(),
+        }
+    }
+    return {"": to_yaml(document, "%YAML:1.0\n" + comment(source.heading(OPENVINS)))}
+
+
+def _read_openvins(texts: Texts) -> Fields:
+    document = from_yaml(texts[""])
+    imu = document.get("imu0")
+    model = str(imu.get("model")) if isinstance(imu, dict) else "None"
+    if model not in _TRIANGLES:
+        raise InputError(f"the model of imu0 is {model[:40]!r}, but one of {', '.join(_TRIANGLES)} is expected.")
+    fields = {"Tg": field(document, "imu0.Tg", (3, 3))}
+    for name in ("Tw", "Ta"):
+        matrix = triangular(field(document, f"imu0.{name}", (3, 3)), name, _TRIANGLES[model])
+        fields[name] = invertible(matrix, name)
+    for name in ("R_IMUtoGYRO", "R_IMUtoACC"):
+        fields[name] = rotation(field(document, f"imu0.{name}", (3, 3)), name)
+    return fields
+
+
+def _apply_openvins(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    Dw, Da = np.linalg.inv(fields["Tw"]), np.linalg.inv(fields["Ta"])
+    a = rows(fields["R_IMUtoACC"].T @ Da, accel)
+    return rows(fields["R_IMUtoGYRO"].T @ Dw, gyro - rows(fields["Tg"], a)), a
+
+
+OPENVINS: Final = Exporter(
+    name="openvins",
+    title="OpenVINS kalibr_imu_chain.yaml",
+    suffixes=(".yaml", ".yml"),
+    formula="a = R_IMUtoACC' inv(Ta) (a_m - b_a); w = R_IMUtoGYRO' inv(Tw) (w_m - Tg a - b_g); ' is the transpose",
+    losses=("biases: the file has no field for them, the filter estimates them",),
+    advice=("Extrinsics (T_imu_cam) are those of the axes named above; they must be estimated or turned in the same.",),
+    frames=("mars", "table", "accel"),
+    triangle="lower",
+    write=_write_openvins,
+    read=_read_openvins,
+    apply=_apply_openvins,
+    biases=False,
+    options=OPTIONS,
+)
+
+_IMUCAL_UNITS: Final = {
+    "acc_unit": "m/s^2",
+    "gyr_unit": "deg/s",
+    "from_acc_unit": "m/s^2",
+    "from_gyr_unit": "deg/s",
+}
+_IMUCAL_SHAPES: Final = {
+    "K_a": (3, 3), "R_a": (3, 3), "b_a": (3,), "K_g": (3, 3), "R_g": (3, 3), "K_ga": (3, 3), "b_g": (3,),
+}  # fmt: skip
+
+
+def _write_imucal(source: Source) -> dict[str, str]:
+    document: dict[str, object] = {
+        **_IMUCAL_UNITS,
+        "comment": "\n".join(source.heading(IMUCAL)),
+    }
+    for letter, linear, unit in (("a", source.accel, 1.0), ("g", source.gyro, DEG)):
+        size = np.linalg.norm(linear.matrix, axis=1)
+        document[f"K_{letter}"] = np.diag(size).tolist()
+        document[f"R_{letter}"] = (linear.matrix / size[:, None]).tolist()
+        document[f"b_{letter}"] = (linear.bias / unit).tolist()
+    document |= {"K_ga": np.zeros((3, 3)).tolist(), "cal_type": "Ferraris", "_format_version": "2.0.0"}
+    return {"": to_json(document)}
+
+
+def _read_imucal(texts: Texts) -> Fields:
+    document = from_json(texts[""])
+    for name, expected in {"cal_type": ("Ferraris", "Turntable"), "_format_version": ("2.0.0", "2.0")}.items():
+        if document.get(name) not in expected:
+            raise InputError(f"its {name} is {str(document.get(name))[:40]!r}, but {expected[0]!r} is expected.")
+    for name, unit in _IMUCAL_UNITS.items():
+        if document.get(name) != unit:
+            raise InputError(
+                f"its {name} is {str(document.get(name))[:40]!r}, but {unit!r} is expected: calibrate it in that unit."
+            )
+    fields = {name: field(document, name, shape) for name, shape in _IMUCAL_SHAPES.items()}
+    for name in ("K_a", "R_a", "K_g", "R_g"):
+        invertible(fields[name], name)
+    return fields
+
+
+def _apply_imucal(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    acc = rows(np.linalg.inv(fields["R_a"]) @ np.linalg.inv(fields["K_a"]), accel - fields["b_a"])
+    offset = rows(fields["K_ga"], acc) + fields["b_g"]
+    gyr = rows(np.linalg.inv(fields["R_g"]) @ np.linalg.inv(fields["K_g"]), gyro / DEG - offset)
+    return gyr * DEG, acc
+
+
+IMUCAL: Final = Exporter(
+    name="imucal",
+    title="imucal Ferraris calibration",
+    suffixes=(".json",),
+    formula="acc = inv(R_a) inv(K_a) (acc_m - b_a); gyr = inv(R_g) inv(K_g) (gyr_m - K_ga acc - b_g); m/s^2, deg/s",
+    losses=(),
+    advice=("imucal takes and gives gyro readings in deg/s.",),
+    frames=("mars", "table"),
+    write=_write_imucal,
+    read=_read_imucal,
+    apply=_apply_imucal,
+)
+
+_IMU_TK_PARTS: Final = {"_acc": "acc", "_gyro": "gyr"}
+
+
+def _write_imu_tk(source: Source) -> dict[str, str]:
+    # The inverse of an upper triangle is one; what stands below the diagonal is rounding.
+    corrections = {"_acc": np.triu(source.accel.inverse), "_gyro": source.gyro.inverse}
+    biases = {"_acc": source.accel.bias, "_gyro": source.gyro.bias}
+    out = {}
+    for part, matrix in corrections.items():
+        scale = np.diag(matrix)
+        if not np.all(scale > 0.0):
+            raise InputError("A gyro is turned by more than 90° against these axes, which imu_tk's form cannot state.")
+        blocks = [matrix / scale, np.diag(scale), biases[part][:, None]]
+        out[part] = "\n".join("".join(" ".join(f"{v:.17g}" for v in row) + "\n" for row in b.tolist()) for b in blocks)
+    return out
+
+
+def _read_imu_tk(texts: Texts) -> Fields:
+    fields: Fields = {}
+    for part, name in _IMU_TK_PARTS.items():
+        values = numbers(" ".join(whole_lines(texts[part])).split(), f"the file {part}", (21,))
+        T, K = values[:9].reshape(3, 3), values[9:18].reshape(3, 3)
+        if np.any(np.diag(T) != 1.0) or np.count_nonzero(K) != 3:
+            raise InputError(f"the file {part} has not T of unit diagonal, then a diagonal K, then B: it was edited.")
+        if part == "_acc":
+            triangular(T, "T of the accelerometers", "upper")
+        invertible(T @ K, f"T K of the file {part}")
+        fields |= {f"T_{name}": T, f"K_{name}": K, f"B_{name}": values[18:]}
+    return fields
+
+
+def _apply_imu_tk(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    out = [
+        rows(fields[f"T_{name}"] @ fields[f"K_{name}"], readings - fields[f"B_{name}"])
+        for name, readings in (("gyr", gyro), ("acc", accel))
+    ]
+    return out[0], out[1]
+
+
+IMU_TK: Final = Exporter(
+    name="imu_tk",
+    title="imu_tk pair of calibrations",
+    suffixes=(".calib",),
+    formula="X' = T K (X - B)",
+    losses=(),
+    advice=("Two files, NAME_acc.calib and NAME_gyro.calib; they hold numbers alone. Readings in rad/s, m/s^2.",),
+    frames=("accel",),
+    triangle="upper",
+    parts=tuple(_IMU_TK_PARTS),
+    write=_write_imu_tk,
+    read=_read_imu_tk,
+    apply=_apply_imu_tk,
+)
+
+_LOWER_BY_COLUMNS: Final = ((0, 1, 2, 1, 2, 2), (0, 0, 0, 1, 1, 2))
+"""Rows and columns of a lower triangle, column after column."""
+
+_BASALT_NOISE: Final = {
+    "rate_hz": "imu_update_rate",
+    "accel_noise": "accel_noise_std",
+    "gyro_noise": "gyro_noise_std",
+    "accel_random_walk": "accel_bias_std",
+    "gyro_random_walk": "gyro_bias_std",
+}
+
+
+def _write_basalt(source: Source) -> dict[str, str]:
+    S_a, S_g = source.accel.inverse - np.eye(3), source.gyro.inverse - np.eye(3)
+    noise = named(source, _BASALT_NOISE)
+    document = {
+        "calib_accel_bias": [*(source.accel.inverse @ source.accel.bias).tolist(), *S_a[_LOWER_BY_COLUMNS].tolist()],
+        "calib_gyro_bias": [*(source.gyro.inverse @ source.gyro.bias).tolist(), *S_g.T.ravel().tolist()],
+        **{name: value if name == "imu_update_rate" else [value] * 3 for name, value in noise.items()},
+    }
+    heading = source.heading(BASALT)
+    return {"": to_json({"comment": heading, "value0": document})}
+
+
+def _read_basalt(texts: Texts) -> Fields:
+    document = from_json(texts[""])
+    accel = field(document, "value0.calib_accel_bias", (9,))
+    gyro = field(document, "value0.calib_gyro_bias", (12,))
+    S_a = np.zeros((3, 3))
+    S_a[_LOWER_BY_COLUMNS] = accel[3:]
+    S_g = gyro[3:].reshape(3, 3).T
+    for name, S in (("calib_accel_bias", S_a), ("calib_gyro_bias", S_g)):
+        invertible(np.eye(3) + S, name)
+    return {"S_a": S_a, "b_a": accel[:3], "S_g": S_g, "b_g": gyro[:3]}
+
+
+def _apply_basalt(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    return (
+        rows(np.eye(3) + fields["S_g"], gyro) - fields["b_g"],
+        rows(np.eye(3) + fields["S_a"], accel) - fields["b_a"],
+    )
+
+
+BASALT: Final = Exporter(
+    name="basalt",
+    title="Basalt calibration, inertial part",
+    suffixes=(".json",),
+    formula="cal = (I + S) raw - b; 9 numbers b, S lower-triangular by columns; 12 numbers b, S by columns",
+    losses=(),
+    advice=(
+        "Copy the fields of value0 into the calibration of the cameras; this file alone is no whole calibration.",
+        "Extrinsics change with the axes: T_imu_cam becomes [C 0; 0 1] T_imu_cam.",
+    ),
+    frames=("accel",),
+    triangle="lower",
+    write=_write_basalt,
+    read=_read_basalt,
+    apply=_apply_basalt,
+    options=OPTIONS - {"topic"},
+)

@@ -1,0 +1,122 @@
+"""The linear part of a calibration, and the factors that formats want it in.
+
+No format but our own holds scale-factor asymmetry. What is exported is linear, ``y = M v + b``, and there are two ways
+to choose M and b where ``y = M v + s ∘ |v| + b``:
+
+* "leave": M and b as they are. The slope is then the mean of both signs, which is the best that one slope can do for
+  motion of both signs alike, and b is exact where a channel is at zero. ``s |v|`` is left.
+* "fit": ``|v|`` of every channel is replaced by the line ``α v + β`` that fits it best over a given recording, hence
+  ``M + diag(s α)`` and ``b + s β``. For a unit that is mounted level, z always sees +g, and its asymmetry goes wholly
+  into that scale. It is right for motion like the recording's, and for no other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.compensation import Triad
+
+    Array = NDArray[np.float64]
+
+ASYMMETRY: Final = ("leave", "fit")
+
+_MOVING_FROM: Final = 1e-9
+"""Of its largest value, the spread of a channel from which on it is said to move."""
+
+_REVERSED: Final = np.eye(3)[::-1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """Readings ``y = M v + b`` of a triad.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (3, 3)
+    bias : ndarray, shape (3,), rad/s or m/s²
+    """
+
+    matrix: Array
+    bias: Array
+
+    def correct(self, readings: Array) -> Array:
+        """Undo the readings, shape (n, 3)."""
+        return np.asarray(np.linalg.solve(self.matrix, (readings - self.bias).T).T)
+
+    def turned(self, C: Array) -> Linear:
+        """The same readings, v in axes that C takes its components to."""
+        return Linear(self.matrix @ C.T, self.bias)
+
+    @property
+    def inverse(self) -> Array:
+        """M⁻¹."""
+        return np.asarray(np.linalg.inv(self.matrix))
+
+
+def linear_part(triad: Triad, motion: Array | None = None) -> Linear:
+    """Take the linear part of a triad.
+
+    Parameters
+    ----------
+    triad : Triad
+        In MARS axes.
+    motion : ndarray, shape (n, 3), rad/s or m/s², optional
+        True values in MARS axes to fit the asymmetry to; None leaves it out.
+
+    Returns
+    -------
+    Linear
+        In MARS axes.
+    """
+    matrix, bias = triad.matrix, triad.bias
+    if motion is not None:
+        size = np.abs(motion)
+        spread, size_spread = motion - motion.mean(axis=0), size - size.mean(axis=0)
+        variance = np.mean(spread**2, axis=0)
+        # A channel that moves by rounding alone does not move: any slope would fit it.
+        moving = np.sqrt(variance) > _MOVING_FROM * size.max(axis=0)
+        slope = np.where(moving, np.mean(spread * size_spread, axis=0) / np.where(moving, variance, 1.0), 0.0)
+        offset = size.mean(axis=0) - slope * motion.mean(axis=0)
+        matrix = matrix + np.diag(triad.asymmetry * slope)
+        bias = bias + triad.asymmetry * offset
+    return Linear(matrix, bias)
+
+
+def lower_rotation(M: Array) -> tuple[Array, Array]:
+    """Write ``M = L Q``, L lower-triangular with a positive diagonal and Q a rotation.
+
+    Raises
+    ------
+    InputError
+        If det M is not positive.
+    """
+    if not np.linalg.det(M) > 0.0:
+        raise InputError("A triad of this calibration is left-handed or flat: it has no such form; calibrate again.")
+    q, r = np.linalg.qr(M.T)
+    signs = np.where(np.diag(r) < 0.0, -1.0, 1.0)
+    # What stands above the diagonal is zero, not rounding: formats have no room for it.
+    return np.tril(r.T * signs), signs[:, None] * q.T
+
+
+def upper_rotation(M: Array) -> tuple[Array, Array]:
+    """Write ``M = R Q``, R upper-triangular with a positive diagonal and Q a rotation.
+
+    Raises
+    ------
+    InputError
+        If det M is not positive.
+    """
+    lower, turn = lower_rotation(_REVERSED @ M @ _REVERSED)
+    return np.triu(_REVERSED @ lower @ _REVERSED), _REVERSED @ turn @ _REVERSED
+
+
+FACTORS: Final = {"lower": lower_rotation, "upper": upper_rotation}
+"""By the triangle that the accelerometer matrix is to have."""

@@ -1,0 +1,56 @@
+"""The figures of noise and rate that visual-inertial formats keep beside the calibration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from srt.exporters.source import Source
+
+OPTIONS: Final = frozenset({"topic", "rate_hz", "gyro_random_walk", "accel_random_walk"})
+DEFAULT_TOPIC: Final = "/imu0"
+
+
+def known_figures(source: Source) -> dict[str, float]:
+    """Collect what is known, each one number for all axes.
+
+    Parameters
+    ----------
+    source : Source
+
+    Returns
+    -------
+    dict of str to float
+        Any of "gyro_noise", "accel_noise" (white, rad/s/√Hz and m/s²/√Hz, that of the noisiest axis),
+        "gyro_random_walk", "accel_random_walk" and "rate_hz". What is not known is left out rather than invented: a
+        rotation test is too short to show how a bias walks.
+    """
+    found: dict[str, float] = {}
+    for sensor in ("gyro", "accel"):
+        white = source.white_noise(sensor)
+        if white is not None:
+            found[f"{sensor}_noise"] = float(white.max())
+    for name in ("gyro_random_walk", "accel_random_walk", "rate_hz"):
+        value = getattr(source.settings, name)
+        if value is not None:
+            found[name] = float(value)
+    return found
+
+
+def named(source: Source, names: dict[str, str]) -> dict[str, Any]:
+    """Give the known figures under the names that a format has for them."""
+    figures = known_figures(source)
+    return {name: figures[key] for key, name in names.items() if key in figures}
+
+
+def unknown(source: Source) -> tuple[str, ...]:
+    """Name what such a format asks for and nobody stated."""
+    figures = known_figures(source)
+    words = {
+        "gyro_noise": "gyro noise",
+        "accel_noise": "accelerometer noise",
+        "gyro_random_walk": "gyro random walk (--gyro-random-walk)",
+        "accel_random_walk": "accelerometer random walk (--accel-random-walk)",
+        "rate_hz": "sample rate (--rate-hz, or --recording)",
+    }
+    return tuple(text for key, text in words.items() if key not in figures)

@@ -1,0 +1,333 @@
+"""Registers of a unit and parameters of autopilots and nodes.
+
+VectorNav, registers 84 (gyro) and 25 (accelerometer): ``X = C (A − B)``, on top of the factory's own calibration;
+single precision inside the unit.
+
+PX4: ``a = (raw − off) ∘ scale``, ``w = raw − off``; ArduPilot the same. Neither has scale factors for gyros nor
+misalignment at all. The three accelerometer factors are the best that factors can be for forces of all directions
+alike: row i of Ma being m, ``scale_i = m_i / |m|²``.
+
+ROS 2: no package defines such a file, so this one holds all that there is, asymmetry included.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+import re
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.compensation import Triad, accel_triad, gyro_triad
+from srt.exceptions import InputError
+from srt.exporters.format import (
+    SINGLE,
+    Exporter,
+    field,
+    from_yaml,
+    invertible,
+    numbers,
+    rotation,
+    rows,
+    single,
+    to_yaml,
+    whole_lines,
+)
+from srt.exporters.source import comment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from srt.exporters.format import Fields, Texts
+    from srt.exporters.source import Source
+
+    Array = NDArray[np.float64]
+
+_REGISTERS: Final = {"gyro": 84, "accel": 25}
+_COMMAND: Final = re.compile(r"\$(VNWRG,(\d+),([^*$]*))\*([0-9A-Fa-f]{2}|XX)")
+
+
+def checksum(text: str) -> str:
+    """Give the 8-bit checksum of what stands between $ and *, as two hexadecimal digits."""
+    return f"{functools.reduce(operator.xor, text.encode('ascii'), 0):02X}"
+
+
+def _write_vectornav(source: Source) -> dict[str, str]:
+    lines = []
+    for sensor, linear in (("gyro", source.gyro), ("accel", source.accel)):
+        values = [*linear.inverse.ravel().tolist(), *linear.bias.tolist()]
+        # Twelve decimals are finer than single precision for all but the very smallest biases, and need no exponent.
+        body = ",".join(["VNWRG", str(_REGISTERS[sensor]), *(f"{value:.12f}" for value in values)])
+        lines.append(f"${body}*{checksum(body)}\r\n")
+    return {"": "".join(lines)}
+
+
+def _read_vectornav(texts: Texts) -> Fields:
+    found = {}
+    for line in texts[""].split():
+        match = _COMMAND.fullmatch(line)
+        if match is None:
+            raise InputError(f"the line {line[:40]!r} is no whole command $VNWRG,...*checksum: it was truncated.")
+        body, register, values, total = match.groups()
+        if total.upper() not in ("XX", checksum(body)):
+            raise InputError(f"the checksum of register {register} is {total}, not {checksum(body)}: it was edited.")
+        found[int(register)] = values.split(",")
+    fields = {}
+    for sensor, register in _REGISTERS.items():
+        values = single(numbers(found.get(register, []), f"register {register}", (12,)))
+        fields[f"C_{sensor}"] = invertible(values[:9].reshape(3, 3), f"C of register {register}")
+        fields[f"B_{sensor}"] = values[9:]
+    return fields
+
+
+def _apply_vectornav(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    out = [
+        rows(fields[f"C_{sensor}"], readings - fields[f"B_{sensor}"])
+        for sensor, readings in (("gyro", gyro), ("accel", accel))
+    ]
+    return out[0], out[1]
+
+
+VECTORNAV: Final = Exporter(
+    name="vectornav",
+    title="VectorNav compensation registers",
+    suffixes=(".txt",),
+    formula="X = C (A - B)",
+    losses=("digits: the unit keeps single precision",),
+    advice=(
+        "It works on top of the factory calibration: record the test with both registers at their defaults.",
+        "Send both lines, then the command that writes settings to flash memory.",
+    ),
+    frames=("mars", "table"),
+    write=_write_vectornav,
+    read=_read_vectornav,
+    apply=_apply_vectornav,
+    within=SINGLE,
+)
+
+_OFFSET_LIMIT: Final = 3.5
+_SCALE_LIMITS: Final = (0.8, 1.2)
+"""ArduPilot's stated ranges of INS_ACCOFFS (m/s²) and INS_ACCSCAL."""
+
+
+def _factors(matrix: Array) -> Array:
+    return np.asarray(np.diag(matrix) / np.sum(matrix**2, axis=1))
+
+
+def _names(patterns: tuple[str, str, str]) -> dict[str, tuple[str, ...]]:
+    return {
+        key: tuple(pattern.format(axis) for axis in "XYZ")
+        for key, pattern in zip(("accel_offset", "accel_scale", "gyro_offset"), patterns, strict=True)
+    }
+
+
+def _px4_names(instance: int) -> dict[str, tuple[str, ...]]:
+    return _names((f"CAL_ACC{instance}_{{}}OFF", f"CAL_ACC{instance}_{{}}SCALE", f"CAL_GYRO{instance}_{{}}OFF"))
+
+
+def _ardupilot_names(instance: int) -> dict[str, tuple[str, ...]]:
+    n = "" if instance == 0 else str(instance + 1)
+    return _names((f"INS_ACC{n}OFFS_{{}}", f"INS_ACC{n}SCAL_{{}}", f"INS_GYR{n}OFFS_{{}}"))
+
+
+def _parameter_values(source: Source) -> dict[str, Array]:
+    values = {
+        "accel_offset": single(source.accel.bias),
+        "accel_scale": single(_factors(source.accel.matrix)),
+        "gyro_offset": single(source.gyro.bias),
+    }
+    if not np.all(values["accel_scale"] > 0.0):
+        raise InputError("An accelerometer is turned by more than 90°, which three scale factors cannot state.")
+    return values
+
+
+def _write_px4(source: Source) -> dict[str, str]:
+    names, values = _px4_names(source.settings.instance or 0), _parameter_values(source)
+    # Vehicle, component, name, value, type 9: float.
+    lines = [
+        f"1\t1\t{name}\t{value:.18f}\t9\n"
+        for key in values
+        for name, value in zip(names[key], values[key].tolist(), strict=True)
+    ]
+    head = [*source.heading(PX4), "", "Vehicle-Id Component-Id Name Value Type"]
+    return {"": comment(head) + "".join(sorted(lines))}
+
+
+def _write_ardupilot(source: Source) -> dict[str, str]:
+    instance = source.settings.instance or 0
+    if instance > 2:
+        raise InputError(f"The instance is {instance}, but ArduPilot has parameters for 0, 1 and 2: give one of these.")
+    names, values = _ardupilot_names(instance), _parameter_values(source)
+    for key in ("accel_offset", "gyro_offset"):
+        if not values[key].any():
+            raise InputError(
+                f"The {key.replace('_', ' ')}s are all zero, which ArduPilot takes for a unit never calibrated: leave "
+                "its own calibration in place."
+            )
+    worst = float(np.abs(values["accel_offset"]).max())
+    low, high = float(values["accel_scale"].min()), float(values["accel_scale"].max())
+    if worst > _OFFSET_LIMIT or low < _SCALE_LIMITS[0] or high > _SCALE_LIMITS[1]:
+        raise InputError(
+            f"The accelerometer offsets reach {worst:.3g} m/s² and the scales {low:.3g} to {high:.3g}, but ArduPilot's "
+            f"parameters go to {_OFFSET_LIMIT} m/s² and from {_SCALE_LIMITS[0]} to {_SCALE_LIMITS[1]}: correct the "
+            "readings before they reach it."
+        )
+    lines = [
+        f"{name},{value:.9g}\n" for key in values for name, value in zip(names[key], values[key].tolist(), strict=True)
+    ]
+    return {"": comment(source.heading(ARDUPILOT)) + "".join(lines)}
+
+
+def _parameters(text: str, columns: int, column: int, separator: str | None) -> dict[str, str]:
+    found = {}
+    for line in whole_lines(text):
+        words = [word.strip() for word in line.split(separator)]
+        if line.startswith("#") or not line.strip():
+            continue
+        if len(words) != columns:
+            raise InputError(f"the line {line[:40]!r} is no parameter: it was truncated.")
+        found[words[column]] = words[column + 1]
+    return found
+
+
+def _reader(
+    name_of: Callable[[int], dict[str, tuple[str, ...]]], columns: int, column: int, separator: str | None
+) -> Callable[[Texts], Fields]:
+    def read(texts: Texts) -> Fields:
+        found = _parameters(texts[""], columns, column, separator)
+        for instance in range(10):
+            names = name_of(instance)
+            if names["accel_scale"][0] in found:
+                return {
+                    key: single(numbers([found.get(name) for name in group], group[0], (3,)))
+                    for key, group in names.items()
+                }
+        raise InputError(
+            f"there is no {name_of(0)['accel_scale'][0]} in it: it was truncated, or is of another format."
+        )
+
+    return read
+
+
+def _apply_parameters(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    return gyro - fields["gyro_offset"], (accel - fields["accel_offset"]) * fields["accel_scale"]
+
+
+_AUTOPILOT_LOSSES: Final = (
+    "gyro scale factors: there are no parameters for them",
+    "misalignment of gyros and accelerometers: likewise",
+    "digits: parameters are single precision",
+)
+
+PX4: Final = Exporter(
+    name="px4",
+    title="PX4 parameters",
+    suffixes=(".params",),
+    formula="a = (raw - OFF) SCALE; w = raw - OFF, axis by axis",
+    losses=_AUTOPILOT_LOSSES,
+    advice=(
+        "CAL_ACCn_ID and CAL_GYROn_ID stay those of the unit: calibrate once with the ground station, then load this.",
+        "Temperature compensation (TC_...) works before these offsets; none was on in the test, so leave it off.",
+    ),
+    frames=("mars", "table"),
+    write=_write_px4,
+    read=_reader(_px4_names, 5, 2, None),
+    apply=_apply_parameters,
+    within=None,
+    imports=False,
+    options=frozenset({"instance"}),
+)
+
+ARDUPILOT: Final = Exporter(
+    name="ardupilot",
+    title="ArduPilot parameters",
+    suffixes=(".param", ".parm"),
+    formula="a = (raw - ACCOFFS) ACCSCAL; w = raw - GYROFFS, axis by axis",
+    losses=_AUTOPILOT_LOSSES,
+    advice=(
+        "Older versions scaled before they subtracted: see that yours subtracts first.",
+        "With INS_GYR_CAL other than 0 the gyro offsets are measured anew at each start.",
+    ),
+    frames=("mars", "table"),
+    write=_write_ardupilot,
+    read=_reader(_ardupilot_names, 2, 0, ","),
+    apply=_apply_parameters,
+    within=None,
+    imports=False,
+    options=frozenset({"instance"}),
+)
+
+_ROS2: Final = "/**"
+_SENSORS: Final = {"gyro": gyro_triad, "accel": accel_triad}
+
+
+def _write_ros2(source: Source) -> dict[str, str]:
+    sensors: dict[str, Any] = {}
+    for sensor, triad_of in _SENSORS.items():
+        triad = triad_of(source.calibration.errors)
+        sensors[sensor] = {
+            "matrix": triad.matrix.ravel().tolist(),
+            "asymmetry": triad.asymmetry.tolist(),
+            "bias": triad.bias.tolist(),
+            "correction": (source.C_FB @ np.linalg.inv(triad.matrix)).ravel().tolist(),
+        }
+    document = {
+        _ROS2: {
+            "ros__parameters": {
+                "imu_calibration": {
+                    "formula": ROS2.formula,
+                    "axes": source.frame,
+                    "rotation": source.C_FB.ravel().tolist(),
+                    **sensors,
+                }
+            }
+        }
+    }
+    return {"": to_yaml(document, comment([*source.heading(ROS2), "Matrices by rows."]))}
+
+
+def _read_ros2(texts: Texts) -> Fields:
+    document = from_yaml(texts[""])
+    at = f"{_ROS2}.ros__parameters.imu_calibration"
+    fields = {"rotation": rotation(field(document, f"{at}.rotation", (9,)).reshape(3, 3), "rotation")}
+    for sensor in _SENSORS:
+        matrix = invertible(field(document, f"{at}.{sensor}.matrix", (9,)).reshape(3, 3), f"{sensor}.matrix")
+        correction = field(document, f"{at}.{sensor}.correction", (9,)).reshape(3, 3)
+        if np.abs(correction @ matrix - fields["rotation"]).max() > 1e-9:
+            raise InputError(
+                f"{sensor}.correction is not rotation times the inverse of {sensor}.matrix: it was edited."
+            )
+        fields[f"{sensor}.matrix"] = matrix
+        for name in ("asymmetry", "bias"):
+            fields[f"{sensor}.{name}"] = field(document, f"{at}.{sensor}.{name}", (3,))
+    return fields
+
+
+def _apply_ros2(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
+    out = []
+    for sensor, readings in (("gyro", gyro), ("accel", accel)):
+        triad = Triad(*(fields[f"{sensor}.{name}"] for name in ("matrix", "asymmetry", "bias")))
+        out.append(rows(fields["rotation"], triad.compensate(readings)))
+    return out[0], out[1]
+
+
+ROS2: Final = Exporter(
+    name="ros2",
+    title="ROS 2 parameter file",
+    suffixes=(".yaml", ".yml"),
+    formula="solve y = matrix v + asymmetry |v| + bias for v, then rotation v; without asymmetry correction (y - bias)",
+    losses=(),
+    advice=(
+        "No package defines such parameters: a node of your own declares imu_calibration.gyro.matrix and so on.",
+        "The parameters are given to every node (/**).",
+    ),
+    frames=("mars", "table"),
+    write=_write_ros2,
+    read=_read_ros2,
+    apply=_apply_ros2,
+    imports=False,
+    asymmetry=True,
+)

@@ -1,0 +1,34 @@
+"""Every format that can be written, by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from srt.exceptions import InputError
+from srt.exporters.forward_models import KALIBR, PYINS
+from srt.exporters.inverse_models import BASALT, IMU_TK, IMUCAL, OPENVINS
+from srt.exporters.parameters import ARDUPILOT, PX4, ROS2, VECTORNAV
+from srt.exporters.preintegration import GTSAM
+from srt.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from srt.exporters.format import Exporter
+
+_ALL: Final = (KALIBR, OPENVINS, BASALT, IMUCAL, IMU_TK, PYINS, VECTORNAV, PX4, ARDUPILOT, ROS2, GTSAM)
+_BY_NAME: Final = {item.name: item for item in _ALL}
+
+
+def exporters() -> Mapping[str, Exporter]:
+    """All formats by name."""
+    return dict(_BY_NAME)
+
+
+def exporter(name: str) -> Exporter:
+    """Find one format. Raises InputError if there is none of the name."""
+    if name not in _BY_NAME:
+        raise InputError(
+            f"There is no format {name!r}{did_you_mean(name, _BY_NAME)}: use one of {', '.join(_BY_NAME)}."
+        )
+    return _BY_NAME[name]

@@ -1,0 +1,137 @@
+"""What a writer gets: the linear model in the format's axes, what is known of the unit, and what the user set."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.quaternion import rotation_vector
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from srt.calibration import Calibration
+    from srt.exporters.format import Exporter
+    from srt.exporters.linear import Linear
+
+    Array = NDArray[np.float64]
+
+_UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")
+_TOPIC: Final = re.compile(r"[A-Za-z0-9_/~.-]+")
+_AXES: Final = {
+    "mars": "MARS, those of the calibration",
+    "table": "those of the table-mounted frame",
+    "accel": "those that the accelerometer matrix defines",
+}
+LAST_INSTANCE: Final = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a calibration does not know and some formats ask for; None where not stated.
+
+    Attributes
+    ----------
+    topic : str or None
+        Of the readings, for formats that name it; default "/imu0".
+    rate_hz : float or None
+        Sample rate.
+    gyro_random_walk : float or None
+        Of the bias, rad/s²/√Hz.
+    accel_random_walk : float or None
+        Of the bias, m/s³/√Hz.
+    instance : int or None
+        Which IMU of the autopilot, from 0; default 0.
+
+    Raises
+    ------
+    InputError
+        Figures that are not positive, a name that is no topic, or an instance that is not 0 to 9.
+    """
+
+    topic: str | None = None
+    rate_hz: float | None = None
+    gyro_random_walk: float | None = None
+    accel_random_walk: float | None = None
+    instance: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("rate_hz", "gyro_random_walk", "accel_random_walk"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"The setting {name} is {value:g}: give a positive number, or leave it out.")
+        if self.topic is not None and not _TOPIC.fullmatch(self.topic):
+            raise InputError(f"{self.topic!r} is no topic: use letters, digits and / _ ~ . - as in /imu0.")
+        if self.instance is not None and not 0 <= self.instance <= LAST_INSTANCE:
+            raise InputError(f"The instance is {self.instance}: give 0 for the first IMU, up to {LAST_INSTANCE}.")
+
+    @property
+    def stated(self) -> frozenset[str]:
+        """Names of the settings that were given."""
+        return frozenset(item.name for item in fields(self) if getattr(self, item.name) is not None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A calibration made ready for one format.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    gyro, accel : Linear
+        In the format's axes F.
+    frame : str
+        What F is: "mars", "table" or "accel".
+    C_FB : ndarray, shape (3, 3)
+        From MARS axes to F.
+    settings : Settings
+    """
+
+    calibration: Calibration
+    gyro: Linear
+    accel: Linear
+    frame: str
+    C_FB: Array
+    settings: Settings
+
+    def white_noise(self, sensor: str) -> Array | None:
+        """White noise of the raw channels, shape (3,), rad/s/√Hz or m/s²/√Hz; None where not known."""
+        key = {"gyro": "gyro_noise_rad_per_sqrt_s", "accel": "accel_noise_m_s2_sqrt_s"}[sensor]
+        stated = self.calibration.noise.get(key)
+        return None if stated is None else np.array(stated, dtype=np.float64)
+
+    def heading(self, item: Exporter) -> list[str]:
+        """Say, in ASCII lines for a comment, what the file is of, how it is applied and what it lacks."""
+        provenance = self.calibration.provenance
+        stated = {
+            key: _UNSAFE.sub("_", str(provenance.get(key) or "not stated"))[:200]
+            for key in ("serial", "date", "data_sha256", "software")
+        }
+        lost = () if item.asymmetry else ("scale-factor asymmetry",)
+        return [
+            f"{item.title}; generated, do not edit.",
+            f"unit {stated['serial']}, {stated['date']}, by {stated['software']}, "
+            f"status {_UNSAFE.sub('_', self.calibration.status)}",
+            f"samples (SHA-256) {stated['data_sha256']}",
+            f"formula: {item.formula}",
+            f"axes: {_AXES[self.frame]}; a vector v in MARS axes is C v in these, C =",
+            *(f"  [{', '.join(f'{value:.15g}' for value in row)}]" for row in self.C_FB.tolist()),
+            *(f"not held: {loss}" for loss in (*lost, *item.losses, "covariance")),
+        ]
+
+    @property
+    def turn_mrad(self) -> Array:
+        """The turn from MARS axes to F as a rotation vector, shape (3,), mrad."""
+        return 1e3 * np.asarray(rotation_vector(self.C_FB[None])[0])
+
+
+def comment(lines: Sequence[str], mark: str = "#") -> str:
+    """Set lines as comments."""
+    return "".join(f"{mark} {line}".rstrip() + "\n" for line in lines)
