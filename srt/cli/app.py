@@ -23,6 +23,7 @@ COMMANDS: Final = {
     "align-mount": ("srt.cli.align_mount:align_mount", "Find the angles between the sensor axes and the mount."),
     "apply": ("srt.cli.apply:apply", "Correct a recording, or write the correction in C."),
     "export": ("srt.cli.export:export", "Write a calibration in the format of another tool."),
+    "certificate": ("srt.cli.certificate:certificate", "Make a certificate of a calibrated unit."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
     "budget": ("srt.cli.budget:budget", "Predict the accuracy of a test by source of error."),
     "robustness": ("srt.cli.robustness:robustness", "Ask simulated units how far from true one may be."),

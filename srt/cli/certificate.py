@@ -1,0 +1,149 @@
+"""``srt certificate``: what a calibration found of one unit, as a page of HTML and as a PDF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from srt.cli.output import check_directory, check_file, make_directory, say, warn
+from srt.exceptions import DataError, InputError
+
+if TYPE_CHECKING:
+    from srt.certificate import Certificate
+
+PAGE: Final = ".html"
+_NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
+"""Endings under which a folder is hardly meant."""
+
+
+@click.command()
+@click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="FILE.html, or a folder, made if absent. Default: CALIBRATION-certificate.html here.",
+)
+@click.option("--limits", type=click.Path(path_type=Path), metavar="FILE.toml", help="Limits that the unit must meet.")
+@click.option(
+    "--against", type=click.Path(path_type=Path), metavar="OLD.json", help="An earlier calibration of the same unit."
+)
+@click.option("-q", "--quiet", is_flag=True, help="No summary; warnings and errors only.")
+def certificate(
+    calibration_file: Path,
+    recording_path: Path | None,
+    output: Path | None,
+    limits: Path | None,
+    against: Path | None,
+    quiet: bool,
+) -> int:
+    """Make a certificate of the unit that CALIBRATION is of, as one page of HTML and a PDF beside it.
+
+    CALIBRATION is the JSON file that 'srt calibrate -o' wrote. With its RECORDING the values are checked against the
+    samples, and the certificate shows attitude and acceleration over the test.
+
+    FILE.toml has the sections [value] and [sigma], with keys such as gyro_scale_ppm, accel_misalignment_urad,
+    accel_bias_ug, gyro_bias_deg_per_h, or gyro_scale_x_ppm for one parameter: the largest absolute value, and the
+    largest sigma.
+
+    Exit codes: 0 success; 1 a limit is not met (the certificate is written and says so), or the calibration did not
+    converge; 2 wrong usage, unreadable or edited input, or a recording or an earlier calibration of another unit.
+    """
+    page, document = check_places(calibration_file, output)
+    made = assemble(calibration_file, recording_path, limits, against)
+    write(made, page, document)
+    if made.change is not None and made.change.names:
+        warn(f"{calibration_file}: changed by more than chance explains: {', '.join(made.change.names)}.")
+    if not quiet:
+        for sentence in made.summary:
+            click.echo(sentence)
+        click.echo(f"Written: {page}, {document}")
+    if made.failed:
+        say(f"{calibration_file}: the limits of {limits} are not met by {', '.join(made.failed)}.")
+        return DataError.exit_code
+    return 0
+
+
+def check_places(calibration_file: Path, output: Path | None) -> tuple[Path, Path]:
+    """Say where the page and the PDF go, and refuse what cannot be written before anything is read.
+
+    Parameters
+    ----------
+    calibration_file : Path
+    output : Path or None
+        As on the command line.
+
+    Returns
+    -------
+    page, document : Path
+
+    Raises
+    ------
+    InputError
+    """
+    name = f"{calibration_file.stem}-certificate{PAGE}"
+    if output is None:
+        page = Path(name)
+    elif output.suffix.lower() == PAGE and not output.is_dir():
+        page = output
+    elif output.suffix.lower() in _NO_FOLDER and not output.is_dir():
+        raise InputError(
+            f"The certificate cannot be written as {output}: name a file that ends in {PAGE}, or a folder."
+        )
+    else:
+        check_directory(output)
+        page = output / name
+    document = page.with_suffix(".pdf")
+    if page.parent.is_dir() or output is None or page == output:
+        check_file(page, (PAGE,), "The certificate")
+        check_file(document, (".pdf",), "The certificate")
+    return page, document
+
+
+def assemble(
+    calibration_file: Path, recording_path: Path | None, limits: Path | None, against: Path | None
+) -> Certificate:
+    """Read everything, and put the certificate together.
+
+    Raises
+    ------
+    SrtError
+        Input that cannot be read, or does not belong together.
+    """
+    import srt.certificate.page  # whether it can be made, before the samples are read
+    from srt.certificate import load_limits, load_source, make_certificate
+    from srt.certificate.change import change_since
+    from srt.certificate.replay import check_recording, replay
+
+    source = load_source(calibration_file)
+    given = None if limits is None else load_limits(limits)
+    change = None if against is None else change_since(source, load_source(against))
+    course = None
+    if recording_path is not None and source.calibration.status in ("converged", "partial"):
+        import srt
+
+        recording = srt.load_recording(recording_path)
+        check_recording(source, recording, str(recording_path))
+        course = replay(source, recording, str(recording_path))
+    return make_certificate(source, course=course, limits=given, change=change)
+
+
+def write(made: Certificate, page: Path, document: Path) -> None:
+    """Write the page and the PDF, each whole or not at all, and neither unless both could be made.
+
+    Raises
+    ------
+    SrtError
+    """
+    from srt.atomic import atomic_path, atomic_write_text
+    from srt.certificate.page import html_page
+    from srt.certificate.pdf import write_pdf
+
+    text = html_page(made)
+    make_directory(page.parent)
+    with atomic_path(document) as temporary:
+        write_pdf(made, temporary)
+    atomic_write_text(page, text)

@@ -1,0 +1,179 @@
+"""``srt certificate``: the files it writes, the sentence and the exit code of every outcome."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+
+import pytest
+
+import srt
+import srt.certificate.page
+import srt.certificate.pdf
+from srt.cli import main
+
+SCENARIO = """
+seed = 3
+imu = { from = "navigation-rlg" }
+fixture = { from = "lab-1mrad" }
+site = { from = "latitude-45" }
+schedule = { dwell_s = 3.0, rate_rad_s = 3.0, acceleration_rad_s2 = 30.0, settle_s = 0.1, leg_dwell_s = 0.2 }
+recording = { sample_rate_hz = 50.0, format = "npz", serial = "SN-7" }
+"""
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Make two recordings, taken for one unit's, and their calibrations."""
+    folder = tmp_path_factory.mktemp("lab")
+    for name, seed in (("new", 3), ("old", 4)):
+        (folder / f"{name}.toml").write_text(SCENARIO.replace("seed = 3", f"seed = {seed}"))
+        assert main(["simulate", str(folder / f"{name}.toml"), "-o", str(folder / name), "-q"]) == 0
+        assert main(["calibrate", str(folder / name), "-o", str(folder / f"{name}.json"), "-q"]) == 0
+    return folder
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Leave out what takes long: the pictures, and the PDF with its fonts."""
+    monkeypatch.setattr(srt.certificate.page, "pictures", lambda certificate: ())
+    monkeypatch.setattr(srt.certificate.pdf, "write_pdf", lambda certificate, path: path.write_bytes(b"%PDF"))
+
+
+def one_sentence(err):
+    assert err.startswith("srt: ")
+    assert err.count("\n") == 1
+    assert not re.search(r"[.?!] [A-Z]", err), err
+    return err
+
+
+def edited(lab, tmp_path, name="edited.json", **changes):
+    document = json.loads((lab / "new.json").read_text())
+    for key, value in changes.items():
+        document["provenance" if key in ("serial", "data_sha256") else key] = (
+            {**document["provenance"], key: value} if key in ("serial", "data_sha256") else value
+        )
+    (tmp_path / name).write_text(json.dumps(document))
+    return tmp_path / name
+
+
+def test_page_and_pdf_with_everything(lab, tmp_path, capfd):
+    (tmp_path / "limits.toml").write_text("[value]\naccel_bias_ug = 1e6\n[sigma]\ngyro_scale_ppm = 1e-6\n")
+    arguments = ["certificate", str(lab / "new.json"), str(lab / "new"), "-o", str(tmp_path / "out" / "deep")]
+    arguments += ["--limits", str(tmp_path / "limits.toml"), "--against", str(lab / "old.json")]
+    assert main(arguments) == 1
+    out, err = capfd.readouterr()
+    warning, failure = err.splitlines()
+    assert warning.startswith("srt: warning: ")
+    assert "changed by more than chance explains" in warning
+    assert "are not met by gyro_scale_x, gyro_scale_y, gyro_scale_z." in failure
+    assert "3 of 6 limited parameters failed" in out
+    page, document = (tmp_path / "out" / "deep" / f"new-certificate.{suffix}" for suffix in ("html", "pdf"))
+    assert {path.name for path in page.parent.iterdir()} == {page.name, document.name}
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<svg") == 5
+    assert "Change since the last calibration" in text
+    data = document.read_bytes()
+    assert data.startswith(b"%PDF")
+    assert b"/Type /Page" in data
+    assert b"http:" not in data.replace(b"http://matplotlib.org", b"").replace(b"https://matplotlib.org", b"")
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_places(lab, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert main(["certificate", str(lab / "new.json")]) == 0
+    assert main(["certificate", str(lab / "new.json"), "-o", "x.html", "-q"]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"{stem}.{suffix}" for stem in ("new-certificate", "x") for suffix in ("html", "pdf")
+    }
+    assert (tmp_path / "x.html").read_bytes() == (tmp_path / "new-certificate.html").read_bytes()
+    out, err = capfd.readouterr()
+    assert out.count("Written: ") == 1
+    assert err == ""
+
+
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [("x.pdf", "ends in .html"), ("x.json", "ends in .html"), ("file", "is a file"), ("absent/x.html", "Cannot write")],
+)
+def test_places_that_are_none(lab, tmp_path, monkeypatch, capfd, place, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    assert main(["certificate", str(lab / "new.json"), "-o", place]) == 2
+    assert message in one_sentence(capfd.readouterr().err)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize(
+    ("changes", "others", "code", "message"),
+    [
+        ({"version": 2}, (), 2, "its version is 2"),
+        ({"format": "x"}, (), 2, "no calibration file"),
+        ({"status": "not_converged"}, (), 1, "nothing can be certified"),
+        ({"verdict": None}, (), 2, "edited or truncated"),
+        ({}, ("old",), 2, "holds other samples"),
+        ({"serial": "SN-8"}, ("new",), 2, "is of the unit SN-7"),
+        ({"data_sha256": None}, ("new",), 2, "does not say which samples"),
+        ({"serial": "SN-8"}, ("--against", "old.json"), 2, "of the unit SN-7"),
+        ({}, ("--against", "new.json"), 2, "same samples"),
+        ({}, ("--against", "old.toml"), 2, "not valid JSON"),
+        ({}, ("--limits", "old.toml"), 2, "the sections are"),
+        ({}, ("--limits", "absent.toml"), 2, "cannot be read"),
+        ({}, ("absent",), 2, "absent"),
+    ],
+)
+def test_input_that_is_refused(lab, tmp_path, capfd, changes, others, code, message):
+    path = edited(lab, tmp_path, **changes)
+    more = [other if other.startswith("--") else str(lab / other) for other in others]
+    assert main(["certificate", str(path), *more, "-o", str(tmp_path / "out")]) == code
+    assert message in one_sentence(capfd.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_an_edited_value_and_a_truncated_file_are_refused(lab, tmp_path, capfd):
+    document = json.loads((lab / "new.json").read_text())
+    document["parameters"][9]["value"] *= 0.5
+    path = edited(lab, tmp_path, parameters=document["parameters"])
+    assert main(["certificate", str(path), str(lab / "new"), "-o", str(tmp_path / "x.html")]) == 2
+    assert "do not follow from" in one_sentence(capfd.readouterr().err)
+    path.write_bytes((lab / "new.json").read_bytes()[:9999])
+    assert main(["certificate", str(path), "-o", str(tmp_path / "x.html")]) == 2
+    assert "truncated" in one_sentence(capfd.readouterr().err)
+    assert not list(tmp_path.glob("x.*"))
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_recording_with_edited_surroundings_is_refused(lab, tmp_path, capfd):
+    """The samples are the same, but gravity is not."""
+    shutil.copytree(lab / "new", tmp_path / "new")
+    toml = tmp_path / "new" / "recording.toml"
+    text = re.sub(r"(?m)^gravity_m_s2 = .*$", "gravity_m_s2 = 9.81", toml.read_text())
+    assert text != toml.read_text()
+    toml.write_text(text)
+    assert main(["certificate", str(lab / "new.json"), str(tmp_path / "new"), "-o", str(tmp_path / "x.html")]) == 2
+    assert "do not follow from" in one_sentence(capfd.readouterr().err)
+
+
+def test_nothing_is_left_of_a_certificate_that_fails(lab, tmp_path, monkeypatch, capfd):
+    def fail(certificate, path):
+        path.write_bytes(b"%PDF half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(srt.certificate.page, "pictures", lambda certificate: ())
+    monkeypatch.setattr(srt.certificate.pdf, "write_pdf", fail)
+    assert main(["certificate", str(lab / "new.json"), "-o", str(tmp_path / "x.html")]) == 2
+    assert "No space left" in one_sentence(capfd.readouterr().err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_absent_jinja2_says_what_to_install(lab, tmp_path, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    assert main(["certificate", str(lab / "new.json"), "-o", str(tmp_path / "x.html")]) == 2
+    assert "pip install 'strapdown-rotation-test[report]'" in one_sentence(capfd.readouterr().err)
+    assert list(tmp_path.iterdir()) == []
