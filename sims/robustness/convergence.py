@@ -171,6 +171,8 @@ def reach(trials: Trials) -> tuple[Reach, ...]:
         Of the estimators that have a trial to judge.
     """
     axes = [axis for axis in trials.axes if axis.numeric and len(axis.labels) > 1]
+    # What a campaign asks about is its grid; of what is merely drawn a region says little.
+    axes = [axis for axis in axes if axis.on_grid] or axes
     while math.prod(len(axis.labels) for axis in axes) > _CELLS:
         axes = axes[:-1]
     found = []

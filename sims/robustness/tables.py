@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MEANINGS: Final = {
     "converged": "the estimator says that it converged, and its result is the one that is also reached from the true "
     "errors",
-    "wrong minimum": "it says that it converged, but to another result: nothing warns the user",
+    "wrong minimum": "it says that it converged, but to another result",
     "not converged": "it says itself that it did not converge",
     "outside model": "it says that its estimate is no longer that of a possible unit",
     "crashed": "it broke off with an error that is none of the input's: a defect of the estimator",
