@@ -7,7 +7,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint slow figures clean
+.PHONY: demo test lint docs slow figures clean
 
 demo: $(STAMP)
 	$(BIN)/srt demo -o demo-output
@@ -21,6 +21,10 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The documentation as a site; a warning is an error
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -b html -n -W --keep-going -q docs build/docs
 
 # The full-size statistics (about eight minutes on two cores)
 slow: $(STAMP)

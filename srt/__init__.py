@@ -7,8 +7,8 @@ Conventions, everywhere in this package:
   NED: local north, east, down. ``C_ab`` takes b-components to a-components.
 * Specific force f at rest points up: f = −g u_dwn. Gravity g is a positive magnitude.
 * SI units inside (rad, rad/s, m/s², s); a name at a border carries its unit (``latitude_deg``).
-* Readings: ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias, f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias; the 27 errors and their order are in
-  :mod:`srt.sensor_errors`.
+* Readings: ``ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias``, ``f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias``; the 27 errors and their order
+  are in :mod:`srt.sensor_errors`.
 * Arrays of samples have the shape (n, 3), states (27,), covariances (27, 27).
 """
 

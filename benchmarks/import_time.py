@@ -1,0 +1,62 @@
+"""Time that importing the package takes beyond numpy and scipy: what a program pays that only loads and applies.
+
+``python benchmarks/import_time.py`` starts fresh interpreters with ``-X importtime`` and adds up the time of every
+module that neither belongs to numpy or scipy nor was imported by them. The measurement itself adds a few percent, and
+another program on the same core much more: beside the median stands the least.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from statistics import median
+
+REPEATS = 15
+OTHERS = ("numpy", "scipy")
+STATEMENTS = {
+    "import srt": "import srt",
+    "load and apply": "import srt; srt.load_calibration, srt.Applier",
+    "load and calibrate": "import srt; srt.load_recording, srt.calibrate; from srt.estimation import find_estimator; "
+    "find_estimator('closed-form')",
+}
+LINE = re.compile(r"import time: +(\d+) \| +\d+ \| ( *)(\S+)")
+
+
+def spans(statement: str) -> tuple[float, float, int]:
+    """Time of our modules and of numpy's and scipy's, s, and how many are ours, in one fresh interpreter."""
+    bare, full = (
+        subprocess.run(
+            [sys.executable, "-X", "importtime", "-c", code], capture_output=True, text=True, check=True
+        ).stderr
+        for code in ("pass", statement)
+    )
+    start = {name for _, _, name in LINE.findall(bare)}
+    own, theirs, count = 0.0, 0.0, 0
+    importers: list[tuple[int, bool]] = []
+    # A module is printed after all that it imported: read backwards, its importer comes first.
+    for microseconds, indent, name in reversed(LINE.findall(full)):
+        depth = len(indent)
+        while importers and importers[-1][0] >= depth:
+            importers.pop()
+        foreign = name.partition(".")[0] in OTHERS or (bool(importers) and importers[-1][1])
+        importers.append((depth, foreign))
+        if name in start:
+            continue
+        own, theirs = own + (not foreign) * int(microseconds), theirs + foreign * int(microseconds)
+        count += not foreign
+    return own * 1e-6, theirs * 1e-6, count
+
+
+def main() -> None:
+    spans("import srt, numpy, scipy")  # compiles and fills the cache of the disk
+    print(f"Python {sys.version.split()[0]}, {REPEATS} fresh interpreters each, ms: median (least)")
+    print(f"{'':20}{'modules':>8}{'ours':>16}{'numpy, scipy':>18}")
+    for title, statement in STATEMENTS.items():
+        own, theirs, count = zip(*(spans(statement) for _ in range(REPEATS)), strict=True)
+        figures = [f"{median(s) * 1e3:.1f} ({min(s) * 1e3:.1f})" for s in (own, theirs)]
+        print(f"{title:20}{count[0]:8}{figures[0]:>16}{figures[1]:>18}")
+
+
+if __name__ == "__main__":
+    main()

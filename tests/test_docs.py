@@ -1,0 +1,275 @@
+"""The documentation: what it shows runs and prints what it says, and what it names is there.
+
+A comment before a block says what it is: ``<!-- example -->`` runs it, in the order of the page and in one folder,
+``<!-- output -->`` is what the block of Python before it prints, ``<!-- file: NAME -->`` and ``<!-- append: NAME -->``
+write a file, ``<!-- example: FILE -->`` shows a part of a script that tests/test_examples.py runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import re
+import shlex
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+import sympy as sp
+from test_errata_papers import BIAS_EFFECTS
+
+import sims
+import srt
+from srt import recording_keys
+from srt.calibration import STATUSES
+from srt.cli import main
+from srt.cli.app import app
+from srt.mount_alignment import mount_from_calibration
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+TEXTS = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in [*PAGES, *ROOT.glob("*.md")]}
+FENCE = re.compile(
+    r"(?:^<!-- (?P<kind>[a-z]+)(?:: (?P<name>\S+))? -->\n)?^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.M | re.S
+)
+COMMAND = re.compile(r"(?:`|^    |^\$ )srt ([a-z][a-z-]*)((?:\\\n|[^`\n])*)", re.M)
+LINK = re.compile(r"\[[^]\n]*\]\(([^)\s]+)\)")
+
+READERS_OWN = {"docs/exports.md", "docs/mount-alignment.md"}
+"""Pages whose Python speaks of files and values of the reader's own: run with those of a simulated unit."""
+SLOW = {"docs/robustness.md"}
+"""Pages whose Python takes a minute."""
+
+
+@dataclass(frozen=True)
+class Block:
+    kind: str | None
+    name: str | None
+    language: str
+    text: str
+
+
+def blocks(page):
+    return [Block(**found.groupdict()) for found in FENCE.finditer(TEXTS[page])]
+
+
+EXAMPLES = [page for page in TEXTS if page.startswith("docs/") and any(b.kind == "example" for b in blocks(page))]
+
+
+def assert_prints(expected, printed):
+    same = doctest.OutputChecker().check_output(expected, printed, doctest.ELLIPSIS)
+    assert same, f"expected\n{expected}\nprinted\n{printed}"
+
+
+def run_console(block):
+    """Run the commands of a block, and compare what each prints on standard output with the lines after it."""
+    for entry in re.split(r"^\$ ", block.text, flags=re.M)[1:]:
+        command, expected = re.fullmatch(r"((?:[^\n]*\\\n)*[^\n]*\n)(.*)", entry, re.S).groups()
+        program, *arguments = shlex.split(command.replace("\\\n", " "))
+        assert program == "srt"
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            code = main(arguments)
+        assert code == 0, f"{command} ended with {code}"
+        if expected:
+            assert_prints(expected, printed.getvalue())
+
+
+@pytest.mark.parametrize("page", EXAMPLES)
+def test_examples_run_and_print_what_the_page_shows(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    names, printed = {}, ""
+    for block in blocks(page):
+        if block.kind == "file":
+            Path(block.name).write_text(block.text, encoding="utf-8")
+        elif block.kind == "append":
+            with Path(block.name).open("a", encoding="utf-8") as file:
+                file.write(block.text)
+        elif block.kind == "output":
+            assert_prints(block.text, printed)
+        elif block.kind == "example" and block.name:
+            assert block.text in (ROOT / block.name).read_text(encoding="utf-8")
+        elif block.kind == "example" and block.language == "python":
+            with contextlib.redirect_stdout(io.StringIO()) as stream:
+                exec(compile(block.text, page, "exec"), names)  # noqa: S102 - our own page
+            printed = stream.getvalue()
+        elif block.kind == "example":
+            run_console(block)
+
+
+def python_of(page):
+    return [b.text for b in blocks(page) if b.language == "python" and b.kind is None]
+
+
+def test_no_python_is_left_out():
+    assert {page for page in TEXTS if python_of(page)} == READERS_OWN | SLOW
+
+
+@pytest.fixture(scope="session")
+def readers_unit():
+    """Give a recording of a simulated unit, and its calibration."""
+    scenario = {
+        "seed": 8,
+        "imu": {"from": "tactical-fog"},
+        "fixture": {"from": "lab-1mrad"},
+        "site": {"from": "latitude-45"},
+        "schedule": {"dwell_s": 3.0, "rate_rad_s": 3.0, "acceleration_rad_s2": 30.0},
+        "recording": {"sample_rate_hz": 50.0},
+    }
+    recording = sims.simulate(sims.scenario_from_dict(scenario)).recording
+    return recording, srt.calibrate(recording)
+
+
+@pytest.mark.parametrize("page", sorted(READERS_OWN))
+def test_python_runs_with_what_the_reader_has(page, readers_unit, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recording, calibration = readers_unit
+    calibration.save("unit.json")
+    mount_from_calibration(calibration).save("mount.json")
+    assert main(["export", "unit.json", "--to", "kalibr", "-o", "imu.yaml", "-q"]) == 0
+    dt = recording.nominal_interval_s
+    names = {"recording": recording, "gyro": recording.gyro, "accel": recording.accel, "dt": dt, "C_nb": np.eye(3)}
+    for text in python_of(page):
+        exec(compile(text, page, "exec"), names)  # noqa: S102 - our own page
+    assert names.keys() >= {"docs/exports.md": {"preintegrated", "known"}, "docs/mount-alignment.md": {"C_nm"}}[page]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", sorted(SLOW))
+def test_slow_python_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for text in python_of(page):
+        exec(compile(text, page, "exec"), names)  # noqa: S102 - our own page
+    assert names["table"].num_rows > 0
+
+
+# --- names ---------------------------------------------------------------------------------------------------------
+
+
+def anchors(text):
+    """Anchors of the headings of a page, as GitHub and MyST make them."""
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S)
+    titles = re.findall(r"^#+ +(.*)$", prose, re.M)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_links_lead_somewhere(page):
+    for target in LINK.findall(re.sub(r"^```.*?^```$|`[^`\n]*`", "", TEXTS[page], flags=re.M | re.S)):
+        if re.match(r"[a-z]+://", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = ((ROOT / page).parent / path).resolve() if path else ROOT / page
+        assert file.exists(), f"{page}: {target}"
+        if anchor:
+            assert anchor in anchors(file.read_text(encoding="utf-8")), f"{page}: {target}"
+
+
+def test_every_page_has_its_place_in_the_site():
+    """A page that no table of contents names would make `make docs` fail; said here without building."""
+    named = set()
+    for page in PAGES:
+        for toctree in re.findall(r"^```\{toctree\}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S):
+            entries = [line for line in toctree.splitlines() if line and not line.startswith(":")]
+            patterns = [re.sub(r".*<(.*)>$", r"\1", entry) + ".md" for entry in entries]
+            named |= {file.resolve() for p in patterns for file in (page.parent / p).parent.glob(Path(p).name)}
+    assert named == set(PAGES) - {DOCS / "index.md"}
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_commands_and_options_that_are_named_exist(page):
+    context = click.Context(app)
+    for name, rest in COMMAND.findall(TEXTS[page]):
+        command = app.get_command(context, name)
+        assert command is not None, f"{page}: srt {name}"
+        known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)} | {"--help"}
+        unknown = set(re.findall(r"(?<!\S)--[a-z][a-z0-9-]*", rest)) - known
+        assert not unknown, f"{page}: srt {name} {unknown}"
+
+
+def test_the_reference_holds_the_whole_library():
+    reference = "".join(text for page, text in TEXTS.items() if page.startswith("docs/reference/"))
+    documented = {
+        name.rpartition(".")[2]
+        for name in re.findall(r"^\.\. (?:auto(?:function|class|exception)|py:data):: (\S+)", reference, re.M)
+    }
+    tables = {"TABLE_1", "Scenario"}  # named in the text: a table of the paper, and a model of the TOML keys
+    assert (set(srt.__all__) | set(sims.__all__)) - tables <= documented
+    assert all(f"`{name}`" in reference or f"sims.{name}" in reference for name in tables)
+
+
+def first_column(page, heading):
+    """Code in the first column of the table under a heading."""
+    section = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", TEXTS[page], re.M | re.S)[1]
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("|")]
+    return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+
+
+@pytest.mark.parametrize("section", recording_keys.SECTIONS)
+def test_the_page_of_files_lists_the_keys_of_a_recording(section):
+    heading = "`[[sequence]]`" if section == "sequence" else f"`[{section}]`"
+    assert first_column("docs/reference/files.md", heading) == {k.name for k in recording_keys.SECTIONS[section]}
+
+
+def test_the_page_of_files_lists_the_keys_of_a_calibration():
+    unit = srt.Calibration("hand", "converged", "", srt.SensorErrors(), np.zeros((27, 27)))
+    assert first_column("docs/reference/files.md", "Calibration") == set(unit.to_dict()) | set(STATUSES)
+
+
+# --- equations -----------------------------------------------------------------------------------------------------
+
+
+def expression(derivation, text):
+    """Read an expression as it is printed: a space, or nothing, multiplies."""
+    names = {str(s): s for s in derivation.PARAMETERS.values()}
+    names |= {"g": derivation.g, "r": derivation.RATE, "T": derivation.T_MEAS, "F": derivation.F_MEAS, "π": sp.pi}
+    tokens = re.findall(r"[κλμυ][xyz]+|[grTFπ]|\d+|[-+/()]", text.replace("−", "-"))
+    assert "".join(tokens) == text.replace("−", "-").replace(" ", "")
+    out = ""
+    for before, this in pairwise(["(", *tokens]):
+        out += this if before in "(+-/" or this in ")+-/" else f"*{this}"
+    return sp.expand(sp.sympify(out, locals=names))
+
+
+def table(page, first):
+    """Rows of the table whose head begins with these words."""
+    lines = TEXTS[page].split(f"| {first} |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_the_page_of_signatures_is_what_the_derivation_gives(derivation):
+    rows = table("docs/theory/measurement.md", "seq.")
+    assert [row[0] for row in rows] == list(derivation.TABLE_1)
+    for name, axes, turns, delta, start, end in rows:
+        down, along, _, rotations = derivation.TABLE_1[name]
+        assert axes == f"{down} / {along}"
+        repeats = 2 if turns.endswith("twice") else 1
+        listed = [(int(a.replace("−", "-")), axis) for a, axis in re.findall(r"([+−]\d+) ([xyz])", turns)]
+        assert tuple(listed * repeats) == tuple(rotations)
+        found = derivation.signature(name)
+        shown = {c.strip()[0]: expression(derivation, c.strip()[2:].strip()) for c in delta.split(";")}
+        assert shown == {axis: e for axis, e in found.delta_a.items() if e != 0}
+        assert expression(derivation, start) == found.down["start"]
+        assert expression(derivation, end) == found.down["end"]
+
+
+def test_the_page_of_errata_agrees_with_their_tests(derivation):
+    source = (ROOT / "tests" / "test_errata_papers.py").read_text(encoding="utf-8")
+    named = re.findall(r"`(test_\w+)`", TEXTS["docs/theory/errata.md"])
+    assert {name.split("_")[2] for name in named} == set("123456")
+    assert all(f"def {name}(" in source for name in named)
+    names = {str(s): s for s in derivation.PARAMETERS.values()}
+    names |= {"g": derivation.g, "r": derivation.RATE, "T": derivation.T_MEAS, "F": derivation.F_MEAS}
+    rows = table("docs/theory/errata.md", "sequence")
+    for (sequence, *shown), (tested, _, _, *stated) in zip(rows, BIAS_EFFECTS, strict=True):
+        assert sequence == tested
+        for text, truth in zip(shown, stated, strict=True):
+            assert (text == "–") == (truth is None)
+            if truth is not None:
+                assert sp.expand(sp.sympify(truth, locals=names)) == expression(derivation, text)

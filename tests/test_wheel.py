@@ -1,0 +1,181 @@
+"""The wheel, installed beside numpy and scipy alone: it is complete, it loads, applies and calibrates.
+
+``tests/data/calibration-v1.json`` is a file of format version 1 as version 0.1.0 writes it, with 26 parameters of
+rounded numbers, one held, and U the identity.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sims
+import srt
+from srt.recording import Fixture, Site
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = {"srt": "srt", "estimators": "estimators", "sims": "sims", "configs": "sims/configs"}
+"""Folders of the tree, and where the wheel has them."""
+CALIBRATION = ROOT / "tests" / "data" / "calibration-v1.json"
+ALONE = ("numpy", "scipy")
+OLDEST_SETUPTOOLS = 77
+
+APPLY = """
+import json, sys, sysconfig
+from pathlib import Path
+import numpy as np
+import srt
+calibration = srt.load_calibration(sys.argv[1])
+readings = np.load(sys.argv[2])
+gyro, accel = calibration.apply(readings["gyro"], readings["accel"])
+np.savez(sys.argv[3], gyro=gyro, accel=accel)
+site = Path(sysconfig.get_path("purelib"))
+files = [Path(m.__file__) for m in sys.modules.values() if getattr(m, "__file__", None)]
+print(json.dumps(sorted({f.relative_to(site).parts[0] for f in files if f.is_relative_to(site)})))
+"""
+CALIBRATE = """
+import sys
+import srt
+srt.calibrate(srt.load_recording(sys.argv[1])).save(sys.argv[2])
+"""
+
+
+def run(*arguments: object) -> str:
+    """Run a program without what the environment of the tests would add, and give its output."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    done = subprocess.run(
+        [str(a) for a in arguments], env=environment, capture_output=True, encoding="utf-8", check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory):
+    """Build the wheel from a copy: what an earlier build left in the tree must not get into it."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    # setuptools of the environment where it is new enough, that no index is needed; else pip fetches one to build with.
+    here = int(version("setuptools").partition(".")[0]) >= OLDEST_SETUPTOOLS
+    isolation = ["--no-build-isolation"] if here else []
+    run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", *isolation, "-w", out, source)
+    (built,) = out.glob("*.whl")
+    return built
+
+
+def site_packages(python: Path) -> Path:
+    return Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+
+
+def new_environment(folder: Path) -> Path:
+    """Make an environment without any package, pip included, and give its interpreter."""
+    venv.create(folder, symlinks=os.name != "nt")
+    return folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+@pytest.fixture(scope="session")
+def alone(wheel, tmp_path_factory):
+    """Give the interpreter of an environment that holds the wheel, numpy and scipy as they are installed here."""
+    python = new_environment(tmp_path_factory.mktemp("alone"))
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-index", "--no-deps", wheel)
+    site, here = site_packages(python), Path(sysconfig.get_path("platlib"))
+    for name in ALONE:
+        for part in (name, f"{name}.libs"):
+            if (here / part).exists():
+                (site / part).symlink_to(here / part, target_is_directory=True)
+    return python
+
+
+def test_the_wheel_holds_all_modules_and_data_of_the_tree(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+    wanted = {
+        f"{place}/{path.relative_to(ROOT / folder).as_posix()}"
+        for folder, place in PACKAGES.items()
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert held == wanted
+
+
+def readings_of(document: dict, rate: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the unit of a calibration file reads, written out from the file's formula."""
+    p = {row["name"]: row["value"] for row in document["parameters"]}
+
+    def of(group: str) -> np.ndarray:
+        return np.array([p[f"{group}_{axis}"] for axis in "xyz"])
+
+    xy, yz, zx = (p[f"gyro_orthogonality_{pair}"] / 2 for pair in ("xy", "yz", "zx"))
+    Mg = np.eye(3) + np.diag(of("gyro_scale")) + np.array([[0, xy, zx], [xy, 0, yz], [zx, yz, 0]])
+    Ma = np.eye(3) + np.diag(of("accel_scale"))
+    for pair in ("xy", "xz", "yx", "yz", "zx", "zy"):
+        Ma["xyz".index(pair[0]), "xyz".index(pair[1])] += p[f"accel_misalignment_{pair}"]
+    gyro = rate @ Mg.T + of("gyro_asymmetry") * np.abs(rate) + of("gyro_bias")
+    accel = force @ Ma.T + of("accel_asymmetry") * np.abs(force) + of("accel_bias")
+    return gyro, accel
+
+
+def assert_loads_and_applies(python: Path, folder: Path) -> None:
+    rng = np.random.default_rng(3)
+    rate, force = rng.uniform(-2.0, 2.0, (200, 3)), rng.uniform(-12.0, 12.0, (200, 3))
+    gyro, accel = readings_of(json.loads(CALIBRATION.read_text(encoding="utf-8")), rate, force)
+    np.savez(folder / "raw.npz", gyro=gyro, accel=accel)
+    names = (CALIBRATION, folder / "raw.npz", folder / "corrected.npz")
+    assert {"srt", "numpy"} <= set(json.loads(run(python, "-I", "-c", APPLY, *names))) <= {"srt", *ALONE}
+    with np.load(folder / "corrected.npz") as corrected:
+        # A dozen operations each way on numbers up to 12 times 1.01, with matrices within 2 % of the identity.
+        np.testing.assert_allclose(corrected["gyro"], rate, rtol=0, atol=64 * 2 * np.finfo(float).eps)
+        np.testing.assert_allclose(corrected["accel"], force, rtol=0, atol=64 * 12 * np.finfo(float).eps)
+
+
+def test_it_loads_and_applies_beside_numpy_and_scipy_alone(alone, tmp_path):
+    assert_loads_and_applies(alone, tmp_path)
+
+
+def test_it_calibrates_beside_numpy_and_scipy_alone(alone, tmp_path):
+    """The same recording gives the same result as here, where everything is installed."""
+    motion = sims.table1_motion(site=Site(9.80665, latitude_rad=0.7), dwell_s=2.0, sample_rate_hz=50.0)
+    recording = sims.read_out(motion, srt.SensorErrors.from_dict({"gyro_scale_x": 1e-3, "accel_bias_y": 0.01}))
+    assert recording.fixture == Fixture()
+    srt.write_recording(recording, tmp_path / "recording", samples_format="npz")
+    run(alone, "-I", "-c", CALIBRATE, tmp_path / "recording", tmp_path / "unit.json")
+    there, here = (
+        srt.load_calibration(tmp_path / "unit.json"),
+        srt.calibrate(srt.load_recording(tmp_path / "recording")),
+    )
+    assert there.status == here.status == "converged"
+    # Converged to 1e-9 of scale or angle; the order of sums may differ with the threads of linear algebra.
+    np.testing.assert_allclose(there.errors.vector, here.errors.vector, rtol=0, atol=1e-8)
+
+
+def test_its_command_line_says_what_to_install(alone):
+    script = alone.with_name("srt.exe" if os.name == "nt" else "srt")
+    done = subprocess.run([script, "--help"], capture_output=True, encoding="utf-8", check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'strapdown-rotation-test[cli]'" in done.stderr
+
+
+@pytest.mark.slow
+def test_an_installer_needs_nothing_but_numpy_and_scipy(wheel, tmp_path):
+    """As a user installs it, dependencies from an index; the environment then holds nothing else."""
+    python = new_environment(tmp_path / "environment")
+    constraints = ROOT / "constraints.txt"
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "-c", constraints, wheel)
+    listed = json.loads(run(sys.executable, "-m", "pip", "--python", python, "list", "--format", "json"))
+    assert {package["name"] for package in listed} == {"strapdown-rotation-test", *ALONE}
+    assert_loads_and_applies(python, tmp_path)
