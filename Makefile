@@ -13,7 +13,7 @@ demo: $(STAMP)
 	$(BIN)/srt demo -o demo-output
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # ruff, mypy strict, import rules
 lint: $(STAMP)

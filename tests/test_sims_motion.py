@@ -404,8 +404,11 @@ def test_samples_far_longer_than_the_motion_allows_are_subdivided():
 def test_the_simulator_shares_no_mathematics_with_the_estimators():
     allowed = {"sensor_errors", "constants", "recording", "exceptions"}
     package = Path(sims.__file__).parent
+    # What runs trials reaches the estimators through the registry alone, which the import rules see to.
+    campaigns = {"budget", "budget_plot", "campaigns", "efficiency", "recorded", "recognition_study", "fault_study"}
+    campaigns |= {"fault_table"}
     for path in package.glob("*.py"):
-        if path.stem in ("campaigns", "efficiency", "recorded", "recognition_study", "fault_study", "fault_table"):
+        if path.stem in campaigns:
             continue
         # Where a fault lies in how a recording is calibrated, its injection names the options.
         options = {"options"} if path.stem in ("faults", "fault_statements") else set()
