@@ -373,7 +373,7 @@ def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str
             else list(TIME_UNITS)
         )
         raise InputError(
-            f"The file does not say in what unit its {sensor} column{'' if sensor == 'time' else 's'} are: say it with "
+            f"The file does not say in what unit its {sensor} column{' is' if sensor == 'time' else 's are'}: say it with "
             f"{option(name)} ({name} in recording.toml), as one of {', '.join(allowed)}."
         )
     if given is None:
