@@ -372,8 +372,9 @@ def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str
             if sensor in SENSOR_UNITS
             else list(TIME_UNITS)
         )
+        columns = "column is" if sensor == "time" else "columns are"
         raise InputError(
-            f"The file does not say in what unit its {sensor} column{' is' if sensor == 'time' else 's are'}: say it with "
+            f"The file does not say in what unit its {sensor} {columns}: say it with "
             f"{option(name)} ({name} in recording.toml), as one of {', '.join(allowed)}."
         )
     if given is None:
