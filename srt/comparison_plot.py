@@ -12,18 +12,12 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.figure_style import (
-    BLUE,
     DPI,
-    GREEN,
     GREY,
     INK,
     LARGE,
     MEDIUM,
-    ORANGE,
-    PURPLE,
-    SKY,
     SYMBOL,
-    VERMILION,
     Axes,
     ConstrainedLayoutEngine,
     Figure,
@@ -33,6 +27,7 @@ from srt.figure_style import (
     MaxNLocator,
     NullLocator,
     Patch,
+    estimator_styles,
     style,
     symbol,
 )
@@ -45,14 +40,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Shapes tell the same as colours, once more.
-_STYLES: Final = {
-    "closed-form": (VERMILION, "s"),
-    "least-squares": (BLUE, "o"),
-    "ekf": (GREEN, "^"),
-    "graph": (PURPLE, "v"),
-}
-_OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"))
 _SIZE_INCHES: Final = (14.0, 8.5)
 _HEADING_WIDTH: Final = 140
 _LINEAR_TO: Final = 12.0
@@ -89,7 +76,7 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
     differences, ratios = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
     names = [comparison.reference, *comparison.pairs]
-    styles = _styles(names)
+    styles = estimator_styles(names)
     width = _ROOM / len(names)
     first = np.arange(N_PARAMETERS, dtype=np.float64) - 0.5 * width * (len(names) - 1)
     places: dict[str, Array] = {name: first + width * k for k, name in enumerate(names)}
@@ -110,12 +97,6 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
         frameon=False,
     )
     return figure
-
-
-def _styles(names: list[str]) -> dict[str, tuple[str, str]]:
-    """Colour and marker of every estimator; those known keep theirs in every figure."""
-    others = [name for name in names if name not in _STYLES]
-    return _STYLES | {name: _OTHERS[k % len(_OTHERS)] for k, name in enumerate(others)}
 
 
 def _frame(axes: Axes) -> None:

@@ -23,6 +23,7 @@ except ModuleNotFoundError as error:
     raise MissingExtraError("matplotlib", "plot", "A plot") from None
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from os import PathLike
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "NullLocator",
     "Patch",
     "SubFigure",
+    "estimator_styles",
     "save_figure",
     "style",
     "symbol",
@@ -89,6 +91,29 @@ def style(axes: Axes, *, grid: str = "y") -> None:
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
         axes.spines[side].set_color(GREY)
+
+
+_ESTIMATORS: Final = {
+    "closed-form": (VERMILION, "s"),
+    "least-squares": (BLUE, "o"),
+    "ekf": (GREEN, "^"),
+    "graph": (PURPLE, "v"),
+}
+_OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"), (VERMILION, "<"), (BLUE, ">"), (GREEN, "h"), (PURPLE, "*"))
+
+
+def estimator_styles(names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Colour and marker of every estimator; those of this package have the same in every figure.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Estimators, or labels of a campaign's; shapes tell the same as colours, once more.
+    """
+    names = list(names)
+    others = [name for name in names if name not in _ESTIMATORS]
+    known = _ESTIMATORS | {name: _OTHERS[k % len(_OTHERS)] for k, name in enumerate(others)}
+    return {name: known[name] for name in names}
 
 
 def symbol(name: str) -> str:

@@ -97,6 +97,33 @@ def test_from_a_bad_start_a_failure_is_called_one(estimator, count):
         print("  draw {}: {} after {} play-backs, {:.2g} of the tolerance away".format(*row))
 
 
+def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mount(monkeypatch):
+    """The mounting's prior is renewed near the solution; as the start left it, the optimum moves with the start."""
+    rng = np.random.default_rng(50)
+    cases = []
+    for _ in range(4):
+        truth, _ = campaigns.large_errors(rng)
+        motion = table1_motion(
+            site=SITE,
+            sample_rate_hz=100.0,
+            fixture_draw=campaigns.fixture_errors(rng, 5e-3),
+            stated_fixture=Fixture(0.0, 5e-3, 5e-3),
+            U=rotation(0.1 * np.array([0.6, -0.48, 0.64])),
+        )
+        cases.append((read_out(motion, truth), truth))
+
+    def farthest():
+        return max(
+            distance(srt.calibrate(recording, "graph"), srt.calibrate(recording, "graph", start=truth))
+            for recording, truth in cases
+        )
+
+    renewed = farthest()
+    monkeypatch.setattr("estimators.problem.Problem.update_mounting", lambda self, point: None)
+    assert renewed <= 1.0
+    assert farthest() > 10.0 * renewed
+
+
 # Fine noise
 
 

@@ -12,19 +12,13 @@ import numpy as np
 
 from sims.robustness.convergence import percent
 from srt.figure_style import (
-    BLUE,
     DPI,
     FAINT,
-    GREEN,
     GREY,
     INK,
     MEDIUM,
-    ORANGE,
-    PURPLE,
-    SKY,
     SMALL,
     SYMBOL,
-    VERMILION,
     Axes,
     ConstrainedLayoutEngine,
     Figure,
@@ -34,6 +28,7 @@ from srt.figure_style import (
     MaxNLocator,
     NullLocator,
     Patch,
+    estimator_styles,
     style,
     symbol,
 )
@@ -50,13 +45,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_STYLES: Final = {
-    "closed-form": (VERMILION, "s"),
-    "least-squares": (BLUE, "o"),
-    "ekf": (GREEN, "^"),
-    "graph": (PURPLE, "v"),
-}
-_OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"), (VERMILION, "<"), (BLUE, ">"), (GREEN, "h"), (PURPLE, "*"))
 _PANELS: Final = 3
 """Of a row of maps."""
 _ROOM: Final = 0.72
@@ -198,7 +186,7 @@ def size_figure(found: Accuracy, estimators: Sequence[str], *, noisy: bool) -> F
 
 def _against(axes: Axes, at: Array, rms: Array, largest: Array, estimators: Sequence[str]) -> None:
     style(axes, grid="both")
-    for k, (colour, marker) in enumerate(_styles(estimators)):
+    for k, (colour, marker) in enumerate(estimator_styles(estimators).values()):
         # What is exactly zero has no place on a logarithmic axis.
         for values, line in ((rms[k], "-"), (largest[k], "--")):
             shown = np.where(values > 0.0, values, np.nan)
@@ -233,7 +221,7 @@ def honesty_figure(found: Honesty, estimators: Sequence[str]) -> Figure:
     style(axes)
     width = _ROOM / max(len(estimators), 1)
     first = np.arange(N_PARAMETERS) - 0.5 * width * (len(estimators) - 1)
-    for k, (colour, marker) in enumerate(_styles(estimators)):
+    for k, (colour, marker) in enumerate(estimator_styles(estimators).values()):
         at, half, rms = first + width * k, found.half_width[k], found.rms[k]
         seen = np.isfinite(rms)
         low = np.maximum(1.0 - half[seen], 0.0)
@@ -283,7 +271,7 @@ def effort_figure(found: Effort, estimators: Sequence[str]) -> Figure:
     style(times, grid="x")
     total = np.maximum(found.histogram.sum(axis=1, keepdims=True), 1)
     width = 0.85 / max(len(estimators), 1)
-    for k, (colour, marker) in enumerate(_styles(estimators)):
+    for k, (colour, marker) in enumerate(estimator_styles(estimators).values()):
         at = found.playbacks + width * (k - 0.5 * (len(estimators) - 1))
         histogram.bar(at, 100.0 * found.histogram[k] / total[k], width, color=colour)
         if np.isfinite(found.seconds[k]):
@@ -313,17 +301,10 @@ def _legend(figure: Figure, handles: list[Any]) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=MEDIUM, frameon=False)
 
 
-def _styles(estimators: Sequence[str]) -> list[tuple[str, str]]:
-    """Colour and marker of every estimator; those known keep theirs in every figure."""
-    others = [name for name in estimators if name not in _STYLES]
-    known = _STYLES | {name: _OTHERS[k % len(_OTHERS)] for k, name in enumerate(others)}
-    return [known[name] for name in estimators]
-
-
 def _handles(estimators: Sequence[str]) -> list[Any]:
     return [
         Line2D([], [], color=colour, marker=marker, markersize=5.0, label=_plain(name))
-        for name, (colour, marker) in zip(estimators, _styles(estimators), strict=True)
+        for name, (colour, marker) in zip(estimators, estimator_styles(estimators).values(), strict=True)
     ]
 
 
