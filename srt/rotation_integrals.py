@@ -10,12 +10,12 @@ already lies before t (start window). All of it is linear in four integrals, for
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.catalogue import AXES
 from srt.quaternion import cross_matrix, rotation_matrix
 
 if TYPE_CHECKING:
@@ -61,16 +61,19 @@ class RotationIntegrals:
 
 
 def ideal_rotations(
-    sequences: SequenceOf[Sequence], rate_rad_s: float = 1.0, window_s: float = 0.0, F_meas: float = 0.5
+    sequences: SequenceOf[Sequence],
+    rate_rad_s: float | SequenceOf[Array] = 1.0,
+    window_s: float = 0.0,
+    F_meas: float = 0.5,
 ) -> RotationIntegrals:
-    """Integrals of the catalogue's rotations turned exactly about IMU axes at a constant rate, error-free sensors.
+    """Integrals of rotations turned exactly about IMU axes at constant rates, error-free sensors.
 
     Parameters
     ----------
     sequences : sequence of Sequence
         Rotations about IMU axes (K of them).
-    rate_rad_s : float
-        Magnitude of the turning rate, rad/s.
+    rate_rad_s : float, or sequence of K ndarrays
+        Magnitude of the turning rate, rad/s: one for all, or of every rotation of each sequence.
     window_s : float
         T_Meas of a window with integrated attitude, s; 0 where the attitude is held in the windows.
     F_meas : float
@@ -83,33 +86,57 @@ def ideal_rotations(
         do not act at rest. ``noise`` includes the windows for the linear average.
     """
     K = len(sequences)
-    C_end, rate = np.empty((K, 3, 3)), np.zeros((K, 3, 3, 3))
-    abs_rate, time, noise = np.zeros((K, 3, 3)), np.zeros((K, 3, 3)), np.zeros((K, 3, 3, 3))
-    weight_s, turned = np.empty(K), np.zeros((K, 3))
-    for k, sequence in enumerate(sequences):
-        C = np.eye(3)
-        for u, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
-            ux = cross_matrix(u)
-            # ∫ exp(βu×) dβ from 0 to θ; for v ⟂ u it is sin θ v + (1 − cos θ) u×v, the bracket of eq. 3.
-            swept = C @ (angle * np.eye(3) + (1.0 - math.cos(angle)) * ux + (angle - math.sin(angle)) * (ux @ ux))
-            sign = math.copysign(1.0, angle)
-            rate[k] += swept[:, :, None] * u
-            abs_rate[k] += swept * sign * np.abs(u)
-            time[k] += swept * sign / rate_rad_s
-            noise[k] += _swept_outer(C, u, angle) / rate_rad_s
-            turned[k] += angle * u
-            C = C @ rotation_matrix(u * angle)
-        C_end[k] = C
-        weight_s[k] = np.abs(sequence.angles_rad).sum() / rate_rad_s + window_s
-        if window_s > 0.0:
-            time[k] += window_s * (np.eye(3) + F_meas * (C - np.eye(3)))
-            noise[k] += (window_s / 3.0) * sum(np.einsum("ab,cb->acb", A, A) for A in (np.eye(3), C))
-    return RotationIntegrals(C_end, rate, abs_rate, time, weight_s, turned, noise)
+    C = np.tile(np.eye(3), (K, 1, 1))
+    rate, abs_rate, time, noise = (
+        np.zeros((K, 3, 3, 3)),
+        np.zeros((K, 3, 3)),
+        np.zeros((K, 3, 3)),
+        np.zeros((K, 3, 3, 3)),
+    )
+    weight_s, turned = np.full(K, float(window_s)), np.zeros((K, 3))
+    count = np.array([len(s.rotations) for s in sequences])
+    for leg in range(count.max(initial=0)):
+        k = np.flatnonzero(count > leg)
+        axis = np.array([AXES.index(sequences[i].rotations[leg][0]) for i in k.tolist()])
+        angle = np.array([sequences[i].rotations[leg][1] for i in k.tolist()])
+        speed = (
+            rate_rad_s if isinstance(rate_rad_s, (int, float)) else np.array([rate_rad_s[i][leg] for i in k.tolist()])
+        )
+        size, u = np.abs(angle), np.sign(angle)[:, None] * np.eye(3)[axis]
+        parts = _parts(u)
+        first, _ = _moments(size)
+        # ∫ exp(βu×) dβ from 0 to |θ|; for v ⟂ u it is sin θ v + (1 − cos θ) u×v, the bracket of eq. 3.
+        swept = C[k] @ np.einsum("in,inab->nab", first, parts)
+        rate[k] += swept[:, :, :, None] * u[:, None, None, :]
+        abs_rate[k] += swept * np.abs(u)[:, None, :]
+        time[k] += swept / np.reshape(speed, (-1, 1, 1))
+        noise[k] += _swept_outer(C[k], parts, size) / np.reshape(speed, (-1, 1, 1, 1))
+        weight_s[k] += size / speed
+        turned[k] += size[:, None] * u
+        C[k] = C[k] @ rotation_matrix(u * size[:, None])
+    if window_s > 0.0:
+        time += window_s * (np.eye(3) + F_meas * (C - np.eye(3)))
+        noise += (window_s / 3.0) * (np.einsum("ab,cb->acb", np.eye(3), np.eye(3)) + np.einsum("kab,kcb->kacb", C, C))
+    return RotationIntegrals(C, rate, abs_rate, time, weight_s, turned, noise)
 
 
-def _swept_outer(C: Array, u: Array, angle: float) -> Array:
-    """``∫ A_ab A_cb d|β|`` with A = C exp(βu×), by Gauss-Legendre quadrature (exact to rounding for |θ| ≤ 2π)."""
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    A = C @ rotation_matrix(0.5 * angle * (nodes[:, None] + 1.0) * u)
-    out: Array = np.einsum("n,nab,ncb->acb", 0.5 * abs(angle) * weights, A, A)
-    return out
+def _parts(u: Array) -> Array:
+    """``exp(βu×) = uuᵀ + cos β (I − uuᵀ) + sin β u×``: the three matrices, shape (3, n, 3, 3)."""
+    along = u[:, :, None] * u[:, None, :]
+    return np.stack([along, np.eye(3) - along, cross_matrix(u)])
+
+
+def _moments(angle: Array) -> tuple[Array, Array]:
+    """Integrals from 0 to θ of (1, cos β, sin β), shape (3, n), and of their products, shape (3, 3, n)."""
+    s, c = np.sin(angle), np.cos(angle)
+    half, cross = 0.5 * s * c, 0.5 * s**2
+    first = np.stack([angle, s, 1.0 - c])
+    products = np.stack([first, [s, 0.5 * angle + half, cross], [1.0 - c, cross, 0.5 * angle - half]])
+    return first, products
+
+
+def _swept_outer(C: Array, parts: Array, angle: Array) -> Array:
+    """``∫ A_ab A_cb dβ`` with A = C exp(βu×) from 0 to |θ|, shape (n, 3, 3, 3)."""
+    _, products = _moments(angle)
+    turned = C @ parts
+    return np.asarray(np.einsum("ijn,inab,jncb->nacb", products, turned, turned, optimize=True))
