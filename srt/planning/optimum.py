@@ -1,0 +1,250 @@
+"""The best test of a given length if sequences could be run any fraction of a time, with a proof of how good it is.
+
+Minimise over weights w ≥ 0 (how often each column, a sequence with its windows, is run) with ``Σ c w ≤ T`` the largest
+of ``log g_i(w)``, where ``g_i = [M(w)⁻¹]_ii`` is the variance of parameter i over that of its target and
+``M(w) = M_0 + Σ w_j M_j`` is linear. ``1 / g_i`` is concave in M, so that ``log g_i`` is convex: what a local method
+finds is the optimum, and every point bounds it from below. With weights λ of the parameters (λ ≥ 0, Σ λ = 1)::
+
+    min max_i log g_i  ≥  Σ_i λ_i (log g_i(w) + Σ_j d_ij w_j) − T max_j Σ_i λ_i d_ij / c_j,   d_ij = −∂ log g_i / ∂w_j
+
+for any w, by the tangents there. The best λ is a linear programme; the column that rules its maximum is the one to add
+(column generation), and when none is worth adding the bound is reached.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.optimize import linprog, minimize
+
+from srt.exceptions import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+
+GAP: Final = 0.01
+"""The search ends when the bound is this close, as a share of sigma."""
+_MOST_ROUNDS: Final = 60
+_FIRST_PER_TARGET: Final = 6
+_ADDED_PER_ROUND: Final = 25
+_NO_SHARE: Final = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """Everything that can be run: J columns with their information and their time.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (J, m, p)
+        Whitened Jacobians; the information of a column is ``rowsᵀ rows``. Unknowns are in units of their targets.
+    cost_s : ndarray, shape (J,)
+    prior : ndarray, shape (p, p)
+        Information that is there without any column.
+    targets : ndarray of int, shape (q,)
+        Unknowns that count.
+    """
+
+    rows: Array
+    cost_s: Array
+    prior: Array
+    targets: Indices
+
+    def information(self, which: Indices, weight: Array) -> Array:
+        """``M(w)`` for weights of some columns, shape (p, p)."""
+        stacked = (self.rows[which] * np.sqrt(weight)[:, None, None]).reshape(-1, self.rows.shape[2])
+        return np.asarray(self.prior + stacked.T @ stacked)
+
+    def variances(self, M: Array) -> tuple[Array, Array]:
+        """``g_i`` and the columns of M⁻¹ that belong to the targets, shapes (q,) and (p, q)."""
+        scale = 1.0 / np.sqrt(np.diag(M))
+        inverse = np.linalg.inv(M * np.outer(scale, scale)) * np.outer(scale, scale)
+        return np.diag(inverse)[self.targets], inverse[:, self.targets]
+
+    def gains(self, X: Array, g: Array, which: Indices | None = None) -> Array:
+        """``−∂ log g_i / ∂w_j``, shape (J or n, q)."""
+        rows = self.rows if which is None else self.rows[which]
+        out = np.empty((len(rows), X.shape[1]))
+        for first in range(0, len(rows), 4096):  # what fits a cache
+            part = rows[first : first + 4096]
+            out[first : first + 4096] = np.einsum("jmq,jmq->jq", part @ X, part @ X) / g
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relaxed:
+    """The optimum with fractions.
+
+    Attributes
+    ----------
+    which : ndarray of int, shape (n,)
+        Columns that are run.
+    weight : ndarray, shape (n,)
+        How often.
+    ratio : float
+        Largest sigma over its target.
+    bound : float
+        No test of this length out of these columns, in whole numbers or fractions, has a smaller one.
+    weights : ndarray, shape (q,)
+        λ: how much each target rules.
+    worth : ndarray, shape (J,)
+        Value of every column's time, over that of the best.
+    """
+
+    which: Indices
+    weight: Array
+    ratio: float
+    bound: float
+    weights: Array
+    worth: Array
+
+    @property
+    def gap(self) -> float:
+        """How much of sigma could still be gained at the very most."""
+        return self.ratio / self.bound - 1.0
+
+
+def unseen(columns: Columns, most: float = 1e4) -> Indices:
+    """Targets (positions in ``columns.targets``) on which all columns together tell next to nothing."""
+    weight = 1.0 / columns.cost_s
+    M = columns.information(np.arange(len(weight)), weight / weight.sum() * len(weight))
+    g, _ = columns.variances(M)
+    return np.flatnonzero(g > most**2)
+
+
+def relaxed_optimum(
+    columns: Columns,
+    total_s: float,
+    *,
+    gap: float = GAP,
+    start: Relaxed | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Relaxed:
+    """Solve the problem with fractions.
+
+    Parameters
+    ----------
+    columns : Columns
+    total_s : float
+        T, s.
+    gap : float
+        Relative distance of sigma to the bound at which to stop.
+    start : Relaxed, optional
+        Solution for the first of these columns, to go on from.
+    progress : callable, optional
+        Called with the number of rounds and the gap so far.
+
+    Raises
+    ------
+    DataError
+        If the search cannot close the gap to ten times what was asked for.
+    """
+    cost = columns.cost_s
+    if start is None:
+        even = np.full(len(cost), total_s / len(cost)) / cost
+        g, X = columns.variances(columns.information(np.arange(len(cost)), even))
+        each = columns.gains(X, g) / cost[:, None]
+        active = np.unique(np.argsort(-each, axis=0)[:_FIRST_PER_TARGET])
+        share = np.full(len(active), 1.0 / len(active))
+    else:
+        active, share = start.which, start.weight * cost[start.which] / total_s
+    best: Relaxed | None = None
+    bound = 0.0
+    for number in range(_MOST_ROUNDS):
+        share = _master(columns, active, share, total_s)
+        keep = share > _NO_SHARE
+        active, share = active[keep], share[keep] / share[keep].sum()
+        weight = share * total_s / cost[active]
+        g, X = columns.variances(columns.information(active, weight))
+        gains = columns.gains(X, g)
+        weights, price = _prices(gains, g, active, weight, cost, total_s)
+        worth = gains @ weights / cost
+        log_bound = float(weights @ (np.log(g) + weight @ gains[active]) - total_s * worth.max())
+        bound = max(bound, math.exp(0.5 * log_bound))
+        best = Relaxed(active, weight, math.sqrt(g.max()), bound, weights, worth / worth.max())
+        if progress is not None:
+            progress(number + 1, best.gap)
+        if best.gap <= gap:
+            return best
+        fresh = np.setdiff1d(np.argsort(-worth)[: 4 * _ADDED_PER_ROUND], active, assume_unique=False)
+        fresh = fresh[worth[fresh] > price * (1.0 + 1e-6)]
+        fresh = fresh[np.argsort(-worth[fresh])][:_ADDED_PER_ROUND]
+        if fresh.size == 0:
+            break
+        active = np.concatenate([active, fresh])
+        share = np.concatenate([0.98 * share, np.full(len(fresh), 0.02 / len(fresh))])
+    assert best is not None
+    if best.gap > 10.0 * gap:
+        raise DataError(
+            f"The search for the best plan stopped {100.0 * best.gap:.1f} % above its bound: give more time."
+        )
+    return best
+
+
+def _master(columns: Columns, active: Indices, share: Array, total_s: float) -> Array:
+    """Best shares of the time for a few columns: sequential quadratic programming on the epigraph."""
+    per_share = total_s / columns.cost_s[active]
+    rows = columns.rows[active]
+    n = len(active)
+
+    def logs(x: Array) -> tuple[Array, Array]:
+        weight = np.maximum(x[:n], 0.0) * per_share
+        g, X = columns.variances(columns.information(active, weight))
+        slopes = -np.einsum("jmq,jmq->jq", rows @ X, rows @ X) / g * per_share[:, None]
+        return np.log(g), slopes.T
+
+    first, _ = logs(share)
+    x0 = np.append(share, first.max())
+    result = minimize(
+        lambda x: x[n],
+        x0,
+        jac=lambda _: np.append(np.zeros(n), 1.0),
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * n + [(None, None)],
+        constraints=[
+            {
+                "type": "ineq",
+                "fun": lambda x: x[n] - logs(x)[0],
+                "jac": lambda x: np.hstack([-logs(x)[1], np.ones((len(columns.targets), 1))]),
+            },
+            {"type": "ineq", "fun": lambda x: 1.0 - x[:n].sum(), "jac": lambda _: np.append(np.full(n, -1.0), 0.0)},
+        ],
+        options={"maxiter": 200, "ftol": 1e-7},
+    )
+    found = np.maximum(result.x[:n], 0.0)
+    total = float(found.sum())
+    if not np.isfinite(total) or total <= 0.0:
+        return share
+    found /= total
+    return found if logs(found)[0].max() <= first.max() else share
+
+
+def _prices(gains: Array, g: Array, active: Indices, weight: Array, cost: Array, total_s: float) -> tuple[Array, float]:
+    """Weights λ of the parameters that give the best bound over the active columns, and the price of time, 1/s."""
+    q = len(g)
+    value = np.log(g) + weight @ gains[active]
+    per_time = gains[active] / cost[active, None]
+    scale = float(per_time.max())
+    # Maximise λ·value − T m subject to m ≥ λ·d_j / c_j.
+    result = linprog(
+        np.append(-value, total_s * scale),
+        A_ub=np.hstack([per_time / scale, np.full((len(active), 1), -1.0)]),
+        b_ub=np.zeros(len(active)),
+        A_eq=np.append(np.ones(q), 0.0)[None],
+        b_eq=[1.0],
+        bounds=[(0.0, None)] * (q + 1),
+        method="highs",
+    )
+    if result.x is None:
+        raise DataError("The search for the best plan met equations without a solution: report the plan's file.")
+    weights = np.maximum(result.x[:q], 0.0)
+    weights /= weights.sum()
+    return weights, float((per_time @ weights).max())

@@ -1,0 +1,109 @@
+"""The order of sequences that moves least, and the angles of the axes that the fixture has then."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from srt.planning.candidates import Candidate
+    from srt.planning.stand import Stand
+
+_MOST_PASSES: Final = 100
+
+
+def best_order(candidates: Sequence[Candidate], stand: Stand) -> tuple[tuple[int, ...], tuple[Candidate, ...], float]:
+    """Order sequences so that the moves between them are short.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+    stand : Stand
+        Where a start attitude can be had by several angles within the travel, the nearest are taken.
+
+    Returns
+    -------
+    order : tuple of int
+        Positions in ``candidates``.
+    ways : tuple of Candidate
+        The sequences in that order, at the angles chosen.
+    moves_s : float
+        Time between the sequences: pauses, moves and settling, s.
+
+    Notes
+    -----
+    Nearest neighbours from every first sequence, then single sequences and runs are shifted and turned round until
+    nothing improves: a local search, as the problem is a travelling salesman's.
+    """
+    n = len(candidates)
+    if n == 0:
+        return (), (), 0.0
+    ways = [c.alternatives(stand) or (c,) for c in candidates]
+    # Between two sequences the nearest pair of angles; the angles of one sequence are then fixed along the path.
+    cost = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            if i != j:
+                cost[i, j] = min(stand.move_s(a.end_deg, b.start_deg) for a in ways[i] for b in ways[j])
+    paths = [_improved(_nearest(first, cost), cost) for first in range(n)]
+    path = min(paths, key=lambda p: _length(p, cost))
+    chosen, total = _angles([ways[i] for i in path], stand)
+    return tuple(path), chosen, total
+
+
+def _nearest(first: int, cost: NDArray[np.float64]) -> list[int]:
+    path, left = [first], set(range(len(cost))) - {first}
+    while left:
+        here = path[-1]
+        path.append(min(sorted(left), key=lambda j: cost[here, j]))
+        left.remove(path[-1])
+    return path
+
+
+def _length(path: Sequence[int], cost: NDArray[np.float64]) -> float:
+    return float(cost[path[:-1], path[1:]].sum())
+
+
+def _improved(path: list[int], cost: NDArray[np.float64]) -> list[int]:
+    """Shift runs of up to three sequences, and turn runs round, while that shortens the path."""
+    best = _length(path, cost)
+    for _ in range(_MOST_PASSES):
+        found = False
+        for trial in _neighbours(path):
+            length = _length(trial, cost)
+            if length < best - 1e-9:
+                path, best, found = trial, length, True
+                break
+        if not found:
+            return path
+    return path
+
+
+def _neighbours(path: list[int]) -> list[list[int]]:
+    n, out = len(path), []
+    for size in (1, 2, 3):
+        for i in range(n - size + 1):
+            run, rest = path[i : i + size], path[:i] + path[i + size :]
+            out += [rest[:j] + run + rest[j:] for j in range(len(rest) + 1) if j != i]
+    out += [path[:i] + path[i:j][::-1] + path[j:] for i in range(n) for j in range(i + 2, n + 1)]
+    return out
+
+
+def _angles(ways: Sequence[Sequence[Candidate]], stand: Stand) -> tuple[tuple[Candidate, ...], float]:
+    """The angles along a path that move least: shortest path through the layers of alternatives."""
+    best: list[tuple[float, tuple[Candidate, ...]]] = [(0.0, (c,)) for c in ways[0]]
+    for layer in ways[1:]:
+        best = [
+            min(
+                ((t + stand.move_s(line[-1].end_deg, c.start_deg), (*line, c)) for t, line in best),
+                key=lambda pair: pair[0],
+            )
+            for c in layer
+        ]
+    total, line = min(best, key=lambda pair: pair[0])
+    return line, total

@@ -1,0 +1,453 @@
+"""Plans: the sequences, windows and order that reach an accuracy soonest, or the best accuracy in a time.
+
+The way: all that the fixture can execute becomes columns (sequence and windows); the optimum with fractions says which
+are worth their time and bounds what any plan can do (:mod:`srt.planning.optimum`); whole sequences are chosen among
+those (:mod:`srt.planning.selection`), ordered for short moves (:mod:`srt.planning.order`), and the windows share the
+time that the moves leave.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.catalogue import SEQUENCES
+from srt.exceptions import DataError, InputError
+from srt.planning.candidates import executable, from_catalogue, words
+from srt.planning.information import Signatures
+from srt.planning.optimum import Columns, Relaxed, relaxed_optimum, unseen
+from srt.planning.order import best_order
+from srt.planning.prediction import Prediction, predict, prior_information, units
+from srt.planning.selection import Choice, Judge, Pool, select
+from srt.sensor_errors import N_PARAMETERS, NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from srt.planning.candidates import Candidate
+    from srt.planning.information import Conditions
+    from srt.planning.stand import Stand
+
+    Array = NDArray[np.float64]
+    Progress = Callable[[str, int, float], None]
+
+_GRID: Final = 8
+_FINE_GRID: Final = 14
+_FINE_SEQUENCES: Final = 250
+_FINE_COLUMNS: Final = 2000
+_NEARLY: Final = 0.9
+_POOL: Final = 120
+_START_COUNTS: Final = (8, 14, 20)
+_FIRST_TIME_S: Final = 900.0
+_MET: Final = 1.0 + 1e-4
+_TRIES: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the planner may choose from.
+
+    Attributes
+    ----------
+    shortest_window_s, longest_window_s : float
+    largest_turn_deg : int
+        Of one rotation.
+    most_legs : int
+        Rotations in a sequence.
+    longest_test_s : float
+        Targets that take longer are out of reach.
+    """
+
+    shortest_window_s: float = 2.0
+    longest_window_s: float = 60.0
+    largest_turn_deg: int = 1080
+    most_legs: int = 8
+    longest_test_s: float = 8.0 * 3600.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.shortest_window_s <= self.longest_window_s < math.inf:
+            raise InputError(
+                f"Windows of {self.shortest_window_s:g} to {self.longest_window_s:g} s are contradictory: the shortest "
+                "must be positive and not above the longest."
+            )
+        if self.largest_turn_deg < 90 or self.most_legs < 1:
+            raise InputError(
+                f"largest_turn_deg {self.largest_turn_deg} and most_legs {self.most_legs} leave no sequence: give at "
+                "least 90 and 1."
+            )
+
+    def grid_s(self, count: int) -> Array:
+        """Windows that the optimum with fractions chooses from, s."""
+        if self.shortest_window_s == self.longest_window_s:
+            return np.array([self.shortest_window_s])
+        return np.geomspace(self.shortest_window_s, self.longest_window_s, count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A test, ready to be run.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+        In the order of execution, at the fixture's angles.
+    windows_s : ndarray, shape (n, 2)
+    total_s, moves_s : float
+        The whole test from the first window to the last; what of it is moves, pauses and settling between sequences.
+    targets : ndarray, shape (27,), SI
+        NaN: none.
+    prediction : Prediction
+    bound : float
+        No plan of this length, for this fixture and of this kind of sequences, has a smaller worst ratio; NaN where
+        it was not computed.
+    ruling : tuple of (str, float)
+        Parameters that rule the optimum, and their weights.
+    """
+
+    candidates: tuple[Candidate, ...]
+    windows_s: Array
+    total_s: float
+    moves_s: float
+    stand: Stand
+    conditions: Conditions
+    targets: Array
+    prediction: Prediction
+    bound: float = math.nan
+    ruling: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def ratios(self) -> Array:
+        """Sigma over target, shape (27,); NaN where there is no target."""
+        return np.asarray(self.prediction.sigma / self.targets)
+
+    @property
+    def ratio(self) -> float:
+        """Worst sigma over target."""
+        return float(np.nanmax(self.ratios))
+
+    @property
+    def worst(self) -> str:
+        """Parameter of the worst sigma over target."""
+        return NAMES[int(np.nanargmax(self.ratios))]
+
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """Parameters whose target is missed."""
+        return tuple(NAMES[k] for k in np.flatnonzero(self.ratios > _MET))
+
+
+def make_plan(
+    stand: Stand,
+    conditions: Conditions,
+    targets: Array,
+    *,
+    total_s: float | None = None,
+    limits: Limits | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan a test.
+
+    Parameters
+    ----------
+    stand : Stand
+    conditions : Conditions
+    targets : ndarray, shape (27,), SI
+        Wanted sigma of every parameter; NaN where none is.
+    total_s : float, optional
+        Length of the test, s: the plan has the smallest worst sigma over target then. Default: the shortest test that
+        meets all targets.
+    limits : Limits, optional
+    progress : callable, optional
+        Called with what is being done, a count, and the relative gap to the optimum that is left.
+
+    Raises
+    ------
+    InputError
+        No targets, or none that is positive; a time that is too short for any sequence.
+    DataError
+        A target that the fixture cannot show, or that no test reaches; the message names the limiting source.
+    """
+    limits = limits or Limits()
+    check_targets(targets)
+    task = _Task(stand, conditions, targets, limits, progress)
+    task.require_seen()
+    if total_s is not None:
+        if not (math.isfinite(total_s) and total_s > 0.0):
+            raise InputError(f"The time for the test is {total_s!r}: give a positive number of seconds.")
+        return task.in_time(total_s)
+    return task.in_least_time()
+
+
+def table_1_plan(
+    stand: Stand, conditions: Conditions, targets: Array, total_s: float, limits: Limits | None = None
+) -> Plan:
+    """Plan the 17 sequences of Table 1, each once, in the best order and with the best windows for a time.
+
+    Raises
+    ------
+    InputError
+        If the fixture cannot execute them, or the time is too short.
+    """
+    limits = limits or Limits()
+    check_targets(targets)
+    candidates = [from_catalogue(s, stand) for s in SEQUENCES.values()]
+    judge = _judge(Signatures(candidates, stand, conditions), targets, limits)
+    which = np.arange(len(candidates))
+    guess = Choice(which, np.full((len(which), 2), 10.0), math.nan)
+    return _finished(judge, guess, stand, conditions, targets, total_s)
+
+
+def check_targets(targets: Array) -> None:
+    """Raise InputError unless there is at least one target and all are positive."""
+    if targets.shape != (N_PARAMETERS,):
+        raise InputError(
+            f"The targets have shape {targets.shape}: give {N_PARAMETERS} sigmas, NaN where none is wanted."
+        )
+    if not np.isfinite(targets).any():
+        raise InputError("The plan has no target: state the sigma that is wanted of at least one parameter.")
+    low = [NAMES[k] for k in np.flatnonzero(targets <= 0.0)]
+    if low:
+        raise InputError(f"The target of {low[0]} is not positive: no test is perfect; give the sigma that is wanted.")
+
+
+def _judge(signatures: Signatures, targets: Array, limits: Limits) -> Judge:
+    scale = units(targets)
+    return Judge(
+        signatures,
+        scale,
+        prior_information(signatures.conditions, scale),
+        np.flatnonzero(np.isfinite(targets)),
+        limits.shortest_window_s,
+        limits.longest_window_s,
+    )
+
+
+class _Task:
+    """One planning problem."""
+
+    def __init__(
+        self, stand: Stand, conditions: Conditions, targets: Array, limits: Limits, progress: Progress | None
+    ) -> None:
+        self.stand, self.conditions, self.targets, self.limits = stand, conditions, targets, limits
+        self._progress = progress
+        kinds = words(largest_turn_deg=limits.largest_turn_deg, most_legs=limits.most_legs)
+        candidates = executable(stand, kinds)
+        if not candidates:
+            raise InputError("The fixture can execute no sequence at all: widen its travel to 90 deg or more.")
+        self.signatures = Signatures(candidates, stand, conditions)
+        self.judge = _judge(self.signatures, targets, limits)
+        self._number = {c.key: k for k, c in enumerate(candidates)}
+        self._table_1 = [from_catalogue(s) for s in SEQUENCES.values()]
+        self.grid = limits.grid_s(_GRID)
+        rows = np.concatenate([self.signatures.whitened(t, t) for t in self.grid]) * self.judge.scale
+        # Moves are left out: with them no plan is shorter, and the bound holds for any order.
+        self.least_s = stand.pause_s + stand.settle_s
+        cost = (2.0 * self.grid[:, None] + self.signatures.own_s + self.least_s).ravel()
+        self.coarse = Columns(rows, cost, self.judge.prior, self.judge.targets)
+
+    def tell(self, what: str, count: int, gap: float) -> None:
+        if self._progress is not None:
+            self._progress(what, count, gap)
+
+    def require_seen(self) -> None:
+        """Raise DataError where no sequence that the fixture can execute shows a target."""
+        hidden = [NAMES[self.judge.targets[i]] for i in unseen(self.coarse)]
+        if hidden:
+            raise DataError(
+                f"No sequence that this fixture can execute shows {', '.join(hidden)}: take the targets out, or use a "
+                "fixture with more freedom (both axes turning, more travel, more positions)."
+            )
+
+    def relaxed(self, total_s: float) -> Relaxed:
+        """The optimum with fractions: on the coarse grid of equal windows, then with any windows where it matters."""
+
+        def tell(count: int, gap: float) -> None:
+            self.tell("optimum", count, gap)
+
+        # The first sequence has no move before it.
+        total_s += self.least_s
+        coarse = relaxed_optimum(self.coarse, total_s, progress=tell)
+        self.columns, self.sequence, self.windows = self._with_fine_windows(coarse)
+        return relaxed_optimum(self.columns, total_s, start=coarse, progress=tell)
+
+    def _with_fine_windows(self, coarse: Relaxed) -> tuple[Columns, NDArray[np.intp], Array]:
+        """Columns with a start and an end window of their own for the sequences that are worth it.
+
+        The information of a sequence is concave in its windows, so that the coarse grid loses a little between its
+        points; sequences that fall short by more than that are left as they are.
+        """
+        K = len(self.signatures)
+        by_sequence = coarse.worth.reshape(-1, K).max(axis=0)
+        near = np.argsort(-by_sequence)[:_FINE_SEQUENCES]
+        near = near[by_sequence[near] > _NEARLY]
+        fine = self.limits.grid_s(_FINE_GRID)
+        pairs = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2)
+        sequence, windows = np.repeat(near, len(pairs)), np.tile(pairs, (len(near), 1))
+        rows = self.signatures.whitened(windows[:, 0], windows[:, 1], sequence) * self.judge.scale
+        cost = windows.sum(axis=1) + self.signatures.own_s[sequence] + self.least_s
+        added = Columns(rows, cost, self.judge.prior, self.judge.targets)
+        g, X = self.coarse.variances(self.coarse.information(coarse.which, coarse.weight))
+        worth = added.gains(X, g) @ coarse.weights / cost
+        good = np.argsort(-worth)[:_FINE_COLUMNS]
+        columns = Columns(
+            np.concatenate([self.coarse.rows, rows[good]]),
+            np.concatenate([self.coarse.cost_s, cost[good]]),
+            self.judge.prior,
+            self.judge.targets,
+        )
+        every = np.tile(np.arange(K), len(self.grid))
+        equal = np.repeat(self.grid, K)
+        return (
+            columns,
+            np.concatenate([every, sequence[good]]),
+            np.concatenate([np.stack([equal, equal], axis=1), windows[good]]),
+        )
+
+    def pool(self, relaxed: Relaxed) -> Pool:
+        """What whole sequences are chosen from: the optimum's, what is worth nearly as much, and Table 1."""
+        best: dict[int, int] = {}
+        # Of each sequence its best windows: what makes plans different is the sequence.
+        for j in np.argsort(-relaxed.worth, kind="stable").tolist():
+            best.setdefault(int(self.sequence[j]), j)
+            if len(best) == _POOL:
+                break
+        time = np.zeros(len(self.signatures))
+        np.add.at(time, self.sequence[relaxed.which], relaxed.weight * self.columns.cost_s[relaxed.which])
+        for j in relaxed.which[np.argsort(-relaxed.weight, kind="stable")].tolist():
+            best[int(self.sequence[j])] = j  # what is run in fact has the windows that it is run with
+        known = [self._number[c.key] for c in self._table_1 if c.key in self._number]
+        worth = np.where(np.isin(np.arange(len(self.sequence)), list(best.values())), 2.0, relaxed.worth)
+        for k in known:
+            if k not in best:
+                own = np.flatnonzero(self.sequence == k)
+                best[k] = int(own[np.argmax(worth[own])])
+        sequences = np.array(list(best))
+        columns = np.array(list(best.values()))
+        by_time = np.argsort(-time[sequences], kind="stable")
+        position = {int(k): i for i, k in enumerate(sequences)}
+        starts = [by_time[:count] for count in _START_COUNTS]
+        if known:
+            starts.append(np.array([position[k] for k in known]))
+        return Pool(sequences, self.windows[columns], tuple(starts))
+
+    def in_time(self, total_s: float) -> Plan:
+        relaxed = self.relaxed(total_s)
+        return self.whole(relaxed, total_s)
+
+    def whole(self, relaxed: Relaxed, total_s: float) -> Plan:
+        """Whole sequences for the optimum with fractions; the time of the moves is first guessed, then known."""
+        best: Plan | None = None
+        per_sequence = self.least_s + self.stand.outer.move_s(0.0, 90.0)
+        for _ in range(2):
+            try:
+                choice = select(
+                    self.judge, self.pool(relaxed), total_s, per_sequence, lambda: self.tell("plan", 0, 0.0)
+                )
+            except ValueError as error:
+                raise InputError(f"The time for the test is too short: {error}.") from None
+            plan = _finished(self.judge, choice, self.stand, self.conditions, self.targets, total_s, relaxed)
+            if best is None or plan.ratio < best.ratio:
+                best = plan
+            per_sequence = plan.moves_s / max(1, len(plan.candidates) - 1)
+        assert best is not None
+        return best
+
+    def in_least_time(self) -> Plan:
+        """Shortest test that meets the targets."""
+        self._require_reach()
+        total_s, relaxed = self._least_relaxed_time()
+        for _ in range(_TRIES):
+            plan = self.whole(relaxed, total_s)
+            if plan.ratio <= _MET:
+                return self._shortened(plan)
+            # Variances fall with the time, and a little more for what whole numbers cost.
+            total_s *= 1.02 * max(plan.ratio, 1.01) ** 2
+            if total_s > self.limits.longest_test_s:
+                break
+            relaxed = self.relaxed(total_s)
+        raise self._out_of_reach(plan)
+
+    def _require_reach(self) -> None:
+        """Raise DataError where no time is enough: what the whole test has in common remains."""
+        even = np.full(len(self.coarse.cost_s), 1e9)
+        g, _ = self.coarse.variances(self.coarse.information(np.arange(len(even)), even))
+        if g.max() > 1.0:
+            k = int(self.judge.targets[np.argmax(g)])
+            raise DataError(
+                f"The target of {NAMES[k]} is out of reach however long the test is: {math.sqrt(g.max()):.3g} times "
+                "the target remains of the uncertainty of gravity and north, which no sequence takes away; measure "
+                "gravity better (gravity_sigma_m_s2), or take a larger target."
+            )
+
+    def _least_relaxed_time(self) -> tuple[float, Relaxed]:
+        total_s = _FIRST_TIME_S
+        for _ in range(_TRIES):
+            relaxed = self.relaxed(total_s)
+            if abs(relaxed.ratio - 1.0) < 0.02:
+                break
+            total_s = min(total_s * relaxed.ratio**2, 4.0 * self.limits.longest_test_s)
+            if relaxed.bound > 1.0 and total_s > self.limits.longest_test_s:
+                relaxed = self.relaxed(self.limits.longest_test_s)
+                if relaxed.bound > 1.0:
+                    raise self._out_of_reach(self.whole(relaxed, self.limits.longest_test_s))
+        return total_s, relaxed
+
+    def _out_of_reach(self, plan: Plan) -> DataError:
+        k = NAMES.index(plan.worst)
+        source, share = plan.prediction.limiting(k)
+        return DataError(
+            f"The targets are out of reach in {self.limits.longest_test_s / 3600.0:.3g} h: {plan.worst} stays at "
+            f"{plan.ratio:.3g} times its target, {100.0 * share:.0f} % of its variance by {source.replace('_', ' ')}; "
+            "take larger targets, a better unit, fixture or gravity, or allow more time (longest_test_s)."
+        )
+
+    def _shortened(self, plan: Plan) -> Plan:
+        """Windows cut to what the targets need."""
+        which = self._positions(plan.candidates)
+        choice = self.judge.refine(which, plan.windows_s, None)
+        if choice.ratio > _MET:
+            return plan
+        total_s = plan.total_s + float(choice.windows_s.sum() - plan.windows_s.sum())
+        prediction = predict(plan.candidates, choice.windows_s, self.stand, self.conditions, self.targets)
+        bound = self.relaxed(total_s).bound
+        return replace(plan, windows_s=choice.windows_s, total_s=total_s, prediction=prediction, bound=bound)
+
+    def _positions(self, candidates: Sequence[Candidate]) -> NDArray[np.intp]:
+        return np.array([self._number[c.key] for c in candidates], dtype=np.intp)
+
+
+def _finished(
+    judge: Judge,
+    choice: Choice,
+    stand: Stand,
+    conditions: Conditions,
+    targets: Array,
+    total_s: float,
+    relaxed: Relaxed | None = None,
+) -> Plan:
+    """Order the sequences, and give the time that the moves leave to the windows."""
+    order, ways, moves_s = best_order([judge.signatures.candidates[k] for k in choice.which], stand)
+    which = choice.which[list(order)]
+    budget = total_s - moves_s - float(judge.signatures.own_s[which].sum())
+    least = 2.0 * judge.shortest_s * len(which)
+    if budget < least:
+        raise InputError(
+            f"{total_s:g} s are too short for {len(which)} sequences: rotations and moves alone take "
+            f"{total_s - budget:.0f} s, and the windows at least {least:.0f} s."
+        )
+    refined = judge.refine(which, choice.windows_s[list(order)], budget)
+    used = total_s - budget + float(refined.windows_s.sum())
+    ruling: tuple[tuple[str, float], ...] = ()
+    if relaxed is not None:
+        first = np.argsort(-relaxed.weights)
+        ruling = tuple((NAMES[judge.targets[i]], float(relaxed.weights[i])) for i in first if relaxed.weights[i] > 0.02)
+    return Plan(
+        ways, refined.windows_s, used, moves_s, stand, conditions, targets,
+        predict(ways, refined.windows_s, stand, conditions, targets),
+        math.nan if relaxed is None else relaxed.bound, ruling,
+    )  # fmt: skip
