@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -163,10 +164,28 @@ class Problem:
 
     @property
     def start_sigma(self) -> Array:
-        """One sigma of a start attitude in inner angle, outer angle and squareness of the axes, shape (3,), rad."""
+        """One sigma of a start attitude in inner angle, outer angle and squareness of the axes, shape (3,), rad.
+
+        The axes' lean from square is one angle of the fixture, and no unknown of its own: where all starts can be
+        brought about by another base and mounting, these take it up; else every start has a lean.
+        """
         fixture = self.data.recording.fixture
         rotation = 0.0 if fixture is None else fixture.rotation_sigma_rad
-        return rotation * np.array([1.0, 1.0, _START_AXIS])
+        lean = _START_AXIS * rotation if self._lean_is_taken_up else self.alignment_sigma
+        return np.array([rotation, rotation, lean])
+
+    @cached_property
+    def _lean_is_taken_up(self) -> bool:
+        """Whether small turns of base and mounting do to the inner axis what a lean does, at every start."""
+        starts = [C for C in self.nominal if C is not None] + [pose_nominal(label) for label, _ in self.data.poses]
+        if not starts:
+            return True
+        C = np.stack(starts)
+        # Along the outer axis, e_y · C e_z: derivatives by turns of the base (before C) and of the mounting (behind).
+        by_turns = np.concatenate([np.cross(C[:, :, 2], [0.0, 1.0, 0.0]), np.cross([0.0, 0.0, 1.0], C[:, 1])], axis=1)
+        lean = np.ones(len(C))
+        found = np.linalg.lstsq(by_turns, lean)[0]
+        return bool(np.abs(by_turns @ found - lean).max() < 1e-6)
 
     def at_start(self, point: Point, held: NDArray[np.bool_]) -> Point:
         """Give parameters that are held the first estimate's values."""
@@ -364,7 +383,7 @@ def _end_is_lost(recording: Recording, label: SequenceLabel) -> bool:
 
 def _executable(sequence: Sequence | None) -> Array | None:
     """C_nom of a sequence's start, if the fixture can stand so: its inner axis is IMU z, square to the outer one."""
-    if sequence is None or sequence.along_outer == "z":
+    if sequence is None or sequence.along_outer[-1] == "z":
         return None
     return nominal_attitude(sequence)
 

@@ -7,7 +7,7 @@ Tables of a scenario::
     [fixture]    from = "lab-1mrad"; heading_deg              (absent with [free])
     [site]       from = "latitude-45"; latitude_deg, gravity_m_s2 or height_m
     [errors]     draw = "normal", "uniform" or "none"; factor; [errors.values] by name, SI
-    [schedule]   sequences, repeats, dwell_s, rate_rad_s, ...  (or [free]: turns by hand)
+    [schedule]   sequences, repeats, dwell_s or dwells_s, rate_rad_s, ...  (or [free]: turns by hand)
     [recording]  sample_rate_hz, kind, format, ...
 
 A key that is not known is an error: a misspelt figure must not leave a default in force.
@@ -19,7 +19,7 @@ import difflib
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from sims import library
 from sims.sequences import TABLE_1, TurnSequence, table_sequences
@@ -46,6 +46,18 @@ Positive = Annotated[float, Field(gt=0.0, strict=True, allow_inf_nan=False)]
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Flag = Annotated[bool, Field(strict=True)]
 Vector = tuple[Finite, Finite, Finite]
+
+
+def _as_pair(value: object) -> object:
+    """Make a pair of one dwell; what is neither is said here, as two alternatives would give two messages."""
+    pair = list(value) if isinstance(value, list | tuple) else [value, value]
+    if len(pair) != 2 or not all(isinstance(v, int | float) and not isinstance(v, bool) and v > 0.0 for v in pair):
+        raise ValueError(f"there stands {value!r}: give a positive number of seconds, or a pair [start, end] of them")
+    return pair
+
+
+Dwells = Annotated[tuple[Positive, Positive], BeforeValidator(_as_pair)]
+SignedAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 MRAD = 1e-3
 PPM = 1e-6
@@ -210,8 +222,9 @@ class CustomSequence(_Table):
     """A sequence that is not in Table 1."""
 
     id: str
-    down: Literal["x", "y", "z"]
-    along_outer: Literal["x", "y", "z"]
+    down: SignedAxis
+    along_outer: SignedAxis
+    """IMU axes at the start; with a minus it is the opposite direction that points down, or along the outer axis."""
     rotations: Annotated[tuple[tuple[Literal["x", "y", "z"], Finite], ...], Field(min_length=1)]
     """IMU axis and signed angle in degrees, one after the other."""
 
@@ -238,6 +251,8 @@ class ScheduleConfig(_Table):
     custom: tuple[CustomSequence, ...] = ()
     repeats: Annotated[int, Field(strict=True, ge=1)] = 1
     dwell_s: Positive = 10.0
+    dwells_s: tuple[Dwells, ...] | None = None
+    """In place of dwell_s, for each entry of ``sequences`` a number or a pair [start window, end window]."""
     leg_dwell_s: NonNegative = 0.0
     settle_s: NonNegative = 0.0
     pause_s: NonNegative = 1.0
@@ -256,6 +271,11 @@ class ScheduleConfig(_Table):
         for name in self.sequences:
             if name not in TABLE_1 and name not in own:
                 raise ValueError(f"there is no sequence {name!r}: the ids are {', '.join([*TABLE_1, *own])}")
+        if self.dwells_s is not None and len(self.dwells_s) != len(self.sequences):
+            raise ValueError(
+                f"dwells_s has {len(self.dwells_s)} entries, but there are {len(self.sequences)} sequences: give one "
+                "for each"
+            )
         return self
 
     def turn_sequences(self) -> tuple[TurnSequence, ...]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 from srt.exceptions import InputError
@@ -21,9 +22,24 @@ OUTER: Final = 1
 
 _QUARTER: Final = math.pi / 2.0
 
-# (down, along outer) -> quarter turns of the (inner, outer) axis that bring the unit there from z down, y
-# along outer.
-_START_QUARTERS: Final = {("z", "y"): (0, 0), ("z", "x"): (1, 0), ("x", "y"): (0, -1), ("y", "x"): (1, 1)}
+
+def _axis_along(*components: int) -> str:
+    """Name the IMU axis, with its sign, that a vector of one component ±1 lies along."""
+    return next(("" if c > 0 else "-") + axis for axis, c in zip("xyz", components, strict=True) if c)
+
+
+def _start_quarters() -> dict[tuple[str, str], tuple[int, int]]:
+    """Quarter turns of the (inner, outer) axis by what they bring (down, along outer) from z down, y along outer."""
+    cosine = (1, 0, -1, 0)  # of 0, 1, 2, 3 quarter turns; the sine is that of one quarter less
+    starts = {}
+    for inner, outer in product((0, 1, 2, -1), repeat=2):
+        ci, si, co, so = (cosine[quarters % 4] for quarters in (inner, inner - 1, outer, outer - 1))
+        # Rows z and y of R_y(outer) R_z(inner): the base's vertical and the outer axis in IMU components.
+        starts[_axis_along(-so * ci, so * si, co), _axis_along(si, ci, 0)] = (inner, outer)
+    return starts
+
+
+_START_QUARTERS: Final = _start_quarters()
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +51,11 @@ class TurnSequence:
     id : str or None
         Name; one of Table 1, any other, or none.
     down, along_outer : str
-        IMU axis ("x", "y", "z") that points down, and the one along the outer axis, at the start.
+        IMU axis that points down, and the one that points along the outer axis, at the start: "x", "y", "z" or, for
+        one that points the other way, "-x", "-y", "-z". The inner axis is IMU z, so that it is never along the outer.
     rotations : tuple of (axis, angle in degrees)
-        Executed one after the other; signed, multiples of 90° except for the last.
+        Executed one after the other; signed, of any size. The axis has no sign. After a rotation about z that is no
+        multiple of 90° no other IMU axis lies along the outer one.
     in_table_1 : bool
         The sequence is the one of that name in Table 1.
 
@@ -55,10 +73,10 @@ class TurnSequence:
 
     def __post_init__(self) -> None:
         if (self.down, self.along_outer) not in _START_QUARTERS:
-            reachable = ", ".join(f"{d}/{o}" for d, o in _START_QUARTERS)
             raise InputError(
-                f"Sequence {self.id!r} starts with {self.down} down and {self.along_outer} along the outer "
-                f"axis, which the two-axis fixture does not offer: use one of {reachable} (down/along outer)."
+                f"Sequence {self.id!r} starts with {self.down} down and {self.along_outer} along the outer axis, which "
+                "the two-axis fixture does not offer: its inner axis is IMU z, so put x, y, -x or -y along the outer "
+                "axis, and one of the other two IMU axes down, with a sign or without."
             )
         self.fixture_legs()
 

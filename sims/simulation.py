@@ -193,6 +193,7 @@ def schedule_of(config: ScheduleConfig) -> Schedule:
         settle_s=config.settle_s,
         moves=config.moves,
         pause_s=config.pause_s,
+        dwells_s=None if config.dwells_s is None else config.dwells_s * config.repeats,
     )
 
 

@@ -47,6 +47,13 @@ class Schedule:
         Whether the moves to the start attitudes are in the recording, or leave gaps in its time.
     pause_s : float
         Stillness between the end of a sequence and the move to the next, s.
+    dwells_s : tuple of (start, end), or None
+        For each of the sequences the length of its start and of its end window, s, in place of ``dwell_s``.
+
+    Raises
+    ------
+    InputError
+        No sequence, times that are not positive numbers, or not as many dwells as sequences.
     """
 
     sequences: tuple[TurnSequence, ...]
@@ -56,6 +63,7 @@ class Schedule:
     settle_s: float = 0.0
     moves: Moves = "skipped"
     pause_s: float = 1.0
+    dwells_s: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         if not self.sequences:
@@ -68,6 +76,21 @@ class Schedule:
                 raise InputError(
                     f"The schedule's {name} is {value!r}: it must be zero or a positive number of seconds."
                 )
+        dwells, count = self.window_lengths_s(), len(self.sequences)
+        if len(dwells) != count:
+            raise InputError(
+                f"The schedule's dwells_s has {len(dwells)} entries for {count} sequences: give one for each."
+            )
+        for number, pair in enumerate(dwells, start=1):
+            if len(pair) != 2 or not all(math.isfinite(value) and value > 0.0 for value in pair):
+                raise InputError(
+                    f"The schedule's dwells_s has {pair!r} for sequence {number}: give the start and the end window's "
+                    "length, two positive numbers of seconds."
+                )
+
+    def window_lengths_s(self) -> tuple[tuple[float, float], ...]:
+        """Give the length of each sequence's start and end window, s."""
+        return ((self.dwell_s, self.dwell_s),) * len(self.sequences) if self.dwells_s is None else self.dwells_s
 
 
 @dataclass(slots=True, eq=False)
@@ -158,12 +181,12 @@ def run_schedule(
     geometry = FixtureGeometry.build(heading_rad, draw, check_rotation(U))
     constant_ned = constants_of_site(site, earth_rate=earth_rate)
     clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
-    dwell = max(1, round(schedule.dwell_s * sample_rate_hz))
+    dwells = [[max(1, round(length * sample_rate_hz)) for length in pair] for pair in schedule.window_lengths_s()]
     run = _Run(geometry, constant_ned @ geometry.base_from_ned.T, schedule, clock, (0.0, 0.0))
 
     labels, windows, attitudes = [], [], []
     for number, sequence in enumerate(schedule.sequences):
-        nominal = sequence.start_rad()
+        nominal, (dwell, end_dwell) = sequence.start_rad(), dwells[number]
         error = draw.start_errors(number)
         start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
         if number == 0:
@@ -178,8 +201,8 @@ def run_schedule(
         errors = draw.leg_errors(number, len(legs)).tolist()
         profile = run.profile([(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s)
         turning = clock.samples(profile.legs_end_s + schedule.settle_s)
-        run.execute(profile, turning + dwell, record=True)
-        second = (clock.at(clock.now - dwell), clock.at(clock.now))
+        run.execute(profile, turning + end_dwell, record=True)
+        second = (clock.at(clock.now - end_dwell), clock.at(clock.now))
 
         windows.append((first, second))
         attitudes.append((before, run.attitude()))

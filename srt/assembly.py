@@ -251,7 +251,7 @@ def _residuals(data: PlaybackData, solution: Solution) -> tuple[Residual, ...]:
     rows = []
     for k, name in enumerate(data.ids):
         sequence = data.catalogue[k]
-        horizontal = "12" if sequence is None else [axis for axis in "xyz" if axis != sequence.down]
+        horizontal = ("1", "2") if sequence is None else sequence.horizontal
         for j, axis in enumerate(horizontal):
             rows.append((name, data.occurrences[k], f"horizontal_{axis}", 2 * k + j))
         for label, w in (("start_down", data.start[k]), ("end_down", data.end[k])):

@@ -17,6 +17,16 @@ import numpy as np
 
 AXES: Final = ("x", "y", "z")
 
+SIGNED_AXES: Final = (*AXES, *(f"-{axis}" for axis in AXES))
+"""IMU axes with a direction: "-z" is the one that points against z."""
+
+
+def axis_vector(axis: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Unit vector of an axis of :data:`SIGNED_AXES` in IMU axes, shape (3,)."""
+    vector = np.zeros(3)
+    vector[AXES.index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return vector
+
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
@@ -27,9 +37,9 @@ class Sequence:
     id : str
         Name in Table 1.
     down : str
-        IMU axis that is vertical, positive down, at the start.
+        IMU axis that points down at the start, one of :data:`SIGNED_AXES`: with "-z" the z axis points up.
     along_outer : str
-        IMU axis along the outer rotation axis at the start.
+        IMU axis that points along the outer rotation axis at the start, likewise.
     inner_rad, outer_rad : float
         Initial fixture angles, rad.
     rotations : tuple of (axis, angle)
@@ -42,6 +52,11 @@ class Sequence:
     inner_rad: float
     outer_rad: float
     rotations: tuple[tuple[str, float], ...]
+
+    @property
+    def horizontal(self) -> tuple[str, ...]:
+        """The two IMU axes that are horizontal at the start, as letters in their order."""
+        return tuple(axis for axis in AXES if axis != self.down[-1])
 
     @property
     def axes(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

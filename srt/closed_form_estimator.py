@@ -9,7 +9,7 @@ import numpy as np
 
 from srt import closed_form
 from srt.assembly import assemble, outcome_of
-from srt.catalogue import AXES, SEQUENCES
+from srt.catalogue import SEQUENCES
 from srt.exceptions import DataError
 from srt.held import held_sigma, request_reason
 from srt.iteration import iterate
@@ -103,8 +103,7 @@ class ClosedFormSolver:
             return 2 * data.K + int(data.end[k])
         sequence = data.catalogue[k]
         assert sequence is not None
-        horizontal = [axis for axis in AXES if axis != sequence.down]
-        return 2 * k + horizontal.index(kind)
+        return 2 * k + sequence.horizontal.index(kind)
 
     def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:  # noqa: ARG002 - no weights here
         """G of δ = G z: the full Jacobian of the selected components, inverted."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt import measurement_model as model
-from srt.catalogue import AXES, SEQUENCES
+from srt.catalogue import AXES, SEQUENCES, axis_vector
 from srt.constants import DEG_PER_H, EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.rotation_integrals import RotationIntegrals, ideal_rotations
@@ -175,7 +175,7 @@ def bias_effects(setting: PaperSetting) -> Array:
     rows = []
     for quantity in QUANTITIES:
         k = number[quantity.sequence]
-        down = np.eye(3)[AXES.index(SEQUENCES[quantity.sequence].down)]
+        down = axis_vector(SEQUENCES[quantity.sequence].down)
         basis = np.eye(3)[[AXES.index(quantity.component)]][None]
         # At rest the specific force points up; in units of g.
         by_attitude = model.attitude_to_horizontal(basis, -down[None])[0, 0]

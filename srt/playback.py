@@ -137,7 +137,7 @@ class Player:
         self._least_vertical = np.argmin(np.abs(data.windows.accel_mean[data.start]), axis=1)
         # The two axes of T that are horizontal at the start of each labelled sequence.
         self._horizontal = np.array(
-            [[i for i in range(3) if i != AXES.index(s.down)] for s in data.catalogue if s is not None]
+            [[AXES.index(axis) for axis in s.horizontal] for s in data.catalogue if s is not None]
         )
 
     @property

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.attitude import GyroStream, gyro_stream
-from srt.catalogue import AXES, SEQUENCES, Sequence
+from srt.catalogue import SEQUENCES, Sequence, axis_vector
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
 from srt.noise_estimation import NoiseModel, noise_model
@@ -43,8 +43,7 @@ def nominal_attitude(sequence: Sequence) -> Array:
 
     The base z axis is down and its y axis the outer axis; for Table 1 this is R_y(outer) R_z(inner).
     """
-    unit = np.eye(3)
-    down, outer = unit[AXES.index(sequence.down)], unit[AXES.index(sequence.along_outer)]
+    down, outer = axis_vector(sequence.down), axis_vector(sequence.along_outer)
     C = np.stack([np.cross(outer, down), outer, down])
     C.flags.writeable = False
     return C

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.blocks import resolution_floor
-from srt.catalogue import AXES, SEQUENCES
+from srt.catalogue import AXES, SEQUENCES, axis_vector
 from srt.exceptions import DataError
 from srt.faces import QUARTER, face_vector, faces, leg_axis, quarter_turn, quarters, scales
 from srt.playback_data import nominal_attitude
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _WORDS: Final[dict[str, tuple[tuple[int, int], Word]]] = {
     name: (
-        (AXES.index(s.down), 1),
+        (AXES.index(s.down[-1]), round(axis_vector(s.down).sum())),
         tuple((AXES.index(axis), round(angle / QUARTER)) for axis, angle in s.rotations),
     )
     for name, s in SEQUENCES.items()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 
-from srt.catalogue import AXES, SEQUENCES
+from srt.catalogue import AXES, SEQUENCES, SIGNED_AXES
 from srt.constants import DEG
 from srt.exceptions import InputError
 from srt.sample_arrays import as_samples, require_finite, require_increasing
@@ -160,16 +160,16 @@ class SequenceLabel:
     id : str or None
         Name in Table 1 of Savage 2020 ("1" ... "14", "1a" ...); None for a free turn.
     down, along_outer : str or None
-        For an id outside Table 1: the IMU axis ("x", "y", "z") that is down, and the one along the outer
-        axis.
+        For an id outside Table 1: the IMU axis that points down, and the one that points along the outer
+        axis, each "x", "y", "z", "-x", "-y" or "-z" ("-z" down: the z axis points up).
     rotations : tuple of (axis, angle in rad)
-        For an id outside Table 1.
+        For an id outside Table 1; the axis has no sign, the angle has.
 
     Raises
     ------
     InputError
-        Windows that end before they start or overlap, axes that are not x, y or z, an id outside Table 1
-        without its definition, or one of Table 1 with another definition.
+        Windows that end before they start or overlap, axes that are none, or the same down and along the
+        outer axis, an id outside Table 1 without its definition, or one of Table 1 with another definition.
     """
 
     start_static_s: tuple[float, float]
@@ -195,12 +195,18 @@ class SequenceLabel:
             )
         rotations = tuple((axis, float(angle)) for axis, angle in self.rotations)
         object.__setattr__(self, "rotations", rotations)
-        for axis in (self.down, self.along_outer, *(axis for axis, _ in rotations)):
-            if axis is not None and axis not in AXES:
-                raise InputError(f"{self.title}: {axis!r} is no IMU axis: use x, y or z.")
-        if self.down is not None and self.down == self.along_outer:
+        for axis in (self.down, self.along_outer):
+            if axis is not None and axis not in SIGNED_AXES:
+                raise InputError(f"{self.title}: {axis!r} is no IMU axis: use one of {', '.join(SIGNED_AXES)}.")
+        for axis, _ in rotations:
+            if axis not in AXES:
+                raise InputError(
+                    f"{self.title}: {axis!r} is no IMU axis to turn about: use x, y or z, and the angle's sign."
+                )
+        if self.down is not None and self.along_outer is not None and self.down[-1] == self.along_outer[-1]:
             raise InputError(
-                f"{self.title}: axis {self.down} cannot be both down and along the outer axis: name two axes."
+                f"{self.title}: axis {self.down[-1]} cannot be both down and along the outer axis, whichever way it "
+                "points: name two axes."
             )
         if not all(math.isfinite(angle) for _, angle in rotations):
             raise InputError(f"{self.title}: a rotation angle is not a finite number: correct it.")

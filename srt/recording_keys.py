@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.catalogue import SIGNED_AXES
 from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.suggestions import clipped, did_you_mean
@@ -185,8 +186,8 @@ SEQUENCE_KEYS: Final = (
     text("id", "id"),
     _window("start_static_s"),
     _window("end_static_s"),
-    text("down", "down", ("x", "y", "z")),
-    text("along_outer", "along_outer", ("x", "y", "z")),
+    text("down", "down", SIGNED_AXES),
+    text("along_outer", "along_outer", SIGNED_AXES),
     Key("rotations", 'a list like [["y", 180.0], ["z", 90.0]] in degrees', _read_rotations, "rotations", DEG),
 )
 

@@ -83,7 +83,7 @@ def _measured(data: PlaybackData, without: int = -1) -> Array:
     for k, sequence in enumerate(data.catalogue):
         if k == without or sequence is None:
             continue
-        rows = {axis: 2 * k + i for i, axis in enumerate(a for a in AXES if a != sequence.down)}
+        rows = {axis: 2 * k + i for i, axis in enumerate(sequence.horizontal)}
         rows |= {"start": 2 * data.K + int(data.start[k]), "end": 2 * data.K + int(data.end[k])}
         count = data.ids.count(data.ids[k]) - (without >= 0 and data.ids[k] == data.ids[without])
         for kind, row in rows.items():

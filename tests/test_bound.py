@@ -176,6 +176,21 @@ def test_noise_is_that_of_noisy_readings():
     assert abs((white**2).mean() - 1.0) < 3.5 * math.sqrt(2.0 / white.size)
 
 
+def test_noise_is_that_of_windows_of_their_own_lengths():
+    """White noise of a mean goes with one over the window's time; equal lengths are the one length for all."""
+    runs = [
+        linearise(table("1", "8", **dwells), site=SITE, imu=SMOOTH, sample_rate_hz=100.0)
+        for dwells in ({"dwell_s": 2.0}, {"dwells_s": ((2.0, 2.0),) * 2}, {"dwells_s": ((2.0, 2.0), (6.0, 4.0))})
+    ]
+    for name in ("errors", "fixture", "end", "noise", "turn"):
+        np.testing.assert_array_equal(getattr(runs[1], name), getattr(runs[0], name))
+    same, longer = (np.einsum("kii->ki", run.noise) for run in runs[1:])
+    np.testing.assert_array_equal(longer[0], same[0])
+    # Rounding of differences of times near 30 s: 1e-15 of a window.
+    np.testing.assert_allclose(same[1, START_ACCEL] / longer[1, START_ACCEL], 3.0, rtol=1e-13)
+    np.testing.assert_allclose(same[1, END_ACCEL] / longer[1, END_ACCEL], 2.0, rtol=1e-13)
+
+
 def test_bound_is_the_inverse_information_of_all_unknowns_at_once():
     """Nothing eliminated, the bias of each sequence an unknown of its own: 24, 3K, 8, 2K and 3K unknowns."""
     model, K = linear(), len(sims.TABLE_1)

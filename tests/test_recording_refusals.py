@@ -103,7 +103,10 @@ def test_the_good_folder_is_good(folder):
         ('id = "2"', 'rotations = [["y", "1"]]', ["sequence[2].rotations", '[["y", 180.0]']),
         ('id = "2"', 'rotations = [["w", 1]]', ["sequence[2].rotations"]),
         ('id = "2"', "rotations = 5", ["sequence[2].rotations is 5"]),
-        ('id = "2"', 'down = "w"', ["sequence[2].down", '"x", "y", "z"']),
+        ('id = "2"', 'down = "w"', ["sequence[2].down", '"x", "y", "z", "-x", "-y", "-z"']),
+        ('id = "2"', 'along_outer = "+z"', ["sequence[2].along_outer", '"+z"', '"-z"']),
+        ('id = "2"', 'down = "-x"\nalong_outer = "x"', ["sequence[2]", "axis x", "name two axes"]),
+        ('id = "2"', 'rotations = [["-x", 90.0]]', ["sequence[2].rotations", '[["y", 180.0]']),
         # units
         ('"rad/s"', '"deg"', ['gyro_unit is "deg"', 'kind is "rate"', '"deg/s"']),
         ('"rad/s"', '"rpm"', ['gyro_unit is the text "rpm"', '"deg/s"']),

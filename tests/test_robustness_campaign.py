@@ -17,6 +17,8 @@ from sims.robustness.config import AXES, load_campaign
 from sims.robustness.run import run_campaign
 from sims.robustness.store import Store, schema
 from sims.robustness.trial import OUTCOMES, run_trial
+from sims.scenario import load_scenario
+from sims.sequences import TABLE_1
 from sims.simulation import simulate
 from srt.constants import DEG
 from srt.engines import Engine
@@ -139,6 +141,17 @@ def test_missing_and_repeated_sequences(small):
     ids = [label.id for label in simulate(campaign.unit(0, 0)[0]).recording.sequences]
     assert len(ids) == 18
     assert len(set(ids)) == 15
+
+
+def test_dwells_stay_with_their_sequences(small):
+    """Every sequence with a start window of its own length: left out or repeated, it keeps it."""
+    dwells = [1.0 + 0.1 * k for k in range(len(TABLE_1))]
+    text = SMALL.replace("dwell_s = 2.0", f"dwells_s = {dwells}")
+    campaign = small(extra="missing_sequences = { choices = [2] }\nrepeated_sequences = { choices = [3] }\n", text=text)
+    schedule = campaign.unit(0, 0)[0].schedule
+    own = dict(zip(load_scenario("robustness").schedule.sequences, dwells, strict=True))
+    assert len(schedule.sequences) == 18
+    assert schedule.dwells_s == tuple((own[name],) * 2 for name in schedule.sequences)
 
 
 # Scores

@@ -75,6 +75,36 @@ def test_poses_of_every_sequence(name):
         np.testing.assert_allclose(attitude, expected, atol=3e-15)
 
 
+# By hand from R_y(outer) R_z(inner): inner and outer angle in quarter turns, IMU axis down and along the outer axis.
+STARTS = {
+    ("z", "y"): (0, 0, Z, Y), ("-x", "y"): (0, 1, -X, Y), ("-z", "y"): (0, 2, -Z, Y), ("x", "y"): (0, -1, X, Y),
+    ("z", "x"): (1, 0, Z, X), ("y", "x"): (1, 1, Y, X), ("-z", "x"): (1, 2, -Z, X), ("-y", "x"): (1, -1, -Y, X),
+    ("z", "-y"): (2, 0, Z, -Y), ("x", "-y"): (2, 1, X, -Y), ("-z", "-y"): (2, 2, -Z, -Y), ("-x", "-y"): (2, -1, -X, -Y),
+    ("z", "-x"): (-1, 0, Z, -X), ("-y", "-x"): (-1, 1, -Y, -X), ("-z", "-x"): (-1, 2, -Z, -X),
+    ("y", "-x"): (-1, -1, Y, -X),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("start", STARTS, ids="/".join)
+def test_every_start_attitude(start):
+    """The named axes point where they should, and each turn is about its IMU axis in its own sense."""
+    along = start[1].removeprefix("-")
+    turns = ((along, 90.0), ("z", 180.0), (along, -180.0), ("z", 40.0))
+    sequence = sims.TurnSequence("A", *start, turns)
+    inner, outer, down_axis, outer_axis = STARTS[start]
+    assert sequence.start_rad() == (0.5 * math.pi * inner, 0.5 * math.pi * outer)
+    schedule = sims.Schedule((sequence,), dwell_s=1.0, leg_dwell_s=1.0)
+    motion = sims.run_schedule(schedule, site=SITE, sample_rate_hz=100.0, earth_rate=False)
+    expected = np.stack([np.cross(outer_axis, down_axis), outer_axis, down_axis])  # rows north, east, down in B
+    np.testing.assert_allclose(motion.attitudes[0, 0], expected, atol=3e-15)
+    begin = 1.0
+    for axis, degrees in turns:
+        end = begin + schedule.profile.duration_s(math.radians(degrees))
+        turned = total(motion.angle[rows_in(motion, begin - 0.5, end + 0.5)])
+        np.testing.assert_allclose(turned, np.radians(degrees) * np.eye(3)["xyz".index(axis)], atol=2e-14)
+        begin = end + 1.0
+
+
 @pytest.mark.parametrize("name", sims.TABLE_1)
 def test_each_rotation_is_about_the_imu_axis_named(name):
     schedule = sims.Schedule(sims.table_sequences((name,)), dwell_s=1.0, leg_dwell_s=1.0)
@@ -329,6 +359,33 @@ def test_time_stamps_windows_and_gaps():
     np.testing.assert_allclose(continuous.angle[recorded], motion.angle, atol=1e-15)
 
 
+@pytest.mark.parametrize("moves", ["skipped", "recorded"])
+def test_dwells_of_each_window(moves):
+    """To the sample, in labels and in data; equal ones are the same run as one dwell for all."""
+    dwells = ((1.0, 2.0), (0.5, 0.5), (3.0, 0.004))
+    sequences = sims.table_sequences(("1", "8", "9"))
+    schedule = sims.Schedule(sequences, dwell_s=7.0, moves=moves, dwells_s=dwells)
+    motion = sims.run_schedule(schedule, site=SITE, sample_rate_hz=100.0)
+    for label, windows, lengths in zip(motion.labels, motion.windows, dwells, strict=True):
+        assert (label.start_static_s, label.end_static_s) == windows
+        for window, length in zip(windows, lengths, strict=True):
+            rows = np.flatnonzero(rows_in(motion, *window))
+            assert len(rows) == max(1, round(length * 100.0))  # a window holds one sample at least
+            assert motion.time[rows[-1]] == window[1]
+            assert np.ptp(motion.angle[rows], axis=0).max() == 0.0
+    # Sequence 1 takes 2π s + 0.1 s of ramps, to the next sample edge; nothing else lies between its windows.
+    assert motion.windows[0] == ((0.0, 1.0), (7.39, 9.39))
+    alike = [
+        sims.run_schedule(s, site=SITE, sample_rate_hz=100.0)
+        for s in (
+            sims.Schedule(sequences, dwell_s=1.0, moves=moves),
+            sims.Schedule(sequences, moves=moves, dwells_s=((1.0, 1.0),) * 3),
+        )
+    ]
+    assert alike[0].windows == alike[1].windows
+    np.testing.assert_array_equal(alike[0].angle, alike[1].angle)
+
+
 def test_free_turns_compose_to_the_attitudes():
     rng = np.random.default_rng(16)
     turns = sims.random_turns(rng, 5)
@@ -376,9 +433,19 @@ def test_free_sums_do_not_depend_on_the_sample_rate():
     [
         (lambda: sims.table_sequences(("99",)), "no sequence '99'"),
         (lambda: sims.TurnSequence("A", "x", "z", (("z", 90.0),)), "along the outer axis"),
+        (lambda: sims.TurnSequence("A", "x", "-z", (("z", 90.0),)), "with x down and -z along the outer axis"),
+        (lambda: sims.TurnSequence("A", "-y", "y", (("z", 90.0),)), "with -y down and y along the outer axis"),
+        (lambda: sims.TurnSequence("A", "+z", "y", (("z", 90.0),)), "with .z down"),
         (lambda: sims.TurnSequence("A", "z", "y", (("x", 90.0),)), "reorder its rotations"),
+        (lambda: sims.TurnSequence("A", "-z", "-x", (("y", 90.0),)), "reorder its rotations"),
+        (lambda: sims.TurnSequence("A", "-z", "-x", (("z", 40.0), ("x", 90.0))), "inner angle -50 deg"),
+        (lambda: sims.TurnSequence("A", "z", "y", (("-y", 90.0),)), "about IMU -y"),
         (lambda: sims.RateProfile(rate_rad_s=0.0), "rate_rad_s"),
         (lambda: sims.Schedule(()), "names no sequence"),
+        (lambda: sims.Schedule(sims.table_sequences(("1", "2")), dwells_s=((1.0, 1.0),)), "1 entries for 2 sequences"),
+        (lambda: sims.Schedule(sims.table_sequences(("1",)), dwells_s=((1.0, 0.0),)), "for sequence 1: give"),
+        (lambda: sims.Schedule(sims.table_sequences(("1",)), dwells_s=((1.0,),)), "for sequence 1: give"),
+        (lambda: sims.Schedule(sims.table_sequences(("1",)), dwells_s=((1.0, math.inf),)), "two positive numbers"),
         (lambda: sims.table1_motion(site=SITE, U=-np.eye(3)), "proper rotation"),
         (lambda: sims.table1_motion(site=SITE, sample_rate_hz=0.0), "sample rate"),
         (lambda: sims.table1_motion(site=Site(9.8), sequences=("1",)), "latitude"),

@@ -13,6 +13,7 @@ from sims import library
 from sims.simulation import schedule_of
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.exceptions import InputError
+from srt.recording_io import load_recording, write_recording
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 SMALL = {
@@ -117,6 +118,28 @@ def test_grades_convert_to_si():
             {"schedule": {"custom": [{"id": "A", "down": "z", "along_outer": "y", "rotations": [["x", 90.0]]}]}},
             "reorder its rotations",
         ),
+        (
+            {"schedule": {"custom": [{"id": "A", "down": "+z", "along_outer": "y", "rotations": [["y", 90.0]]}]}},
+            r"down is '\+z': give 'x', 'y', 'z', '-x', '-y' or '-z'",
+        ),
+        (
+            {"schedule": {"custom": [{"id": "A", "down": "x", "along_outer": "-z", "rotations": [["z", 90.0]]}]}},
+            "with x down and -z along the outer axis",
+        ),
+        (
+            {"schedule": {"custom": [{"id": "A", "down": "-z", "along_outer": "y", "rotations": [["-y", 90.0]]}]}},
+            "is '-y': give 'x', 'y' or 'z'",
+        ),
+        ({"schedule": {"dwells_s": [1.0, 2.0]}}, "dwells_s has 2 entries, but there are 3 sequences"),
+        ({"schedule": {"dwells_s": 2.0}}, "schedule.dwells_s is 2.0: give an array"),
+        (
+            {"schedule": {"dwells_s": [1.0, 0.0, 1.0]}},
+            r"in .schedule.dwells_s\[2\]., there stands 0.0: give a positive",
+        ),
+        ({"schedule": {"dwells_s": [1.0, 1.0, [2.0]]}}, r"dwells_s\[3\]., there stands \[2.0\]: give"),
+        ({"schedule": {"dwells_s": [1.0, 1.0, [2.0, "3"]]}}, "or a pair .start, end. of them"),
+        ({"schedule": {"dwells_s": [True, 1.0, 1.0]}}, "there stands True"),
+        ({"schedule": {"dwells_s": [math.inf, 1.0, 1.0]}}, "give a finite number"),
         ({"site": {"height_m": 1.0}}, "either gravity_m_s2 or height_m"),
         ({"site": {"latitude_deg": 91.0}}, "not above 90"),
         ({"site": 3}, "site is 3: give a table"),
@@ -257,6 +280,23 @@ def test_schedule_repeats_and_custom_sequences():
     # Down in B is (R_z R_y)ᵀ e_z = R_y(90°) e_z = e_x: x points down.
     down = simulation.motion.attitudes[0, 1][2]
     np.testing.assert_allclose(down, [1.0, 0.0, 0.0], atol=0.01)
+
+
+def test_dwells_of_each_window_arrive_in_the_recording(tmp_path):
+    """By entry of ``sequences``, repeated with them, a number for both windows; to the sample of 20 ms."""
+    custom = [{"id": "A", "down": "-z", "along_outer": "-y", "rotations": [["y", 90.0], ["z", 30.0]]}]
+    schedule = {"sequences": ["A", "1"], "custom": custom, "repeats": 2, "dwells_s": [1, [0.5, 2.02]]}
+    scenario = build(schedule=schedule)
+    assert schedule_of(scenario.schedule).dwells_s == ((1.0, 1.0), (0.5, 2.02)) * 2
+    recording = sims.simulate(scenario).recording
+    write_recording(recording, tmp_path / "recording")
+    again = load_recording(tmp_path / "recording")
+    assert again.sequences == recording.sequences
+    rows = [[again.window_indices(*w) for w in (s.start_static_s, s.end_static_s)] for s in again.sequences]
+    assert [[w.stop - w.start for w in pair] for pair in rows] == [[50, 50], [25, 101]] * 2
+    assert {(s.down, s.along_outer) for s in again.sequences} == {("-z", "-y"), (None, None)}
+    # What a scenario became is a scenario again, pairs included.
+    assert sims.Scenario.model_validate(scenario.model_dump(mode="json")) == scenario
 
 
 def test_frame_turn():

@@ -415,6 +415,10 @@ def _with_sequences(tables: dict[str, Any], values: Mapping[str, Value], rng: np
             "leave one at least, and repeat no more than are left."
         )
     out = set(rng.choice(len(all_ids), missing, replace=False).tolist())
-    left = [name for k, name in enumerate(all_ids) if k not in out]
-    again = [left[k] for k in rng.choice(len(left), repeated, replace=False).tolist()]
-    return library.overlay(tables, {"schedule": {"sequences": [*left, *again]}})
+    left = [k for k in range(len(all_ids)) if k not in out]
+    order = [*left, *(left[k] for k in rng.choice(len(left), repeated, replace=False).tolist())]
+    changed = {"sequences": [all_ids[k] for k in order]}
+    dwells = schedule.get("dwells_s")
+    if isinstance(dwells, list) and len(dwells) == len(all_ids):  # else the scenario's own check refuses it
+        changed["dwells_s"] = [dwells[k] for k in order]
+    return library.overlay(tables, {"schedule": changed})
