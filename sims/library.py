@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from srt.exceptions import InputError
 
-FOLDERS: Final = ("imu", "fixture", "site", "scenario", "robustness")
+FOLDERS: Final = ("imu", "fixture", "site", "scenario", "robustness", "plan")
 """Folders of the library."""
 
 

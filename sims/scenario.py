@@ -63,13 +63,13 @@ MRAD = 1e-3
 PPM = 1e-6
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
     """A table of a scenario: frozen, and strict about its keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class NoiseConfig(_Table):
+class NoiseConfig(Table):
     """Noise, quantisation, range and g-sensitivity of a unit; absent means none."""
 
     gyro_noise_deg_per_sqrt_h: NonNegative = 0.0
@@ -106,7 +106,7 @@ class NoiseConfig(_Table):
         return self.gyro_g_sensitivity_deg_per_h_per_g * DEG_PER_H / STANDARD_GRAVITY_M_S2
 
 
-class ErrorSizes(_Table):
+class ErrorSizes(Table):
     """One-sigma size of each group of sensor errors before calibration; absent means none."""
 
     gyro_scale_ppm: NonNegative = 0.0
@@ -132,7 +132,7 @@ class ErrorSizes(_Table):
         }
 
 
-class ImuConfig(_Table):
+class ImuConfig(Table):
     """One IMU grade."""
 
     name: str
@@ -145,7 +145,7 @@ class ImuConfig(_Table):
     """One sigma of a random turn on top, about each axis."""
 
 
-class FixtureConfig(_Table):
+class FixtureConfig(Table):
     """The fixture: its true one-sigma errors, and what the recording states of it."""
 
     name: str
@@ -171,7 +171,7 @@ class FixtureConfig(_Table):
         }
 
 
-class SiteConfig(_Table):
+class SiteConfig(Table):
     """The site: latitude, and gravity given or by the WGS 84 normal formula."""
 
     name: str = ""
@@ -198,7 +198,7 @@ class SiteConfig(_Table):
         return Site(normal_gravity_m_s2(latitude, self.height_m), self.gravity_sigma_m_s2 or 5e-4, latitude)
 
 
-class ErrorsConfig(_Table):
+class ErrorsConfig(Table):
     """Which sensor errors the unit has."""
 
     draw: Literal["normal", "uniform", "none"] = "normal"
@@ -218,7 +218,7 @@ class ErrorsConfig(_Table):
         return self
 
 
-class CustomSequence(_Table):
+class CustomSequence(Table):
     """A sequence that is not in Table 1."""
 
     id: str
@@ -243,7 +243,7 @@ class CustomSequence(_Table):
         return TurnSequence(self.id, self.down, self.along_outer, self.rotations)
 
 
-class ScheduleConfig(_Table):
+class ScheduleConfig(Table):
     """A run on the fixture."""
 
     sequences: tuple[str, ...] = tuple(TABLE_1)
@@ -285,7 +285,7 @@ class ScheduleConfig(_Table):
         return once * self.repeats
 
 
-class FreeConfig(_Table):
+class FreeConfig(Table):
     """A free recording: turns by hand between still poses."""
 
     turns: Annotated[int, Field(strict=True, ge=1)] | None = None
@@ -307,7 +307,7 @@ class FreeConfig(_Table):
         return self
 
 
-class RecordingConfig(_Table):
+class RecordingConfig(Table):
     """How the samples are recorded."""
 
     sample_rate_hz: Positive = 200.0
@@ -322,7 +322,7 @@ class RecordingConfig(_Table):
     serial: str | None = None
 
 
-class Scenario(_Table):
+class Scenario(Table):
     """One simulation, complete."""
 
     description: str = ""

@@ -26,6 +26,7 @@ COMMANDS: Final = {
     "certificate": ("srt.cli.certificate:certificate", "Make a certificate of a calibrated unit."),
     "compare": ("srt.cli.compare:compare", "Set the estimators side by side on one recording."),
     "budget": ("srt.cli.budget:budget", "Predict the accuracy of a test by source of error."),
+    "plan": ("srt.cli.plan:plan", "Plan a test: which sequences, for how long, to what accuracy."),
     "robustness": ("srt.cli.robustness:robustness", "Ask simulated units how far from true one may be."),
     "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
 }

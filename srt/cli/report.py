@@ -131,7 +131,7 @@ def contribution_table(calibration: Calibration) -> str:
         decimals = decimals_for(float(calibration.sigma[i]) * factor)
         sizes = {source: float(sigmas[i]) * factor for source, sigmas in calibration.contributions.items()}
         largest = sorted(sizes, key=lambda source: -sizes[source])[:_LARGEST]
-        shown = [(_label(source), fixed(sizes[source], decimals)) for source in largest]
+        shown = [(source_label(source), fixed(sizes[source], decimals)) for source in largest]
         shown = [(label, size) for label, size in shown if float(size) > 0.0]
         shown += [("", "")] * (_LARGEST - len(shown))
         rows.append([SYMBOLS[i], DISPLAY_UNITS[i], *(cell for pair in shown for cell in pair)])
@@ -149,7 +149,7 @@ def budget_table(calibration: Calibration) -> str:
         return ""
     text = ["Sources of sigma, one sigma each; their squares add up"]
     text.append(sources_table(sources, calibration.sigma, observed))
-    silent = [_label(source) for source in calibration.contributions if source not in sources]
+    silent = [source_label(source) for source in calibration.contributions if source not in sources]
     if silent:
         text += wrap(f"Nothing comes from: {', '.join(silent)}.")
     return "\n".join(text)
@@ -181,7 +181,7 @@ def sources_table(sources: Mapping[str, Array], total: Array | None, parameters:
         for column, sizes in zip(columns, sources.values(), strict=True):
             column.append(fixed(float(sizes[i]) * factor, decimals))
     first = ["", "unit"] + ([] if total is None else ["sigma"])
-    heads = [_label(source).replace(" ", "\n") for source in sources]
+    heads = [source_label(source).replace(" ", "\n") for source in sources]
     text = []
     while columns:
         count = _columns_that_fit(left, first, heads, columns)
@@ -242,7 +242,8 @@ def _observed(calibration: Calibration) -> list[int]:
     return [i for i, name in enumerate(NAMES) if name not in calibration.held]
 
 
-def _label(source: str) -> str:
+def source_label(source: str) -> str:
+    """Short name of a source of error."""
     return SOURCE_LABELS.get(source, source.replace("_", " "))
 
 

@@ -109,13 +109,16 @@ class Relaxed:
     @property
     def gap(self) -> float:
         """How much of sigma could still be gained at the very most."""
-        return self.ratio / self.bound - 1.0
+        return self.ratio / self.bound - 1.0 if self.bound > 0.0 else math.inf
 
 
-def unseen(columns: Columns, most: float = 1e4) -> Indices:
-    """Targets (positions in ``columns.targets``) on which all columns together tell next to nothing."""
-    weight = 1.0 / columns.cost_s
-    M = columns.information(np.arange(len(weight)), weight / weight.sum() * len(weight))
+def unseen(columns: Columns, time_s: float, most: float = 100.0) -> Indices:
+    """Targets (positions in ``columns.targets``) that stay above ``most`` times what is wanted.
+
+    A time is divided evenly among all columns: what that does not show by a hundredth, no choice of columns does well.
+    """
+    cost = columns.cost_s
+    M = columns.information(np.arange(len(cost)), time_s / len(cost) / cost)
     g, _ = columns.variances(M)
     return np.flatnonzero(g > most**2)
 

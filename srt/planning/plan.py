@@ -41,8 +41,8 @@ _FINE_GRID: Final = 14
 _FINE_SEQUENCES: Final = 250
 _FINE_COLUMNS: Final = 2000
 _NEARLY: Final = 0.9
-_POOL: Final = 120
-_START_COUNTS: Final = (8, 14, 20)
+_POOL: Final = 100
+_START_COUNTS: Final = (10, 18)
 _FIRST_TIME_S: Final = 900.0
 _MET: Final = 1.0 + 1e-4
 _TRIES: Final = 8
@@ -61,13 +61,15 @@ class Limits:
         Rotations in a sequence.
     longest_test_s : float
         Targets that take longer are out of reach.
+    most_sequences : int
     """
 
-    shortest_window_s: float = 2.0
+    shortest_window_s: float = 5.0
     longest_window_s: float = 60.0
     largest_turn_deg: int = 1080
     most_legs: int = 8
     longest_test_s: float = 8.0 * 3600.0
+    most_sequences: int = 40
 
     def __post_init__(self) -> None:
         if not 0.0 < self.shortest_window_s <= self.longest_window_s < math.inf:
@@ -75,11 +77,10 @@ class Limits:
                 f"Windows of {self.shortest_window_s:g} to {self.longest_window_s:g} s are contradictory: the shortest "
                 "must be positive and not above the longest."
             )
-        if self.largest_turn_deg < 90 or self.most_legs < 1:
-            raise InputError(
-                f"largest_turn_deg {self.largest_turn_deg} and most_legs {self.most_legs} leave no sequence: give at "
-                "least 90 and 1."
-            )
+        least = {"largest_turn_deg": 90, "most_legs": 1, "most_sequences": 1}
+        for name, low in least.items():
+            if getattr(self, name) < low:
+                raise InputError(f"{name} is {getattr(self, name)}, which leaves no sequence: give at least {low}.")
 
     def grid_s(self, count: int) -> Array:
         """Windows that the optimum with fractions chooses from, s."""
@@ -256,11 +257,11 @@ class _Task:
 
     def require_seen(self) -> None:
         """Raise DataError where no sequence that the fixture can execute shows a target."""
-        hidden = [NAMES[self.judge.targets[i]] for i in unseen(self.coarse)]
+        hidden = [NAMES[self.judge.targets[i]] for i in unseen(self.coarse, self.limits.longest_test_s)]
         if hidden:
             raise DataError(
-                f"No sequence that this fixture can execute shows {', '.join(hidden)}: take the targets out, or use a "
-                "fixture with more freedom (both axes turning, more travel, more positions)."
+                f"No sequence that this fixture can execute shows {', '.join(hidden)} anywhere near the targets: take "
+                "these targets out, or use a fixture with more freedom (both axes turning, more travel or positions)."
             )
 
     def relaxed(self, total_s: float) -> Relaxed:
@@ -342,18 +343,19 @@ class _Task:
     def whole(self, relaxed: Relaxed, total_s: float) -> Plan:
         """Whole sequences for the optimum with fractions; the time of the moves is first guessed, then known."""
         best: Plan | None = None
+        pool = self.pool(relaxed)
         per_sequence = self.least_s + self.stand.outer.move_s(0.0, 90.0)
         for _ in range(2):
             try:
-                choice = select(
-                    self.judge, self.pool(relaxed), total_s, per_sequence, lambda: self.tell("plan", 0, 0.0)
-                )
+                most = self.limits.most_sequences
+                choice = select(self.judge, pool, total_s, per_sequence, most, lambda: self.tell("plan", 0, 0.0))
             except ValueError as error:
                 raise InputError(f"The time for the test is too short: {error}.") from None
             plan = _finished(self.judge, choice, self.stand, self.conditions, self.targets, total_s, relaxed)
             if best is None or plan.ratio < best.ratio:
                 best = plan
             per_sequence = plan.moves_s / max(1, len(plan.candidates) - 1)
+            pool = replace(pool, starts=(np.array([pool.which.tolist().index(k) for k in choice.which]),))
         assert best is not None
         return best
 

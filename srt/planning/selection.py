@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]
 
-_POWERS: Final = (2.0, 6.0, 20.0)
+_POWERS: Final = (3.0, 16.0)
 """Of the mean over the targets that stands for their largest while whole sequences are exchanged: it has a slope."""
 _MOST_PASSES: Final = 12
 _FACTORS: Final = np.geomspace(0.03, 2.0, 9)
@@ -190,6 +190,7 @@ def select(
     pool: Pool,
     total_s: float,
     per_sequence_s: float,
+    most: int,
     progress: Callable[[], None] | None = None,
 ) -> Choice:
     """Choose whole sequences that fit into a time.
@@ -205,6 +206,8 @@ def select(
         For everything, s.
     per_sequence_s : float
         What a sequence takes beside its windows and its rotations (moves, waits), s.
+    most : int
+        Sequences at the most.
     progress : callable, optional
         Called after each start.
 
@@ -214,7 +217,7 @@ def select(
         No start fits into the time.
     """
     fixed = judge.signatures.own_s[pool.which] + per_sequence_s
-    search = _Search(judge, pool, fixed, total_s)
+    search = _Search(judge, pool, fixed, total_s, most)
     found = []
     for start in pool.starts:
         chosen = search.run(start)
@@ -235,8 +238,8 @@ class _Search:
     interpolated, which it is nearly linear enough for: the windows are shared out exactly at the end.
     """
 
-    def __init__(self, judge: Judge, pool: Pool, fixed_s: Array, total_s: float) -> None:
-        self.judge, self.total_s, self.pool_windows = judge, total_s, pool.windows_s
+    def __init__(self, judge: Judge, pool: Pool, fixed_s: Array, total_s: float, most: int) -> None:
+        self.judge, self.total_s, self.pool_windows, self.most = judge, total_s, pool.windows_s, most
         windows = np.clip(_FACTORS[:, None, None] * pool.windows_s, judge.shortest_s, judge.longest_s)
         self.cost = windows.sum(axis=2) + fixed_s
         self.information = np.stack([judge.information(pool.which, w) for w in windows])
@@ -271,7 +274,7 @@ class _Search:
 
     def run(self, start: Indices) -> Indices | None:
         """Improve a choice; None if nothing that fits is found."""
-        chosen = start.tolist()
+        chosen = start.tolist()[: self.most]
         while chosen and self.cost[0, chosen].sum() > self.total_s:
             chosen.pop()
         if not chosen:
@@ -292,7 +295,7 @@ class _Search:
 
     def _pass(self, chosen: list[int], now: float) -> tuple[list[int], float]:
         """Try for each place what could stand there, nothing among it, and then one more."""
-        for i in range(len(chosen), -1, -1):
+        for i in range(min(len(chosen), self.most - 1), -1, -1):
             rest = chosen[:i] + chosen[i + 1 :]
             cost, information = self.cost[:, rest].sum(axis=1), self.information[:, rest].sum(axis=1)
             values = self.values(cost[:, None] + self.cost, information[:, None] + self.information)
