@@ -24,6 +24,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from srt import quaternion
+from srt.flicker import cut, parts_per_turn
 from srt.rotation_integrals import RotationIntegrals
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def integrate(
         One sigma of a raw sample's angle, random walk and pulses: below three of them the sign in the asymmetry term
         is that of the smoothed rate, so that noise is not rectified.
     with_noise : bool
-        Gather the noise integral too.
+        Gather the noise integral and the parts of the time integral too.
 
     Returns
     -------
@@ -142,6 +143,7 @@ def integrate(
     K, n = len(stream.starts) - 1, int(stream.starts[-1])
     inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
     sums, noise = np.zeros((K, 9, 7)), np.zeros((K, 3, 3, 3)) if with_noise else None
+    parts = _Parts(stream) if with_noise else None
     turned = np.zeros((K, 3))
     kept = np.empty((3, 3, n)) if stream.F is not None else np.empty((3, 3, 0))
     sequence_of = np.repeat(np.arange(K), np.diff(stream.starts))
@@ -173,21 +175,18 @@ def integrate(
         C_before = C[:, :, -1].copy()
         X = _times(C_mid, D)
         flat = X.reshape(9, -1)
-        V = np.empty((7, b - a))
-        V[:3] = theta
-        np.abs(theta, out=V[3:6])
-        V[6] = dt
+        V = np.concatenate([theta, np.abs(theta), dt[None]])
         F = None if stream.F is None else stream.F[a:b]
         if F is not None:
             kept[:, :, a:b] = C_mid
             V *= F
+        if parts is not None:
+            parts.add(flat * V[6], a)
         for k in range(int(k_of[0]), int(k_of[-1]) + 1):
             s, e = max(int(stream.starts[k]) - a, 0), min(int(stream.starts[k + 1]) - a, b - a)
             sums[k] += flat[:, s:e] @ V[:, s:e].T
             if noise is not None:
-                weight = dt[s:e] if F is None else dt[s:e] * F[s:e] ** 2
-                for c in range(3):
-                    noise[k, :, :, c] += (X[:, c, s:e] * weight) @ X[:, c, s:e].T
+                noise[k] += _outer(X[:, :, s:e], dt[s:e] if F is None else dt[s:e] * F[s:e] ** 2)
             s, e = max(int(stream.rotation[k, 0]) - a, 0), min(int(stream.rotation[k, 1]) - a, b - a)
             if e > s:
                 turned[k] += theta[:, s:e].sum(axis=1)
@@ -213,7 +212,30 @@ def integrate(
         _weight(stream),
         turned,
         noise,
+        None if parts is None else middle[:, None] @ parts.sums.reshape(3, 3, K, -1).transpose(2, 3, 0, 1),
     ), kept
+
+
+class _Parts:
+    """Sums of a 3x3 quantity over the parts of all rotations, shape (9, K P)."""
+
+    def __init__(self, stream: GyroStream) -> None:
+        inner = cut(stream.rotation, parts_per_turn(len(stream.rotation)))[:, 1:-1]
+        begins = np.concatenate([stream.starts[:-1, None], inner], axis=1).ravel()
+        self._edges = np.append(begins, stream.starts[-1])
+        self.sums = np.zeros((9, len(begins)))
+
+    def add(self, values: Array, first: int) -> None:
+        """Add samples, (9, m), from number ``first`` on."""
+        # By running sums: a part of a very short rotation may hold no sample.
+        running = np.zeros((9, values.shape[1] + 1))
+        np.cumsum(values, axis=1, out=running[:, 1:])
+        self.sums += np.diff(running[:, np.clip(self._edges - first, 0, values.shape[1])], axis=1)
+
+
+def _outer(X: Array, weight: Array) -> Array:
+    """Weighted sums over samples of the outer product of every column of X (3, 3, n), as [a, c, column]."""
+    return np.stack([(X[:, c] * weight) @ X[:, c].T for c in range(3)], axis=2)
 
 
 def _matrices(q: quaternion.Quaternions) -> Array:

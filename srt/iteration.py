@@ -116,7 +116,7 @@ class Iteration:
     ) -> None:
         self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
         self.held_sigma = held_sigma
-        self.noise: Array | None = None
+        self.noise: tuple[Array | None, Array | None] = None, None
         self.offset = np.zeros((data.K, 3))
         self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
@@ -149,7 +149,7 @@ class Iteration:
                 continue
             try:
                 if fresh:
-                    self.noise = playback.integrals.noise
+                    self.noise = playback.integrals.noise, playback.integrals.time_parts
                     weights = self._total(playback)
                 gain = self._gain(playback, self._rough(playback) if weights is None else weights, near=near)
                 if weights is not None:
@@ -173,7 +173,7 @@ class Iteration:
                     f"Converged after {len(self.before) + len(corrections)} play-backs.",
                 )
                 # The correction just made is a hundredth of a sigma: what it leaves of z is known without a replay.
-                integrals = replace(playback.integrals, noise=self.noise)
+                integrals = replace(playback.integrals, noise=self.noise[0], time_parts=self.noise[1])
                 final = replace(playback, z=playback.z - playback.H @ correction, integrals=integrals)
                 break
             if self.player.integrated is not playback.integrated:
@@ -292,10 +292,11 @@ class Iteration:
         by_held = playback.H * np.where(self.solver.held, self.held_sigma, 0.0)
         covariance["held_values"] = gain @ by_held @ by_held.T @ gain.T
         total = total + by_held @ by_held.T
-        # The bias reported is the unit's; that of this test is one draw of it.
-        for group, wander in (("gyro_bias", self.wander), ("accel_bias", self.data.noise.accel_wander)):
-            bias = np.arange(N_PARAMETERS)[GROUP_SLICES[group]]
-            covariance[f"{group}_instability"][bias, bias] += wander**2
+        if self.data.noise.gyro_flicker is None:
+            # The bias reported is the unit's; that of this test is one draw of it. A drift that is stated holds that
+            # already: what all windows have of it in common is an error of the bias and of nothing else.
+            bias = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
+            covariance["gyro_bias_instability"][bias, bias] += self.wander**2
         left = np.eye(len(playback.z)) - playback.H @ gain
         return Solution(
             errors,

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from srt.playback import Playback
     from srt.playback_data import PlaybackData
+    from srt.rotation_integrals import RotationIntegrals
 
     Array = NDArray[np.float64]
 
@@ -90,13 +91,22 @@ def bias_gain(playback: Playback, data: PlaybackData, mode: str, wander: Array) 
     """Share of a sequence's own rest rate to be taken as its bias, shape (3,).
 
     With a bias that differs from sequence to sequence by σ and rest rates known to s, the best linear estimate takes
-    the share σ² / (σ² + s²) of a sequence's own deviation and pools the rest.
+    the share σ² / (σ² + s²) of a sequence's own deviation and pools the rest. Where an instability is stated, the share
+    is the one that leaves least of the drift in the rotations: the bias goes on drifting after the window.
     """
     if mode != "auto":
         return np.full(3, 1.0 if mode == "per-sequence" else 0.0)
     if data.K < 2:
         return np.zeros(3)
     own = rest_rate_variance(playback, data)
+    if data.noise.gyro_flicker is not None:
+        rest = data.drift.windows
+        pooled = playback.pool @ rest
+        deviation = playback.share @ rest - pooled
+        shared = float(np.mean(np.sum((data.drift.turns - pooled) * deviation, axis=1)))
+        size = np.linalg.inv(playback.gyro.matrix) ** 2 @ data.noise.gyro_flicker**2
+        variance = size * float(np.mean(np.sum(deviation**2, axis=1))) + own
+        return np.clip(size * shared / np.maximum(variance, 1e-300), 0.0, 1.0)
     return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
@@ -156,7 +166,7 @@ def disturbances(
         Played with ``with_noise=True``.
     data : PlaybackData
     wander : ndarray, shape (3,), rad/s
-        One sigma of a sequence's gyro bias about the test's, raw channels.
+        One sigma of a sequence's gyro bias about the test's, raw channels, where no instability is stated.
     excess : (float, float)
         Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
     """
@@ -165,7 +175,6 @@ def disturbances(
     D_force = playback.accel.sensitivity(playback.force)
     white = noise.accel_white * np.sqrt(windows.white_factor)[:, None]
     edge = noise.accel_edge * np.sqrt(windows.edge_factor)[:, None]
-    fixed = np.broadcast_to(noise.accel_wander, (len(T), 3))
     up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
     return {
         "gyro_noise": _gyro_noise(playback, data),
@@ -173,7 +182,7 @@ def disturbances(
         "gyro_bias_instability": _instability(playback, data, wander),
         "accel_noise": Disturbance(force=_own_draw(D_force * white[:, None, :])),
         "accel_quantization": Disturbance(force=_own_draw(D_force * edge[:, None, :])),
-        "accel_bias_instability": Disturbance(force=_own_draw(D_force * fixed[:, None, :])),
+        "accel_bias_instability": _accel_drift(D_force, data),
         "earth_rate_alignment": _alignment(playback, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
         "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess[0] * np.eye(3), (data.K, 3, 3)))),
@@ -242,10 +251,38 @@ def _gyro_quantization(playback: Playback, data: PlaybackData) -> Disturbance:
 
 
 def _instability(playback: Playback, data: PlaybackData, wander: Array) -> Disturbance:
-    """A bias of its own in every sequence."""
-    D = np.linalg.inv(playback.gyro.matrix) * wander
-    own = _own_draw(np.broadcast_to(D, (data.K, 3, 3)))
+    """Drift of the bias as stated; a bias of its own in every sequence where the scatter of these shows one."""
+    D = np.asarray(np.linalg.inv(playback.gyro.matrix), dtype=np.float64)
+    if data.noise.gyro_flicker is not None:
+        return gyro_drift(data, playback.integrals, D)
+    own = _own_draw(np.broadcast_to(D * wander, (data.K, 3, 3)))
     return Disturbance(phi=_per_rate(playback) @ own, rate=own[playback.window_sequence])
+
+
+def gyro_drift(data: PlaybackData, integrals: RotationIntegrals, slope: Array) -> Disturbance:
+    """Bias instability of the gyros as stated, in rotations and windows.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    integrals : RotationIntegrals
+        Gathered with the parts of the time integral.
+    slope : ndarray, shape (3, 3) or (W, 3, 3)
+        Compensated rate of a unit bias of the raw channels.
+    """
+    if data.noise.gyro_flicker is None or integrals.time_parts is None:
+        raise ValueError("no instability is stated, or the play-back was made without its noise integrals")
+    phi = np.einsum("kpab,kpn->kabn", integrals.time_parts * data.noise.gyro_flicker, data.drift.parts)
+    slope = np.broadcast_to(slope * data.noise.gyro_flicker, (len(data.drift.windows), 3, 3))
+    rate = slope[:, :, :, None] * data.drift.windows[:, None, None, :]
+    return Disturbance(phi=phi.reshape(*phi.shape[:2], -1), rate=rate.reshape(*rate.shape[:2], -1))
+
+
+def _accel_drift(slope: Array, data: PlaybackData) -> Disturbance:
+    """Bias instability of the accelerometers in the windows; slope (W, 3, 3): compensated force of a unit bias."""
+    windows = data.drift.windows[:, : len(slope)]
+    force = (slope * data.noise.accel_flicker)[:, :, :, None] * windows[:, None, None, :]
+    return Disturbance(force=force.reshape(*force.shape[:2], -1))
 
 
 def _alignment(playback: Playback, data: PlaybackData) -> Disturbance:

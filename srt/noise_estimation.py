@@ -47,6 +47,10 @@ class NoiseModel:
         scatter of the windows is to show it.
     accel_wander : ndarray, shape (3,), m/s²
         Likewise of a window.
+    gyro_flicker : ndarray, shape (3,), rad/s, or None
+        Allan floor of the bias instability, from which :mod:`srt.flicker` makes the drift; None: not stated.
+    accel_flicker : ndarray, shape (3,), m/s²
+        Likewise; zero where it is not stated.
     estimated, floored : tuple of str
         Which figures come from the windows, and which had to be raised to a floor.
     """
@@ -57,6 +61,8 @@ class NoiseModel:
     accel_edge: Array
     gyro_wander: Array | None
     accel_wander: Array
+    gyro_flicker: Array | None
+    accel_flicker: Array
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
 
@@ -107,6 +113,8 @@ def noise_model(recording: Recording, windows: NDArray[np.intp]) -> NoiseModel:
         **figures,
         gyro_wander=None if instability is None else np.full(3, instability * spread),
         accel_wander=np.full(3, (stated.accel_bias_instability or 0.0) * spread),
+        gyro_flicker=None if instability is None else np.full(3, instability),
+        accel_flicker=np.full(3, stated.accel_bias_instability or 0.0),
         estimated=tuple(estimated),
         floored=tuple(floored),
     )

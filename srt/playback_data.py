@@ -12,6 +12,7 @@ from srt.attitude import GyroStream, gyro_stream
 from srt.catalogue import SEQUENCES, Sequence, axis_vector
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
+from srt.flicker import DriftDraws, drift_draws
 from srt.noise_estimation import NoiseModel, noise_model
 from srt.windows import Windows, average_windows, averaging_weights
 
@@ -111,6 +112,11 @@ class PlaybackData:
     def rotation(self) -> NDArray[np.intp]:
         """Samples of each rotation, first and one past the last, shape (K, 2)."""
         return np.stack([self.windows.samples[self.start, 1], self.windows.samples[self.end, 0]], axis=1)
+
+    @cached_property
+    def drift(self) -> DriftDraws:
+        """Unit draws of the drift that bias instability brings into windows and rotations."""
+        return drift_draws(self.windows.samples, self.rotation, self.recording.nominal_interval_s)
 
     def earth_rate_base(self) -> Array:
         """Known part of the Earth's rate in fixture base axes, rad/s.

@@ -49,6 +49,8 @@ class RotationIntegrals:
     noise : ndarray, shape (K, 3, 3, 3), or None
         ``∫ F² (Ĉ D)_ab (Ĉ D)_cb dt`` as [k, a, c, b], s: contracted with the squared angle random walk of the raw
         channels b it is the covariance of φ.
+    time_parts : ndarray, shape (K, P, 3, 3), or None
+        ``time`` of equal parts of the rotation, in their order; an integrated window goes with the part beside it.
     """
 
     C_end: Array
@@ -58,6 +60,7 @@ class RotationIntegrals:
     weight_s: Array
     turned: Array
     noise: Array | None = None
+    time_parts: Array | None = None
 
 
 def ideal_rotations(

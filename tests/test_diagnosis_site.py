@@ -18,7 +18,7 @@ from sims.imu import ImuModel
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of
-from srt.diagnosis.rest_evidence import flicker_covariance, rest_fit
+from srt.diagnosis.rest_evidence import rest_fit
 from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M  # registers its checks
 from srt.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
@@ -154,16 +154,6 @@ def test_rates_at_rest_are_taken_apart():
         fit.horizontal, level * np.array([math.cos(0.3), -math.sin(0.3)]), rtol=0.0, atol=2e-4 * EARTH_RATE_RAD_S
     )
     assert np.abs(fit.drift).max() < 2e-4 * EARTH_RATE_RAD_S
-
-
-@settings(max_examples=50, deadline=None)
-@given(length=st.floats(2.0, 1000.0), shift=st.floats(-1e5, 1e5))
-def test_flicker_has_its_allan_floor(length, shift):
-    """Half the mean square difference of neighbouring averages is one for all τ; decades ripple by 3 %."""
-    at = shift + length * np.arange(3.0)
-    covariance = flicker_covariance(at[:-1], at[1:])
-    assert covariance[0, 0] - covariance[0, 1] == pytest.approx(1.0, rel=0.04)
-    assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
 def label(a, b, **more):

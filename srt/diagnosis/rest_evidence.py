@@ -23,6 +23,7 @@ from scipy.linalg import solve_triangular
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.executed import end_attitude
+from srt.flicker import flicker_covariance
 from srt.playback_data import nominal_attitude
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 LEAST_FREEDOM: Final = 12
 """Residuals beyond the unknowns without which the scatter is not known."""
 _RANK: Final = 1e-3
-_DECADES: Final = range(-1, 5)
 _OUTLIER: Final = 8.0
 _MOST_OUTLIERS: Final = 0.2
 _MOST_WINDOWS: Final = 400
@@ -184,35 +184,6 @@ def _covariance(data: PlaybackData, start: Array, end: Array, *, known: bool) ->
     white = noise.gyro_white[:, None] ** 2 / T + 2.0 * (noise.gyro_edge[:, None] / T) ** 2
     white = white + (doubt * EARTH_RATE_RAD_S) ** 2
     out: Array = instability**2 * flicker_covariance(start, end) + white[:, :, None] * np.eye(len(T))
-    return out
-
-
-def flicker_covariance(start: Array, end: Array) -> Array:
-    """Covariance of averages of flicker noise with an Allan floor of one.
-
-    Flicker is taken as a sum of first-order processes whose correlation times lie a decade apart; each then has the
-    variance ``ln 10 / (2 ln 2)``.
-
-    Parameters
-    ----------
-    start, end : ndarray, shape (W,), s
-        Of the averages.
-
-    Returns
-    -------
-    ndarray, shape (W, W)
-    """
-    T = end - start
-    gap = np.maximum(0.0, np.maximum(start[:, None] - end, start - end[:, None]))
-    out = np.zeros((len(T), len(T)))
-    for decade in _DECADES:
-        x = T / 10.0**decade
-        mean = -np.expm1(-x) / x
-        own = np.where(x < 1e-4, 1.0, 2.0 * (x + np.expm1(-x)) / np.maximum(x, 1e-4) ** 2)
-        part = np.exp(-gap / 10.0**decade) * np.outer(mean, mean)
-        np.fill_diagonal(part, own)
-        out += part
-    out *= np.log(10.0) / (2.0 * np.log(2.0))
     return out
 
 

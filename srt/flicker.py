@@ -1,0 +1,140 @@
+"""Bias instability: how the bias of one stretch of time goes with that of another.
+
+Flicker noise with the Allan floor B has the two-sided spectrum ``B² / (4 ln 2 |f|)``. It is taken as a sum of
+first-order processes whose correlation times lie a decade apart, each of variance ``B² ln 10 / (2 ln 2)``, which the
+spectrum follows to a few per cent between the fastest and the slowest of them. Averages of such processes over any
+intervals have a covariance in closed form. They are far from independent: what is slower than the test is the same in
+all windows, and neighbours differ by √2 B however long they are.
+
+What is slower than a test cannot be told from the bias itself, which is why the processes end there: their sum has the
+mean zero, and the constant that it is added to is the bias of the unit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+CORRELATION_TIMES_S: Final = tuple(10.0**decade for decade in range(-1, 5))
+"""Correlation times of all processes."""
+_SLOWEST_S: Final = 1000.0
+_MOST_PARTS: Final = 6
+_PARTS_IN_ALL: Final = 400
+_ROUNDING: Final = 1e-12
+
+
+def correlation_times(span_s: float) -> tuple[float, ...]:
+    """Correlation times that matter in a test of a given length: to 1000 s, or to the power of ten nearest to it."""
+    slowest = max(_SLOWEST_S, 10.0 ** round(math.log10(max(span_s, 1.0))))
+    return tuple(tau for tau in CORRELATION_TIMES_S if tau < 1.5 * slowest)
+
+
+def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORRELATION_TIMES_S) -> Array:
+    """Covariance of averages of flicker noise with an Allan floor of one.
+
+    Parameters
+    ----------
+    start, end : ndarray, shape (n,), s
+        Of the averages; they may overlap, touch or lie apart.
+    times_s : sequence of float, s
+        Correlation times of the processes, a decade apart.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+    """
+    # An interval without length is a value at its time; a length of rounding does for it.
+    T = np.maximum(end - start, 1e-9)
+    gap = np.maximum(start[:, None] - end, start - end[:, None])
+    i, j = np.nonzero(gap < 0.0)
+    out = np.zeros((len(T), len(T)))
+    for tau in times_s:
+        x = T / tau
+        mean = -np.expm1(-x) / x
+        part = np.exp(-np.maximum(gap, 0.0) / tau) * np.outer(mean, mean)
+        # Where they overlap: the second integral of the correlation, at the four differences of their ends.
+        part[i, j] = (
+            _twice_integrated(end[i] - start[j], tau)
+            - _twice_integrated(start[i] - start[j], tau)
+            - _twice_integrated(end[i] - end[j], tau)
+            + _twice_integrated(start[i] - end[j], tau)
+        ) / (T[i] * T[j])
+        out += part
+    out *= math.log(10.0) / (2.0 * math.log(2.0))
+    return out
+
+
+def _twice_integrated(t: Array, tau: float) -> Array:
+    """∫∫ exp(−|t| / τ), even in t and zero with its slope at zero."""
+    x = np.abs(t) / tau
+    # The series where the terms cancel.
+    out: Array = tau**2 * np.where(x < 1e-3, x**2 * (0.5 - x / 6.0 + x**2 / 24.0), x + np.expm1(-x))
+    return out
+
+
+def parts_per_turn(turns: int) -> int:
+    """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment."""
+    return int(np.clip(_PARTS_IN_ALL // max(turns, 1), 1, _MOST_PARTS))
+
+
+def cut(spans: NDArray[np.intp], parts: int) -> NDArray[np.intp]:
+    """Ends of equal parts of sample spans (K, 2), shape (K, parts + 1)."""
+    out: NDArray[np.intp] = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * np.arange(parts + 1) // parts
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftDraws:
+    """Unit draws of the drift of one sensor with an Allan floor of one, the same for all that it acts on.
+
+    Attributes
+    ----------
+    windows : ndarray, shape (W, n)
+        Mean drift of every window; of its columns only the first W are not zero.
+    parts : ndarray, shape (K, P, n)
+        Of every part of every rotation.
+    part_s : ndarray, shape (K, P), s
+        Lengths of the parts.
+    """
+
+    windows: Array
+    parts: Array
+    part_s: Array
+
+    @property
+    def turns(self) -> Array:
+        """Mean drift of every rotation, shape (K, n)."""
+        share = self.part_s / self.part_s.sum(axis=1, keepdims=True)
+        return np.asarray(np.einsum("kp,kpn->kn", share, self.parts))
+
+
+def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], interval_s: float) -> DriftDraws:
+    """Draws of the drift of the windows and rotations of a recording.
+
+    Parameters
+    ----------
+    windows, rotation : ndarray of int, shape (W, 2) and (K, 2)
+        First sample and one past the last.
+    interval_s : float
+        Times are sample numbers times this: where recordings were joined, the pause between them is left out. A
+        correlation falls with the logarithm of the distance, so that pauses like the test itself matter little.
+    """
+    edges = cut(rotation, parts_per_turn(len(rotation))) * interval_s
+    start = np.concatenate([windows[:, 0] * interval_s, edges[:, :-1].ravel()])
+    end = np.concatenate([windows[:, 1] * interval_s, edges[:, 1:].ravel()])
+    covariance = flicker_covariance(start, end, correlation_times(float(end.max() - start.min())))
+    root: Array = np.asarray(
+        np.linalg.cholesky(covariance + _ROUNDING * np.diag(np.diag(covariance))), dtype=np.float64
+    )
+    W, part_s = len(windows), np.diff(edges, axis=1)
+    return DriftDraws(root[:W], root[W:].reshape(*part_s.shape, -1), part_s)
