@@ -18,7 +18,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping  # noqa: TC003 - pydantic reads it
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 
     from srt.planning.plan import Plan
 
-_EXPECTED_WINDOW_S: Final = 10.0
-_EXPECTED_TEST_S: Final = 900.0
 _Count = Annotated[int, Field(strict=True, ge=1)]
 
 
@@ -190,9 +188,6 @@ class PlanFile(Table):
     def conditions(self) -> Conditions:
         """Noise of the unit, site and fixture in the planner's terms."""
         noise, site = self.imu.noise.si(), self.site.site()
-        expected = self.plan.total_time_s or _EXPECTED_TEST_S
-        # What averages over a window scatter by within the test, in units of the Allan floor.
-        spread = math.sqrt(max(1.0, math.log(expected / _EXPECTED_WINDOW_S) / (2.0 * math.log(2.0))))
         pulse = math.sqrt(12.0)
         assert site.latitude_rad is not None
         return Conditions(
@@ -200,8 +195,9 @@ class PlanFile(Table):
             accel_white=noise["accel_noise"],
             gyro_edge=noise["gyro_quantization"] / pulse,
             accel_edge=noise["accel_quantization"] / pulse,
-            gyro_wander=noise["gyro_bias_instability"] * spread,
-            accel_wander=noise["accel_bias_instability"] * spread,
+            gyro_instability=noise["gyro_bias_instability"],
+            accel_instability=noise["accel_bias_instability"],
+            **({} if self.plan.total_time_s is None else {"test_s": self.plan.total_time_s}),
             latitude_rad=site.latitude_rad,
             heading_rad=self.fixture.heading_deg * DEG,
             gravity_m_s2=site.gravity_m_s2,

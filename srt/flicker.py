@@ -138,3 +138,57 @@ def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], interval_
     )
     W, part_s = len(windows), np.diff(edges, axis=1)
     return DriftDraws(root[:W], root[W:].reshape(*part_s.shape, -1), part_s)
+
+
+def shares_within(spacing_s: float) -> Array:
+    """Share of every process that is new after a while, shape (number of processes,).
+
+    What is left is the same before and after, as the bias is.
+    """
+    return np.asarray(-np.expm1(-spacing_s / np.array(CORRELATION_TIMES_S)))
+
+
+def common_variance(spacing_s: float, test_s: float) -> float:
+    """Variance, for an Allan floor of one, of the mean over a test of what is not new after a while.
+
+    Parameters
+    ----------
+    spacing_s : float
+        As for :func:`shares_within`.
+    test_s : float
+        Length of the test, s.
+    """
+    times = correlation_times(test_s)
+    old = 1.0 - shares_within(spacing_s)[: len(times)]
+    own = [2.0 * float(_twice_integrated(np.array(test_s), tau)) / test_s**2 for tau in times]
+    return float(old @ np.array(own)) * math.log(10.0) / (2.0 * math.log(2.0))
+
+
+def adjoining_covariance(lengths_s: Array, shares: Array) -> Array:
+    """Covariance of averages over intervals that follow each other, for many such rows of intervals at once.
+
+    Parameters
+    ----------
+    lengths_s : ndarray, shape (n, m), s
+        Positive lengths of m intervals, each beginning where the one before ends.
+    shares : ndarray, shape (number of processes,)
+        Of every process's variance that counts.
+
+    Returns
+    -------
+    ndarray, shape (n, m, m)
+    """
+    n, m = lengths_s.shape
+    ends = np.cumsum(lengths_s, axis=1)
+    gap = np.maximum(ends[:, None, :] - lengths_s[:, None, :] - ends[:, :, None], 0.0)
+    gap = gap + np.swapaxes(gap, 1, 2)
+    out = np.zeros((n, m, m))
+    for tau, share in zip(CORRELATION_TIMES_S, shares.tolist(), strict=True):
+        x = lengths_s / tau
+        mean = -np.expm1(-x) / x
+        part = np.exp(-gap / tau) * mean[:, :, None] * mean[:, None, :]
+        own = 2.0 * _twice_integrated(lengths_s, tau) / lengths_s**2
+        part[:, np.arange(m), np.arange(m)] = own
+        out += share * part
+    out *= math.log(10.0) / (2.0 * math.log(2.0))
+    return out

@@ -20,10 +20,11 @@ from srt.catalogue import AXES
 from srt.compensation import accel_triad, gyro_triad
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
+from srt.flicker import adjoining_covariance, common_variance, shares_within
 from srt.planning.candidates import down_axis, outer_axis
 from srt.planning.stand import INNER
 from srt.rotation_integrals import ideal_rotations
-from srt.sensor_errors import N_PARAMETERS, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,6 +45,10 @@ COMPONENTS: Final = (
     *(f"rate {axis} at {end}" for end in ("start", "end") for axis in AXES),
 )  # fmt: skip
 N_ROWS: Final = len(COMPONENTS)
+SPACING_S: Final = 60.0
+"""About the time from one sequence to the next. Drift that is not new after it counts as the bias of the whole test. A
+rough figure does, as drift goes with the logarithm of time: for Table 1 sigmas are then within some per cent of those
+from the covariance of the drift over the whole test, of accelerometer bias and asymmetry within a quarter."""
 _H, _DOWN, _START_RATE, _END_RATE = slice(0, 2), slice(2, 4), slice(4, 7), slice(7, 10)
 SOURCES: Final = (
     "gyro_noise",
@@ -67,8 +72,10 @@ class Conditions:
         Random walk of the integral, rad/√s and m/s²·√s.
     gyro_edge, accel_edge : float
         Error of one reading of the integral, rad and m/s.
-    gyro_wander, accel_wander : float
-        Bias of a sequence about the test's, rad/s; of a window, m/s².
+    gyro_instability, accel_instability : float
+        Floor of the Allan deviation of the bias, rad/s and m/s².
+    test_s : float
+        About how long the test will be, s: for the drift within it.
     latitude_rad, heading_rad : float
         Of the site; of the table x axis, clockwise from north.
     gravity_m_s2, gravity_sigma_m_s2 : float
@@ -85,10 +92,11 @@ class Conditions:
     accel_white: float
     gyro_edge: float = 0.0
     accel_edge: float = 0.0
-    gyro_wander: float = 0.0
-    accel_wander: float = 0.0
+    gyro_instability: float = 0.0
+    accel_instability: float = 0.0
     latitude_rad: float = math.pi / 4.0
     heading_rad: float = 0.0
+    test_s: float = 900.0
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
     gravity_sigma_m_s2: float = 5e-6
     alignment_sigma_rad: float = 1e-3
@@ -112,6 +120,14 @@ class Conditions:
         north = EARTH_RATE_RAD_S * math.cos(self.latitude_rad)
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return np.array([north * c, -north * s, -EARTH_RATE_RAD_S * math.sin(self.latitude_rad)])
+
+    def drift_variance(self) -> Array:
+        """Variance of each parameter that no test takes away, shape (27,): the bias of a test is not the unit's."""
+        out = np.zeros(N_PARAMETERS)
+        common = common_variance(SPACING_S, self.test_s)
+        for sensor, floor in (("gyro", self.gyro_instability), ("accel", self.accel_instability)):
+            out[GROUP_SLICES[f"{sensor}_bias"]] = floor**2 * common
+        return out
 
     def prior(self) -> Array:
         """Information on the unknowns before the test, shape (N_UNKNOWNS,): none on the sensor errors."""
@@ -189,18 +205,19 @@ class Signatures:
         tilt_T = np.swapaxes(self._tilt, 1, 2)
         turning = np.zeros((K, N_ROWS, N_ROWS))
         turning[:, _H, _H] = self._tilt @ self.integrals.noise.sum(axis=3) @ tilt_T * c.gyro_white**2
-        bias = np.zeros((K, N_ROWS, 3))
-        bias[:, _H] = self._tilt @ self.integrals.time
-        bias[:, _START_RATE] = bias[:, _END_RATE] = np.eye(3)
+        bias = np.zeros((K, 3, N_ROWS, 3))
+        bias[:, 0, _START_RATE] = bias[:, 2, _END_RATE] = np.eye(3)
+        bias[:, 1, _H] = self._tilt @ self.integrals.time
         force = np.zeros((K, 2, N_ROWS, 3))
         force[:, 0, _H], force[:, 1, _H] = -self.basis, self.basis @ C
         force[:, 0, 2], force[:, 1, 3] = -self._up[:, 0], -self._up[:, 1]
         heading = self._own_heading[:, None] * self._by_north
         return {
             "gyro_noise": turning,
-            "gyro_bias_instability": c.gyro_wander**2 * bias @ np.swapaxes(bias, 1, 2),
             "earth_rate_alignment": heading[:, :, None] * heading[:, None, :],
-            "force": force @ np.swapaxes(force, 2, 3),
+            # Products of what the draws of two stretches of time do: start window, turn, end window.
+            "bias": np.einsum("kiac,kjbc->kijab", bias, bias),
+            "force": np.einsum("kiac,kjbc->kijab", force, force),
         }
 
     def covariances(self, start_s: ArrayLike, end_s: ArrayLike, which: Array | None = None) -> dict[str, Array]:
@@ -219,14 +236,17 @@ class Signatures:
         gyro = self._fixed["gyro_noise"][k]
         for rows, t in zip((_START_RATE, _END_RATE), T, strict=True):
             gyro[:, rows, rows] += (c.gyro_white**2 / t)[:, None, None] * np.eye(3)
-        force = self._fixed["force"][k]
+        force, own = self._fixed["force"][k], self.own_s[k]
+        drift = adjoining_covariance(np.stack([T[0], np.maximum(own, 1e-6), T[1]], axis=1), shares_within(SPACING_S))
+        white = np.einsum("nwwab->nwab", force)
         return {
             "gyro_noise": gyro,
             "gyro_quantization": self._edges(k, T),
-            "gyro_bias_instability": self._fixed["gyro_bias_instability"][k],
-            "accel_noise": np.einsum("wn,nwab->nab", c.accel_white**2 / T, force),
-            "accel_quantization": np.einsum("wn,nwab->nab", 2.0 * (c.accel_edge / T) ** 2, force),
-            "accel_bias_instability": c.accel_wander**2 * force.sum(axis=1),
+            "gyro_bias_instability": c.gyro_instability**2 * np.einsum("nij,nijab->nab", drift, self._fixed["bias"][k]),
+            "accel_noise": np.einsum("wn,nwab->nab", c.accel_white**2 / T, white),
+            "accel_quantization": np.einsum("wn,nwab->nab", 2.0 * (c.accel_edge / T) ** 2, white),
+            "accel_bias_instability": c.accel_instability**2
+            * np.einsum("nij,nijab->nab", drift[:, [0, 2]][:, :, [0, 2]], force),
             "earth_rate_alignment": self._fixed["earth_rate_alignment"][k],
         }
 

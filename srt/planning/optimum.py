@@ -1,9 +1,10 @@
 """The best test of a given length if sequences could be run any fraction of a time, with a proof of how good it is.
 
 Minimise over weights w ≥ 0 (how often each column, a sequence with its windows, is run) with ``Σ c w ≤ T`` the largest
-of ``log g_i(w)``, where ``g_i = [M(w)⁻¹]_ii`` is the variance of parameter i over that of its target and
-``M(w) = M_0 + Σ w_j M_j`` is linear. ``1 / g_i`` is concave in M, so that ``log g_i`` is convex: what a local method
-finds is the optimum, and every point bounds it from below. With weights λ of the parameters (λ ≥ 0, Σ λ = 1)::
+of ``log g_i(w)``, where ``g_i = [M(w)⁻¹]_ii + f_i`` is the variance of parameter i over that of its target, f_i is
+constant, and ``M(w) = M_0 + Σ w_j M_j`` is linear. ``1 / [M⁻¹]_ii`` is concave in M, so that ``log g_i`` is convex:
+what a local method finds is the optimum, and every point bounds it from below. With weights λ of the parameters (λ ≥ 0,
+Σ λ = 1)::
 
     min max_i log g_i  ≥  Σ_i λ_i (log g_i(w) + Σ_j d_ij w_j) − T max_j Σ_i λ_i d_ij / c_j,   d_ij = −∂ log g_i / ∂w_j
 
@@ -51,12 +52,15 @@ class Columns:
         Information that is there without any column.
     targets : ndarray of int, shape (q,)
         Unknowns that count.
+    floor : ndarray, shape (q,)
+        Variance of each target that nothing takes away.
     """
 
     rows: Array
     cost_s: Array
     prior: Array
     targets: Indices
+    floor: Array
 
     def information(self, which: Indices, weight: Array) -> Array:
         """``M(w)`` for weights of some columns, shape (p, p)."""
@@ -67,7 +71,7 @@ class Columns:
         """``g_i`` and the columns of M⁻¹ that belong to the targets, shapes (q,) and (p, q)."""
         scale = 1.0 / np.sqrt(np.diag(M))
         inverse = np.linalg.inv(M * np.outer(scale, scale)) * np.outer(scale, scale)
-        return np.diag(inverse)[self.targets], inverse[:, self.targets]
+        return np.diag(inverse)[self.targets] + self.floor, inverse[:, self.targets]
 
     def gains(self, X: Array, g: Array, which: Indices | None = None) -> Array:
         """``−∂ log g_i / ∂w_j``, shape (J or n, q)."""

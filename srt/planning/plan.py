@@ -218,11 +218,13 @@ def check_targets(targets: Array) -> None:
 
 def _judge(signatures: Signatures, targets: Array, limits: Limits) -> Judge:
     scale = units(targets)
+    counted = np.flatnonzero(np.isfinite(targets))
     return Judge(
         signatures,
         scale,
         prior_information(signatures.conditions, scale),
-        np.flatnonzero(np.isfinite(targets)),
+        counted,
+        signatures.conditions.drift_variance()[counted] / targets[counted] ** 2,
         limits.shortest_window_s,
         limits.longest_window_s,
     )
@@ -249,7 +251,7 @@ class _Task:
         # Moves are left out: with them no plan is shorter, and the bound holds for any order.
         self.least_s = stand.pause_s + stand.settle_s
         cost = (2.0 * self.grid[:, None] + self.signatures.own_s + self.least_s).ravel()
-        self.coarse = Columns(rows, cost, self.judge.prior, self.judge.targets)
+        self.coarse = Columns(rows, cost, self.judge.prior, self.judge.targets, self.judge.floor)
 
     def tell(self, what: str, count: int, gap: float) -> None:
         if self._progress is not None:
@@ -291,7 +293,7 @@ class _Task:
         sequence, windows = np.repeat(near, len(pairs)), np.tile(pairs, (len(near), 1))
         rows = self.signatures.whitened(windows[:, 0], windows[:, 1], sequence) * self.judge.scale
         cost = windows.sum(axis=1) + self.signatures.own_s[sequence] + self.least_s
-        added = Columns(rows, cost, self.judge.prior, self.judge.targets)
+        added = Columns(rows, cost, self.judge.prior, self.judge.targets, self.judge.floor)
         g, X = self.coarse.variances(self.coarse.information(coarse.which, coarse.weight))
         worth = added.gains(X, g) @ coarse.weights / cost
         good = np.argsort(-worth)[:_FINE_COLUMNS]
@@ -300,6 +302,7 @@ class _Task:
             np.concatenate([self.coarse.cost_s, cost[good]]),
             self.judge.prior,
             self.judge.targets,
+            self.judge.floor,
         )
         every = np.tile(np.arange(K), len(self.grid))
         equal = np.repeat(self.grid, K)
@@ -382,8 +385,8 @@ class _Task:
             k = int(self.judge.targets[np.argmax(g)])
             raise DataError(
                 f"The target of {NAMES[k]} is out of reach however long the test is: {math.sqrt(g.max()):.3g} times "
-                "the target remains of the uncertainty of gravity and north, which no sequence takes away; measure "
-                "gravity better (gravity_sigma_m_s2), or take a larger target."
+                "the target remains of the uncertainty of gravity and north and of the drift of the unit, which no "
+                "sequence takes away; measure gravity better (gravity_sigma_m_s2), or take a larger target."
             )
 
     def _least_relaxed_time(self) -> tuple[float, Relaxed]:

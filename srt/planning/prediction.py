@@ -126,12 +126,17 @@ def predict(
     if known is not None:
         rest = known * np.outer(scale, scale) - np.diag(before)
         sources["test_so_far"] = np.sqrt(np.maximum(np.diag(P @ rest @ P), 0.0)) * scale
-    seen = np.sqrt(np.diag(P)) < _UNSEEN
-    sigma = np.where(seen, np.sqrt(np.diag(P)) * scale, math.inf)
+    seen = (np.sqrt(np.diag(P)) < _UNSEEN)[:N_PARAMETERS]
+    drift = conditions.drift_variance()
+    for sensor in ("gyro", "accel"):
+        part = np.zeros(N_UNKNOWNS)
+        part[GROUP_SLICES[f"{sensor}_bias"]] = np.sqrt(drift[GROUP_SLICES[f"{sensor}_bias"]])
+        sources[f"{sensor}_bias_instability"] = np.hypot(sources[f"{sensor}_bias_instability"], part)
+    covariance = (P * np.outer(scale, scale))[:N_PARAMETERS, :N_PARAMETERS] + np.diag(drift)
     return Prediction(
-        (P * np.outer(scale, scale))[:N_PARAMETERS, :N_PARAMETERS],
-        sigma[:N_PARAMETERS],
-        {name: np.where(seen, values, math.inf)[:N_PARAMETERS] for name, values in sources.items()},
+        covariance,
+        np.where(seen, np.sqrt(np.diag(covariance)), math.inf),
+        {name: np.where(seen, values[:N_PARAMETERS], math.inf) for name, values in sources.items()},
         tuple(_needed_for(prior + each.sum(axis=0) - one, P, wanted) for one in each),
     )
 

@@ -57,6 +57,8 @@ class Judge:
     prior : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS)
         Information beforehand, in these units.
     targets : ndarray of int
+    floor : ndarray, shape (q,)
+        Variance of each target that nothing takes away.
     shortest_s, longest_s : float
         Limits of a window.
     """
@@ -65,6 +67,7 @@ class Judge:
     scale: Array
     prior: Array
     targets: Indices
+    floor: Array
     shortest_s: float
     longest_s: float
 
@@ -81,7 +84,7 @@ class Judge:
 
     def variances(self, M: Array) -> Array:
         """Variances of the targets over theirs squared, shape (..., q)."""
-        return np.asarray(np.einsum("...aa->...a", self.inverse(M))[..., self.targets])
+        return np.asarray(np.einsum("...aa->...a", self.inverse(M))[..., self.targets] + self.floor)
 
     def ratio(self, which: Indices, windows_s: Array) -> float:
         """Largest sigma over its target."""
@@ -108,7 +111,7 @@ class Judge:
             windows = x[: 2 * n].reshape(n, 2)
             M = self.prior + self.information(which, windows).sum(axis=0)
             inverse = self.inverse(M)
-            g, X = np.diag(inverse)[self.targets], inverse[:, self.targets]
+            g, X = np.diag(inverse)[self.targets] + self.floor, inverse[:, self.targets]
             slopes = np.empty((len(self.targets), n, 2))
             for end in range(2):
                 h = np.zeros((n, 2))
