@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 GAP: Final = 0.01
 """The search ends when the bound is this close, as a share of sigma."""
 _MOST_ROUNDS: Final = 60
-_FIRST_PER_TARGET: Final = 6
-_ADDED_PER_ROUND: Final = 25
-_NO_SHARE: Final = 1e-7
+_FIRST_PER_TARGET: Final = 3
+_ADDED_PER_ROUND: Final = 20
+_NO_SHARE: Final = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from srt.planning.stand import Stand
 
 _MOST_PASSES: Final = 100
+_STARTS: Final = 6
 
 
 def best_order(candidates: Sequence[Candidate], stand: Stand) -> tuple[tuple[int, ...], tuple[Candidate, ...], float]:
@@ -37,8 +38,8 @@ def best_order(candidates: Sequence[Candidate], stand: Stand) -> tuple[tuple[int
 
     Notes
     -----
-    Nearest neighbours from every first sequence, then single sequences and runs are shifted and turned round until
-    nothing improves: a local search, as the problem is a travelling salesman's.
+    Nearest neighbours from every first sequence; of the best of these paths, runs of sequences are shifted and turned
+    round until nothing improves: a local search, as the problem is a travelling salesman's.
     """
     n = len(candidates)
     if n == 0:
@@ -50,8 +51,8 @@ def best_order(candidates: Sequence[Candidate], stand: Stand) -> tuple[tuple[int
         for j in range(n):
             if i != j:
                 cost[i, j] = min(stand.move_s(a.end_deg, b.start_deg) for a in ways[i] for b in ways[j])
-    paths = [_improved(_nearest(first, cost), cost) for first in range(n)]
-    path = min(paths, key=lambda p: _length(p, cost))
+    paths = sorted((_nearest(first, cost) for first in range(n)), key=lambda p: _length(p, cost))
+    path = min((_improved(p, cost) for p in paths[:_STARTS]), key=lambda p: _length(p, cost))
     chosen, total = _angles([ways[i] for i in path], stand)
     return tuple(path), chosen, total
 
@@ -70,22 +71,19 @@ def _length(path: Sequence[int], cost: NDArray[np.float64]) -> float:
 
 
 def _improved(path: list[int], cost: NDArray[np.float64]) -> list[int]:
-    """Shift runs of up to three sequences, and turn runs round, while that shortens the path."""
-    best = _length(path, cost)
+    """Shift runs of up to three sequences, and turn runs round, while that shortens the path; the best change first."""
     for _ in range(_MOST_PASSES):
-        found = False
-        for trial in _neighbours(path):
-            length = _length(trial, cost)
-            if length < best - 1e-9:
-                path, best, found = trial, length, True
-                break
-        if not found:
+        trials = np.array(_neighbours(path))
+        lengths = cost[trials[:, :-1], trials[:, 1:]].sum(axis=1)
+        best = int(np.argmin(lengths))
+        if lengths[best] > _length(path, cost) - 1e-9:
             return path
+        path = trials[best].tolist()
     return path
 
 
 def _neighbours(path: list[int]) -> list[list[int]]:
-    n, out = len(path), []
+    n, out = len(path), [path]
     for size in (1, 2, 3):
         for i in range(n - size + 1):
             run, rest = path[i : i + size], path[:i] + path[i + size :]

@@ -1,0 +1,116 @@
+"""What planning gains over Table 1, and whether simulated units agree.
+
+``python benchmarks/planning.py`` plans every shipped plan file and prints the worst sigma over target of the plan, of
+Table 1 in the same time (best order, best windows, same moves and waits), the bound, and the time in which a plan does
+what Table 1 does. ``--simulate N`` simulates N units on the schedule of the plan and on that of Table 1, each with
+errors, fixture and noise of its own, calibrates them by the optimum, and prints observed errors over targets, and
+predicted over observed sigma.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import math
+import time
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import sims
+import srt
+from sims.library import names
+from sims.plan_file import PlanFile, load_plan_file
+from srt.planning.plan import Plan, make_plan, table_1_plan
+from srt.sensor_errors import NAMES
+
+console = Console(width=120)
+SEED = 41000
+"""Of the first simulated unit."""
+
+
+def planned(file: PlanFile) -> tuple[Plan, Plan, float]:
+    """The plan, Table 1 in the same time, and how long planning took, s."""
+    began = time.perf_counter()
+    stand, conditions, targets = file.stand.stand(), file.conditions(), file.targets.sigma()
+    plan = make_plan(stand, conditions, targets, total_s=file.plan.total_time_s, limits=file.plan.limits())
+    spent = time.perf_counter() - began
+    return plan, table_1_plan(stand, conditions, targets, file.plan.total_time_s, file.plan.limits()), spent
+
+
+def least_time(file: PlanFile, table_1: Plan) -> Plan:
+    """The shortest plan in which every target is met as well as by the worst of Table 1."""
+    targets = file.targets.sigma() * table_1.ratio
+    return make_plan(file.stand.stand(), file.conditions(), targets, limits=file.plan.limits())
+
+
+def observed(file: PlanFile, plan: Plan, estimator: str, units: int, title: str) -> np.ndarray:
+    """Rms error of simulated units, shape (27,), SI."""
+    squares = np.zeros(len(NAMES))
+    scenario = file.scenario(plan)
+    for k in track(range(units), title, console=Console(stderr=True), transient=True):
+        simulation = sims.simulate(scenario.model_copy(update={"seed": SEED + k}))
+        found = srt.calibrate(simulation.recording, estimator)
+        if found.status != "converged":
+            raise SystemExit(f"{title}: unit {SEED + k} ended {found.status}: {found.message}")
+        squares += (found.errors.vector - simulation.truth.vector) ** 2
+    return np.sqrt(squares / units)
+
+
+def without_gravity(plan: Plan) -> np.ndarray:
+    """Predicted sigma without the uncertainty of gravity, which the simulator does not draw."""
+    return np.sqrt(plan.prediction.sigma**2 - plan.prediction.sources["gravity"] ** 2)
+
+
+def compare(file: PlanFile, plan: Plan, table_1: Plan, estimator: str, units: int) -> None:
+    targets = file.targets.sigma()
+    counted = np.isfinite(targets)
+    error = 1.0 / math.sqrt(2.0 * units)
+    worst = []
+    for title, one in (("plan", plan), ("Table 1", table_1)):
+        rms = observed(file, one, estimator, units, title)
+        ratio = without_gravity(one) / rms
+        worst.append(float((rms / targets)[counted].max()))
+        k = int(np.nanargmax(np.where(counted, rms / targets, np.nan)))
+        console.print(
+            f"  {title}: {units} units by {estimator}: worst observed error {NAMES[k]} at {worst[-1]:.3f} of its target; "
+            f"predicted over observed sigma {ratio[counted].min():.3f} to {ratio[counted].max():.3f} "
+            f"({error:.3f} standard error each)"
+        )
+    console.print(f"  observed: the plan is {100.0 * (1.0 - worst[0] / worst[1]):.0f} % better")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("plans", nargs="*", default=names("plan"), help="names or paths of plan files; default: all")
+    parser.add_argument("--simulate", type=int, default=0, metavar="N", help="units on each schedule")
+    parser.add_argument("--estimator", default="least-squares")
+    parser.add_argument("--no-time", action="store_true", help="leave the least time out")
+    options = parser.parse_args()
+    table = Table(
+        "plan file", "plan", "Table 1", "better", "bound", "at most", "sequences", "time for the same", "planning"
+    )
+    for name in options.plans:
+        file = load_plan_file(name)
+        plan, table_1, spent = planned(file)
+        shortest = None if options.no_time else least_time(file, table_1)
+        saved = "" if shortest is None else (
+            f"{shortest.total_s:.0f} s, {100.0 * (1.0 - shortest.total_s / table_1.total_s):.0f} % less"
+        )  # fmt: skip
+        table.add_row(
+            name, f"{plan.ratio:.3f}", f"{table_1.ratio:.3f}", f"{100.0 * (1.0 - plan.ratio / table_1.ratio):.0f} %",
+            f"{plan.bound:.3f}", f"{100.0 * (1.0 - plan.bound / table_1.ratio):.0f} %", str(len(plan.candidates)),
+            saved, f"{spent:.0f} s",
+        )  # fmt: skip
+        if options.simulate:
+            console.print(name)
+            compare(file, plan, table_1, options.estimator, options.simulate)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,306 @@
+"""Plans: the optimum and its bound, predicted accuracy against estimators and simulated units, and what is out of reach."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sims
+import srt
+from sims.plan_file import load_plan_file
+from srt.catalogue import SEQUENCES
+from srt.exceptions import DataError, InputError
+from srt.planning.candidates import from_catalogue
+from srt.planning.document import timetable
+from srt.planning.information import N_UNKNOWNS, Conditions
+from srt.planning.next_sequence import known_information, next_sequences
+from srt.planning.optimum import Columns, relaxed_optimum
+from srt.planning.plan import Limits, make_plan, table_1_plan
+from srt.planning.prediction import predict
+from srt.planning.stand import Stand, StandAxis
+from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
+
+QUICK = Limits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=720, most_legs=4)
+STAND = Stand(StandAxis(1.0, 10.0), StandAxis(1.0, 10.0), settle_s=0.5, pause_s=0.5)
+WHITE = {"gyro_noise_deg_per_sqrt_h": 0.0667, "accel_noise_ug_per_sqrt_hz": 60.0}
+
+
+def file_of(noise=None, **stand):
+    """A shipped plan file with another fixture's freedom; ``noise`` replaces all figures of the unit."""
+    base = load_plan_file("tactical-equal")
+    imu = base.imu if noise is None else base.imu.model_copy(update={"noise": type(base.imu.noise)(**noise)})
+    recording = base.recording.model_copy(update={"sample_rate_hz": 50.0})
+    figures = {"settle_s": 0.5, "pause_s": 0.5, "acceleration_rad_s2": 10.0, **stand}
+    return base.model_copy(update={"imu": imu, "stand": base.stand.model_copy(update=figures), "recording": recording})
+
+
+@pytest.fixture(scope="module")
+def white():
+    """A plan for a unit of white noise, with its file."""
+    file = file_of(WHITE)
+    plan = make_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), total_s=300.0, limits=QUICK)
+    return file, plan
+
+
+def columns_of(strengths, costs):
+    """Columns that each tell of one unknown."""
+    q = len(strengths)
+    rows = np.zeros((q, 1, q))
+    rows[np.arange(q), 0, np.arange(q)] = np.sqrt(strengths)
+    return Columns(rows, np.array(costs), 1e-9 * np.eye(q), np.arange(q), np.zeros(q))
+
+
+@given(st.lists(st.tuples(st.floats(0.1, 10.0), st.floats(1.0, 50.0)), min_size=2, max_size=6))
+@settings(max_examples=25, deadline=None)
+def test_optimum_of_separate_unknowns(pairs):
+    strengths, costs = np.array(pairs).T
+    found = relaxed_optimum(columns_of(strengths, costs), 100.0, gap=1e-3)
+    # Equal variances: w_i a_i the same for all, with Σ c_i w_i = T.
+    exact = math.sqrt(np.sum(costs / strengths) / 100.0)
+    assert found.bound <= exact * (1.0 + 1e-6)
+    assert exact <= found.ratio <= exact * (1.0 + 1.1e-3)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_no_weights_are_better_than_the_bound(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((30, 3, 5))
+    cost = rng.uniform(1.0, 20.0, 30)
+    columns = Columns(rows, cost, 1e-6 * np.eye(5), np.arange(4), 0.01 * rng.uniform(0.0, 1.0, 4))
+    found = relaxed_optimum(columns, 50.0)
+    assert found.gap <= 0.0101
+    for _ in range(50):
+        share = rng.dirichlet(np.full(30, rng.choice([0.05, 0.3, 1.0])))
+        g, _ = columns.variances(columns.information(np.arange(30), 50.0 * share / cost))
+        assert math.sqrt(g.max()) >= found.bound * (1.0 - 1e-9)
+
+
+def test_predicted_sigma_is_that_of_the_estimator():
+    file = file_of(WHITE)
+    scenario = sims.scenario_from_dict(
+        {"seed": 3, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
+         "site": file.site.model_dump(exclude_none=True), "schedule": {"dwell_s": 10.0, "settle_s": 0.5},
+         "recording": {"sample_rate_hz": 50.0}}
+    )  # fmt: skip
+    found = srt.calibrate(sims.simulate(scenario).recording, "least-squares")
+    candidates = [from_catalogue(s, STAND) for s in SEQUENCES.values()]
+    predicted = predict(candidates, np.full((17, 2), 10.0), STAND, file.conditions()).sigma
+    # Ramps of 0.1 s at both ends of turns of 3 s and more are not at constant rate: 3 % in time, half of it in sigma;
+    # units with errors of 0.3 % and the pooled bias (1 % of the information) do the rest.
+    np.testing.assert_allclose(predicted / np.sqrt(np.diag(found.covariance)), 1.0, atol=0.03)
+
+
+def test_drift_is_counted_about_as_the_estimator_does():
+    file = file_of()
+    candidates = [from_catalogue(s, STAND) for s in SEQUENCES.values()]
+    scenario = sims.scenario_from_dict(
+        {"seed": 3, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
+         "site": file.site.model_dump(exclude_none=True), "schedule": {"dwell_s": 10.0, "settle_s": 0.5},
+         "recording": {"sample_rate_hz": 50.0}}
+    )  # fmt: skip
+    found = srt.calibrate(sims.simulate(scenario).recording, "least-squares")
+    ratio = predict(candidates, np.full((17, 2), 10.0), STAND, file.conditions()).sigma / np.sqrt(
+        np.diag(found.covariance)
+    )
+    # Drift counts as alike within a sequence and, beyond a minute, within the test: between the two the planner is
+    # on the safe side for what rests on the difference of far windows.
+    assert np.all((ratio > 0.8) & (ratio < 1.3)), dict(zip(NAMES, ratio.round(2), strict=True))
+
+
+def test_a_plan_and_its_bound(white):
+    _, plan = white
+    assert plan.total_s == pytest.approx(300.0, rel=1e-6)
+    assert plan.bound <= plan.ratio
+    steps = timetable(plan)
+    assert steps[-1].end_static_s[1] == pytest.approx(plan.total_s, abs=1e-6)
+    assert all(c.obstacle(plan.stand) is None for c in plan.candidates)
+    assert np.all((plan.windows_s >= 4.0 - 1e-9) & (plan.windows_s <= 30.0 + 1e-9))
+    # Sources add up to the variance.
+    squares = sum(v**2 for v in plan.prediction.sources.values())
+    np.testing.assert_allclose(np.sqrt(squares)[:24], plan.prediction.sigma[:24], rtol=1e-6)
+
+
+def test_a_plan_is_better_than_table_1(white):
+    file, plan = white
+    table_1 = table_1_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), 300.0, QUICK)
+    assert plan.bound < plan.ratio < table_1.ratio
+
+
+def test_what_a_sequence_is_needed_for_is_what_is_lost_without_it(white):
+    file, plan = white
+    for k, need in enumerate(plan.prediction.needed_for[:4]):
+        rest = [i for i in range(len(plan.candidates)) if i != k]
+        without = predict(
+            [plan.candidates[i] for i in rest], plan.windows_s[rest], plan.stand, plan.conditions, plan.targets
+        )
+        for name, factor in need:
+            growth = without.sigma[INDEX[name]] / plan.prediction.sigma[INDEX[name]]
+            assert growth == pytest.approx(factor, rel=1e-6)
+
+
+def nees_of_units(file, plan, estimator, units, first):
+    """Mean of the normalised squared errors of simulated units by the predicted covariance, gravity left out."""
+    gravity = plan.prediction.sources["gravity"]
+    # Gravity acts on the three scales alike, and in full.
+    P = plan.prediction.covariance - np.outer(gravity, gravity)
+    scenario, total = file.scenario(plan), 0.0
+    for seed in range(first, first + units):
+        simulation = sims.simulate(scenario.model_copy(update={"seed": seed}))
+        found = srt.calibrate(simulation.recording, estimator)
+        assert found.status == "converged"
+        error = found.errors.vector - simulation.truth.vector
+        total += float(error @ np.linalg.solve(P, error))
+    return total / units
+
+
+def test_simulated_units_have_the_predicted_accuracy(white):
+    file, plan = white
+    units = 25
+    mean = nees_of_units(file, plan, "least-squares", units, 100)
+    # 27 degrees of freedom, 3.5 standard errors; sigmas are predicted to 3 %, squares to 6 %.
+    assert abs(mean / 27.0 - 1.0) < 3.5 * math.sqrt(2.0 / 27.0 / units) + 0.06
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ["least-squares", "graph"])
+def test_many_simulated_units_have_the_predicted_accuracy(white, estimator):
+    file, plan = white
+    mean = nees_of_units(file, plan, estimator, 300, 1000)
+    assert abs(mean / 27.0 - 1.0) < 3.5 * math.sqrt(2.0 / 27.0 / 300) + 0.06
+
+
+@pytest.mark.parametrize(
+    "stand",
+    [
+        {"inner": {"travel_deg": (-180.0, 180.0)}, "outer": {"travel_deg": (-180.0, 180.0)}},
+        {"inner": {"travel_deg": (-90.0, 100.0)}, "outer": {"travel_deg": (-100.0, 190.0)}},
+    ],
+    ids=["half turns either way", "odd limits"],
+)
+def test_plans_for_limited_travel_are_executed(stand):
+    file = file_of(WHITE)
+    axes = {name: type(file.stand.inner)(**axis) for name, axis in stand.items()}
+    file = file.model_copy(update={"stand": file.stand.model_copy(update=axes)})
+    limits = Limits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=4)
+    plan = make_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), total_s=400.0, limits=limits)
+    for candidate in plan.candidates:
+        for axis, angles in zip(plan.stand.axes, zip(*candidate.path_deg, strict=True), strict=True):
+            assert axis.travel_deg[0] <= min(angles) <= max(angles) <= axis.travel_deg[1]
+    found = srt.calibrate(sims.simulate(file.scenario(plan)).recording, "least-squares")
+    assert found.status == "converged"
+    assert found.observed.all()
+
+
+def test_a_fixture_with_one_axis():
+    file = file_of(WHITE)
+    inner = type(file.stand.inner)(turns=False, positions_deg=(0.0, 90.0), set_s=60.0)
+    stand = file.stand.model_copy(update={"inner": inner}).stand()
+    everything = file.targets.sigma()
+    with pytest.raises(DataError, match=r"can execute shows .*gyro_scale_z.*: take these targets out"):
+        make_plan(stand, file.conditions(), everything, total_s=900.0, limits=QUICK)
+    some = np.full(27, math.nan)
+    for name in ("gyro_scale_x", "gyro_scale_y", "gyro_asymmetry_x", "gyro_asymmetry_y"):
+        some[INDEX[name]] = everything[INDEX[name]]
+    plan = make_plan(stand, file.conditions(), some, total_s=900.0, limits=QUICK)
+    assert plan.ratio < 2.0
+    assert {axis for c in plan.candidates for axis, _ in c.legs} == {1}
+
+
+def test_the_shortest_test_meets_all_targets_and_hardly_more(white):
+    file, plan = white
+    wanted = 1.3 * plan.ratio * file.targets.sigma()
+    shorter = make_plan(file.stand.stand(), file.conditions(), wanted, limits=QUICK)
+    assert shorter.unmet == ()
+    # White noise averages: variances go with the time, but for whole sequences.
+    assert 300.0 / 1.3**2 * (plan.bound / plan.ratio) ** 2 < shorter.total_s < 300.0
+    assert shorter.ratio > 0.85
+
+
+def test_targets_out_of_reach_name_the_limit():
+    conditions, targets = file_of().conditions(), np.full(27, math.nan)
+    targets[GROUP_SLICES["accel_scale"]] = 1e-8
+    with pytest.raises(DataError, match="out of reach however long the test is.*gravity"):
+        make_plan(STAND, conditions, targets, limits=QUICK)
+    targets = np.full(27, math.nan)
+    targets[GROUP_SLICES["gyro_scale"]] = 1e-6
+    hour = Limits(4.0, 30.0, 360, 2, 1800.0)
+    with pytest.raises(DataError, match=r"out of reach in 0.5 h: gyro_scale_. stays at .* % of its variance by"):
+        make_plan(STAND, conditions, targets, limits=hour)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t * math.nan, "no target"),
+        (lambda t: -t, "not positive"),
+        (lambda t: t[:5], "shape"),
+    ],
+)
+def test_targets_that_are_none(change, said):
+    with pytest.raises(InputError, match=said):
+        make_plan(STAND, file_of().conditions(), change(file_of().targets.sigma()), total_s=300.0)
+
+
+def test_a_time_that_is_too_short():
+    with pytest.raises(InputError, match="too short"):
+        make_plan(STAND, file_of().conditions(), file_of().targets.sigma(), total_s=5.0, limits=QUICK)
+    with pytest.raises(InputError, match="too short for 17 sequences"):
+        table_1_plan(STAND, file_of().conditions(), file_of().targets.sigma(), 200.0, QUICK)
+
+
+@pytest.mark.parametrize("figures", [{"gyro_white": -1.0, "accel_white": 1.0}, {"gyro_white": 0.0, "accel_white": 1.0}])
+def test_conditions_without_noise_or_sense(figures):
+    with pytest.raises(InputError, match="gyro"):
+        Conditions(**figures)
+
+
+@pytest.fixture(scope="module")
+def half_done():
+    """A test that ran but for the sequences about z, and its file."""
+    file = file_of(WHITE)
+    ids = [name for name in SEQUENCES if name not in {"3", "3a", "6", "9", "10"}]
+    scenario = sims.scenario_from_dict(
+        {"seed": 9, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
+         "site": file.site.model_dump(exclude_none=True),
+         "schedule": {"dwell_s": 10.0, "settle_s": 0.5, "sequences": ids}, "recording": {"sample_rate_hz": 50.0}}
+    )  # fmt: skip
+    return file, srt.calibrate(sims.simulate(scenario).recording, "least-squares")
+
+
+def test_the_next_sequence_shows_what_is_missing(half_done):
+    file, so_far = half_done
+    assert so_far.status == "partial"
+    missing = set(so_far.held)
+    known = known_information(so_far, file.conditions())
+    proposals = next_sequences(file.stand.stand(), file.conditions(), file.targets.sigma(), known, limits=QUICK)
+    assert len(proposals) == 5
+    assert len({p.candidate.key for p in proposals}) == 5
+    first = proposals[0]
+    assert {name for name, before, _ in first.improved if math.isinf(before)} & missing
+
+
+def test_known_information_is_that_of_the_sequences(half_done):
+    """What a calibration knows, with one more sequence predicted, is what all sequences together predict."""
+    file, so_far = half_done
+    conditions, stand = file.conditions(), file.stand.stand()
+    ids = [name for name in SEQUENCES if name not in {"3", "3a", "6", "9", "10"}]
+    done = [from_catalogue(SEQUENCES[name], stand) for name in ids]
+    more = [from_catalogue(SEQUENCES["1"], stand)]
+    known = known_information(so_far, conditions)
+    assert known.shape == (N_UNKNOWNS, N_UNKNOWNS)
+    added = predict(more, np.full((1, 2), 10.0), stand, conditions, known=known)
+    together = predict(done + more, np.full((len(done) + 1, 2), 10.0), stand, conditions)
+    seen = [k for k, name in enumerate(NAMES) if name not in so_far.held]
+    np.testing.assert_allclose(added.sigma[seen] / together.sigma[seen], 1.0, atol=0.03)
+
+
+def test_a_calibration_that_observed_nothing(half_done):
+    file, so_far = half_done
+    from dataclasses import replace
+
+    nothing = replace(so_far, held=dict.fromkeys(NAMES, "none"), covariance=np.zeros((27, 27)))
+    with pytest.raises(InputError, match="observed nothing"):
+        known_information(nothing, file.conditions())

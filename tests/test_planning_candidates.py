@@ -1,0 +1,171 @@
+"""What a fixture can execute: against the simulator's own kinematics, and in sentences where it cannot."""
+
+import math
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sims.fixture import FixtureGeometry
+from sims.motion import RateProfile
+from sims.sequences import TABLE_1, TurnSequence
+from srt.catalogue import SEQUENCES, Sequence
+from srt.exceptions import InputError
+from srt.planning.candidates import Candidate, executable, from_catalogue, words
+from srt.planning.order import best_order
+from srt.planning.stand import Stand, StandAxis
+from srt.rotation_integrals import ideal_rotations
+
+LIMITED = Stand(StandAxis(travel_deg=(-180.0, 180.0)), StandAxis(travel_deg=(-180.0, 180.0)))
+OUTER_ONLY = Stand(StandAxis(turns=False, positions_deg=(0.0, 90.0), set_s=300.0), StandAxis())
+ANYWHERE = st.tuples(st.sampled_from((0, 90, 180, 270)), st.sampled_from((0, 90, 180, 270)))
+LEGS = st.lists(
+    st.tuples(st.sampled_from((0, 1)), st.integers(-12, 12).filter(bool).map(lambda k: 90 * k)), min_size=1, max_size=8
+).map(tuple)
+
+
+@given(start=ANYWHERE, legs=LEGS)
+def test_imu_rotations_are_those_that_the_simulator_executes(start, legs):
+    candidate = Candidate(start, legs)
+    turned = TurnSequence("own", candidate.down, candidate.along_outer, candidate.rotations)
+    inner, outer = turned.start_rad()
+    # The same attitude: whole turns apart, or both axes the other way round.
+    assert math.cos(inner - math.radians(start[0])) == pytest.approx(1.0)
+    assert math.cos(outer - math.radians(start[1])) == pytest.approx(1.0)
+    assert [axis for axis, _ in turned.fixture_legs()] == [axis for axis, _ in legs]
+    np.testing.assert_allclose([a for _, a in turned.fixture_legs()], np.radians([t for _, t in legs]), rtol=1e-12)
+
+
+@given(start=ANYWHERE, legs=LEGS)
+def test_what_is_down_at_both_ends(start, legs):
+    candidate = Candidate(start, legs)
+    geometry = FixtureGeometry(np.eye(3), 0.0, np.eye(3))
+    for said, angles in ((candidate.down, candidate.start_deg), (candidate.end_down, candidate.end_deg)):
+        inner, outer = np.radians(angles)
+        down = geometry.to_body(np.array([[0.0, 0.0, 1.0]]), np.array(inner), np.array(outer))[0]
+        expected = np.zeros(3)
+        expected["xyz".index(said[-1])] = -1.0 if said.startswith("-") else 1.0
+        np.testing.assert_allclose(down, expected, atol=1e-12)
+
+
+@given(start=ANYWHERE, legs=LEGS, speed=st.floats(0.1, 5.0))
+def test_integrals_of_ideal_rotations_against_small_steps(start, legs, speed):
+    candidate = Candidate(start, legs[:3])
+    sequence = candidate.catalogue_sequence()
+    speeds = speed * np.arange(1, len(sequence.rotations) + 1)
+    found = ideal_rotations([sequence], [speeds])
+    steps = 400
+    C = np.eye(3)
+    total = {name: np.zeros(getattr(found, name).shape[1:]) for name in ("rate", "abs_rate", "time", "noise")}
+    for u, angle, v in zip(sequence.axes, sequence.angles_rad, speeds, strict=True):
+        dt, omega = abs(angle) / v / steps, np.sign(angle) * v * u
+        # Midpoints: the error of a step of β is β³ / 24 of its size.
+        A = C @ Rotation.from_rotvec(omega * dt * (np.arange(steps)[:, None] + 0.5)).as_matrix()
+        total["rate"] += dt * np.einsum("nab,c->abc", A, omega)
+        total["abs_rate"] += dt * np.einsum("nab,b->ab", A, np.abs(omega))
+        total["time"] += dt * A.sum(axis=0)
+        total["noise"] += dt * np.einsum("nab,ncb->acb", A, A)
+        C = C @ Rotation.from_rotvec(u * angle).as_matrix()
+    largest = np.abs(sequence.angles_rad).max() / steps
+    for name, value in total.items():
+        # The noise has products of two matrices: twice the frequency, four times the error.
+        np.testing.assert_allclose(
+            getattr(found, name)[0], value, atol=4.0 * largest**2 / 24.0 * np.abs(value).max() + 1e-12, err_msg=name
+        )
+    np.testing.assert_allclose(found.C_end[0], C, atol=1e-12)
+
+
+def test_table_1_is_among_the_words():
+    keys = {c.key for c in executable(Stand(), words())}
+    for name, sequence in SEQUENCES.items():
+        candidate = from_catalogue(sequence, Stand())
+        assert candidate.key in keys, name
+        own = TABLE_1[name]
+        assert [a for a, _ in own.fixture_legs()] == [a for a, _ in candidate.legs]
+        assert own.rotations == tuple((axis, float(turn)) for axis, turn in candidate.rotations)
+
+
+def test_limited_travel_is_kept_along_the_whole_way():
+    found = executable(LIMITED, words(largest_turn_deg=360, most_legs=4))
+    assert len(found) > 100
+    for candidate in found:
+        assert all(-180 <= angle <= 180 for angles in candidate.path_deg for angle in angles)
+    # A whole turn fits, from one end to the other.
+    assert any(abs(turn) == 360 for c in found for _, turn in c.legs)
+
+
+def test_an_axis_set_by_hand_does_not_turn():
+    found = executable(OUTER_ONLY, words(largest_turn_deg=360, most_legs=4))
+    assert found
+    assert {axis for c in found for axis, _ in c.legs} == {1}
+    assert {c.start_deg[0] for c in found} <= {0, 90}
+    assert OUTER_ONLY.move_s((0, 0), (90, 0)) == 300.0
+
+
+@pytest.mark.parametrize("turn_deg", [3.0, 90.0, -360.0, 720.0])
+def test_turning_time_is_the_simulators(turn_deg):
+    axis, profile = StandAxis(0.7, 2.0), RateProfile(0.7, 2.0)
+    assert axis.turn_s(turn_deg) == pytest.approx(profile.duration_s(math.radians(turn_deg)), rel=1e-12)
+
+
+def test_order_is_the_best_of_all_orders():
+    rng = np.random.default_rng(5)
+    every = executable(Stand(settle_s=1.0, pause_s=0.5), words(largest_turn_deg=180, most_legs=2))
+    stand = Stand(settle_s=1.0, pause_s=0.5)
+    for _ in range(4):
+        chosen = [every[k] for k in rng.choice(len(every), 6)]
+        order, ways, moves_s = best_order(chosen, stand)
+        assert sorted(order) == list(range(6))
+        assert [w.key for w in ways] == [chosen[k].key for k in order]
+        shortest = min(
+            sum(stand.move_s(chosen[a].end_deg, chosen[b].start_deg) for a, b in zip(p, p[1:], strict=False))
+            for p in permutations(range(6))
+        )
+        assert moves_s == pytest.approx(shortest, abs=1e-9)
+
+
+def test_order_uses_the_nearest_of_several_angles():
+    there = Candidate((0, -180), ((1, 180),))
+    again = Candidate((0, 180), ((1, -180),))
+    _, ways, moves_s = best_order([there, again], LIMITED)
+    # From 0 either end of the travel is as far; the two sequences can follow each other with one half turn between.
+    assert moves_s == pytest.approx(LIMITED.outer.turn_s(180.0))
+    assert all(w.obstacle(LIMITED) is None for w in ways)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "stand", "said"),
+    [
+        (
+            SEQUENCES["1"],
+            LIMITED,
+            r"Sequence 1 cannot .* rotation 1 \(\+360 deg about the outer axis\) .* 0 to 360 deg",
+        ),
+        (SEQUENCES["3"], OUTER_ONLY, "inner axis.: that axis does not turn, it is set by hand"),
+        (Sequence("own", "z", "z", 0.0, 0.0, (("z", math.pi),)), None, "no attitude with z down and z along"),
+        (Sequence("own", "z", "y", 0.0, 0.0, (("x", math.pi),)), None, "rotation 1 is about x, .* turn about z first"),
+        (Sequence("own", "z", "y", 0.0, 0.0, (("y", 1.0),)), None, "multiples of 90"),
+    ],
+)
+def test_what_cannot_be_executed_is_said(sequence, stand, said):
+    with pytest.raises(InputError, match=said):
+        from_catalogue(sequence, stand)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: StandAxis(rate_rad_s=0.0), "rate_rad_s"),
+        (lambda: StandAxis(travel_deg=(10.0, -10.0)), "the first must be the smaller"),
+        (lambda: StandAxis(travel_deg=(10.0, 80.0)), "No multiple of 90 deg"),
+        (lambda: StandAxis(turns=False, positions_deg=(45.0,)), "multiples of 90"),
+        (lambda: Stand(settle_s=-1.0), "settle_s"),
+        (lambda: Stand(StandAxis(turns=False), StandAxis(turns=False)), "Neither axis"),
+    ],
+)
+def test_impossible_fixtures(make, said):
+    with pytest.raises(InputError, match=said):
+        make()
