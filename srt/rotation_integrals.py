@@ -49,6 +49,8 @@ class RotationIntegrals:
     noise : ndarray, shape (K, 3, 3, 3), or None
         ``∫ F² (Ĉ D)_ab (Ĉ D)_cb dt`` as [k, a, c, b], s: contracted with the squared angle random walk of the raw
         channels b it is the covariance of φ.
+    velocity : ndarray, shape (K, 3, 3, 3), or None
+        ``∫ F (Ĉ D)_ab f_c dt``, m/s: what gyros that follow the specific force f do to φ.
     """
 
     C_end: Array
@@ -58,6 +60,7 @@ class RotationIntegrals:
     weight_s: Array
     turned: Array
     noise: Array | None = None
+    velocity: Array | None = None
 
 
 def ideal_rotations(

@@ -26,7 +26,7 @@ CHOICES = {
     "average": ("linear", "overlapping"),
     "down": ("tilt-immune", "paper"),
     "window_attitude": ("held", "integrated"),
-    "gyro_bias": ("auto", "pooled", "per-sequence"),
+    "gyro_bias": ("auto", "pooled", "per-sequence", "g-sensitive"),
     "step": ("jacobian", "coefficients"),
     "start": ("auto", "zero"),
     "loss": ("squared", "huber", "cauchy"),
