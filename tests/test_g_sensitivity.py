@@ -39,6 +39,7 @@ IN_G = np.ones(27)
 IN_G[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 WHITE = ImuModel(gyro_noise=0.15 * DEG_PER_SQRT_H, accel_noise=102.0 * MICRO_G)
 PLAN = """
+seed = 3
 [imu]
 from = "consumer-mems"
 [fixture]
