@@ -120,10 +120,8 @@ def study(plan: Scenario, units: int, *, first_seed: int, draws: int = 30) -> di
             if mode == "g-sensitive":
                 nees[mode] += _nees(unit, found) / units
     predicted = {mode: budget(plan, draws=draws, gyro_bias=mode)[0] for mode in MODES}
-    return {
-        mode: Outcome(predicted[mode], np.sqrt(squares[mode]), *np.sqrt(left[mode]).tolist(), nees[mode])
-        for mode in MODES
-    }
+    rms = {mode: np.sqrt(left[mode]).tolist() for mode in MODES}
+    return {m: Outcome(predicted[m], np.sqrt(squares[m]), rms[m][0], rms[m][1], nees[m]) for m in MODES}
 
 
 def _forces(unit: Simulation) -> Array:
