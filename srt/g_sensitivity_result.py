@@ -33,8 +33,8 @@ _EARTH_SIGMAS: Final = 3.0
 _DEG_PER_H_PER_G: Final = STANDARD_GRAVITY_M_S2 / DEG_PER_H
 
 
-def covariance(playback: Playback, data: PlaybackData, wander: Array) -> Array:
-    """Covariance of Γ by rows, shape (9, 9), (rad/s per m/s²)²: of all that disturbs the rates at rest.
+def rate_disturbances(playback: Playback, data: PlaybackData, wander: Array) -> Array:
+    """What disturbs the rates of the windows, by unit draws of all sources, shape (W, 3, S), rad/s.
 
     Parameters
     ----------
@@ -44,14 +44,8 @@ def covariance(playback: Playback, data: PlaybackData, wander: Array) -> Array:
     wander : ndarray, shape (3,), rad/s
         One sigma of a sequence's gyro bias about the test's, raw channels.
     """
-    out = np.zeros((9, 9))
-    if playback.poses is None:
-        return out
-    for source in measurement_noise.disturbances(playback, data, wander).values():
-        if source.rate is not None:
-            by_draw = np.einsum("ab,bcs->acs", playback.gyro.matrix, playback.poses.fit(source.rate)).reshape(9, -1)
-            out += by_draw @ by_draw.T
-    return out
+    sources = measurement_noise.disturbances(playback, data, wander).values()
+    return np.concatenate([source.rate for source in sources if source.rate is not None], axis=2)
 
 
 def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
@@ -64,12 +58,15 @@ def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
     playback = solution.playback
     if playback.poses is None:
         return {}
-    P = covariance(playback, data, solution.wander)
+    disturbed = rate_disturbances(playback, data, solution.wander)
+    by_draw = np.einsum("ab,bcs->acs", playback.gyro.matrix, playback.poses.fit(disturbed)).reshape(9, -1)
+    P = by_draw @ by_draw.T
     sigma = np.sqrt(np.diag(P)).reshape(3, 3)
+    rate = carried(playback, disturbed)[0]
+    expected = playback.pool @ np.sum((rate - np.tensordot(playback.pool, rate, 1)) ** 2, axis=2)
     left = playback.rest_rate - playback.pool @ playback.rest_rate
     spread = playback.force - playback.pool @ playback.force
     followed = np.linalg.solve(playback.gyro.matrix, solution.g_sensitivity)
-    expected = _expected_scatter(playback, data, solution.wander)
     return {
         KEY: {
             "matrix": solution.g_sensitivity.tolist(),
@@ -82,21 +79,10 @@ def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
             "rest_rate_scatter_rad_s": {
                 "before": np.sqrt(playback.pool @ (left + spread @ followed.T) ** 2).tolist(),
                 "after": np.sqrt(playback.pool @ left**2).tolist(),
-                "expected": expected.tolist(),
+                "expected": np.sqrt(expected).tolist(),
             },
         }
     }
-
-
-def _expected_scatter(playback: Playback, data: PlaybackData, wander: Array) -> Array:
-    """Rms of the windows' rates about their mean that noise leaves once Γ is taken off, shape (3,), rad/s."""
-    variance = np.zeros(3)
-    for source in measurement_noise.disturbances(playback, data, wander).values():
-        if source.rate is not None:
-            rate = carried(playback, source.rate)[0]
-            deviation = rate - np.tensordot(playback.pool, rate, 1)
-            variance += np.einsum("w,was->a", playback.pool, deviation**2)
-    return np.asarray(np.sqrt(variance))
 
 
 def warnings(data: PlaybackData, playback: Playback) -> tuple[str, ...]:
