@@ -44,7 +44,7 @@ FORMULA: Final = (
 FORMULA_G_SENSITIVE: Final = (
     " The gyros follow specific force: before that, take diagnostics.g_sensitivity.matrix (rad/s per m/s^2, rows "
     "gyros, columns MARS axes) times the corrected specific force off the gyro readings. What applies or exports the "
-    "27 errors alone does not."
+    "27 errors alone does not; 'srt apply' does."
 )
 
 

@@ -17,7 +17,7 @@ from sims.budget import G_SENSITIVITY
 from sims.g_sensitivity_study import BIAS_DEG_PER_S, MODES, mems_scenario, study
 from sims.imu import ImuModel, read_out
 from sims.simulation import draw_errors
-from srt import g_sensitivity, g_sensitivity_result
+from srt import exporters, g_sensitivity, g_sensitivity_result
 from srt.calibration import FORMULA
 from srt.certificate.checked import load_source
 from srt.certificate.replay import replay
@@ -377,6 +377,23 @@ def test_the_certificate_plays_it_back(calibrated):
     file.write_text(json.dumps(document))
     with pytest.raises(InputError, match="do not follow from rec"):
         replay(load_source(file), recording, "rec")
+
+
+def test_what_takes_it_off_and_what_says_that_it_does_not(calibrated, capsys):
+    file, out, header = (calibrated / name for name in ("applied.json", "out", "unit.h"))
+    recording = srt.load_recording(calibrated / "rec")
+    found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
+    found.save(file)
+    assert main(["apply", str(file), str(calibrated / "rec"), "-o", str(out), "--c-header", str(header), "-q"]) == 0
+    assert "does not hold what the gyros follow specific force by" in capsys.readouterr().err
+    raw = g_sensitivity.insensitive_readings(found, recording.gyro, recording.accel)
+    expected, _ = found.apply(raw, recording.accel)
+    np.testing.assert_allclose(srt.load_recording(out).gyro, expected, rtol=1e-12)
+    made = exporters.export(found, "kalibr")
+    assert "g-sensitivity" in made.losses
+    other = replace(found, diagnostics={}, provenance={**found.provenance, "data_sha256": "0" * 64})
+    merged = srt.merge_calibrations([found, other], ["a", "b"])
+    assert any("is not merged: a have it" in w for w in merged.warnings)
 
 
 @pytest.mark.parametrize("kind", ["rate", "increment"])
