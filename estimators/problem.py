@@ -20,7 +20,8 @@ from srt import measurement_model as model
 from srt.attitude import integrate
 from srt.compensation import accel_triad, gyro_triad
 from srt.constants import EARTH_RATE_RAD_S
-from srt.exceptions import DataError
+from srt.exceptions import DataError, InputError
+from srt.g_sensitivity import MODE as G_SENSITIVE
 from srt.measurement_noise import earth_rate_doubt, excess_scatter
 from srt.noise_estimation import flicker_spread
 from srt.playback import Player
@@ -62,9 +63,19 @@ class Problem:
     options : Options
     start : SensorErrors, ndarray of shape (3, 3)
         First estimate and U.
+
+    Raises
+    ------
+    InputError
+        Gyros that are to follow specific force.
     """
 
     def __init__(self, data: PlaybackData, options: Options, start: tuple[SensorErrors, Array]) -> None:
+        if options.gyro_bias == G_SENSITIVE:
+            raise InputError(
+                f"Joint estimation has no option gyro_bias={G_SENSITIVE!r}: take the estimator closed-form or "
+                "least-squares, which have it, or leave the option out."
+            )
         self.data, self.options = data, options
         self.fixture_states = options.fixture_states and data.recording.fixture is not None
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")

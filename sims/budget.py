@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sims.scenario import Scenario
     from sims.simulation import Simulation
     from srt.calibration import Calibration
+    from srt.options import GyroBias
     from srt.recording import Recording
 
     Array = NDArray[np.float64]
@@ -97,6 +98,7 @@ def budget(
     estimators: Sequence[str] = ("closed-form",),
     *,
     draws: int = 30,
+    gyro_bias: GyroBias = "auto",
     progress: Progress | None = None,
 ) -> tuple[Budget, ...]:
     """Predict the accuracy of a scenario on the fixture.
@@ -109,6 +111,8 @@ def budget(
         Of the registry.
     draws : int
         Of the fixture's errors; their rms is known to 1 / √(2 draws).
+    gyro_bias : str
+        How all calibrations take the gyro bias, as in :class:`srt.Options`.
     progress : callable, optional
         Called with the numbers of finished and of all calibrations.
 
@@ -126,7 +130,7 @@ def budget(
     """
     if scenario.schedule is None or scenario.fixture is None:
         raise InputError("A budget needs a scenario with a [fixture] and a [schedule]: a free recording has no plan.")
-    count = _Counted(progress, len(estimators) * (2 * draws + 15))
+    count = _Counted(progress, len(estimators) * (2 * draws + 15), gyro_bias)
     rig = _Rig(scenario, draws)
     return tuple(_budget(name, rig, count) for name in estimators)
 
@@ -134,11 +138,11 @@ def budget(
 class _Counted:
     """Calibrates, and tells how far all is."""
 
-    def __init__(self, progress: Progress | None, size: int) -> None:
-        self._progress, self._size, self._done = progress, size, 0
+    def __init__(self, progress: Progress | None, size: int, gyro_bias: GyroBias) -> None:
+        self._progress, self._size, self._done, self._gyro_bias = progress, size, 0, gyro_bias
 
     def __call__(self, recording: Recording, estimator: str, **choices: Any) -> Calibration:
-        found = srt.calibrate(recording, estimator, **choices)
+        found = srt.calibrate(recording, estimator, gyro_bias=self._gyro_bias, **choices)
         if "max_playbacks" not in choices and found.status not in ("converged", "partial"):
             raise DataError(f"A recording of the scenario does not calibrate: {found.message}")
         self.step()

@@ -212,11 +212,13 @@ class PlanFile(Table):
         Every sequence has an id of its own, ``p01`` and on, in the order of execution.
         """
         custom = {
-            f"p{number:02d}": CustomSequence(
-                id=f"p{number:02d}",
-                down=c.down,
-                along_outer=c.along_outer,
-                rotations=tuple((axis, float(turn)) for axis, turn in c.rotations),
+            f"p{number:02d}": CustomSequence.model_validate(
+                {
+                    "id": f"p{number:02d}",
+                    "down": c.down,
+                    "along_outer": c.along_outer,
+                    "rotations": tuple((axis, float(turn)) for axis, turn in c.rotations),
+                }
             )
             for number, c in enumerate(plan.candidates, start=1)
         }

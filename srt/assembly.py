@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtri
 
+from srt import g_sensitivity_result
 from srt.calibration import Calibration, Residual
 from srt.executed import wrong_turns
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
@@ -110,6 +111,7 @@ def outcome_of(data: PlaybackData, solution: Solution, held: Mapping[str, str]) 
         solution.wander,
         solution.bias_by_sequence,
         solution.playback.integrals.C_end,
+        diagnostics=g_sensitivity_result.diagnostics(data, solution),
         solution=solution,
     )
 
@@ -344,6 +346,8 @@ def _warnings(data: PlaybackData, outcome: Outcome, observed: NDArray[np.bool_])
         )
     if outcome.status in ("converged", "partial", "not_converged"):
         said += wrong_turns(data, outcome.turned, outcome.U)
+    if outcome.solution is not None and outcome.status in ("converged", "partial"):
+        said += g_sensitivity_result.warnings(data, outcome.solution.playback)
     if data.recording.site.latitude_rad is None:
         said.append("No latitude is given: the Earth's rate is a bounded unknown in the gyro-bias sigma.")
     if data.noise.floored:

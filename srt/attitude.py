@@ -56,6 +56,8 @@ class GyroStream:
         Where the rotation begins and ends within the stream (windows with integrated attitude lie outside it).
     F : ndarray, shape (n,), or None
         Weight of an attitude error, see :mod:`srt.rotation_integrals`; None means 1 everywhere.
+    velocity : ndarray, shape (3, n), m/s, or None
+        Compensated specific force times the interval, whose integral with the attitude is to be gathered.
     """
 
     increments: Array
@@ -64,6 +66,7 @@ class GyroStream:
     starts: NDArray[np.intp]
     rotation: NDArray[np.intp]
     F: Array | None = None
+    velocity: Array | None = None
 
 
 def gyro_stream(
@@ -142,7 +145,8 @@ def integrate(
     """
     K, n = len(stream.starts) - 1, int(stream.starts[-1])
     inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
-    sums, noise = np.zeros((K, 9, 7)), np.zeros((K, 3, 3, 3)) if with_noise else None
+    columns = 7 if stream.velocity is None else 10
+    sums, noise = np.zeros((K, 9, columns)), np.zeros((K, 3, 3, 3)) if with_noise else None
     parts = _Parts(stream) if with_noise else None
     turned = np.zeros((K, 3))
     kept = np.empty((3, 3, n)) if stream.F is not None else np.empty((3, 3, 0))
@@ -175,7 +179,7 @@ def integrate(
         C_before = C[:, :, -1].copy()
         X = _times(C_mid, D)
         flat = X.reshape(9, -1)
-        V = np.concatenate([theta, np.abs(theta), dt[None]])
+        V = _integrands(theta, dt, None if stream.velocity is None else stream.velocity[:, a:b])
         F = None if stream.F is None else stream.F[a:b]
         if F is not None:
             kept[:, :, a:b] = C_mid
@@ -196,7 +200,7 @@ def integrate(
     elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
     C_end = quaternion.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
     middle = quaternion.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
-    sums = np.einsum("kad,kdbm->kabm", middle, sums.reshape(K, 3, 3, 7))
+    sums = np.einsum("kad,kdbm->kabm", middle, sums.reshape(K, 3, 3, columns))
     if noise is not None:
         noise = np.einsum("kad,kdeb,kce->kacb", middle, noise, middle)
     if stream.F is not None:
@@ -213,6 +217,7 @@ def integrate(
         turned,
         noise,
         None if parts is None else middle[:, None] @ parts.sums.reshape(3, 3, K, -1).transpose(2, 3, 0, 1),
+        None if stream.velocity is None else sums[..., 7:],
     ), kept
 
 
@@ -236,6 +241,17 @@ class _Parts:
 def _outer(X: Array, weight: Array) -> Array:
     """Weighted sums over samples of the outer product of every column of X (3, 3, n), as [a, c, column]."""
     return np.stack([(X[:, c] * weight) @ X[:, c].T for c in range(3)], axis=2)
+
+
+def _integrands(theta: Array, dt: Array, velocity: Array | None) -> Array:
+    """What Ĉ D is summed with: Δθ, |Δθ|, time and, where it is there, f times it; shape (7 or 10, m)."""
+    V = np.empty((7 if velocity is None else 10, len(dt)))
+    V[:3] = theta
+    np.abs(theta, out=V[3:6])
+    V[6] = dt
+    if velocity is not None:
+        V[7:] = velocity
+    return V
 
 
 def _matrices(q: quaternion.Quaternions) -> Array:

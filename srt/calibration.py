@@ -41,6 +41,11 @@ FORMULA: Final = (
     "table-mounted frame. Not held: accelerometers were seen to 1 g only, where an asymmetry and a quadratic term are "
     "one and the same; gyros at the rates turned; temperature other than that of the test."
 )
+FORMULA_G_SENSITIVE: Final = (
+    " The gyros follow specific force: before that, take diagnostics.g_sensitivity.matrix (rad/s per m/s^2, rows "
+    "gyros, columns MARS axes) times the corrected specific force off the gyro readings. What applies or exports the "
+    "27 errors alone does not; 'srt apply' does."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +207,7 @@ class Calibration:
                 "U": None if self.U is None else self.U.tolist(),
                 "U_sigma": self.U_sigma_rad,
             },
-            "formula": FORMULA,
+            "formula": FORMULA + (FORMULA_G_SENSITIVE if "g_sensitivity" in self.diagnostics else ""),
             "site": dict(self.site),
             "noise": {**self.noise, "contributions": {k: v.tolist() for k, v in self.contributions.items()}},
             "alignment": dict(self.alignment),

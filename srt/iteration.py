@@ -15,6 +15,8 @@ import numpy as np
 from srt import measurement_noise
 from srt.compensation import compose, outside_model
 from srt.exceptions import DataError
+from srt.g_sensitivity import MODE as G_SENSITIVE
+from srt.g_sensitivity import scatter_left
 from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.stillness import moved_windows
@@ -36,6 +38,8 @@ _UNIT: Final = np.ones(N_PARAMETERS)
 _UNIT[GROUP_SLICES["accel_bias"]] = 9.80665
 _MAX_STEP: Final = 0.7
 _NEAR: Final = 1e-3
+_LEAST_SCATTER: Final = 0.1
+"""Of the variance of biases between sequences: where g-sensitivity takes all but this, none of it is seen."""
 
 
 class Solver(Protocol):
@@ -80,6 +84,8 @@ class Solution:
         One sigma of a sequence's gyro bias about the test's that was used, raw channels.
     bias_by_sequence : ndarray, shape (K, 3), rad/s
         Bias of each sequence less the common one, as used.
+    g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
+        Γ as used, raw channels and axes of B; zero where it is not estimated.
     """
 
     errors: SensorErrors
@@ -95,6 +101,7 @@ class Solution:
     integrated: tuple[int, ...]
     wander: Array
     bias_by_sequence: Array
+    g_sensitivity: Array
 
 
 class _DivergenceError(Exception):
@@ -117,12 +124,12 @@ class Iteration:
         self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
         self.held_sigma = held_sigma
         self.noise: tuple[Array | None, Array | None] = None, None
-        self.offset = np.zeros((data.K, 3))
+        self.offset, self.g_sensitivity = np.zeros((data.K, 3)), np.zeros((3, 3))
         self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         if resume is not None:
             self.integrated, self.offset = resume.playback.integrated, resume.bias_by_sequence
-            self.wander = resume.wander
+            self.wander, self.g_sensitivity = resume.wander, resume.g_sensitivity
         self.first = start if resume is None else resume.errors
         self.resumed = resume is not None
         self.before = () if resume is None else resume.corrections
@@ -142,9 +149,7 @@ class Iteration:
             # Once near, the full weights are taken, and kept: they change with the estimate by parts in a thousand.
             near = near or (bool(corrections) and corrections[-1] < _NEAR)
             fresh = near and weights is None
-            playback = self.player.play(
-                errors, U=U, nominal_vertical=nominal, bias_offset=self.offset, with_noise=fresh
-            )
+            playback = self._play(errors, U, nominal=nominal, with_noise=fresh)
             if fresh and self._release_moving(playback):
                 continue
             try:
@@ -184,14 +189,18 @@ class Iteration:
                 f"{corrections[-1] if corrections else np.inf:.2e} (largest parameter, accelerometer bias in g)."
             )
         if final is None:
-            final = self.player.play(
-                errors,
-                U=U,
-                nominal_vertical=not self.options.measured_vertical,
-                bias_offset=self.offset,
-                with_noise=True,
-            )
+            final = self._play(errors, U, nominal=not self.options.measured_vertical, with_noise=True)
         return self._finish(final, errors, U, corrections, status, message)
+
+    def _play(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> Playback:
+        return self.player.play(
+            errors,
+            U=U,
+            nominal_vertical=nominal,
+            bias_offset=self.offset,
+            g_sensitivity=self.g_sensitivity,
+            with_noise=with_noise,
+        )
 
     def _gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
         try:
@@ -225,12 +234,18 @@ class Iteration:
         return SensorErrors(vector), U, vector - errors.vector
 
     def _update_offsets(self, playback: Playback, sigma: Array) -> bool:
-        """Renew the sequences' own biases; True once they have stopped moving."""
-        if self.data.noise.gyro_wander is None and self.options.gyro_bias == "auto":
+        """Renew g-sensitivity and the sequences' own biases; True once they have stopped moving."""
+        followed = 0.0
+        if playback.poses is not None:
+            left = playback.poses.fit(playback.rest_rate)
+            playback = replace(playback, rest_rate=playback.rest_rate - playback.force @ left.T)
+            self.g_sensitivity = self.g_sensitivity + playback.gyro.matrix @ left
+            followed = self.data.gravity * float(np.abs(left).max())
+        if self.data.noise.gyro_wander is None and self.options.gyro_bias in ("auto", G_SENSITIVE):
             self.wander = self._scatter(playback)
         gain = self._bias_gain(playback)
         new = gain * playback.bias_by_sequence
-        change = np.abs(new - self.offset).max() if new.size else 0.0
+        change = max(np.abs(new - self.offset).max() if new.size else 0.0, followed)
         self.offset = new
         return bool(change <= max(CONVERGED_CORRECTION, CONVERGED_SIGMAS * sigma[GROUP_SLICES["gyro_bias"]].max()))
 
@@ -242,9 +257,10 @@ class Iteration:
 
     def _scatter(self, playback: Playback) -> Array:
         """Wander of the bias that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
-        deviation = playback.bias_by_sequence
-        if len(deviation) < 3:
+        left = scatter_left(playback)
+        if len(playback.share) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
+        deviation = playback.bias_by_sequence / np.sqrt(left)
         doubt = measurement_noise.earth_rate_doubt(self.data)
         expected = measurement_noise.rest_rate_variance(playback, self.data) + doubt**2
         excess = measurement_noise.excess_scatter(deviation, expected)
@@ -312,6 +328,7 @@ class Iteration:
             tuple(np.flatnonzero(self.integrated).tolist()),
             self.wander,
             self.offset,
+            self.g_sensitivity,
         )
 
 

@@ -17,6 +17,8 @@ from scipy.special import chdtri
 
 from srt import measurement_model as model
 from srt.constants import EARTH_RATE_RAD_S
+from srt.g_sensitivity import MODE as G_SENSITIVE
+from srt.g_sensitivity import carried
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -64,10 +66,11 @@ def project(playback: Playback, data: PlaybackData, source: Disturbance, bias_ga
     phi = np.zeros((K, 3, S)) if source.phi is None else source.phi
     rest = np.zeros((3, S))
     if source.rate is not None:
-        rest = np.tensordot(playback.pool, source.rate, 1)
-        own = np.tensordot(playback.share, source.rate, 1) - rest
+        rate, by_g_sensitivity = carried(playback, source.rate)
+        rest = np.tensordot(playback.pool, rate, 1)
+        own = np.tensordot(playback.share, rate, 1) - rest
         # The offset taken off in a sequence is in units of the compensated rate.
-        phi = phi - _per_rate(playback) @ (bias_gain[:, None] * own)
+        phi = phi + by_g_sensitivity - _per_rate(playback) @ (bias_gain[:, None] * own)
     M = model.attitude_to_horizontal(playback.basis, playback.acceleration)
     z = np.zeros((2 * K + W + 3, S))
     horizontal = M @ phi
@@ -94,7 +97,7 @@ def bias_gain(playback: Playback, data: PlaybackData, mode: str, wander: Array) 
     the share σ² / (σ² + s²) of a sequence's own deviation and pools the rest. Where an instability is stated, the share
     is the one that leaves least of the drift in the rotations: the bias goes on drifting after the window.
     """
-    if mode != "auto":
+    if mode not in ("auto", G_SENSITIVE):
         return np.full(3, 1.0 if mode == "per-sequence" else 0.0)
     if data.K < 2:
         return np.zeros(3)

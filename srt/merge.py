@@ -11,6 +11,7 @@ from scipy.special import chdtrc
 from srt.assembly import software
 from srt.calibration import Calibration
 from srt.exceptions import DataError, InputError
+from srt.g_sensitivity import KEY
 from srt.merge_model import GROUP_OF, Stack, between_sigma, estimate, stack_of
 from srt.merge_repeatability import repeatability
 from srt.quaternion import rotation_vector
@@ -256,6 +257,9 @@ def _warnings(
             + (f"; the scatter of {', '.join(groups)} from recording to recording is in the merged sigmas." if groups
                else ", and the merged sigmas do not hold it.")
         )  # fmt: skip
+    following = [title for title, c in used.items() if KEY in c.diagnostics]
+    if following:
+        said.append(f"What the gyros follow specific force by is not merged: {', '.join(following)} have it.")
     nameless = [title for title, c in used.items() if c.provenance.get("serial") is None]
     if nameless and len(used) > 1:
         said.append(f"No serial is given with {', '.join(nameless)}: that they are of one unit is taken on trust.")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Average = Literal["linear", "overlapping"]
 Down = Literal["tilt-immune", "paper"]
 WindowAttitude = Literal["held", "integrated"]
-GyroBias = Literal["auto", "pooled", "per-sequence"]
+GyroBias = Literal["auto", "pooled", "per-sequence", "g-sensitive"]
 Step = Literal["jacobian", "coefficients"]
 Start = Literal["auto", "zero"]
 Loss = Literal["squared", "huber", "cauchy"]
@@ -36,8 +36,9 @@ class Options:
     window_attitude : "held" or "integrated"
         Hold the attitude in the stationary windows (a window that moved is integrated all the same), or
         integrate the gyros over them.
-    gyro_bias : "auto", "pooled" or "per-sequence"
-        One bias for the test, one per sequence, or in between as the unit's bias instability says.
+    gyro_bias : "auto", "pooled", "per-sequence" or "g-sensitive"
+        One bias for the test, one per sequence, or in between as the unit's bias instability says ("auto"); or as
+        "auto" with a bias that follows the specific force, at rest and in the turns.
     step : "jacobian" or "coefficients"
         Correction of a play-back: full Jacobian at the estimate, added; or the coefficients of eq. 13, composed.
     start : "auto", "zero" or SensorErrors

@@ -16,6 +16,7 @@ from srt import measurement_model as model
 from srt.attitude import integrate
 from srt.catalogue import AXES
 from srt.compensation import accel_triad, gyro_triad
+from srt.g_sensitivity import MODE, insensitive, pose_regression
 from srt.quaternion import cross_matrix, smallest_rotation
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from srt.attitude import GyroStream
     from srt.compensation import Triad
+    from srt.g_sensitivity import PoseRegression
     from srt.options import Options
     from srt.playback_data import PlaybackData
     from srt.rotation_integrals import RotationIntegrals
@@ -70,6 +72,8 @@ class Playback:
     integrated : ndarray of bool, shape (W,)
     nominal_vertical : bool
         Whether the vertical was the nominal one.
+    poses : PoseRegression, or None
+        How g-sensitivity follows from ``rest_rate``; None where the gyros are taken not to follow specific force.
     """
 
     z: Array
@@ -91,6 +95,7 @@ class Playback:
     U: Array
     integrated: NDArray[np.bool_]
     nominal_vertical: bool
+    poses: PoseRegression | None = None
 
     @property
     def bias_by_sequence(self) -> Array:
@@ -109,7 +114,8 @@ class Player:
         W = len(data.windows.duration_s)
         self.data, self.options = data, options
         self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated
-        self._stream, self._force, self._weights = data.stream(self.integrated)
+        self._follows = options.gyro_bias == MODE
+        self._stream, self._force, self._weights = data.stream(self.integrated, with_force=self._follows)
         self._roles()
 
     def _roles(self) -> None:
@@ -152,6 +158,7 @@ class Player:
         U: Array | None = None,
         nominal_vertical: bool = False,
         bias_offset: Array | None = None,
+        g_sensitivity: Array | None = None,
         with_noise: bool = False,
     ) -> Playback:
         """Play back once.
@@ -166,6 +173,8 @@ class Player:
             Take the vertical from the nominal attitude instead of the measured specific force (first play-back).
         bias_offset : ndarray, shape (K, 3), optional
             Gyro bias of each sequence less the common one, rad/s.
+        g_sensitivity : ndarray, shape (3, 3), rad/s per m/s², optional
+            Γ, taken off the raw gyro readings (raw channels, axes of B) where the options ask for it; default zero.
         with_noise : bool
             Gather the noise integrals too.
         """
@@ -173,14 +182,20 @@ class Player:
         gyro, accel = gyro_triad(errors), accel_triad(errors)
         U = np.eye(3) if U is None else U
         force = accel.compensate(data.windows.accel_mean)
-        rate = gyro.compensate(data.windows.gyro_mean)
+        stream, gyro_mean, poses = self._stream, data.windows.gyro_mean, None
+        if self._follows and self._force is not None:
+            matrix = np.zeros((3, 3)) if g_sensitivity is None else g_sensitivity
+            stream = insensitive(stream, self._force, accel, matrix)
+            gyro_mean = gyro_mean - force @ matrix.T
+            poses = pose_regression(force, self._pool, data.gravity)
+        rate = gyro.compensate(gyro_mean)
         f_start, f_end = force[data.start], force[data.end]
         down = -f_start / np.linalg.norm(f_start, axis=1, keepdims=True)
         earth_rate, nominal_down = self._earth_rate(U, down, nominal_vertical)
         if nominal_vertical and nominal_down is not None:
             down = nominal_down
         integrals, attitude = integrate(
-            self._stream,
+            stream,
             gyro,
             earth_rate,
             bias_offset=bias_offset,
@@ -223,6 +238,7 @@ class Player:
             self._orientation(integrals, force, U),
             self.integrated,
             nominal_vertical and nominal_down is not None,
+            poses,
         )
 
     def _earth_rate(self, U: Array, down: Array, nominal_vertical: bool) -> tuple[Array, Array | None]:

@@ -133,21 +133,25 @@ class PlaybackData:
         north = EARTH_RATE_RAD_S * np.cos(site.latitude_rad)
         return np.array([north * np.cos(heading), -north * np.sin(heading), down])
 
-    def stream(self, integrated: NDArray[np.bool_]) -> tuple[GyroStream, Array | None, Array | None]:
+    def stream(
+        self, integrated: NDArray[np.bool_], *, with_force: bool = False
+    ) -> tuple[GyroStream, Array | None, Array | None]:
         """Gyro samples to integrate over.
 
         Parameters
         ----------
         integrated : ndarray of bool, shape (W,)
             Windows over which the attitude is integrated instead of held.
+        with_force : bool
+            Give the specific force of all samples though no window is integrated.
 
         Returns
         -------
         stream : GyroStream
         force : ndarray, shape (3, n), or None
-            Raw specific force of the samples, m/s²; None if no window is integrated.
+            Raw specific force of the samples, m/s²; None if no window is integrated and it is not asked for.
         weights : ndarray, shape (n,), or None
-            Averaging weight of each sample in its window, 0 outside the integrated windows.
+            Averaging weight of each sample in its window, 0 outside the integrated windows; None if there are none.
         """
         spans, samples = self.rotation.copy(), self.windows.samples
         open_start, open_end = integrated[self.start], integrated[self.end]
@@ -155,9 +159,11 @@ class PlaybackData:
         spans[open_end, 1] = samples[self.end[open_end], 1]
         recording = self.recording
         F = force = weights = None
-        if integrated.any():
+        if with_force or integrated.any():
             n = int((spans[:, 1] - spans[:, 0]).sum())
-            F, force, weights = np.ones(n), np.empty((3, n)), np.zeros(n)
+            force = np.empty((3, n))
+            if integrated.any():
+                F, weights = np.ones(n), np.zeros(n)
             at = 0
             for k, (a, b) in enumerate(spans.tolist()):
                 rows = recording.accel[a:b].T
@@ -169,7 +175,7 @@ class PlaybackData:
                     (False, open_start[k], self.start[k]),
                     (True, open_end[k], self.end[k]),
                 ):
-                    if flagged:
+                    if flagged and F is not None and weights is not None:
                         lo, hi = samples[w] - a + at
                         weight = averaging_weights(hi - lo, self.average)  # type: ignore[arg-type]
                         # Mid-sample share of the average that an attitude error at this sample acts on.

@@ -51,6 +51,8 @@ class RotationIntegrals:
         channels b it is the covariance of φ.
     time_parts : ndarray, shape (K, P, 3, 3), or None
         ``time`` of equal parts of the rotation, in their order; an integrated window goes with the part beside it.
+    velocity : ndarray, shape (K, 3, 3, 3), or None
+        ``∫ F (Ĉ D)_ab f_c dt``, m/s: what gyros that follow the specific force f do to φ.
     """
 
     C_end: Array
@@ -61,6 +63,7 @@ class RotationIntegrals:
     turned: Array
     noise: Array | None = None
     time_parts: Array | None = None
+    velocity: Array | None = None
 
 
 def ideal_rotations(

@@ -8,6 +8,7 @@ import numpy as np
 
 from srt import measurement_model as model
 from srt import measurement_noise
+from srt.g_sensitivity import carried
 from srt.held import held_sigma
 from srt.sensor_errors import N_PARAMETERS
 from srt.verdict import LeftOut, reestimate
@@ -91,7 +92,7 @@ def _pooled_noise(data: PlaybackData, solution: Solution, gain: Array, pools: Ar
     own = np.zeros((len(pools), 3, 3))
     for source in measurement_noise.disturbances(playback, data, solution.wander).values():
         if source.rate is not None:
-            pooled = np.tensordot(pools, source.rate, 1)
+            pooled = np.tensordot(pools, carried(playback, source.rate)[0], 1)
             with_z += measurement_noise.project(playback, data, source, gain) @ pooled.reshape(3 * len(pools), -1).T
             own += pooled @ np.swapaxes(pooled, 1, 2)
     return with_z, own

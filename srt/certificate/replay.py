@@ -173,6 +173,7 @@ def _follows(calibration: Calibration, data: PlaybackData, options: Options) -> 
         "U": calibration.U,
         "nominal_vertical": not options.measured_vertical,
         "bias_offset": offset,
+        "g_sensitivity": _array((calibration.diagnostics.get("g_sensitivity") or {}).get("matrix"), (3, 3)),
     }
     whole = options.window_attitude == "integrated"
     playback = Player(data, options, np.full(W, whole)).play(calibration.errors, **how)

@@ -80,6 +80,8 @@ def apply(
         from srt.cli.report import held_summary
 
         warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
+    if header is not None and "g_sensitivity" in calibration.diagnostics:
+        warn(f"{c_header} does not hold what the gyros follow specific force by: {calibration_file} does.")
     if not quiet:
         if corrected is not None:
             axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
@@ -211,6 +213,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
     import numpy as np
 
     from srt.applier import Applier
+    from srt.g_sensitivity import KEY, insensitive_readings
 
     applier = Applier(calibration, frame=frame)
     increments = recording.kind == "increment"
@@ -226,7 +229,10 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
             ["the whole recording"],
             interval_s=recording.nominal_interval_s,
         )
-    gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
+    dt, raw = recording.interval_s if increments else None, recording.gyro
+    if KEY in calibration.diagnostics:
+        raw = insensitive_readings(calibration, raw, recording.accel, kind=recording.kind, dt=dt)
+    gyro, accel = applier.apply(raw, recording.accel, dt=dt)
     noise = replace(recording.noise, gyro_range=None, accel_range=None)
     return replace(recording, gyro=gyro, accel=accel, noise=noise)
 

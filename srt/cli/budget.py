@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.calibrate import PLOT_SUFFIXES, RESULT_SUFFIXES
+from srt.cli.calibrate import CHOICES, PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.output import check_file
 from srt.exceptions import InputError
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from sims.budget import Budget
     from sims.scenario import Scenario
+    from srt.options import GyroBias
 
 
 @click.command()
@@ -32,6 +33,13 @@ if TYPE_CHECKING:
 )
 @click.option("--paper", is_flag=True, help="The analysis of Savage 2020, §9, with the scenario's figures.")
 @click.option("--draws", type=click.IntRange(min=2), default=30, show_default=True, help="Of the fixture's errors.")
+@click.option(
+    "--gyro-bias",
+    type=click.Choice(CHOICES["gyro_bias"]),
+    default="auto",
+    show_default=True,
+    help="As in calibrate, for all calibrations.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Stacked bars: FILE.png, .pdf or .svg.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
@@ -40,6 +48,7 @@ def budget(
     estimators: tuple[str, ...],
     paper: bool,
     draws: int,
+    gyro_bias: GyroBias,
     output: Path | None,
     plot: Path | None,
     quiet: bool,
@@ -67,9 +76,9 @@ def budget(
     from sims.budget import budget as predict
     from srt.atomic import atomic_write_text
 
-    names = estimators or default_estimators()
+    names = estimators or default_estimators(gyro_bias)
     with budget_progress(quiet=quiet) as progress:
-        found = predict(chosen, names, draws=draws, progress=progress)
+        found = predict(chosen, names, draws=draws, gyro_bias=gyro_bias, progress=progress)
     if output is not None:
         document = {"scenario": chosen.model_dump(mode="json"), "budgets": [b.as_dict() for b in found]}
         atomic_write_text(output, json.dumps(document, indent=2, allow_nan=False) + "\n")
@@ -85,11 +94,12 @@ def budget(
     return 0
 
 
-def default_estimators() -> tuple[str, ...]:
-    """The closed form, and the best estimator that can run here."""
+def default_estimators(gyro_bias: GyroBias = "auto") -> tuple[str, ...]:
+    """The closed form, and the best estimator that can run here and takes the gyro bias so."""
     from importlib.util import find_spec
 
-    return ("closed-form", "graph" if find_spec("gtsam") is not None else "least-squares")
+    joint = find_spec("gtsam") is not None and gyro_bias != "g-sensitive"
+    return ("closed-form", "graph" if joint else "least-squares")
 
 
 def tables(found: Budget) -> str:

@@ -26,7 +26,7 @@ CHOICES = {
     "average": ("linear", "overlapping"),
     "down": ("tilt-immune", "paper"),
     "window_attitude": ("held", "integrated"),
-    "gyro_bias": ("auto", "pooled", "per-sequence"),
+    "gyro_bias": ("auto", "pooled", "per-sequence", "g-sensitive"),
     "step": ("jacobian", "coefficients"),
     "start": ("auto", "zero"),
     "loss": ("squared", "huber", "cauchy"),
@@ -93,7 +93,13 @@ class Display:
 @click.option("--average", type=click.Choice(CHOICES["average"]), default="linear", show_default=True)
 @click.option("--down", type=click.Choice(CHOICES["down"]), default="tilt-immune", show_default=True)
 @click.option("--window-attitude", type=click.Choice(CHOICES["window_attitude"]), default="held", show_default=True)
-@click.option("--gyro-bias", type=click.Choice(CHOICES["gyro_bias"]), default="auto", show_default=True)
+@click.option(
+    "--gyro-bias",
+    type=click.Choice(CHOICES["gyro_bias"]),
+    default="auto",
+    show_default=True,
+    help="g-sensitive: with what the gyros follow specific force by; closed-form and least-squares.",
+)
 @click.option("--step", type=click.Choice(CHOICES["step"]), default="jacobian", show_default=True)
 @click.option("--start", type=click.Choice(CHOICES["start"]), default="auto", show_default=True)
 @click.option("--max-playbacks", type=click.IntRange(min=1), default=20, show_default=True, metavar="N")

@@ -6,6 +6,7 @@ import math
 import textwrap
 from typing import TYPE_CHECKING, Final
 
+from srt.constants import DEG_PER_H
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
 from srt.tables import WIDTH, decimals_for, fixed, text_table
 from srt.verdict_table import verdict_text
@@ -74,6 +75,7 @@ def report(
         "\n".join(_heading(calibration, title)),
         parameter_table(calibration, truth),
         "\n".join(_held(calibration)),
+        g_sensitivity_table(calibration),
         budget_table(calibration) if budget else contribution_table(calibration),
         verdict_text(calibration, parameters=verdict),
         "\n".join(_judgement(calibration)),
@@ -119,6 +121,24 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
             row += [fixed(true, places), fixed(value - true, decimals), fixed(over, 2)]
         rows.append(row)
     return text_table(headers, rows, alignment, gap=1 if truth is not None else 2)
+
+
+def g_sensitivity_table(calibration: Calibration) -> str:
+    """Set what the gyros follow specific force by, and what the rates at rest are without; empty if not estimated."""
+    found = calibration.diagnostics.get("g_sensitivity")
+    if not found:
+        return ""
+    matrix, sigma = found["matrix_deg_per_h_per_g"], found["sigma_deg_per_h_per_g"]
+    scatter = found["rest_rate_scatter_rad_s"]
+    decimals = decimals_for(min(max(row) for row in sigma))
+    rows = []
+    for i, axis in enumerate("xyz"):
+        elements = [f"{fixed(v, decimals)} ± {fixed(s, decimals)}" for v, s in zip(matrix[i], sigma[i], strict=True)]
+        rates = [fixed(scatter[when][i] / DEG_PER_H, 2) for when in ("before", "after", "expected")]
+        rows.append([f"gyro {axis}", *elements, *rates])
+    heads = ["°/h per g", *(f"along {axis}" for axis in "xyz"), "at rest\n°/h", "\nleft", "\nexpected"]
+    table = text_table(heads, rows, "lrrrrrr", gap=1)
+    return f"Gyros follow specific force; scatter of the rates at rest with that and without\n{table}"
 
 
 def contribution_table(calibration: Calibration) -> str:

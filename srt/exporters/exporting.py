@@ -18,6 +18,7 @@ from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
 from srt.exporters.residual import Readings, Residual, compare
 from srt.exporters.source import Settings, Source
+from srt.g_sensitivity import KEY
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -309,7 +310,8 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
 
 def _losses(chosen: Exporter, calibration: Calibration) -> tuple[str, ...]:
     asymmetry = () if chosen.asymmetry or not _asymmetric(calibration) else ("scale-factor asymmetry",)
-    return (*asymmetry, *chosen.losses, "covariance")
+    following = ("g-sensitivity",) if KEY in calibration.diagnostics else ()
+    return (*asymmetry, *following, *chosen.losses, "covariance")
 
 
 def _asymmetric(calibration: Calibration) -> bool:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.g_sensitivity import KEY
 from srt.quaternion import rotation_vector
 
 if TYPE_CHECKING:
@@ -114,7 +115,8 @@ class Source:
             key: _UNSAFE.sub("_", str(provenance.get(key) or "not stated"))[:200]
             for key in ("serial", "date", "data_sha256", "software")
         }
-        lost = () if item.asymmetry else ("scale-factor asymmetry",)
+        lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
+        lost += ("g-sensitivity",) if KEY in self.calibration.diagnostics else ()
         return [
             f"{item.title}; generated, do not edit.",
             f"unit {stated['serial']}, {stated['date']}, by {stated['software']}, "

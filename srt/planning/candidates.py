@@ -113,8 +113,8 @@ class Candidate:
 
     def obstacle(self, stand: Stand) -> str | None:
         """Why the fixture cannot execute it, naming the rotation; None if it can."""
-        for axis, angle, name in zip(stand.axes, self.start_deg, AXIS_NAMES, strict=True):
-            standing = angle in axis.standing_deg() if axis.travel_deg or not axis.turns else angle % QUARTER_DEG == 0
+        for one, angle, name in zip(stand.axes, self.start_deg, AXIS_NAMES, strict=True):
+            standing = angle in one.standing_deg() if one.travel_deg or not one.turns else angle % QUARTER_DEG == 0
             if not standing:
                 return f"the {name} axis cannot stand at its start angle of {angle} deg"
         for number, ((axis, turn), (before, after)) in enumerate(
@@ -138,7 +138,7 @@ class Candidate:
         for axis, angle in zip(stand.axes, self.start_deg, strict=True):
             standing = axis.standing_deg() if axis.travel_deg is not None or not axis.turns else (angle,)
             choices.append([a for a in standing if (a - angle) % 360 == 0])
-        found = [Candidate(start, self.legs) for start in product(*choices)]
+        found = [Candidate((inner, outer), self.legs) for inner, outer in product(*choices)]
         return tuple(c for c in found if c.obstacle(stand) is None)
 
 
@@ -230,8 +230,8 @@ def _shifted(candidate: Candidate, stand: Stand) -> Iterator[Candidate]:
         else:
             same = [a for a in axis.standing_deg() if (a - angle) % 360 == 0]
             choices.append(sorted(same, key=abs) or [angle])
-    for start in product(*choices):
-        yield Candidate(start, candidate.legs)
+    for inner, outer in product(*choices):
+        yield Candidate((inner, outer), candidate.legs)
 
 
 @dataclass(frozen=True, slots=True)

@@ -220,7 +220,9 @@ class Signatures:
             "force": np.einsum("kiac,kjbc->kijab", force, force),
         }
 
-    def covariances(self, start_s: ArrayLike, end_s: ArrayLike, which: Array | None = None) -> dict[str, Array]:
+    def covariances(
+        self, start_s: ArrayLike, end_s: ArrayLike, which: NDArray[np.intp] | None = None
+    ) -> dict[str, Array]:
         """Covariance of the ten measurements by source, shape (n, 10, 10) each.
 
         Parameters
@@ -263,7 +265,7 @@ class Signatures:
         G = self.conditions.gyro_edge * edge.reshape(len(k), N_ROWS, -1)
         return np.asarray(G @ np.swapaxes(G, 1, 2))
 
-    def whitened(self, start_s: ArrayLike, end_s: ArrayLike, which: Array | None = None) -> Array:
+    def whitened(self, start_s: ArrayLike, end_s: ArrayLike, which: NDArray[np.intp] | None = None) -> Array:
         """Jacobians in units of the noise, ``L⁻¹ H`` with ``L Lᵀ`` the covariance, shape (n, 10, N_UNKNOWNS)."""
         R = np.asarray(sum(self.covariances(start_s, end_s, which).values()))
         H = self.H if which is None else self.H[which]

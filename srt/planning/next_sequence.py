@@ -152,7 +152,14 @@ def next_sequences(
 
 
 def _proposal(
-    signatures: Signatures, k: int, window: float, after: Array, *, before: Array, counted: Array, targets: Array
+    signatures: Signatures,
+    k: int,
+    window: float,
+    after: Array,
+    *,
+    before: Array,
+    counted: NDArray[np.intp],
+    targets: Array,
 ) -> Proposal:
     stand = signatures.stand
     order = np.argsort(after / before)[:3]
@@ -171,7 +178,7 @@ def _sigma(variance: float, target: float) -> float:
     return math.inf if variance > 1e6 else math.sqrt(variance) * float(target)
 
 
-def _variances(M: Array, counted: Array) -> Array:
+def _variances(M: Array, counted: NDArray[np.intp]) -> Array:
     d = 1.0 / np.sqrt(np.einsum("naa->na", M))
     inverse = np.linalg.inv(M * d[:, :, None] * d[:, None, :])
     return np.asarray((np.einsum("naa->na", inverse) * d**2)[:, counted])

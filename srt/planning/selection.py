@@ -252,7 +252,7 @@ class _Search:
         """Windows of a choice that fill the time, shape (n, 2), s."""
         level, share = self._level(self.cost[:, chosen].sum(axis=1)[:, None])
         factor = _FACTORS[level[0]] * (_FACTORS[level[0] + 1] / _FACTORS[level[0]]) ** share[0]
-        return np.clip(factor * self.pool_windows[chosen], self.judge.shortest_s, self.judge.longest_s)
+        return np.asarray(np.clip(factor * self.pool_windows[chosen], self.judge.shortest_s, self.judge.longest_s))
 
     def _level(self, cost: Array) -> tuple[Indices, Array]:
         """Step of the factor between which and the next the costs, shape (factors, n), reach the time; and how far."""
