@@ -77,8 +77,8 @@ def compare(file: PlanFile, plan: Plan, table_1: Plan, estimator: str, units: in
         worst.append(float((rms / targets)[counted].max()))
         k = int(np.nanargmax(np.where(counted, rms / targets, np.nan)))
         console.print(
-            f"  {title}: {units} units by {estimator}: worst observed error {NAMES[k]} at {worst[-1]:.3f} of its target; "
-            f"predicted over observed sigma {ratio[counted].min():.3f} to {ratio[counted].max():.3f} "
+            f"  {title}: {units} units by {estimator}: worst observed error {NAMES[k]} at {worst[-1]:.3f} of its "
+            f"target; predicted over observed sigma {ratio[counted].min():.3f} to {ratio[counted].max():.3f} "
             f"({error:.3f} standard error each)"
         )
     console.print(f"  observed: the plan is {100.0 * (1.0 - worst[0] / worst[1]):.0f} % better")

@@ -1,4 +1,4 @@
-"""Plans: the optimum and its bound, predicted accuracy against estimators and simulated units, and what is out of reach."""
+"""Plans: the optimum and its bound, predicted accuracy against estimators and simulated units, what is out of reach."""
 
 import math
 
@@ -130,7 +130,7 @@ def test_a_plan_is_better_than_table_1(white):
 
 
 def test_what_a_sequence_is_needed_for_is_what_is_lost_without_it(white):
-    file, plan = white
+    _, plan = white
     for k, need in enumerate(plan.prediction.needed_for[:4]):
         rest = [i for i in range(len(plan.candidates)) if i != k]
         without = predict(
@@ -199,7 +199,7 @@ def test_a_fixture_with_one_axis():
     inner = type(file.stand.inner)(turns=False, positions_deg=(0.0, 90.0), set_s=60.0)
     stand = file.stand.model_copy(update={"inner": inner}).stand()
     everything = file.targets.sigma()
-    with pytest.raises(DataError, match=r"can execute shows .*gyro_scale_z.*: take these targets out"):
+    with pytest.raises(DataError, match=r"can execute shows gyro_scale_z, .*: take these targets out"):
         make_plan(stand, file.conditions(), everything, total_s=900.0, limits=QUICK)
     some = np.full(27, math.nan)
     for name in ("gyro_scale_x", "gyro_scale_y", "gyro_asymmetry_x", "gyro_asymmetry_y"):
@@ -222,7 +222,7 @@ def test_the_shortest_test_meets_all_targets_and_hardly_more(white):
 def test_targets_out_of_reach_name_the_limit():
     conditions, targets = file_of().conditions(), np.full(27, math.nan)
     targets[GROUP_SLICES["accel_scale"]] = 1e-8
-    with pytest.raises(DataError, match="out of reach however long the test is.*gravity"):
+    with pytest.raises(DataError, match=r"out of reach however long the test is.*gravity"):
         make_plan(STAND, conditions, targets, limits=QUICK)
     targets = np.full(27, math.nan)
     targets[GROUP_SLICES["gyro_scale"]] = 1e-6
@@ -293,7 +293,9 @@ def test_known_information_is_that_of_the_sequences(half_done):
     assert known.shape == (N_UNKNOWNS, N_UNKNOWNS)
     added = predict(more, np.full((1, 2), 10.0), stand, conditions, known=known)
     together = predict(done + more, np.full((len(done) + 1, 2), 10.0), stand, conditions)
-    seen = [k for k, name in enumerate(NAMES) if name not in so_far.held]
+    # By the Earth's rate alone, a calibration knows a little of what no turn shows; the prediction leaves that out.
+    seen = np.isfinite(added.sigma) & np.isfinite(together.sigma)
+    assert seen.sum() >= 20
     np.testing.assert_allclose(added.sigma[seen] / together.sigma[seen], 1.0, atol=0.03)
 
 

@@ -1,7 +1,7 @@
 """What a fixture can execute: against the simulator's own kinematics, and in sentences where it cannot."""
 
 import math
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
@@ -121,7 +121,7 @@ def test_order_is_the_best_of_all_orders():
         assert sorted(order) == list(range(6))
         assert [w.key for w in ways] == [chosen[k].key for k in order]
         shortest = min(
-            sum(stand.move_s(chosen[a].end_deg, chosen[b].start_deg) for a, b in zip(p, p[1:], strict=False))
+            sum(stand.move_s(chosen[a].end_deg, chosen[b].start_deg) for a, b in pairwise(p))
             for p in permutations(range(6))
         )
         assert moves_s == pytest.approx(shortest, abs=1e-9)

@@ -175,8 +175,9 @@ class Signatures:
         H[:, _H, :N_PARAMETERS] = model.horizontal_jacobian(self.integrals, self.basis, f_start, f_end, accel)
         H[:, 2, :N_PARAMETERS] = model.down_jacobian(f_start, accel)
         H[:, 3, :N_PARAMETERS] = model.down_jacobian(f_end, accel)
-        H[:, _START_RATE, :N_PARAMETERS] = model.rate_error_jacobian(earth, gyro)
-        H[:, _END_RATE, :N_PARAMETERS] = model.rate_error_jacobian(np.einsum("kab,ka->kb", C, earth), gyro)
+        # The Earth's rate shows a scale factor to parts in a thousand at best: nothing to plan with.
+        H[:, _START_RATE, :N_PARAMETERS] = model.rate_error_jacobian(np.zeros((K, 3)), gyro)
+        H[:, _END_RATE, :N_PARAMETERS] = model.rate_error_jacobian(np.zeros((K, 3)), gyro)
         H[:, _DOWN, GRAVITY] = 1.0
         # A turn about the vertical moves the horizontal part of the Earth's rate.
         self._by_north = self._rows_of_earth_rate(np.cross(down, earth))

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]
 
+FOR_EVER: Final = 1e9
+"""How often a column is run where time is no matter."""
 GAP: Final = 0.01
 """The search ends when the bound is this close, as a share of sigma."""
 _MOST_ROUNDS: Final = 60
@@ -116,14 +118,10 @@ class Relaxed:
         return self.ratio / self.bound - 1.0 if self.bound > 0.0 else math.inf
 
 
-def unseen(columns: Columns, time_s: float, most: float = 100.0) -> Indices:
-    """Targets (positions in ``columns.targets``) that stay above ``most`` times what is wanted.
-
-    A time is divided evenly among all columns: what that does not show by a hundredth, no choice of columns does well.
-    """
-    cost = columns.cost_s
-    M = columns.information(np.arange(len(cost)), time_s / len(cost) / cost)
-    g, _ = columns.variances(M)
+def unseen(columns: Columns, most: float = 1e3) -> Indices:
+    """Targets (positions in ``columns.targets``) that stay unknown if every column were run for ever."""
+    every = np.arange(len(columns.cost_s))
+    g, _ = columns.variances(columns.information(every, np.full(len(every), FOR_EVER)))
     return np.flatnonzero(g > most**2)
 
 

@@ -18,7 +18,7 @@ from srt.catalogue import SEQUENCES
 from srt.exceptions import DataError, InputError
 from srt.planning.candidates import executable, from_catalogue, words
 from srt.planning.information import Signatures
-from srt.planning.optimum import Columns, Relaxed, relaxed_optimum, unseen
+from srt.planning.optimum import FOR_EVER, Columns, Relaxed, relaxed_optimum, unseen
 from srt.planning.order import best_order
 from srt.planning.prediction import Prediction, predict, prior_information, units
 from srt.planning.selection import Choice, Judge, Pool, select
@@ -41,11 +41,13 @@ _FINE_GRID: Final = 14
 _FINE_SEQUENCES: Final = 250
 _FINE_COLUMNS: Final = 2000
 _NEARLY: Final = 0.9
-_POOL: Final = 100
-_START_COUNTS: Final = (10, 18)
+_POOL: Final = 250
+_START_COUNTS: Final = (8, 14, 22)
 _FIRST_TIME_S: Final = 900.0
 _MET: Final = 1.0 + 1e-4
-_TRIES: Final = 8
+_TRIES: Final = 12
+_HALVINGS: Final = 4
+_CLOSE: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,11 +261,11 @@ class _Task:
 
     def require_seen(self) -> None:
         """Raise DataError where no sequence that the fixture can execute shows a target."""
-        hidden = [NAMES[self.judge.targets[i]] for i in unseen(self.coarse, self.limits.longest_test_s)]
+        hidden = [NAMES[self.judge.targets[i]] for i in unseen(self.coarse)]
         if hidden:
             raise DataError(
-                f"No sequence that this fixture can execute shows {', '.join(hidden)} anywhere near the targets: take "
-                "these targets out, or use a fixture with more freedom (both axes turning, more travel or positions)."
+                f"No sequence that this fixture can execute shows {', '.join(hidden)}: take these "
+                "targets out, or use a fixture with more freedom (both axes turning, more travel or positions)."
             )
 
     def relaxed(self, total_s: float) -> Relaxed:
@@ -366,20 +368,35 @@ class _Task:
         """Shortest test that meets the targets."""
         self._require_reach()
         total_s, relaxed = self._least_relaxed_time()
+        too_short = 0.0
         for _ in range(_TRIES):
             plan = self.whole(relaxed, total_s)
             if plan.ratio <= _MET:
-                return self._shortened(plan)
+                return self._shortened(self._halved(plan, relaxed, too_short))
+            too_short = total_s
             # Variances fall with the time, and a little more for what whole numbers cost.
-            total_s *= 1.02 * max(plan.ratio, 1.01) ** 2
+            total_s *= min(max(1.02 * plan.ratio**2, 1.04), 1.5)
             if total_s > self.limits.longest_test_s:
                 break
             relaxed = self.relaxed(total_s)
         raise self._out_of_reach(plan)
 
+    def _halved(self, plan: Plan, relaxed: Relaxed, too_short_s: float) -> Plan:
+        """A shorter plan between one that meets the targets and a time that was too short, by halving the gap."""
+        for _ in range(_HALVINGS):
+            if plan.total_s < (1.0 + _CLOSE) * too_short_s or too_short_s == 0.0:
+                break
+            total_s = math.sqrt(plan.total_s * too_short_s)
+            trial = self.whole(relaxed, total_s)
+            if trial.ratio <= _MET:
+                plan = trial
+            else:
+                too_short_s = total_s
+        return plan
+
     def _require_reach(self) -> None:
         """Raise DataError where no time is enough: what the whole test has in common remains."""
-        even = np.full(len(self.coarse.cost_s), 1e9)
+        even = np.full(len(self.coarse.cost_s), FOR_EVER)
         g, _ = self.coarse.variances(self.coarse.information(np.arange(len(even)), even))
         if g.max() > 1.0:
             k = int(self.judge.targets[np.argmax(g)])

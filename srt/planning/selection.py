@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]
 
+_PROMISING: Final = 25
 _POWERS: Final = (3.0, 16.0)
 """Of the mean over the targets that stands for their largest while whole sequences are exchanged: it has a slope."""
 _MOST_PASSES: Final = 12
@@ -301,9 +302,21 @@ class _Search:
         for i in range(min(len(chosen), self.most - 1), -1, -1):
             rest = chosen[:i] + chosen[i + 1 :]
             cost, information = self.cost[:, rest].sum(axis=1), self.information[:, rest].sum(axis=1)
-            values = self.values(cost[:, None] + self.cost, information[:, None] + self.information)
+            near = self._promising(cost, information)
+            values = self.values(cost[:, None] + self.cost[:, near], information[:, None] + self.information[:, near])
             k = int(np.argmin(values))
             without = self._of(rest) if rest and i < len(chosen) else np.inf
             if min(values[k], without) < now - 1e-9:
-                chosen, now = (rest, without) if without < values[k] else ([*rest, k], float(values[k]))
+                chosen, now = (rest, without) if without < values[k] else ([*rest, int(near[k])], float(values[k]))
         return chosen, now
+
+    def _promising(self, cost: Array, information: Array) -> Indices:
+        """Columns of the pool whose information is worth most to a choice, by its slope; also for their time."""
+        level, _ = self._level(cost[:, None])
+        inverse = self.judge.inverse(self.judge.prior + information[level[0]])
+        g, X = np.diag(inverse)[self.judge.targets] + self.judge.floor, inverse[:, self.judge.targets]
+        weight = (g / g.max()) ** (self.power - 1.0) / g.max()
+        gain = np.einsum("kab,ab->k", self.information[level[0]], (X * weight) @ X.T)
+        return np.union1d(np.argsort(-gain)[:_PROMISING], np.argsort(-gain / self.cost[level[0]])[:_PROMISING]).astype(
+            np.intp
+        )
