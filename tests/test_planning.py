@@ -1,6 +1,7 @@
 """Plans: the optimum and its bound, predicted accuracy against estimators and simulated units, what is out of reach."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ from srt.planning.prediction import predict
 from srt.planning.stand import Stand, StandAxis
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 
-QUICK = Limits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=720, most_legs=4)
+QUICK = Limits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=4)
+FEW = Limits(shortest_window_s=2.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2)
 STAND = Stand(StandAxis(1.0, 10.0), StandAxis(1.0, 10.0), settle_s=0.5, pause_s=0.5)
 WHITE = {"gyro_noise_deg_per_sqrt_h": 0.0667, "accel_noise_ug_per_sqrt_hz": 60.0}
 
@@ -60,7 +62,8 @@ def test_optimum_of_separate_unknowns(pairs):
     # Equal variances: w_i a_i the same for all, with Σ c_i w_i = T.
     exact = math.sqrt(np.sum(costs / strengths) / 100.0)
     assert found.bound <= exact * (1.0 + 1e-6)
-    assert exact <= found.ratio <= exact * (1.0 + 1.1e-3)
+    # A billionth of the information is always there.
+    assert exact * (1.0 - 1e-6) <= found.ratio <= exact * (1.0 + 1.1e-3)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -184,8 +187,7 @@ def test_plans_for_limited_travel_are_executed(stand):
     file = file_of(WHITE)
     axes = {name: type(file.stand.inner)(**axis) for name, axis in stand.items()}
     file = file.model_copy(update={"stand": file.stand.model_copy(update=axes)})
-    limits = Limits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=4)
-    plan = make_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), total_s=400.0, limits=limits)
+    plan = make_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), total_s=400.0, limits=FEW)
     for candidate in plan.candidates:
         for axis, angles in zip(plan.stand.axes, zip(*candidate.path_deg, strict=True), strict=True):
             assert axis.travel_deg[0] <= min(angles) <= max(angles) <= axis.travel_deg[1]
@@ -209,24 +211,29 @@ def test_a_fixture_with_one_axis():
     assert {axis for c in plan.candidates for axis, _ in c.legs} == {1}
 
 
-def test_the_shortest_test_meets_all_targets_and_hardly_more(white):
-    file, plan = white
-    wanted = 1.3 * plan.ratio * file.targets.sigma()
-    shorter = make_plan(file.stand.stand(), file.conditions(), wanted, limits=QUICK)
-    assert shorter.unmet == ()
-    # White noise averages: variances go with the time, but for whole sequences.
-    assert 300.0 / 1.3**2 * (plan.bound / plan.ratio) ** 2 < shorter.total_s < 300.0
-    assert shorter.ratio > 0.85
+def test_the_shortest_test_meets_all_targets_and_hardly_more():
+    file = file_of(WHITE)
+    wanted = np.full(27, math.nan)
+    wanted[GROUP_SLICES["gyro_scale"]], wanted[GROUP_SLICES["accel_bias"]] = 2e-5, 1e-3
+    stand, conditions = file.stand.stand(), file.conditions()
+    shortest = make_plan(stand, conditions, wanted, limits=FEW)
+    assert shortest.unmet == ()
+    assert shortest.ratio > 0.95
+    assert shortest.bound <= shortest.ratio
+    # Half the accuracy in a quarter of the time, or less than that much more where sequences are whole.
+    wider = make_plan(stand, conditions, 2.0 * wanted, limits=FEW)
+    assert wider.unmet == ()
+    assert 0.2 * shortest.total_s < wider.total_s < 0.6 * shortest.total_s
 
 
 def test_targets_out_of_reach_name_the_limit():
     conditions, targets = file_of().conditions(), np.full(27, math.nan)
     targets[GROUP_SLICES["accel_scale"]] = 1e-8
     with pytest.raises(DataError, match=r"out of reach however long the test is.*gravity"):
-        make_plan(STAND, conditions, targets, limits=QUICK)
+        make_plan(STAND, conditions, targets, limits=FEW)
     targets = np.full(27, math.nan)
     targets[GROUP_SLICES["gyro_scale"]] = 1e-6
-    hour = Limits(4.0, 30.0, 360, 2, 1800.0)
+    hour = Limits(4.0, 30.0, 360, 1, 1800.0)
     with pytest.raises(DataError, match=r"out of reach in 0.5 h: gyro_scale_. stays at .* % of its variance by"):
         make_plan(STAND, conditions, targets, limits=hour)
 
@@ -246,7 +253,7 @@ def test_targets_that_are_none(change, said):
 
 def test_a_time_that_is_too_short():
     with pytest.raises(InputError, match="too short"):
-        make_plan(STAND, file_of().conditions(), file_of().targets.sigma(), total_s=5.0, limits=QUICK)
+        make_plan(STAND, file_of().conditions(), file_of().targets.sigma(), total_s=5.0, limits=FEW)
     with pytest.raises(InputError, match="too short for 17 sequences"):
         table_1_plan(STAND, file_of().conditions(), file_of().targets.sigma(), 200.0, QUICK)
 
@@ -282,27 +289,27 @@ def test_the_next_sequence_shows_what_is_missing(half_done):
     assert {name for name, before, _ in first.improved if math.isinf(before)} & missing
 
 
-def test_known_information_is_that_of_the_sequences(half_done):
+def test_known_information_is_that_of_the_sequences():
     """What a calibration knows, with one more sequence predicted, is what all sequences together predict."""
-    file, so_far = half_done
+    file = file_of(WHITE)
     conditions, stand = file.conditions(), file.stand.stand()
-    ids = [name for name in SEQUENCES if name not in {"3", "3a", "6", "9", "10"}]
-    done = [from_catalogue(SEQUENCES[name], stand) for name in ids]
-    more = [from_catalogue(SEQUENCES["1"], stand)]
-    known = known_information(so_far, conditions)
+    done = [from_catalogue(s, stand) for s in SEQUENCES.values()]
+    scenario = sims.scenario_from_dict(
+        {"seed": 9, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
+         "site": file.site.model_dump(exclude_none=True), "schedule": {"dwell_s": 10.0, "settle_s": 0.5},
+         "recording": {"sample_rate_hz": 50.0}}
+    )  # fmt: skip
+    known = known_information(srt.calibrate(sims.simulate(scenario).recording, "least-squares"), conditions)
     assert known.shape == (N_UNKNOWNS, N_UNKNOWNS)
+    more = [from_catalogue(SEQUENCES["8"], stand)]
     added = predict(more, np.full((1, 2), 10.0), stand, conditions, known=known)
-    together = predict(done + more, np.full((len(done) + 1, 2), 10.0), stand, conditions)
-    # By the Earth's rate alone, a calibration knows a little of what no turn shows; the prediction leaves that out.
-    seen = np.isfinite(added.sigma) & np.isfinite(together.sigma)
-    assert seen.sum() >= 20
-    np.testing.assert_allclose(added.sigma[seen] / together.sigma[seen], 1.0, atol=0.03)
+    together = predict(done + more, np.full((18, 2), 10.0), stand, conditions)
+    # As above: ramps and errors of 0.3 % make 3 %.
+    np.testing.assert_allclose(added.sigma / together.sigma, 1.0, atol=0.03)
 
 
 def test_a_calibration_that_observed_nothing(half_done):
     file, so_far = half_done
-    from dataclasses import replace
-
     nothing = replace(so_far, held=dict.fromkeys(NAMES, "none"), covariance=np.zeros((27, 27)))
     with pytest.raises(InputError, match="observed nothing"):
         known_information(nothing, file.conditions())

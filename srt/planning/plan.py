@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     Progress = Callable[[str, int, float], None]
 
 _GRID: Final = 8
-_FINE_GRID: Final = 14
-_FINE_SEQUENCES: Final = 250
+_FINE_GRID: Final = 9
+_FINE_SEQUENCES: Final = 150
 _FINE_COLUMNS: Final = 2000
 _NEARLY: Final = 0.9
 _POOL: Final = 250
@@ -47,6 +47,7 @@ _FIRST_TIME_S: Final = 900.0
 _MET: Final = 1.0 + 1e-4
 _TRIES: Final = 12
 _HALVINGS: Final = 4
+_ROUNDS: Final = 5
 _CLOSE: Final = 0.03
 
 
@@ -232,6 +233,14 @@ def _judge(signatures: Signatures, targets: Array, limits: Limits) -> Judge:
     )
 
 
+class _TooLongError(InputError):
+    """The moves leave no time for the windows; they took so much per sequence."""
+
+    def __init__(self, message: str, per_sequence_s: float) -> None:
+        super().__init__(message)
+        self.per_sequence_s = per_sequence_s
+
+
 class _Task:
     """One planning problem."""
 
@@ -350,18 +359,26 @@ class _Task:
         best: Plan | None = None
         pool = self.pool(relaxed)
         per_sequence = self.least_s + self.stand.outer.move_s(0.0, 90.0)
-        for _ in range(2):
+        for _ in range(_ROUNDS):
+            most = self.limits.most_sequences
             try:
-                most = self.limits.most_sequences
                 choice = select(self.judge, pool, total_s, per_sequence, most, lambda: self.tell("plan", 0, 0.0))
-            except ValueError as error:
-                raise InputError(f"The time for the test is too short: {error}.") from None
-            plan = _finished(self.judge, choice, self.stand, self.conditions, self.targets, total_s, relaxed)
-            if best is None or plan.ratio < best.ratio:
-                best = plan
+                plan = _finished(self.judge, choice, self.stand, self.conditions, self.targets, total_s, relaxed)
+            except ValueError:
+                break
+            except _TooLongError as error:
+                per_sequence = max(1.05 * per_sequence, error.per_sequence_s)
+                continue
+            if best is not None:
+                return min(plan, best, key=lambda p: p.ratio)
+            best = plan
             per_sequence = plan.moves_s / max(1, len(plan.candidates) - 1)
             pool = replace(pool, starts=(np.array([pool.which.tolist().index(k) for k in choice.which]),))
-        assert best is not None
+        if best is None:
+            raise InputError(
+                f"{total_s:g} s are too short for a test that shows all targets: give more time, shorter windows "
+                "(shortest_window_s), or fewer targets."
+            )
         return best
 
     def in_least_time(self) -> Plan:
@@ -369,17 +386,22 @@ class _Task:
         self._require_reach()
         total_s, relaxed = self._least_relaxed_time()
         too_short = 0.0
+        plan: Plan | None = None
         for _ in range(_TRIES):
-            plan = self.whole(relaxed, total_s)
-            if plan.ratio <= _MET:
+            try:
+                plan = self.whole(relaxed, total_s)
+                ratio = plan.ratio
+            except InputError:  # too short for any
+                ratio = math.inf
+            if plan is not None and ratio <= _MET:
                 return self._shortened(self._halved(plan, relaxed, too_short))
             too_short = total_s
             # Variances fall with the time, and a little more for what whole numbers cost.
-            total_s *= min(max(1.02 * plan.ratio**2, 1.04), 1.5)
+            total_s *= min(max(1.02 * ratio**2, 1.04), 1.5)
             if total_s > self.limits.longest_test_s:
                 break
             relaxed = self.relaxed(total_s)
-        raise self._out_of_reach(plan)
+        raise self._out_of_reach(plan or self.whole(relaxed, total_s))
 
     def _halved(self, plan: Plan, relaxed: Relaxed, too_short_s: float) -> Plan:
         """A shorter plan between one that meets the targets and a time that was too short, by halving the gap."""
@@ -387,7 +409,11 @@ class _Task:
             if plan.total_s < (1.0 + _CLOSE) * too_short_s or too_short_s == 0.0:
                 break
             total_s = math.sqrt(plan.total_s * too_short_s)
-            trial = self.whole(relaxed, total_s)
+            try:
+                trial = self.whole(relaxed, total_s)
+            except InputError:  # too short for any
+                too_short_s = total_s
+                continue
             if trial.ratio <= _MET:
                 plan = trial
             else:
@@ -458,9 +484,10 @@ def _finished(
     budget = total_s - moves_s - float(judge.signatures.own_s[which].sum())
     least = 2.0 * judge.shortest_s * len(which)
     if budget < least:
-        raise InputError(
+        raise _TooLongError(
             f"{total_s:g} s are too short for {len(which)} sequences: rotations and moves alone take "
-            f"{total_s - budget:.0f} s, and the windows at least {least:.0f} s."
+            f"{total_s - budget:.0f} s, and the windows at least {least:.0f} s.",
+            moves_s / max(1, len(which) - 1),
         )
     refined = judge.refine(which, choice.windows_s[list(order)], budget)
     used = total_s - budget + float(refined.windows_s.sum())
