@@ -75,7 +75,7 @@ def plan_figure(plan: Plan, *, title: str = "") -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Not known to pyplot; :func:`srt.figure_style.save_figure` writes it.
+        Not known to pyplot; ``srt.figure_style.save_figure`` writes it.
 
     Notes
     -----
