@@ -16,7 +16,7 @@ try:
     from matplotlib.layout_engine import ConstrainedLayoutEngine
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
 except ModuleNotFoundError as error:
     if (error.name or "").partition(".")[0] != "matplotlib":
         raise
@@ -48,6 +48,7 @@ __all__ = [
     "Line2D",
     "LogLocator",
     "MaxNLocator",
+    "MultipleLocator",
     "NullLocator",
     "Patch",
     "SubFigure",

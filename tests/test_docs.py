@@ -24,6 +24,7 @@ from test_errata_papers import BIAS_EFFECTS
 
 import sims
 import srt
+from sims import plan_file
 from srt import recording_keys
 from srt.calibration import STATUSES
 from srt.cli import main
@@ -220,6 +221,19 @@ def test_the_page_of_files_lists_the_keys_of_a_recording(section):
 def test_the_page_of_files_lists_the_keys_of_a_calibration():
     unit = srt.Calibration("hand", "converged", "", srt.SensorErrors(), np.zeros((27, 27)))
     assert first_column("docs/reference/files.md", "Calibration") == set(unit.to_dict()) | set(STATUSES)
+
+
+PLAN_SECTIONS = {
+    "`[stand]`": set(plan_file.StandConfig.model_fields) - {"inner", "outer"},
+    "`[stand.inner]`, `[stand.outer]`": set(plan_file.AxisConfig.model_fields),
+    "`[targets]`": set(plan_file.TargetsConfig.model_fields),
+    "`[plan]`": set(plan_file.PlanOptions.model_fields),
+}
+
+
+@pytest.mark.parametrize("heading", PLAN_SECTIONS)
+def test_the_page_of_files_lists_the_keys_of_a_plan_file(heading):
+    assert first_column("docs/reference/files.md", heading) == PLAN_SECTIONS[heading]
 
 
 # --- equations -----------------------------------------------------------------------------------------------------
