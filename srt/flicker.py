@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 CORRELATION_TIMES_S: Final = tuple(10.0**decade for decade in range(-1, 5))
 """Correlation times of all processes."""
 _SLOWEST_S: Final = 1000.0
-_MOST_PARTS: Final = 6
+_PARTS: Final = (2, 6)
 _PARTS_IN_ALL: Final = 400
 _ROUNDING: Final = 1e-12
 
@@ -84,7 +84,7 @@ def _twice_integrated(t: Array, tau: float) -> Array:
 
 def parts_per_turn(turns: int) -> int:
     """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment."""
-    return int(np.clip(_PARTS_IN_ALL // max(turns, 1), 1, _MOST_PARTS))
+    return int(np.clip(_PARTS_IN_ALL // max(turns, 1), *_PARTS))
 
 
 def cut(spans: NDArray[np.intp], parts: int) -> NDArray[np.intp]:
