@@ -1,7 +1,8 @@
 """The joint estimation problem of a recording: unknowns, priors, noise, and the linearisation by play-back.
 
-Unknowns besides the sensor errors: gyro bias of every sequence, levelling and north of the fixture's base, orientation
-U of MARS on the table, gravity, the Earth's rate where it is not known, and the attitude of every stationary window.
+Unknowns besides the sensor errors: drift of the biases as their instability is stated (else, where the rest rates
+scatter, a gyro bias of every sequence), levelling and north of the fixture's base, orientation U of MARS on the table,
+gravity, the Earth's rate where it is not known, and the attitude of every stationary window.
 Measurements: mean specific force and mean rate of every window, and the rotation that the gyros integrated between
 the windows of a sequence. The mathematics is that of :mod:`srt.measurement_model`.
 """
