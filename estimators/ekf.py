@@ -1,9 +1,9 @@
 """Extended Kalman filter (filterpy) over the sequences of a recording, iterated by play-back.
 
 State: sensor errors, gyro bias with a random walk between sequences, levelling and north of the base, orientation of
-MARS on the table, gravity, the Earth's rate where it is unknown, and, in a free recording, the attitude of the pose
-that one turn hands on to the next. Every iteration restarts from the prior: only the point of linearisation is kept,
-or the data would count twice.
+MARS on the table, gravity, the Earth's rate where it is unknown, in a free recording the attitude of the pose that one
+turn hands on to the next, and the draws of a stated drift up to the present sequence. Every iteration restarts from the
+prior: only the point of linearisation is kept, or the data would count twice.
 
 The filter's coordinates are those in which the prior is white, and it is a square-root filter
 (:mod:`estimators.root_ekf`).
@@ -91,17 +91,20 @@ def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> 
     point : Point
     prior : Prior
     """
-    shared = global_columns(system)
+    everything = global_columns(system)
+    # The draws of the drift join the state with the sequence that needs them first; until then they change nothing.
+    shared = everything[everything < system.columns["drift"].start]
     L, start = _prior_root(system, point, prior, shared)
     n = len(shared)
+    size = n + _POSE + _MEAN
     inverse = solve_triangular(L, np.eye(n), lower=True)
-    root = np.zeros((n + _POSE + _MEAN, n + _POSE + _MEAN))
+    root = np.zeros((size, size))
     root[:n, :n] = np.eye(n)
     ekf = RootExtendedKalmanFilter(np.concatenate([inverse @ start, np.zeros(_POSE + _MEAN)]), root)
     bias = np.flatnonzero((shared >= system.columns["bias"].start) & (shared < system.columns["bias"].stop))
     axes = shared[bias] - system.columns["bias"].start
     walk = problem.walk_sigma() if problem.walks else None
-    E = _report_map(shared, axes, L)
+    E = _report_map(shared, axes, L, bias if walk is None else None)
     parts = blocks(problem, system)
     innovations, history = [], []
     for i, part in enumerate(parts):
@@ -114,22 +117,28 @@ def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> 
             change = point.bias_deviation[after] - point.bias_deviation[before]
             drift[:n] = -inverse[:, bias] @ change[axes]
             ekf.predict(drift, F=np.eye(len(ekf.x)), noise_root=step)
-        H = np.concatenate([part.H @ L, part.H_pose, np.zeros((len(part.b), _MEAN))], axis=1)
+        needed = np.flatnonzero(part.H[:, n:].any(axis=0))
+        ekf.grow(max(0, size + int(needed.max(initial=-1)) + 1 - len(ekf.x)))
+        by_drift = part.H[:, n : n + len(ekf.x) - size]
+        H = np.concatenate([part.H[:, :n] @ L, part.H_pose, np.zeros((len(part.b), _MEAN)), by_drift], axis=1)
         ekf.update(-part.b, lambda _, H=H: H, lambda x, H=H: H @ x)  # type: ignore[misc]
         innovations.append(ekf.whitened)
         if part.pose is not None:
             _hand_on(ekf, part, L, n)
-        _take_mean(ekf, L[bias], axes, i, n)
-        spread = E @ ekf.root
+        if walk is not None:
+            _take_mean(ekf, L[bias], axes, i, n)
+        spread = E @ ekf.root[:size]
         history.append(np.sqrt(np.einsum("pi,pi->p", spread, spread)))
     delta = np.zeros(system.A.shape[1])
-    delta[shared] = g = L @ ekf.x[:n]
+    g = np.zeros(len(everything))
+    g[:n], g[n : n + len(ekf.x) - size] = L @ ekf.x[:n], ekf.x[size:]
+    delta[everything] = g
     handed_in = np.zeros(_POSE)
     for part in parts:
         values, handed_on = part.own_unknowns(g, handed_in)
         delta[part.local[0]], delta[part.pose_columns] = values, handed_on[part.pose_active]
         handed_in = handed_on
-    correction = E @ ekf.x
+    correction = E @ ekf.x[:size]
     delta[system.columns["bias"]].reshape(-1, 3)[:] = correction[N_ERRORS:]
     return FilterRun(
         delta,
@@ -159,12 +168,18 @@ def _prior_root(system: System, point: Point, prior: Prior, shared: NDArray[np.i
     return np.asarray(np.linalg.cholesky(P[np.ix_(shared, shared)]), dtype=np.float64), mean[shared]
 
 
-def _report_map(shared: NDArray[np.intp], axes: NDArray[np.intp], L: Array) -> Array:
-    """Reported parameters from the filter's state, shape (27, n + 6): the bias is the mean over the sequences."""
+def _report_map(shared: NDArray[np.intp], axes: NDArray[np.intp], L: Array, bias: NDArray[np.intp] | None) -> Array:
+    """Reported parameters from the filter's state, shape (27, n + 6): a bias that walks is the mean of the sequences.
+
+    ``bias`` is where the state has one that does not walk.
+    """
     E = np.zeros((N_PARAMETERS, len(shared) + _POSE + _MEAN))
     errors = np.flatnonzero(shared < N_ERRORS)
     E[shared[errors], : len(shared)] = L[errors]
-    E[N_ERRORS + axes, len(shared) + _POSE + axes] = 1.0
+    if bias is None:
+        E[N_ERRORS + axes, len(shared) + _POSE + axes] = 1.0
+    else:
+        E[N_ERRORS + axes, : len(shared)] = L[bias]
     return E
 
 
@@ -174,9 +189,11 @@ def _hand_on(ekf: RootExtendedKalmanFilter, part: Block, L: Array, n: int) -> No
     R, G, G_pose, c = part.pose
     inverse = np.linalg.inv(R)
     at = n + np.flatnonzero(part.pose_active)
+    drift = n + _POSE + _MEAN
     F = np.eye(len(ekf.x))
     F[n : n + _POSE] = 0.0
-    F[at, :n] = -inverse @ G @ L
+    F[at, :n] = -inverse @ G[:, :n] @ L
+    F[at, drift:] = -inverse @ G[:, n : n + len(ekf.x) - drift]
     F[np.ix_(at, np.arange(n, n + _POSE))] = -inverse @ G_pose
     noise, constant = np.zeros((len(ekf.x), len(at))), np.zeros(len(ekf.x))
     noise[at], constant[at] = inverse, -inverse @ c

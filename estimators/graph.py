@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, F, G, Q, U, X
+from gtsam.symbol_shorthand import A, D, F, G, Q, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
@@ -223,6 +223,8 @@ def _columns(built: GraphBuilder, system: System, values: Any) -> Array:
         earth = built.earth_key(c)
         if earth is not None:
             delta[system.of("earth_rate").reshape(-1, 3)[c]] = values.atVector(earth) - point.earth_rate[c]
+    if len(drift := system.of("drift")):
+        delta[drift] = values.atVector(D(0))
     edges = system.of("edge").reshape(-1, 3)
     for number in range(len(edges)):
         delta[edges[number]] = values.atVector(Q(number))

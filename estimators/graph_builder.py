@@ -2,7 +2,8 @@
 
 Variables: sensor errors ``x``, gyro bias of every sequence ``b`` joined by a random walk, levelling and north of the
 base ``f``, orientation of MARS on the table ``u``, gravity ``g``, the Earth's rate where it is unknown ``e``, the
-attitude of every stationary window ``a``, and the reading errors at the windows' edges ``q``.
+attitude of every stationary window ``a``, the reading errors at the windows' edges ``q``, and the draws of the drift
+``d``, one variable as every window tells of all.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, E, F, G, Q, U, X
+from gtsam.symbol_shorthand import A, B, D, E, F, G, Q, U, X
 from scipy.linalg import block_diag
 
 from estimators import factors
@@ -99,6 +100,8 @@ class GraphBuilder:
             self.values.insert(A(w), gtsam.Rot3(attitude))
         for number in range(int(self.edges.max()) + 1):
             self.values.insert(Q(number), np.zeros(3))
+        if self.played.drift.size:
+            self.values.insert(D(0), np.zeros(self.played.drift.size))
         for c in range(len(problem.chains)):
             if self.earth_key(c) is not None:
                 self.values.insert(E(c), point.earth_rate[c])
@@ -123,6 +126,10 @@ class GraphBuilder:
             out.append((self.bias_key(sequence), jacobian[:, N_ERRORS + self.axes]))
         return out
 
+    def _drift(self, effect: Array) -> list[tuple[int, Array]]:
+        """Term of the draws of the drift, if there is one."""
+        return [(int(D(0)), effect)] if self.played.drift.size else []
+
     def _windows(self) -> None:
         """One factor for the force and the rate of a window: what is wrong with a window is wrong with both."""
         problem, played = self.problem, self.played
@@ -133,6 +140,7 @@ class GraphBuilder:
             chain = int(problem.window_chain[w])
             jacobian = -np.concatenate([played.force_jacobian[w], played.rate_jacobian[w]])
             linear = self._linear(jacobian, int(problem.window_sequence[w]))
+            linear += self._drift(-np.concatenate([played.drift.force[w], played.drift.rate[w]]))
             slope = played.edge_slope / T[w]
             linear += [
                 (int(Q(number)), np.concatenate([np.zeros((3, 3)), sign * slope]))
@@ -155,7 +163,7 @@ class GraphBuilder:
         for k in range(data.K):
             start, end = int(data.start[k]), int(data.end[k])
             chain = int(problem.sequence_chain[k])
-            linear = self._linear(played.turned_jacobian[k], k)
+            linear = self._linear(played.turned_jacobian[k], k) + self._drift(played.drift.turned[k])
             if self.edges[start, 1] >= 0:
                 linear.append((int(Q(self.edges[start, 1])), -played.edge_slope))
             if self.edges[end, 0] >= 0:
@@ -208,6 +216,10 @@ class GraphBuilder:
             graph.add(gtsam.CustomFactor(noise, [A(w)], factors.Terms([], [int(A(w))], factors.heading(keep)).function))
         for number in range(int(self.edges.max()) + 1):
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), isotropic(3, 1.0)))
+        if self.played.drift.size:
+            graph.add(
+                gtsam.PriorFactorVector(D(0), np.zeros(self.played.drift.size), isotropic(self.played.drift.size, 1.0))
+            )
         if problem.walks and len(self.axes):
             step = problem.walk_sigma()[:, self.axes]
             for i, (before, after) in enumerate(

@@ -71,7 +71,7 @@ def calibration_of(
         judged.gross,
         tuple(np.flatnonzero(problem.integrated).tolist()),
         problem.wander,
-        state.point.bias_deviation,
+        state.point.bias_deviation + judged.drift,
         np.tile(np.eye(3), (data.K, 1, 1)) if state.played is None else state.played.turned,
         judged.total,
         {"sequences": list(judged.table)} | step.diagnostics(problem) | diagnostics,
@@ -82,7 +82,10 @@ def calibration_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
-    """Statistics of a solution: covariance by source and in all, residuals, every sequence against the others."""
+    """Statistics of a solution: covariance by source and in all, residuals, every sequence against the others.
+
+    ``drift`` is that of the gyros by sequence, about its mean, rad/s.
+    """
 
     covariance: dict[str, Array]
     total: Array
@@ -92,6 +95,7 @@ class Judgement:
     freedom: int = 0
     gross: bool = False
     evidence: tuple[Evidence, ...] = ()
+    drift: Array | float = 0.0
 
 
 def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judgement:
@@ -112,14 +116,13 @@ def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judge
     covariance = by_source(system, solution)
     covariance["held_values"] = _held_values(system, solution, uncertain, state.free)
     total = state.covariance + covariance["held_values"]
-    # Under "per-sequence" the wander is a freedom, and no figure of the unit.
-    unit_wander = np.zeros(3) if problem.options.gyro_bias == "per-sequence" else problem.wander
-    for group, wander in (("gyro_bias", unit_wander), ("accel_bias", problem.data.noise.accel_wander)):
-        at = np.arange(N_PARAMETERS)[GROUP_SLICES[group]]
-        part = covariance.setdefault(f"{group}_instability", nothing.copy())
+    # Under "per-sequence" the wander is a freedom, and no figure of the unit; a stated drift is in the solution.
+    if problem.data.noise.gyro_flicker is None and problem.options.gyro_bias != "per-sequence":
+        at = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
+        part = covariance.setdefault("gyro_bias_instability", nothing.copy())
         # The bias reported is the unit's; that of this test is one draw of it.
-        part[at, at] += wander**2
-        total[at, at] += wander**2
+        part[at, at] += problem.wander**2
+        total[at, at] += problem.wander**2
     left = system.b + system.A @ solution.delta
     spread = system.A @ solution.root
     measured = np.ones(len(left), dtype=np.bool_)
@@ -141,6 +144,7 @@ def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judge
         number,
         gross,
         evidence(problem, system, solution, against),
+        problem.drift_by_sequence(system.played, solution.delta[system.columns["drift"]]),
     )
 
 

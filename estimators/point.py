@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from estimators.drift import Drift
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]
@@ -83,6 +84,8 @@ class Played:
     duration_s : ndarray, shape (K,)
     edge_slope : ndarray, shape (3, 3), rad
         Compensated angle of a unit reading error at a window's edge; zero where these do not matter.
+    drift : Drift
+        What the stated bias instability adds to all of them.
     """
 
     force: Array
@@ -97,3 +100,4 @@ class Played:
     turned_jacobian: Array
     duration_s: Array
     edge_slope: Array
+    drift: Drift

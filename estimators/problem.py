@@ -1,7 +1,8 @@
 """The joint estimation problem of a recording: unknowns, priors, noise, and the linearisation by play-back.
 
-Unknowns besides the sensor errors: gyro bias of every sequence, levelling and north of the fixture's base, orientation
-U of MARS on the table, gravity, the Earth's rate where it is not known, and the attitude of every stationary window.
+Unknowns besides the sensor errors: drift of the biases as their instability is stated (else, where the rest rates
+scatter, a gyro bias of every sequence), levelling and north of the fixture's base, orientation U of MARS on the table,
+gravity, the Earth's rate where it is not known, and the attitude of every stationary window.
 Measurements: mean specific force and mean rate of every window, and the rotation that the gyros integrated between
 the windows of a sequence. The mathematics is that of :mod:`srt.measurement_model`.
 """
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from estimators.drift import drift
 from estimators.point import Chain, Played, Point
 from srt import measurement_model as model
 from srt.attitude import integrate
@@ -96,6 +98,7 @@ class Problem:
         data = self.data
         W = len(data.windows.duration_s)
         self.order = np.argsort(data.rotation[:, 0], kind="stable")
+        self.rank = np.argsort(self.order)
         self.window_sequence = np.full(W, -1, dtype=np.intp)
         self.window_chain = np.full(W, -1, dtype=np.intp)
         self.sequence_chain = np.empty(data.K, dtype=np.intp)
@@ -213,8 +216,9 @@ class Problem:
 
     @property
     def walks(self) -> bool:
-        """Whether the gyro bias differs from sequence to sequence."""
-        return bool(self.wander.any()) and self.data.K > 1
+        """Whether every sequence has a gyro bias of its own; a drift that is stated comes on top of the bias."""
+        free = self.data.noise.gyro_flicker is None or self.options.gyro_bias == "per-sequence"
+        return free and bool(self.wander.any()) and self.data.K > 1
 
     def earth_rate(self, point: Point) -> Array:
         """ω_L of every window, shape (W, 3), rad/s."""
@@ -275,7 +279,6 @@ class Problem:
             {
                 "accel_noise": _through(D_force, noise.accel_white**2 * windows.white_factor[:, None]),
                 "accel_quantization": _through(D_force, noise.accel_edge**2 * windows.edge_factor[:, None]),
-                "accel_bias_instability": _through(D_force, np.broadcast_to(noise.accel_wander**2, force.shape)),
                 "pose_excess": np.broadcast_to(self.excess[1] ** 2 * np.eye(3), D_force.shape),
             },
             rate_noise,
@@ -289,6 +292,13 @@ class Problem:
             model.attitude_error_jacobian(integrals),
             duration,
             A * float(matters),
+            drift(
+                data,
+                integrals,
+                (D_rate, D_force),
+                (self.rank[self.window_sequence], self.rank),
+                of_gyros=self.options.gyro_bias != "pooled",
+            ),
         )
 
     def place(self, point: Point, played: Played) -> Point:
@@ -334,6 +344,21 @@ class Problem:
         self.integrated = self.integrated | windows
         self.player = Player(self.data, self.options, self.integrated)
 
+    @cached_property
+    def share(self) -> Array:
+        """Weights of the windows in each sequence's own rest rate, shape (K, W)."""
+        T = self.data.windows.duration_s
+        share = np.zeros((self.data.K, len(T)))
+        for which in (self.data.start, self.data.end):
+            share[np.arange(self.data.K), which] = T[which]
+        return np.asarray(share / share.sum(axis=1, keepdims=True))
+
+    def drift_by_sequence(self, played: Played, draws: Array) -> Array:
+        """Drift of the raw gyros in each sequence's windows less its mean, shape (K, 3), rad/s."""
+        raw = np.linalg.solve(played.rate_slope, (played.drift.rate @ draws)[:, :, None])[:, :, 0]
+        own = self.share @ raw
+        return np.asarray(own - own.mean(axis=0))
+
     def update_wander(self, point: Point, played: Played) -> None:
         """Estimate the bias scatter between sequences from the rest rates, if no bias instability is stated."""
         if self.data.noise.gyro_wander is not None or self.options.gyro_bias != "auto" or self.data.K < 3:
@@ -342,11 +367,7 @@ class Problem:
         rest, _, _ = model.pose_rate(played.rate, point.attitude, self.earth_rate(point))
         rest = np.einsum("wab,wb->wa", np.linalg.inv(played.rate_slope), rest)
         rest = rest + point.bias_deviation[self.window_sequence]
-        T = self.data.windows.duration_s
-        share = np.zeros((self.data.K, len(T)))
-        for which in (self.data.start, self.data.end):
-            share[np.arange(self.data.K), which] = T[which]
-        share /= share.sum(axis=1, keepdims=True)
+        T, share = self.data.windows.duration_s, self.share
         noise = self.data.noise
         variance = noise.gyro_white**2 / T[:, None] + 2.0 * (noise.gyro_edge / T[:, None]) ** 2
         expected = np.mean(share**2 @ variance, axis=0) + earth_rate_doubt(self.data) ** 2

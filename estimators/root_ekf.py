@@ -47,6 +47,14 @@ class RootExtendedKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         self.P = root @ root.T
         self.whitened = np.zeros(0)
 
+    def grow(self, number: int) -> None:
+        """Append states of mean zero and unit variance that have nothing to do with the others."""
+        n = len(self.x)
+        root = np.eye(n + number)
+        root[:n, :n] = self.root
+        self.x, self.root = np.append(self.x, np.zeros(number)), root
+        self.P = root @ root.T
+
     def predict(self, u: Any = 0, *, F: Array | None = None, noise_root: Array | None = None) -> None:
         """Predict: ``x = F x + u``, with the process noise ``noise_root noise_rootᵀ``."""
         if F is not None:

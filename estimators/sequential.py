@@ -68,8 +68,11 @@ class Block:
 
 
 def global_columns(system: System) -> NDArray[np.intp]:
-    """Columns that all sequences share, in the filter's order: those that are estimated; of the biases the first."""
-    names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate")
+    """Columns that sequences share, in the filter's order: those that are estimated; of the biases the first.
+
+    The draws of the drift come last, in the order of the sequences that need them first.
+    """
+    names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "drift")
     kept = [system.of(name)[:3] if name == "bias" else system.of(name) for name in names]
     columns = np.concatenate(kept)
     return columns[system.active[columns]]

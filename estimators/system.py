@@ -2,7 +2,7 @@
 
 Rows are measurements and priors, each whitened by its own noise, so that a correction δ minimises ``|A δ + b|²``.
 Attitudes are corrected by small rotations about the axes of the level frame L, two tilts and the heading. What two
-measurements share, a reading at a window's edge, is an unknown of its own.
+measurements share, a reading at a window's edge or a drift of the bias, is an unknown of its own.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class System:
     A : ndarray, shape (m, n)
     b : ndarray, shape (m,)
     columns : dict of str to slice
-        "errors" (24), "bias" (3, or 3 per sequence), "base", "mounting", "gravity", "earth_rate" (3 per chain),
-        "attitude" (3 per window), "edge" (3 per edge that counts).
+        "errors" (24), "bias" (3, or 3 per sequence), "base", "mounting", "gravity", "earth_rate" (3 per chain), "drift"
+        (3 per window and turn of a sensor that drifts), "attitude" (3 per window), "edge" (3 per edge that counts).
     active : ndarray of bool, shape (n,)
         Columns that are estimated.
     rows : tuple of Rows
@@ -196,6 +196,7 @@ def linearise(
         "mounting": 3,
         "gravity": 1,
         "earth_rate": 3 * C,
+        "drift": played.drift.size,
         "attitude": 3 * W,
         "edge": 3 * int(edges.max() + 1),
     }
@@ -205,6 +206,7 @@ def linearise(
     _windows(build, problem, point, played, edges)
     _turns(build, problem, point, played, edges)
     _fixture(build, problem, point)
+    _drift(build, played)
     _priors(build, problem, point, edges, prior)
     active = np.ones(stops[-1], dtype=np.bool_)
     active[columns["errors"]] = free[:N_ERRORS]
@@ -262,6 +264,7 @@ def _windows(build: _Builder, problem: Problem, point: Point, played: Played, ed
             ("errors", 0, -played.force_jacobian[:, :, :N_ERRORS]),
             ("attitude", windows, by_attitude @ to_body),
             ("gravity", 0, by_gravity[:, :, None]),
+            ("drift", 0, -played.drift.force),
         ],
     )
     residual, by_attitude, by_earth = model.pose_rate(played.rate, A, problem.earth_rate(point))
@@ -278,6 +281,7 @@ def _windows(build: _Builder, problem: Problem, point: Point, played: Played, ed
             ("earth_rate", problem.window_chain, by_earth),
             ("edge", edges[:, 0], per_rate),
             ("edge", edges[:, 1], -per_rate),
+            ("drift", 0, -played.drift.rate),
         ],
     )
 
@@ -305,6 +309,7 @@ def _turns(build: _Builder, problem: Problem, point: Point, played: Played, edge
             ("earth_rate", problem.sequence_chain, by_earth),
             ("edge", edges[data.start, 1], -by_turned @ played.edge_slope),
             ("edge", edges[data.end, 0], by_turned @ played.turned @ played.edge_slope),
+            ("drift", 0, by_turned @ played.drift.turned),
         ],
     )
 
@@ -346,6 +351,18 @@ def fixture_starts(problem: Problem) -> list[tuple[int, int, Array]]:
             found.append((k, int(data.start[k]), nominal))
     found += [(int(problem.window_sequence[w]), w, pose_nominal(label)) for label, w in data.poses]
     return found
+
+
+def _drift(build: _Builder, played: Played) -> None:
+    """The draws of the drift, by sensor: independent and of unit variance."""
+    for sensor, numbers in (
+        ("gyro", np.flatnonzero(played.drift.is_gyro)),
+        ("accel", np.flatnonzero(~played.drift.is_gyro)),
+    ):
+        unit = np.broadcast_to(np.eye(3), (len(numbers), 3, 3))
+        none = np.full(len(numbers), -1, dtype=np.intp)
+        sources = {f"{sensor}_bias_instability": unit}
+        build.add(f"{sensor}_drift", none, np.zeros((len(numbers), 3)), sources, [("drift", numbers, unit)])
 
 
 def _priors(build: _Builder, problem: Problem, point: Point, edges: NDArray[np.intp], prior: Prior | None) -> None:

@@ -28,9 +28,10 @@ if TYPE_CHECKING:
 CORRELATION_TIMES_S: Final = tuple(10.0**decade for decade in range(-1, 5))
 """Correlation times of all processes."""
 _SLOWEST_S: Final = 1000.0
-_MOST_PARTS: Final = 6
-_PARTS_IN_ALL: Final = 400
+_PARTS: Final = (2, 12)
+_PARTS_IN_ALL: Final = 600
 _ROUNDING: Final = 1e-12
+_NO_TIME_S: Final = 1e-9
 
 
 def correlation_times(span_s: float) -> tuple[float, ...]:
@@ -53,10 +54,10 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
     -------
     ndarray, shape (n, n)
     """
-    # An interval without length is a value at its time; a length of rounding does for it.
-    T = np.maximum(end - start, 1e-9)
+    # An interval without length is a value at its time, and intervals that touch do not overlap by rounding.
+    T = np.maximum(end - start, _NO_TIME_S)
     gap = np.maximum(start[:, None] - end, start - end[:, None])
-    i, j = np.nonzero(gap < 0.0)
+    i, j = np.nonzero(gap < -_NO_TIME_S)
     out = np.zeros((len(T), len(T)))
     for tau in times_s:
         x = T / tau
@@ -83,8 +84,11 @@ def _twice_integrated(t: Array, tau: float) -> Array:
 
 
 def parts_per_turn(turns: int) -> int:
-    """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment."""
-    return int(np.clip(_PARTS_IN_ALL // max(turns, 1), 1, _MOST_PARTS))
+    """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment.
+
+    Four for each half turn of a sequence of three; with two of them its sigmas come out a tenth too small.
+    """
+    return int(np.clip(_PARTS_IN_ALL // max(turns, 1), *_PARTS))
 
 
 def cut(spans: NDArray[np.intp], parts: int) -> NDArray[np.intp]:
@@ -118,25 +122,30 @@ class DriftDraws:
         return np.asarray(np.einsum("kp,kpn->kn", share, self.parts))
 
 
-def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], interval_s: float) -> DriftDraws:
+def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], time_s: Array) -> DriftDraws:
     """Draws of the drift of the windows and rotations of a recording.
 
     Parameters
     ----------
     windows, rotation : ndarray of int, shape (W, 2) and (K, 2)
         First sample and one past the last.
-    interval_s : float
-        Times are sample numbers times this: where recordings were joined, the pause between them is left out. A
-        correlation falls with the logarithm of the distance, so that pauses like the test itself matter little.
+    time_s : ndarray, shape (n,), s
+        Of the samples, as recorded. Where recordings were joined end to end, the pause between them is not in it: a
+        correlation falls with the logarithm of the distance, so that this matters little.
     """
-    edges = cut(rotation, parts_per_turn(len(rotation))) * interval_s
-    start = np.concatenate([windows[:, 0] * interval_s, edges[:, :-1].ravel()])
-    end = np.concatenate([windows[:, 1] * interval_s, edges[:, 1:].ravel()])
+    edges = cut(rotation, parts_per_turn(len(rotation)))
+    first = np.concatenate([windows[:, 0], edges[:, :-1].ravel()])
+    last = np.concatenate([windows[:, 1], edges[:, 1:].ravel()])
+    # A sample stands for the interval before its time; a part without one has no length.
+    length = float(np.median(np.diff(time_s)))
+    end = time_s[np.minimum(last, len(time_s)) - 1]
+    start = np.minimum(time_s[first] - length, end)
     covariance = flicker_covariance(start, end, correlation_times(float(end.max() - start.min())))
     root: Array = np.asarray(
         np.linalg.cholesky(covariance + _ROUNDING * np.diag(np.diag(covariance))), dtype=np.float64
     )
-    W, part_s = len(windows), np.diff(edges, axis=1)
+    W = len(windows)
+    part_s = (end - start)[W:].reshape(len(rotation), -1)
     return DriftDraws(root[:W], root[W:].reshape(*part_s.shape, -1), part_s)
 
 

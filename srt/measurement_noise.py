@@ -185,7 +185,7 @@ def disturbances(
         "gyro_bias_instability": _instability(playback, data, wander),
         "accel_noise": Disturbance(force=_own_draw(D_force * white[:, None, :])),
         "accel_quantization": Disturbance(force=_own_draw(D_force * edge[:, None, :])),
-        "accel_bias_instability": _accel_drift(D_force, data),
+        "accel_bias_instability": accel_drift(data, D_force),
         "earth_rate_alignment": _alignment(playback, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
         "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess[0] * np.eye(3), (data.K, 3, 3)))),
@@ -281,8 +281,15 @@ def gyro_drift(data: PlaybackData, integrals: RotationIntegrals, slope: Array) -
     return Disturbance(phi=phi.reshape(*phi.shape[:2], -1), rate=rate.reshape(*rate.shape[:2], -1))
 
 
-def _accel_drift(slope: Array, data: PlaybackData) -> Disturbance:
-    """Bias instability of the accelerometers in the windows; slope (W, 3, 3): compensated force of a unit bias."""
+def accel_drift(data: PlaybackData, slope: Array) -> Disturbance:
+    """Bias instability of the accelerometers as stated, in the windows.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    slope : ndarray, shape (W, 3, 3)
+        Compensated specific force of a unit bias of the raw channels.
+    """
     windows = data.drift.windows[:, : len(slope)]
     force = (slope * data.noise.accel_flicker)[:, :, :, None] * windows[:, None, None, :]
     return Disturbance(force=force.reshape(*force.shape[:2], -1))

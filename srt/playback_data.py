@@ -116,7 +116,7 @@ class PlaybackData:
     @cached_property
     def drift(self) -> DriftDraws:
         """Unit draws of the drift that bias instability brings into windows and rotations."""
-        return drift_draws(self.windows.samples, self.rotation, self.recording.nominal_interval_s)
+        return drift_draws(self.windows.samples, self.rotation, self.recording.time)
 
     def earth_rate_base(self) -> Array:
         """Known part of the Earth's rate in fixture base axes, rad/s.

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 import sims
 from sims.campaigns import large_errors
 from sims.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
+from srt import flicker, quaternion
 from srt import measurement_model as model
-from srt import quaternion
 from srt.compensation import accel_triad, gyro_triad
 from srt.options import Options
 from srt.prior import Prior
@@ -318,7 +318,7 @@ def test_fixture_angles_all_around(inner, outer, off_inner, off_outer):
 HZ, RATE, DWELL_S = 100.0, 1.0, 2.0
 SITE = Site(G, 1e-4, math.radians(50.0))
 # Far below the Earth's rate in a sample, so that nowhere a sign depends on the neighbours; pulses that count, and a
-# bias that walks.
+# bias that drifts.
 NOISE = ImuNoise(1e-9, 1e-7, 3e-9, 1e-9, 1e-9, 1e-9)
 TABLE = ("1", "4", "8")
 
@@ -333,6 +333,7 @@ class Variant:
     walk: bool = True
     fixture_states: bool = True
     prior: bool = True
+    drift: bool = False
 
 
 VARIANTS = {
@@ -342,6 +343,7 @@ VARIANTS = {
     "no heading": Variant(heading=False),
     "no latitude": Variant(latitude=False, walk=False),
     "free": Variant(free=True),
+    "drift": Variant(walk=False, drift=True),
 }
 
 
@@ -405,9 +407,9 @@ def make(motions, variant, size, noise=NOISE, off=True):
     recording = replace(sims.read_out(motion.stated_as(site=site), errors), noise=noise, fixture=fixture)
     if variant.free:
         recording = recording.with_sequences(tuple(SequenceLabel(a, b) for a, b in motion.windows))
-    options = Options(
-        gyro_bias="auto" if variant.walk else "pooled", fixture_states=variant.fixture_states, start=errors
-    )
+    # Of one bias per sequence, of one with the drift that is stated, and of one alone.
+    mode = "per-sequence" if variant.walk else "auto" if variant.drift else "pooled"
+    options = Options(gyro_bias=mode, fixture_states=variant.fixture_states, start=errors)
     problem = open_problem(recording, options)
     rng = np.random.default_rng(11)
     point = replace(problem.start, U=motion.U)
@@ -581,6 +583,53 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
                 assert kind == "force" or np.abs(J).max() > 20.0 * tolerance
 
 
+@pytest.mark.parametrize(("variant", "size"), [("drift", "zero"), ("drift", "large")])
+def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monkeypatch):
+    """Steps of the bias from window to part of a turn to window, of every draw, in the samples: the same covariance.
+
+    With three parts of each turn, which is as good a test as twelve and faster. Away from the data it was taken from,
+    the problem's residual is minus what its unknown takes off.
+    """
+    monkeypatch.setattr(flicker, "_PARTS", (2, 3))
+    case = make(motions, VARIANTS[variant], size)
+    problem, system = case.problem, case.system
+    data, draws = problem.data, problem.data.drift
+    windows = data.windows.samples
+    ends = flicker.cut(data.rotation, draws.parts.shape[1])
+    spans = [*windows.tolist(), *np.stack([ends[:, :-1], ends[:, 1:]], axis=2).reshape(-1, 2).tolist()]
+    values = np.concatenate([draws.windows, draws.parts.reshape(-1, draws.parts.shape[2])])
+    found, kinds = unwhitened(system), ("force", "rate", "turn")
+    columns = np.concatenate([found[kind][1][..., system.of("drift")] for kind in kinds])
+    columns = columns.reshape(-1, columns.shape[2])
+
+    def residuals(drift, sensor, axis):
+        table = getattr(data.recording, sensor).copy()
+        for (a, b), value in zip(spans, drift.tolist(), strict=True):
+            table[a:b, axis] += value
+        other = open_problem(replace(data.recording, **{sensor: table}), problem.options)
+        rows = unwhitened(linearise(other, case.point, other.play(case.point), system.free, case.prior))
+        return np.concatenate([rows[kind][0] for kind in kinds]).ravel()
+
+    effects = []
+    for sensor, step in (("gyro", 1e-8), ("accel", 1e-6)):
+        floor = {"gyro": data.noise.gyro_flicker, "accel": data.noise.accel_flicker}[sensor]
+        for axis in range(3):
+            for draw in np.eye(values.shape[1]):
+                drift = step * values @ draw
+                change = residuals(drift, sensor, axis) - residuals(-drift, sensor, axis)
+                effects.append(change * floor[axis] / (2.0 * step))
+    effects = np.array(effects).T
+    expected, own = effects @ effects.T, columns @ columns.T
+    unit = np.sqrt(np.diag(expected))
+    assert np.all(unit > 0.0)
+    # Ĉ of a sample is the mean of its ends, 1e-5 off; where the sign of a channel changes within a turn, an asymmetry
+    # takes the drift by another slope there than the mean of both.
+    gyro = gyro_triad(case.errors)
+    two_sided = np.linalg.norm(gyro.inverses - np.linalg.inv(gyro.matrix), 2, axis=(1, 2)).max()
+    tolerance = 1e-4 + 2.0 * two_sided
+    assert np.all(np.abs(own - expected) <= tolerance * np.outer(unit, unit))
+
+
 # --- factors and rows -----------------------------------------------------------------------------------------------
 
 
@@ -595,6 +644,8 @@ def columns_of(case, built, key):
         return system.of("errors")[built.errors], np.eye(len(built.errors))
     if letter == "b":
         return part("bias")[built.axes], np.eye(len(built.axes))
+    if letter == "d":
+        return system.of("drift"), np.eye(system.played.drift.size)
     if letter == "a":
         return part("attitude"), case.point.attitude[number].T
     name = {"f": "base", "u": "mounting", "g": "gravity", "e": "earth_rate", "q": "edge"}[letter]
@@ -618,24 +669,40 @@ def factor_system(case, built, i):
     return A, -right
 
 
+def measured_rows(built, rows, kind, number):
+    """Rows of a measurement."""
+    if kind == "window":
+        return np.concatenate([rows["force"].index[number], rows["rate"].index[number]])
+    if kind == "start":
+        starts = [n for k, n, _ in built.measured if k == "start"]
+        return rows["start"].index[starts.index(number)]
+    return rows[kind].index[number]
+
+
+def drift_rows(case, rows):
+    """Rows of the draws of the drift in the order of their columns."""
+    is_gyro = case.system.played.drift.is_gyro
+    out = np.empty((len(is_gyro), 3), dtype=np.intp)
+    for kind, members in (("gyro_drift", is_gyro), ("accel_drift", ~is_gyro)):
+        if members.any():
+            out[members] = rows[kind].index
+    return out.ravel()
+
+
 def rows_of_factor(case, built, i):
     """Rows of the system that a factor stands for; None for a heading that is given, which has no rows."""
     rows = {r.kind: r for r in case.system.rows}
     if i < len(built.measured):
-        kind, number, _ = built.measured[i]
-        if kind == "window":
-            return np.concatenate([rows["force"].index[number], rows["rate"].index[number]])
-        if kind == "start":
-            starts = [n for k, n, _ in built.measured if k == "start"]
-            return rows["start"].index[starts.index(number)]
-        return rows[kind].index[number]
+        return measured_rows(built, rows, *built.measured[i][:2])
     keys = built.graph.at(i).keys()
     letters, number = "".join(chr(gtsam.symbolChr(k)) for k in keys), gtsam.symbolIndex(keys[0])
-    if letters == "a":
-        return None
+    if letters == "d":
+        return drift_rows(case, rows)
     if letters == "bb":
         order = case.problem.order.tolist()
         return rows["walk"].index[order.index(number)]
+    if letters == "a":
+        return None
     kind = {"f": "base", "u": "mounting", "g": "gravity", "e": f"earth_rate:{number}", "q": "edge"}.get(letters)
     return rows["prior"].index[0] if kind is None else rows[kind].index[number if kind == "edge" else 0]
 
