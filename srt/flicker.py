@@ -157,20 +157,18 @@ def shares_within(spacing_s: float) -> Array:
     return np.asarray(-np.expm1(-spacing_s / np.array(CORRELATION_TIMES_S)))
 
 
-def common_variance(spacing_s: float, test_s: float) -> float:
-    """Variance, for an Allan floor of one, of the mean over a test of what is not new after a while.
+def common_variance(shares: Array, test_s: float) -> float:
+    """Variance, for an Allan floor of one, of the mean over a test of a share of every process.
 
     Parameters
     ----------
-    spacing_s : float
-        As for :func:`shares_within`.
+    shares : ndarray, shape (number of processes,)
     test_s : float
         Length of the test, s.
     """
     times = correlation_times(test_s)
-    old = 1.0 - shares_within(spacing_s)[: len(times)]
     own = [2.0 * float(_twice_integrated(np.array(test_s), tau)) / test_s**2 for tau in times]
-    return float(old @ np.array(own)) * math.log(10.0) / (2.0 * math.log(2.0))
+    return float(shares[: len(times)] @ np.array(own)) * math.log(10.0) / (2.0 * math.log(2.0))
 
 
 def adjoining_covariance(lengths_s: Array, shares: Array) -> Array:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from srt.planning.prediction import timetable_s
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
@@ -31,17 +33,12 @@ class Step:
 
 def timetable(plan: Plan) -> tuple[Step, ...]:
     """When every sequence of a plan runs, if nobody loses time."""
-    steps, now, before = [], 0.0, None
-    for candidate, (first, last) in zip(plan.candidates, plan.windows_s.tolist(), strict=True):
-        move = 0.0
-        if before is not None:
-            whole = plan.stand.move_s(before.end_deg, candidate.start_deg)
-            move = whole - plan.stand.pause_s - plan.stand.settle_s
-            now += whole
-        turned = now + first + candidate.own_s(plan.stand)
-        steps.append(Step((now, now + first), (turned, turned + last), move))
-        now, before = turned + last, candidate
-    return tuple(steps)
+    moves = [0.0]
+    for before, candidate in pairwise(plan.candidates):
+        waits = plan.stand.pause_s + plan.stand.settle_s
+        moves.append(plan.stand.move_s(before.end_deg, candidate.start_deg) - waits)
+    borders = timetable_s(plan.candidates, plan.windows_s, plan.stand).tolist()
+    return tuple(Step((a, b), (c, d), move) for (a, b, c, d), move in zip(borders, moves, strict=True))
 
 
 def operator_sheet(plan: Plan, title: str) -> str:
@@ -63,8 +60,8 @@ def operator_sheet(plan: Plan, title: str) -> str:
         "",
         f"{len(steps)} sequences, {clock(plan.total_s)} (min:s) from the first window to the last. The unit stands "
         "with z along the inner axis; at (0, 0) z is down and y along the outer axis. Angles of the axes are in "
-        "degrees, turns are by the fixture's own sense. Stand still in the windows; after every turn or move wait "
-        f"{plan.stand.settle_s:g} s for the fixture to settle.",
+        "degrees, turns are by the fixture's own sense. Stand still in the windows; after the last turn of a sequence, "
+        f"and after every move, wait {plan.stand.settle_s:g} s for the fixture to settle.",
         "",
         "| | clock | go to inner, outer | stand | turn | wait | stand | down | needed most for |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -9,6 +9,7 @@ start attitude is off by) is noise of its ten numbers, so that the information o
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -20,7 +21,7 @@ from srt.catalogue import AXES
 from srt.compensation import accel_triad, gyro_triad
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
-from srt.flicker import adjoining_covariance, common_variance, shares_within
+from srt.flicker import CORRELATION_TIMES_S, adjoining_covariance, common_variance, shares_within
 from srt.planning.candidates import down_axis, outer_axis
 from srt.planning.stand import INNER
 from srt.rotation_integrals import ideal_rotations
@@ -45,10 +46,11 @@ COMPONENTS: Final = (
     *(f"rate {axis} at {end}" for end in ("start", "end") for axis in AXES),
 )  # fmt: skip
 N_ROWS: Final = len(COMPONENTS)
-SPACING_S: Final = 60.0
-"""About the time from one sequence to the next. Drift that is not new after it counts as the bias of the whole test. A
-rough figure does, as drift goes with the logarithm of time: for Table 1 sigmas are then within some per cent of those
-from the covariance of the drift over the whole test, of accelerometer bias and asymmetry within a quarter."""
+OWN_DRIFT: Final = shares_within(60.0)
+"""Share of every process of the drift that counts as a sequence's own while sequences are chosen; the rest counts as
+the bias of the test. Neighbouring sequences are less than this time apart, sequences that go together may be more."""
+LEAST_DRIFT: Final = np.array([tau <= 10.0 for tau in CORRELATION_TIMES_S], dtype=np.float64)
+"""Likewise where a bound is wanted: only what is surely new in every sequence."""
 _H, _DOWN, _START_RATE, _END_RATE = slice(0, 2), slice(2, 4), slice(4, 7), slice(7, 10)
 SOURCES: Final = (
     "gyro_noise",
@@ -124,7 +126,7 @@ class Conditions:
     def drift_variance(self) -> Array:
         """Variance of each parameter that no test takes away, shape (27,): the bias of a test is not the unit's."""
         out = np.zeros(N_PARAMETERS)
-        common = common_variance(SPACING_S, self.test_s)
+        common = common_variance(1.0 - OWN_DRIFT, self.test_s)
         for sensor, floor in (("gyro", self.gyro_instability), ("accel", self.accel_instability)):
             out[GROUP_SLICES[f"{sensor}_bias"]] = floor**2 * common
         return out
@@ -146,10 +148,25 @@ class Signatures:
     candidates : sequence of Candidate
     stand : Stand
     conditions : Conditions
+
+    Attributes
+    ----------
+    integrals : RotationIntegrals
+    own_s : ndarray, shape (K,)
+        Time between the windows.
+    H : ndarray, shape (K, 10, N_UNKNOWNS)
+        Jacobians, SI.
+    by_bias : ndarray, shape (K, 3, 10, 3)
+        What a gyro bias in the start window, the turn and the end window does, s.
+    by_force : ndarray, shape (K, 2, 10, 3)
+        What an accelerometer bias in the start and the end window does.
+    own_drift : ndarray
+        Share of every process of the drift that is a sequence's own.
     """
 
     def __init__(self, candidates: Sequence[Candidate], stand: Stand, conditions: Conditions) -> None:
         self.candidates, self.stand, self.conditions = tuple(candidates), stand, conditions
+        self.own_drift = OWN_DRIFT
         K = len(self.candidates)
         speeds = [
             np.array([math.radians(abs(turn)) / stand.axes[axis].turn_s(turn) for axis, turn in c.legs])
@@ -185,6 +202,19 @@ class Signatures:
         self.H = H
         # The inner axis stands vertical where z does: then the error of its angle is one of heading.
         self._own_heading = conditions.rotation_sigma_rad * np.abs(down[:, 2])
+        self.by_bias = np.zeros((K, 3, N_ROWS, 3))
+        self.by_bias[:, 0, _START_RATE] = self.by_bias[:, 2, _END_RATE] = np.eye(3)
+        self.by_bias[:, 1, _H] = self._tilt @ self.integrals.time
+        self.by_force = np.zeros((K, 2, N_ROWS, 3))
+        self.by_force[:, 0, _H], self.by_force[:, 1, _H] = -self.basis, self.basis @ C
+        self.by_force[:, 0, 2], self.by_force[:, 1, 3] = -self._up[:, 0], -self._up[:, 1]
+
+    def with_least_drift(self) -> Signatures:
+        """The same with as little drift as there surely is: no sequence can be better than so."""
+        self._fixed  # noqa: B018 - computed once, for both
+        other = copy(self)
+        other.own_drift = LEAST_DRIFT
+        return other
 
     def __len__(self) -> int:
         return len(self.candidates)
@@ -201,30 +231,24 @@ class Signatures:
     @cached_property
     def _fixed(self) -> dict[str, Array]:
         """Covariances that do not depend on the windows, and the factors of those that do."""
-        c, K, C = self.conditions, len(self), self.integrals.C_end
+        c, K = self.conditions, len(self)
         assert self.integrals.noise is not None
         tilt_T = np.swapaxes(self._tilt, 1, 2)
         turning = np.zeros((K, N_ROWS, N_ROWS))
         turning[:, _H, _H] = self._tilt @ self.integrals.noise.sum(axis=3) @ tilt_T * c.gyro_white**2
-        bias = np.zeros((K, 3, N_ROWS, 3))
-        bias[:, 0, _START_RATE] = bias[:, 2, _END_RATE] = np.eye(3)
-        bias[:, 1, _H] = self._tilt @ self.integrals.time
-        force = np.zeros((K, 2, N_ROWS, 3))
-        force[:, 0, _H], force[:, 1, _H] = -self.basis, self.basis @ C
-        force[:, 0, 2], force[:, 1, 3] = -self._up[:, 0], -self._up[:, 1]
         heading = self._own_heading[:, None] * self._by_north
         return {
             "gyro_noise": turning,
             "earth_rate_alignment": heading[:, :, None] * heading[:, None, :],
             # Products of what the draws of two stretches of time do: start window, turn, end window.
-            "bias": np.einsum("kiac,kjbc->kijab", bias, bias),
-            "force": np.einsum("kiac,kjbc->kijab", force, force),
+            "bias": np.einsum("kiac,kjbc->kijab", self.by_bias, self.by_bias),
+            "force": np.einsum("kiac,kjbc->kijab", self.by_force, self.by_force),
         }
 
     def covariances(
         self, start_s: ArrayLike, end_s: ArrayLike, which: NDArray[np.intp] | None = None
     ) -> dict[str, Array]:
-        """Covariance of the ten measurements by source, shape (n, 10, 10) each.
+        """Covariance of the ten measurements by source, shape (n, 10, 10) each; of drift, what is the sequence's own.
 
         Parameters
         ----------
@@ -240,7 +264,7 @@ class Signatures:
         for rows, t in zip((_START_RATE, _END_RATE), T, strict=True):
             gyro[:, rows, rows] += (c.gyro_white**2 / t)[:, None, None] * np.eye(3)
         force, own = self._fixed["force"][k], self.own_s[k]
-        drift = adjoining_covariance(np.stack([T[0], np.maximum(own, 1e-6), T[1]], axis=1), shares_within(SPACING_S))
+        drift = adjoining_covariance(np.stack([T[0], np.maximum(own, 1e-6), T[1]], axis=1), self.own_drift)
         white = np.einsum("nwwab->nwab", force)
         return {
             "gyro_noise": gyro,

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 _POWER: Final = 4.0
 _GRID: Final = 6
+_MOSTLY: Final = 0.95
+_FAR: Final = 1e4
+"""Variance over the target's beyond which a parameter counts as unknown, and better or worse as no matter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +83,16 @@ def known_information(calibration: Calibration, conditions: Conditions) -> Array
             f"The calibration of the test so far has the status {calibration.status} and observed nothing: give one "
             "of a recording that could be calibrated."
         )
-    P = calibration.covariance[np.ix_(seen, seen)]
+    P = calibration.covariance[np.ix_(seen, seen)].copy()
+    # The drift that the whole test has in common is in the sigmas of the biases, and no sequence takes it away: it is
+    # added again to what is predicted.
+    P[np.diag_indices_from(P)] -= np.minimum(conditions.drift_variance()[seen], _MOSTLY * np.diag(P))
     effect = np.asarray(calibration.noise.get("gravity_effect", np.zeros(N_PARAMETERS)), dtype=np.float64)[seen]
     d = np.sqrt(np.diag(P))
     rest = (P - np.outer(effect, effect)) / np.outer(d, d)
     # The accelerometer scales may be known as well as gravity alone allows: rounding must not make that less.
     values, vectors = np.linalg.eigh(rest)
-    root = (vectors / np.sqrt(np.maximum(values, 1e-12))).T / d
+    root = (vectors / np.sqrt(np.maximum(values, 1e-6 * values.max()))).T / d
     rows = np.zeros((len(seen), N_UNKNOWNS))
     rows[:, seen] = root
     # A larger gravity reads as smaller scales: the effect is stored with the sign of larger ones.
@@ -132,23 +138,32 @@ def next_sequences(
     signatures = Signatures(executable(stand, kinds), stand, conditions)
     scale, counted = units(targets), np.flatnonzero(np.isfinite(targets))
     M = prior_information(conditions, scale, known)
-    before = _variances(M[None], counted)[0]
+    floor = conditions.drift_variance()[counted] / targets[counted] ** 2
+    before = _variances(M[None], counted)[0] + floor
     best: dict[int, tuple[float, float, Array]] = {}
     grid = limits.grid_s(_GRID)
     for number, window in enumerate(grid.tolist(), start=1):
         rows = signatures.whitened(window, window) * scale
         time = signatures.own_s + 2.0 * window + stand.pause_s + stand.settle_s
-        after = _variances(M + np.swapaxes(rows, 1, 2) @ rows, counted)
+        after = _variances(M + np.swapaxes(rows, 1, 2) @ rows, counted) + floor
         gain = (_mean(before[None]) - _mean(after)) / time
-        for k in np.argsort(-gain)[: 4 * count].tolist():
+        for k in np.argsort(-gain)[: 40 * count].tolist():
             if k not in best or gain[k] > best[k][0]:
                 best[k] = (float(gain[k]), window, after[k])
         if progress is not None:
             progress(number, len(grid))
-    chosen = sorted(best, key=lambda k: -best[k][0])[:count]
+    # Of sequences that differ in the sense of turns or in what is up alone, one.
+    kinds_seen: dict[tuple[str, ...], int] = {}
+    for k in sorted(best, key=lambda k: -best[k][0]):
+        kinds_seen.setdefault(_kind(signatures.candidates[k]), k)
+    chosen = list(kinds_seen.values())[:count]
     return tuple(
         _proposal(signatures, k, *best[k][1:], before=before, counted=counted, targets=targets) for k in chosen
     )
+
+
+def _kind(candidate: Candidate) -> tuple[str, ...]:
+    return candidate.down[-1], *(f"{abs(turn)}{axis}" for axis, turn in candidate.rotations)
 
 
 def _proposal(
@@ -167,7 +182,7 @@ def _proposal(
     improved = tuple(
         (NAMES[counted[i]], _sigma(before[i], wanted[i]), _sigma(after[i], wanted[i]))
         for i in order
-        if after[i] < 0.98 * before[i]
+        if after[i] < min(0.98 * before[i], 1e6)
     )
     time_s = float(signatures.own_s[k]) + 2.0 * window + stand.pause_s + stand.settle_s
     return Proposal(signatures.candidates[k], window, time_s, _sigma(after.max(), 1.0), improved)
@@ -186,5 +201,6 @@ def _variances(M: Array, counted: NDArray[np.intp]) -> Array:
 
 def _mean(g: Array) -> Array:
     """Log of the power mean: the farthest from their targets count most, without being all that counts."""
+    g = np.minimum(g, _FAR)
     largest = g.max(axis=1, keepdims=True)
     return np.asarray(np.log(largest[:, 0]) + np.log(np.mean((g / largest) ** _POWER, axis=1)) / _POWER)

@@ -20,6 +20,7 @@ from srt.planning.candidates import executable, from_catalogue, words
 from srt.planning.information import Signatures
 from srt.planning.optimum import FOR_EVER, Columns, Relaxed, relaxed_optimum, unseen
 from srt.planning.order import best_order
+from srt.planning.polish import WholeTest
 from srt.planning.prediction import Prediction, predict, prior_information, units
 from srt.planning.selection import Choice, Judge, Pool, select
 from srt.sensor_errors import N_PARAMETERS, NAMES
@@ -47,7 +48,10 @@ _FIRST_TIME_S: Final = 900.0
 _MET: Final = 1.0 + 1e-4
 _TRIES: Final = 12
 _HALVINGS: Final = 4
-_ROUNDS: Final = 5
+_ROUNDS: Final = 4
+_POLISHES: Final = 4
+_BALANCES: Final = 5
+_WORTHWHILE: Final = 5e-3
 _CLOSE: Final = 0.03
 
 
@@ -230,6 +234,7 @@ def _judge(signatures: Signatures, targets: Array, limits: Limits) -> Judge:
         signatures.conditions.drift_variance()[counted] / targets[counted] ** 2,
         limits.shortest_window_s,
         limits.longest_window_s,
+        np.ones(len(counted)),
     )
 
 
@@ -258,11 +263,16 @@ class _Task:
         self._number = {c.key: k for k, c in enumerate(candidates)}
         self._table_1 = [from_catalogue(s) for s in SEQUENCES.values()]
         self.grid = limits.grid_s(_GRID)
-        rows = np.concatenate([self.signatures.whitened(t, t) for t in self.grid]) * self.judge.scale
-        # Moves are left out: with them no plan is shorter, and the bound holds for any order.
+        self.bounded = self.signatures.with_least_drift()
+        # Moves are left out: with them no plan is shorter, and a bound holds for any order.
         self.least_s = stand.pause_s + stand.settle_s
-        cost = (2.0 * self.grid[:, None] + self.signatures.own_s + self.least_s).ravel()
-        self.coarse = Columns(rows, cost, self.judge.prior, self.judge.targets, self.judge.floor)
+        self.coarse = self._coarse(self.signatures)
+
+    def _coarse(self, signatures: Signatures) -> Columns:
+        """Every sequence with equal windows of every length of the grid."""
+        rows = np.concatenate([signatures.whitened(t, t) for t in self.grid]) * self.judge.scale
+        cost = (2.0 * self.grid[:, None] + signatures.own_s + self.least_s).ravel()
+        return Columns(rows, cost, self.judge.prior, self.judge.targets, self.judge.floor)
 
     def tell(self, what: str, count: int, gap: float) -> None:
         if self._progress is not None:
@@ -279,44 +289,50 @@ class _Task:
 
     def relaxed(self, total_s: float) -> Relaxed:
         """The optimum with fractions: on the coarse grid of equal windows, then with any windows where it matters."""
+        optimum, self.columns, self.sequence, self.windows = self._optimum(self.signatures, self.coarse, total_s)
+        return optimum
 
+    def bound(self, total_s: float) -> Relaxed:
+        """Likewise with as little drift as there can be: no plan is better."""
+        return self._optimum(self.bounded, self._coarse(self.bounded), total_s)[0]
+
+    def _optimum(
+        self, signatures: Signatures, coarse: Columns, total_s: float
+    ) -> tuple[Relaxed, Columns, NDArray[np.intp], Array]:
         def tell(count: int, gap: float) -> None:
             self.tell("optimum", count, gap)
 
         # The first sequence has no move before it.
         total_s += self.least_s
-        coarse = relaxed_optimum(self.coarse, total_s, progress=tell)
-        self.columns, self.sequence, self.windows = self._with_fine_windows(coarse)
-        return relaxed_optimum(self.columns, total_s, start=coarse, progress=tell)
+        rough = relaxed_optimum(coarse, total_s, progress=tell)
+        columns, sequence, windows = self._with_fine_windows(signatures, coarse, rough)
+        return relaxed_optimum(columns, total_s, start=rough, progress=tell), columns, sequence, windows
 
-    def _with_fine_windows(self, coarse: Relaxed) -> tuple[Columns, NDArray[np.intp], Array]:
+    def _with_fine_windows(
+        self, signatures: Signatures, coarse: Columns, rough: Relaxed
+    ) -> tuple[Columns, NDArray[np.intp], Array]:
         """Columns with a start and an end window of their own for the sequences that are worth it.
 
         The information of a sequence is concave in its windows, so that the coarse grid loses a little between its
         points; sequences that fall short by more than that are left as they are.
         """
-        K = len(self.signatures)
-        by_sequence = coarse.worth.reshape(-1, K).max(axis=0)
+        K = len(signatures)
+        by_sequence = rough.worth.reshape(-1, K).max(axis=0)
         near = np.argsort(-by_sequence)[:_FINE_SEQUENCES]
         near = near[by_sequence[near] > _NEARLY]
         fine = self.limits.grid_s(_FINE_GRID)
         pairs = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2)
         sequence, windows = np.repeat(near, len(pairs)), np.tile(pairs, (len(near), 1))
-        rows = self.signatures.whitened(windows[:, 0], windows[:, 1], sequence) * self.judge.scale
-        cost = windows.sum(axis=1) + self.signatures.own_s[sequence] + self.least_s
-        added = Columns(rows, cost, self.judge.prior, self.judge.targets, self.judge.floor)
-        g, X = self.coarse.variances(self.coarse.information(coarse.which, coarse.weight))
-        worth = added.gains(X, g) @ coarse.weights / cost
+        rows = signatures.whitened(windows[:, 0], windows[:, 1], sequence) * self.judge.scale
+        cost = windows.sum(axis=1) + signatures.own_s[sequence] + self.least_s
+        added = replace(coarse, rows=rows, cost_s=cost)
+        g, X = coarse.variances(coarse.information(rough.which, rough.weight))
+        worth = added.gains(X, g) @ rough.weights / cost
         good = np.argsort(-worth)[:_FINE_COLUMNS]
-        columns = Columns(
-            np.concatenate([self.coarse.rows, rows[good]]),
-            np.concatenate([self.coarse.cost_s, cost[good]]),
-            self.judge.prior,
-            self.judge.targets,
-            self.judge.floor,
+        columns = replace(
+            coarse, rows=np.concatenate([coarse.rows, rows[good]]), cost_s=np.concatenate([coarse.cost_s, cost[good]])
         )
-        every = np.tile(np.arange(K), len(self.grid))
-        equal = np.repeat(self.grid, K)
+        every, equal = np.tile(np.arange(K), len(self.grid)), np.repeat(self.grid, K)
         return (
             columns,
             np.concatenate([every, sequence[good]]),
@@ -351,35 +367,75 @@ class _Task:
         return Pool(sequences, self.windows[columns], tuple(starts))
 
     def in_time(self, total_s: float) -> Plan:
-        relaxed = self.relaxed(total_s)
-        return self.whole(relaxed, total_s)
+        return self._bounded(self.whole(self.relaxed(total_s), total_s))
+
+    def _bounded(self, plan: Plan) -> Plan:
+        """The plan with what no plan of its length can do better than."""
+        bound = self.bound(plan.total_s)
+        first = np.argsort(-bound.weights)
+        ruling = tuple(
+            (NAMES[self.judge.targets[i]], float(bound.weights[i])) for i in first if bound.weights[i] > 0.02
+        )
+        return replace(plan, bound=bound.bound, ruling=ruling)
 
     def whole(self, relaxed: Relaxed, total_s: float) -> Plan:
         """Whole sequences for the optimum with fractions; the time of the moves is first guessed, then known."""
         best: Plan | None = None
-        pool = self.pool(relaxed)
+        pool, judge = self.pool(relaxed), self.judge
         per_sequence = self.least_s + self.stand.outer.move_s(0.0, 90.0)
         for _ in range(_ROUNDS):
             most = self.limits.most_sequences
             try:
-                choice = select(self.judge, pool, total_s, per_sequence, most, lambda: self.tell("plan", 0, 0.0))
-                plan = _finished(self.judge, choice, self.stand, self.conditions, self.targets, total_s, relaxed)
+                choice = select(judge, pool, total_s, per_sequence, most, lambda: self.tell("plan", 0, 0.0))
+                plan = _finished(judge, choice, self.stand, self.conditions, self.targets, total_s)
             except ValueError:
                 break
             except _TooLongError as error:
                 per_sequence = max(1.05 * per_sequence, error.per_sequence_s)
                 continue
-            if best is not None:
-                return min(plan, best, key=lambda p: p.ratio)
-            best = plan
+            if best is None or plan.ratio < best.ratio:
+                best = plan
             per_sequence = plan.moves_s / max(1, len(plan.candidates) - 1)
-            pool = replace(pool, starts=(np.array([pool.which.tolist().index(k) for k in choice.which]),))
+            here = np.array([pool.which.tolist().index(k) for k in choice.which])
+            pool = replace(pool, starts=(here,))
+            judge = self._corrected(judge, plan)
+        if best is not None and math.isfinite(best.ratio):
+            best = self._polished(best, pool, judge, total_s)
         if best is None:
             raise InputError(
                 f"{total_s:g} s are too short for a test that shows all targets: give more time, shorter windows "
                 "(shortest_window_s), or fewer targets."
             )
         return best
+
+    def _polished(self, plan: Plan, pool: Pool, judge: Judge, total_s: float) -> Plan:
+        """A plan after exchanges by the covariance of the whole test, ordered and shared out anew each time."""
+        for _ in range(_POLISHES):
+            test = WholeTest(judge, pool, total_s)
+            which, windows_s = test.improved(
+                self._positions(plan.candidates), plan.windows_s, lambda: self.tell("plan", 0, 0.0)
+            )
+            found, choice = plan, Choice(which, windows_s, math.nan)
+            for _ in range(_BALANCES):
+                try:
+                    trial = _finished(judge, choice, self.stand, self.conditions, self.targets, total_s)
+                except _TooLongError:
+                    break
+                judge = self._corrected(judge, trial)
+                found = min(found, trial, key=lambda p: p.ratio)
+            if found.ratio > plan.ratio * (1.0 - _WORTHWHILE):
+                return found
+            plan = found
+        return plan
+
+    def _corrected(self, judge: Judge, plan: Plan) -> Judge:
+        """The judge with variances as the covariance of the whole test has them for a plan: drift is not additive."""
+        if not math.isfinite(plan.ratio):
+            return judge
+        raw = replace(judge, correction=np.ones_like(judge.correction))
+        information = raw.information(self._positions(plan.candidates), plan.windows_s)
+        simple = raw.variances(raw.prior + information.sum(axis=0))
+        return replace(judge, correction=plan.ratios[judge.targets] ** 2 / simple)
 
     def in_least_time(self) -> Plan:
         """Shortest test that meets the targets."""
@@ -394,7 +450,7 @@ class _Task:
             except InputError:  # too short for any
                 ratio = math.inf
             if plan is not None and ratio <= _MET:
-                return self._shortened(self._halved(plan, relaxed, too_short))
+                return self._bounded(self._shortened(self._halved(plan, relaxed, too_short)))
             too_short = total_s
             # Variances fall with the time, and a little more for what whole numbers cost.
             total_s *= min(max(1.02 * ratio**2, 1.04), 1.5)
@@ -458,12 +514,10 @@ class _Task:
         """Windows cut to what the targets need."""
         which = self._positions(plan.candidates)
         choice = self.judge.refine(which, plan.windows_s, None)
-        if choice.ratio > _MET:
-            return plan
         total_s = plan.total_s + float(choice.windows_s.sum() - plan.windows_s.sum())
         prediction = predict(plan.candidates, choice.windows_s, self.stand, self.conditions, self.targets)
-        bound = self.relaxed(total_s).bound
-        return replace(plan, windows_s=choice.windows_s, total_s=total_s, prediction=prediction, bound=bound)
+        shorter = replace(plan, windows_s=choice.windows_s, total_s=total_s, prediction=prediction)
+        return shorter if shorter.ratio <= _MET and total_s < plan.total_s else plan
 
     def _positions(self, candidates: Sequence[Candidate]) -> NDArray[np.intp]:
         return np.array([self._number[c.key] for c in candidates], dtype=np.intp)
@@ -476,7 +530,6 @@ def _finished(
     conditions: Conditions,
     targets: Array,
     total_s: float,
-    relaxed: Relaxed | None = None,
 ) -> Plan:
     """Order the sequences, and give the time that the moves leave to the windows."""
     order, ways, moves_s = best_order([judge.signatures.candidates[k] for k in choice.which], stand)
@@ -491,12 +544,5 @@ def _finished(
         )
     refined = judge.refine(which, choice.windows_s[list(order)], budget)
     used = total_s - budget + float(refined.windows_s.sum())
-    ruling: tuple[tuple[str, float], ...] = ()
-    if relaxed is not None:
-        first = np.argsort(-relaxed.weights)
-        ruling = tuple((NAMES[judge.targets[i]], float(relaxed.weights[i])) for i in first if relaxed.weights[i] > 0.02)
-    return Plan(
-        ways, refined.windows_s, used, moves_s, stand, conditions, targets,
-        predict(ways, refined.windows_s, stand, conditions, targets),
-        math.nan if relaxed is None else relaxed.bound, ruling,
-    )  # fmt: skip
+    prediction = predict(ways, refined.windows_s, stand, conditions, targets)
+    return Plan(ways, refined.windows_s, used, moves_s, stand, conditions, targets, prediction)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.planning.information import GRAVITY, N_UNKNOWNS, NORTH, Signatures
+from srt.flicker import correlation_times, flicker_covariance
+from srt.planning.information import GRAVITY, N_ROWS, N_UNKNOWNS, NORTH, Signatures
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -89,7 +91,7 @@ def predict(
     targets: Array | None = None,
     known: Array | None = None,
 ) -> Prediction:
-    """Predict the accuracy of the best linear estimate from these sequences.
+    """Predict the accuracy of the best linear estimate from these sequences, run in this order without loss of time.
 
     Parameters
     ----------
@@ -106,19 +108,16 @@ def predict(
     signatures = Signatures(candidates, stand, conditions)
     wanted = np.full(N_PARAMETERS, math.nan) if targets is None else targets
     scale = units(wanted)
-    by_source = signatures.covariances(windows_s[:, 0], windows_s[:, 1])
-    R = np.asarray(sum(by_source.values()))
-    d = 1.0 / np.sqrt(np.einsum("naa->na", R))
-    weight = np.linalg.inv(R * d[:, :, None] * d[:, None, :]) * d[:, :, None] * d[:, None, :]
-    H = signatures.H * scale
-    WH = weight @ H
-    each = np.swapaxes(H, 1, 2) @ WH
+    n = len(signatures)
+    H = signatures.H.reshape(n * N_ROWS, -1) * scale
+    factors = _factors(signatures, windows_s)
+    R = np.asarray(sum(G @ G.T for G in factors.values()))
+    d = 1.0 / np.sqrt(np.diag(R))
+    WH = np.linalg.solve(R * np.outer(d, d), H * d[:, None]) * d[:, None]
     prior = prior_information(conditions, scale, known)
-    P = _inverse(prior + each.sum(axis=0))
-    sources = {}
-    for name, part in by_source.items():
-        noise = np.einsum("nap,nab,nbq->pq", WH, part, WH, optimize=True)
-        sources[name] = np.sqrt(np.maximum(np.diag(P @ noise @ P), 0.0)) * scale
+    P = _inverse(prior + H.T @ WH)
+    gain = P @ WH.T
+    sources = {name: np.linalg.norm(gain @ G, axis=1) * scale for name, G in factors.items()}
     before = conditions.prior() * scale**2
     for name, k in (("earth_rate_alignment", NORTH), ("gravity", GRAVITY)):
         shared = np.abs(P[:, k]) * math.sqrt(before[k]) * scale
@@ -127,18 +126,60 @@ def predict(
         rest = known * np.outer(scale, scale) - np.diag(before)
         sources["test_so_far"] = np.sqrt(np.maximum(np.diag(P @ rest @ P), 0.0)) * scale
     seen = (np.sqrt(np.diag(P)) < _UNSEEN)[:N_PARAMETERS]
-    drift = conditions.drift_variance()
-    for sensor in ("gyro", "accel"):
-        part = np.zeros(N_UNKNOWNS)
-        part[GROUP_SLICES[f"{sensor}_bias"]] = np.sqrt(drift[GROUP_SLICES[f"{sensor}_bias"]])
-        sources[f"{sensor}_bias_instability"] = np.hypot(sources[f"{sensor}_bias_instability"], part)
-    covariance = (P * np.outer(scale, scale))[:N_PARAMETERS, :N_PARAMETERS] + np.diag(drift)
+    covariance = (P * np.outer(scale, scale))[:N_PARAMETERS, :N_PARAMETERS]
     return Prediction(
         covariance,
         np.where(seen, np.sqrt(np.diag(covariance)), math.inf),
         {name: np.where(seen, values[:N_PARAMETERS], math.inf) for name, values in sources.items()},
-        tuple(_needed_for(prior + each.sum(axis=0) - one, P, wanted) for one in each),
+        _needs(signatures, windows_s, scale, prior, wanted),
     )
+
+
+def timetable_s(candidates: Sequence[Candidate], windows_s: Array, stand: Stand) -> Array:
+    """Borders of every sequence's start window, turn and end window, shape (n, 4), s, if nobody loses time."""
+    own = np.array([c.own_s(stand) for c in candidates])
+    moves = [stand.move_s(a.end_deg, b.start_deg) for a, b in pairwise(candidates)]
+    lengths = np.stack([windows_s[:, 0], own, windows_s[:, 1]], axis=1)
+    begins = np.concatenate([[0.0], np.cumsum(lengths[:-1].sum(axis=1) + moves)])
+    return np.asarray(begins[:, None] + np.concatenate([np.zeros((len(own), 1)), np.cumsum(lengths, axis=1)], axis=1))
+
+
+def _factors(signatures: Signatures, windows_s: Array) -> dict[str, Array]:
+    """Unit draws of every source in all measurements of the test, shape (10 n, number of draws) each.
+
+    Drift is one process over the whole test: its covariance over all windows and turns.
+    """
+    c, n = signatures.conditions, len(signatures)
+    out = {}
+    for name, blocks in signatures.covariances(windows_s[:, 0], windows_s[:, 1]).items():
+        if not name.endswith("_bias_instability"):
+            whole = np.zeros((n, N_ROWS, n, N_ROWS))
+            values, vectors = np.linalg.eigh(blocks)
+            whole[np.arange(n), :, np.arange(n)] = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+            out[name] = whole.reshape(n * N_ROWS, -1)
+    times = timetable_s(signatures.candidates, windows_s, signatures.stand)
+    start, end = times[:, :3].ravel(), times[:, 1:].ravel()
+    K = flicker_covariance(start, end, correlation_times(float(end[-1])))
+    values, vectors = np.linalg.eigh(K)
+    draws = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(n, 3, -1)
+    for name, floor, effect, parts in (
+        ("gyro_bias_instability", c.gyro_instability, signatures.by_bias, draws),
+        ("accel_bias_instability", c.accel_instability, signatures.by_force, draws[:, [0, 2]]),
+    ):
+        acts = np.einsum("kiac,kid->kacd", effect, parts)
+        out[name] = floor * acts.reshape(n * N_ROWS, -1)
+    return out
+
+
+def _needs(
+    signatures: Signatures, windows_s: Array, scale: Array, prior: Array, targets: Array
+) -> tuple[tuple[tuple[str, float], ...], ...]:
+    """What each sequence is there for, with drift as it is counted while sequences are chosen."""
+    rows = signatures.whitened(windows_s[:, 0], windows_s[:, 1]) * scale
+    each = np.swapaxes(rows, 1, 2) @ rows
+    M = prior + each.sum(axis=0)
+    P = _inverse(M)
+    return tuple(_needed_for(M - one, P, targets) for one in each)
 
 
 def _needed_for(without: Array, P: Array, targets: Array) -> tuple[tuple[str, float], ...]:

@@ -62,6 +62,8 @@ class Judge:
         Variance of each target that nothing takes away.
     shortest_s, longest_s : float
         Limits of a window.
+    correction : ndarray, shape (q,)
+        By which variances are multiplied: what the covariance of the whole test has shown them to be.
     """
 
     signatures: Signatures
@@ -71,6 +73,7 @@ class Judge:
     floor: Array
     shortest_s: float
     longest_s: float
+    correction: Array
 
     def information(self, which: Indices, windows_s: Array) -> Array:
         """Information of each sequence by itself, shape (n, p, p)."""
@@ -85,11 +88,18 @@ class Judge:
 
     def variances(self, M: Array) -> Array:
         """Variances of the targets over theirs squared, shape (..., q)."""
-        return np.asarray(np.einsum("...aa->...a", self.inverse(M))[..., self.targets] + self.floor)
+        raw = np.einsum("...aa->...a", self.inverse(M))[..., self.targets] + self.floor
+        return np.asarray(self.correction * raw)
 
     def ratio(self, which: Indices, windows_s: Array) -> float:
         """Largest sigma over its target."""
         return float(np.sqrt(self.variances(self.prior + self.information(which, windows_s).sum(axis=0)).max()))
+
+    def filled(self, windows_s: Array, budget_s: float) -> Array | None:
+        """Windows within their limits that fill a budget, all by one factor; None if the shortest do not fit."""
+        if budget_s < self.shortest_s * windows_s.size:
+            return None
+        return _filled(windows_s.ravel(), budget_s, self.shortest_s, self.longest_s).reshape(windows_s.shape)
 
     def refine(self, which: Indices, windows_s: Array, budget_s: float | None) -> Choice:
         """Best lengths of the windows: for the smallest ratio within a budget, or the shortest that meets the targets.
@@ -119,7 +129,7 @@ class Judge:
                 h[:, end] = _STEP * windows[:, end]
                 change = self.information(which, windows + h) - self.information(which, windows - h)
                 slopes[:, :, end] = -np.einsum("aq,nab,bq->qn", X, change, X, optimize=True) / (2.0 * h[:, end])
-            return np.log(g), slopes.reshape(len(self.targets), -1) / g[:, None]
+            return np.log(self.correction * g), slopes.reshape(len(self.targets), -1) / g[:, None]
 
         bounds: list[tuple[float | None, float | None]] = [(low, high)] * (2 * n)
         ones = np.ones(2 * n)
@@ -315,7 +325,8 @@ class _Search:
         level, _ = self._level(cost[:, None])
         inverse = self.judge.inverse(self.judge.prior + information[level[0]])
         g, X = np.diag(inverse)[self.judge.targets] + self.judge.floor, inverse[:, self.judge.targets]
-        weight = (g / g.max()) ** (self.power - 1.0) / g.max()
+        wanted = self.judge.correction * g
+        weight = self.judge.correction * (wanted / wanted.max()) ** (self.power - 1.0) / wanted.max()
         gain = np.einsum("kab,ab->k", self.information[level[0]], (X * weight) @ X.T)
         return np.union1d(np.argsort(-gain)[:_PROMISING], np.argsort(-gain / self.cost[level[0]])[:_PROMISING]).astype(
             np.intp
