@@ -115,8 +115,8 @@ def ideal_rotations(
         swept = C[k] @ np.einsum("in,inab->nab", first, parts)
         rate[k] += swept[:, :, :, None] * u[:, None, None, :]
         abs_rate[k] += swept * np.abs(u)[:, None, :]
-        time[k] += swept / np.reshape(speed, (-1, 1, 1))
-        noise[k] += _swept_outer(C[k], parts, size) / np.reshape(speed, (-1, 1, 1, 1))
+        time[k] += swept / np.asarray(speed)[..., None, None]
+        noise[k] += _swept_outer(C[k], parts, size) / np.asarray(speed)[..., None, None, None]
         weight_s[k] += size / speed
         turned[k] += size[:, None] * u
         C[k] = C[k] @ rotation_matrix(u * size[:, None])
@@ -133,11 +133,14 @@ def _parts(u: Array) -> Array:
 
 
 def _moments(angle: Array) -> tuple[Array, Array]:
-    """Integrals from 0 to θ of (1, cos β, sin β), shape (3, n), and of their products, shape (3, 3, n)."""
+    """Integrals from 0 to θ of (1, cos β, sin β), shape (3, n), and of their products, shape (3, 3, n).
+
+    Products of 1 with another are left at zero: of a turn about an axis of B they multiply columns that are.
+    """
     s, c = np.sin(angle), np.cos(angle)
-    half, cross = 0.5 * s * c, 0.5 * s**2
+    half, cross, none = 0.5 * s * c, 0.5 * s**2, np.zeros_like(angle)
     first = np.stack([angle, s, 1.0 - c])
-    products = np.stack([first, [s, 0.5 * angle + half, cross], [1.0 - c, cross, 0.5 * angle - half]])
+    products = np.stack([[angle, none, none], [none, 0.5 * angle + half, cross], [none, cross, 0.5 * angle - half]])
     return first, products
 
 

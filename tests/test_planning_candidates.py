@@ -69,11 +69,13 @@ def test_integrals_of_ideal_rotations_against_small_steps(start, legs, speed):
         total["time"] += dt * A.sum(axis=0)
         total["noise"] += dt * np.einsum("nab,ncb->acb", A, A)
         C = C @ Rotation.from_rotvec(u * angle).as_matrix()
-    largest = np.abs(sequence.angles_rad).max() / steps
+    step = np.abs(sequence.angles_rad).max() / steps
+    way, time = np.abs(sequence.angles_rad).sum(), np.sum(np.abs(sequence.angles_rad) / speeds)
     for name, value in total.items():
         # The noise has products of two matrices: twice the frequency, four times the error.
+        size = way if "rate" in name else time
         np.testing.assert_allclose(
-            getattr(found, name)[0], value, atol=4.0 * largest**2 / 24.0 * np.abs(value).max() + 1e-12, err_msg=name
+            getattr(found, name)[0], value, atol=4.0 * step**2 / 24.0 * size + 1e-12, err_msg=name
         )
     np.testing.assert_allclose(found.C_end[0], C, atol=1e-12)
 

@@ -213,7 +213,10 @@ def propose(chosen: PlanFile, after: Path, *, quiet: bool) -> int:
     calibration = srt.load_calibration(after)
     stand, conditions = chosen.stand.stand(), chosen.conditions()
     known = known_information(calibration, conditions)
-    found = next_sequences(stand, conditions, chosen.targets.sigma(), known, limits=chosen.plan.limits())
+    with _progress(quiet=quiet) as progress:
+        found = next_sequences(
+            stand, conditions, chosen.targets.sigma(), known, limits=chosen.plan.limits(), progress=progress
+        )
     if quiet:
         return 0
     rows = []
@@ -224,14 +227,14 @@ def propose(chosen: PlanFile, after: Path, *, quiet: bool) -> int:
             [
                 proposal.candidate.label,
                 f"{inner}, {outer}",
-                f"{proposal.window_s:.0f}",
+                f"{proposal.windows_s[0]:.0f}, {proposal.windows_s[1]:.0f}",
                 clock(proposal.time_s),
                 "not seen" if math.isinf(proposal.ratio) else f"{proposal.ratio:.2f}",
                 better[0] if better else "",
             ]
         )
         rows += [[""] * 5 + [more] for more in better[1:]]
-    click.echo("What to run next, the best for its time first")
+    click.echo("What the best continuation of the test runs, most of its time first")
     heads = ["down/outer turns", "inner,\nouter", "stand\ns", "time\nmin:s", "worst\nratio", "improves"]
     click.echo(text_table(heads, rows, "lrrrrl", gap=1))
     return 0

@@ -9,29 +9,24 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.planning.candidates import executable, words
-from srt.planning.information import GRAVITY, N_UNKNOWNS, NORTH, Signatures
-from srt.planning.plan import Limits, check_targets
-from srt.planning.prediction import prior_information, units
+from srt.planning.information import GRAVITY, N_UNKNOWNS, NORTH
+from srt.planning.plan import Limits, Task, check_targets
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
     from srt.planning.candidates import Candidate
     from srt.planning.information import Conditions
+    from srt.planning.plan import Progress
     from srt.planning.stand import Stand
 
     Array = NDArray[np.float64]
 
-_POWER: Final = 4.0
-_GRID: Final = 6
 _MOSTLY: Final = 0.95
-_FAR: Final = 1e4
-"""Variance over the target's beyond which a parameter counts as unknown, and better or worse as no matter."""
+_FAR: Final = 1e6
+"""Variance over the target's beyond which a parameter counts as unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +36,8 @@ class Proposal:
     Attributes
     ----------
     candidate : Candidate
-    window_s : float
-        Of the start and of the end window each.
+    windows_s : (float, float)
+        Length of the start and of the end window.
     time_s : float
         With its waits, without the move to its start.
     ratio : float
@@ -52,7 +47,7 @@ class Proposal:
     """
 
     candidate: Candidate
-    window_s: float
+    windows_s: tuple[float, float]
     time_s: float
     ratio: float
     improved: tuple[tuple[str, float, float], ...]
@@ -109,10 +104,14 @@ def next_sequences(
     known: Array,
     *,
     limits: Limits | None = None,
+    horizon_s: float = 300.0,
     count: int = 5,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Proposal, ...]:
-    """Propose what to run next: what brings the targets nearer most for its time, the best first.
+    """Propose what to run next: what the best continuation of the test would spend most time on.
+
+    Sequences may be worth something only together; so the optimum with fractions is found for the rest of the test,
+    from what is known already, and its sequences are proposed.
 
     Parameters
     ----------
@@ -123,84 +122,60 @@ def next_sequences(
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS)
         Information of the test so far, see :func:`known_information`.
     limits : Limits, optional
+    horizon_s : float
+        How long the test may go on, s.
     count : int
-        Of proposals: different sequences.
+        Of proposals: different sequences, of those that differ in the sense of turns or in what is up alone, one.
     progress : callable, optional
-        Called with the numbers of tried and of all lengths of the windows.
+        As for :func:`srt.planning.plan.make_plan`.
 
     Returns
     -------
     tuple of Proposal
+        What is worth most first; fewer than ``count`` if no more is worth running.
+
+    Raises
+    ------
+    InputError, DataError
+        As :func:`srt.planning.plan.make_plan`.
     """
-    limits = limits or Limits()
     check_targets(targets)
-    kinds = words(largest_turn_deg=limits.largest_turn_deg, most_legs=limits.most_legs)
-    signatures = Signatures(executable(stand, kinds), stand, conditions)
-    scale, counted = units(targets), np.flatnonzero(np.isfinite(targets))
-    M = prior_information(conditions, scale, known)
-    floor = conditions.drift_variance()[counted] / targets[counted] ** 2
-    before = _variances(M[None], counted)[0] + floor
-    best: dict[int, tuple[float, float, Array]] = {}
-    grid = limits.grid_s(_GRID)
-    for number, window in enumerate(grid.tolist(), start=1):
-        rows = signatures.whitened(window, window) * scale
-        time = signatures.own_s + 2.0 * window + stand.pause_s + stand.settle_s
-        after = _variances(M + np.swapaxes(rows, 1, 2) @ rows, counted) + floor
-        gain = (_mean(before[None]) - _mean(after)) / time
-        for k in np.argsort(-gain)[: 40 * count].tolist():
-            if k not in best or gain[k] > best[k][0]:
-                best[k] = (float(gain[k]), window, after[k])
-        if progress is not None:
-            progress(number, len(grid))
-    # Of sequences that differ in the sense of turns or in what is up alone, one.
-    kinds_seen: dict[tuple[str, ...], int] = {}
-    for k in sorted(best, key=lambda k: -best[k][0]):
-        kinds_seen.setdefault(_kind(signatures.candidates[k]), k)
-    chosen = list(kinds_seen.values())[:count]
-    return tuple(
-        _proposal(signatures, k, *best[k][1:], before=before, counted=counted, targets=targets) for k in chosen
-    )
+    task = Task(stand, conditions, targets, limits or Limits(), progress, known)
+    task.require_seen()
+    optimum = task.relaxed(horizon_s)
+    spent = optimum.weight * task.columns.cost_s[optimum.which]
+    by_kind: dict[tuple[str, ...], list[int]] = {}
+    for j in np.argsort(-spent).tolist():
+        by_kind.setdefault(_kind(task.signatures.candidates[task.sequence[optimum.which[j]]]), []).append(j)
+    ranked = sorted(by_kind.values(), key=lambda of: -float(spent[of].sum()))
+    return tuple(_proposal(task, int(optimum.which[of[0]]), targets) for of in ranked[:count])
 
 
 def _kind(candidate: Candidate) -> tuple[str, ...]:
     return candidate.down[-1], *(f"{abs(turn)}{axis}" for axis, turn in candidate.rotations)
 
 
-def _proposal(
-    signatures: Signatures,
-    k: int,
-    window: float,
-    after: Array,
-    *,
-    before: Array,
-    counted: NDArray[np.intp],
-    targets: Array,
-) -> Proposal:
-    stand = signatures.stand
-    order = np.argsort(after / before)[:3]
-    wanted = targets[counted]
+def _proposal(task: Task, column: int, targets: Array) -> Proposal:
+    judge = task.judge
+    rows = task.columns.rows[column]
+    before, after = judge.variances(judge.prior), judge.variances(judge.prior + rows.T @ rows)
+    counted = judge.targets
     improved = tuple(
-        (NAMES[counted[i]], _sigma(before[i], wanted[i]), _sigma(after[i], wanted[i]))
-        for i in order
-        if after[i] < min(0.98 * before[i], 1e6)
+        (NAMES[counted[i]], _sigma(before[i], targets[counted[i]]), _sigma(after[i], targets[counted[i]]))
+        for i in np.argsort(after / before)[:3]
+        if after[i] < min(0.98 * before[i], _FAR)
     )
-    time_s = float(signatures.own_s[k]) + 2.0 * window + stand.pause_s + stand.settle_s
-    return Proposal(signatures.candidates[k], window, time_s, _sigma(after.max(), 1.0), improved)
+    first, last = task.windows[column]
+    time_s = float(task.columns.cost_s[column])
+    return Proposal(
+        task.signatures.candidates[task.sequence[column]],
+        (float(first), float(last)),
+        time_s,
+        _sigma(after.max(), 1.0),
+        improved,
+    )
 
 
 def _sigma(variance: float, target: float) -> float:
     """Sigma in SI of a variance in units of the target; more than a thousand targets are none."""
-    return math.inf if variance > 1e6 else math.sqrt(variance) * float(target)
-
-
-def _variances(M: Array, counted: NDArray[np.intp]) -> Array:
-    d = 1.0 / np.sqrt(np.einsum("naa->na", M))
-    inverse = np.linalg.inv(M * d[:, :, None] * d[:, None, :])
-    return np.asarray((np.einsum("naa->na", inverse) * d**2)[:, counted])
-
-
-def _mean(g: Array) -> Array:
-    """Log of the power mean: the farthest from their targets count most, without being all that counts."""
-    g = np.minimum(g, _FAR)
-    largest = g.max(axis=1, keepdims=True)
-    return np.asarray(np.log(largest[:, 0]) + np.log(np.mean((g / largest) ** _POWER, axis=1)) / _POWER)
+    return math.inf if variance > _FAR else math.sqrt(variance) * float(target)

@@ -222,9 +222,10 @@ def _generated(columns: Columns, total_s: float, start: Relaxed, gap: float, tol
         told(best.gap)
         if best.gap <= gap:
             break
-        # What is worth more than the time is on the average now.
+        # What is worth at least what the time is on the average now: the prices of the best bound make equal what
+        # should be run.
         fresh = np.setdiff1d(np.argsort(-worth)[: 4 * _ADDED_PER_ROUND], active, assume_unique=False)
-        fresh = fresh[worth[fresh] > price * (1.0 + 1e-6)]
+        fresh = fresh[worth[fresh] > price * (1.0 - 1e-3)]
         fresh = fresh[np.argsort(-worth[fresh])][:_ADDED_PER_ROUND]
         if fresh.size == 0:
             break

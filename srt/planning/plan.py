@@ -182,7 +182,7 @@ def make_plan(
     """
     limits = limits or Limits()
     check_targets(targets)
-    task = _Task(stand, conditions, targets, limits, progress)
+    task = Task(stand, conditions, targets, limits, progress)
     task.require_seen()
     if total_s is not None:
         if not (math.isfinite(total_s) and total_s > 0.0):
@@ -223,13 +223,13 @@ def check_targets(targets: Array) -> None:
         raise InputError(f"The target of {low[0]} is not positive: no test is perfect; give the sigma that is wanted.")
 
 
-def _judge(signatures: Signatures, targets: Array, limits: Limits) -> Judge:
+def _judge(signatures: Signatures, targets: Array, limits: Limits, known: Array | None = None) -> Judge:
     scale = units(targets)
     counted = np.flatnonzero(np.isfinite(targets))
     return Judge(
         signatures,
         scale,
-        prior_information(signatures.conditions, scale),
+        prior_information(signatures.conditions, scale, known),
         counted,
         signatures.conditions.drift_variance()[counted] / targets[counted] ** 2,
         limits.shortest_window_s,
@@ -246,11 +246,28 @@ class _TooLongError(InputError):
         self.per_sequence_s = per_sequence_s
 
 
-class _Task:
-    """One planning problem."""
+class Task:
+    """One planning problem: everything that the fixture can execute, ready to be weighed.
+
+    Parameters
+    ----------
+    stand : Stand
+    conditions : Conditions
+    targets : ndarray, shape (27,), SI
+    limits : Limits
+    progress : callable, optional
+    known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS), optional
+        Information that there already is; default that on gravity and north.
+    """
 
     def __init__(
-        self, stand: Stand, conditions: Conditions, targets: Array, limits: Limits, progress: Progress | None
+        self,
+        stand: Stand,
+        conditions: Conditions,
+        targets: Array,
+        limits: Limits,
+        progress: Progress | None = None,
+        known: Array | None = None,
     ) -> None:
         self.stand, self.conditions, self.targets, self.limits = stand, conditions, targets, limits
         self._progress = progress
@@ -259,7 +276,7 @@ class _Task:
         if not candidates:
             raise InputError("The fixture can execute no sequence at all: widen its travel to 90 deg or more.")
         self.signatures = Signatures(candidates, stand, conditions)
-        self.judge = _judge(self.signatures, targets, limits)
+        self.judge = _judge(self.signatures, targets, limits, known)
         self._number = {c.key: k for k, c in enumerate(candidates)}
         self._table_1 = [from_catalogue(s) for s in SEQUENCES.values()]
         self.grid = limits.grid_s(_GRID)
@@ -275,6 +292,7 @@ class _Task:
         return Columns(rows, cost, self.judge.prior, self.judge.targets, self.judge.floor)
 
     def tell(self, what: str, count: int, gap: float) -> None:
+        """Tell the progress."""
         if self._progress is not None:
             self._progress(what, count, gap)
 
@@ -367,6 +385,7 @@ class _Task:
         return Pool(sequences, self.windows[columns], tuple(starts))
 
     def in_time(self, total_s: float) -> Plan:
+        """The best plan for a time."""
         return self._bounded(self.whole(self.relaxed(total_s), total_s))
 
     def _bounded(self, plan: Plan) -> Plan:
@@ -438,7 +457,7 @@ class _Task:
         return replace(judge, correction=plan.ratios[judge.targets] ** 2 / simple)
 
     def in_least_time(self) -> Plan:
-        """Shortest test that meets the targets."""
+        """The shortest plan that meets the targets."""
         self._require_reach()
         total_s, relaxed = self._least_relaxed_time()
         too_short = 0.0
