@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]
 
-FOR_EVER: Final = 1e9
-"""How often a column is run where time is no matter."""
 GAP: Final = 0.01
 """The search ends when the bound is this close, as a share of sigma."""
 _MOST_ROUNDS: Final = 40
@@ -42,6 +40,8 @@ _EVEN: Final = (0.1, 0.01)
 """Share of the time that is spread over all columns, on the way and at the end."""
 _MOST_CUTS: Final = 60
 _ROUGH_GAP: Final = 0.03
+_NO_INFORMATION: Final = 1e-11
+_NO_PART: Final = 1e-3
 _NO_SHARE: Final = 1e-5
 
 
@@ -122,11 +122,26 @@ class Relaxed:
         return self.ratio / self.bound - 1.0 if self.bound > 0.0 else math.inf
 
 
-def unseen(columns: Columns, most: float = 1e3) -> Indices:
-    """Targets (positions in ``columns.targets``) that stay unknown if every column were run for ever."""
+def unseen(columns: Columns) -> Indices:
+    """Targets (positions in ``columns.targets``) that all columns together leave open, by the null space."""
+    S = columns.information(np.arange(len(columns.cost_s)), np.ones(len(columns.cost_s)))
+    d = 1.0 / np.sqrt(np.diag(S))
+    values, vectors = np.linalg.eigh(S * np.outer(d, d))
+    open_ways = vectors[:, values < _NO_INFORMATION * values[-1]]
+    share = np.linalg.norm(open_ways, axis=1)[columns.targets]
+    # What has no row at all is no part of it: a thousand times the target after every column.
+    alone = (np.diag(S) - np.diag(columns.prior))[columns.targets] < 1e-6
+    return np.flatnonzero((share > _NO_PART) | alone)
+
+
+def limits_of_time(columns: Columns, time_s: float) -> Array:
+    """Variances of the targets that no time takes away, shape (q,): from a long time, and twice as long."""
     every = np.arange(len(columns.cost_s))
-    g, _ = columns.variances(columns.information(every, np.full(len(every), FOR_EVER)))
-    return np.flatnonzero(g > most**2)
+    weight = time_s / len(every) / columns.cost_s
+    once, _ = columns.variances(columns.information(every, weight))
+    twice, _ = columns.variances(columns.information(every, 2.0 * weight))
+    # What falls with the time halves; the rest stays.
+    return np.asarray(2.0 * twice - once)
 
 
 def relaxed_optimum(

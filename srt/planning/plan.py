@@ -18,7 +18,7 @@ from srt.catalogue import SEQUENCES
 from srt.exceptions import DataError, InputError
 from srt.planning.candidates import executable, from_catalogue, words
 from srt.planning.information import Signatures
-from srt.planning.optimum import FOR_EVER, Columns, Relaxed, relaxed_optimum, unseen
+from srt.planning.optimum import Columns, Relaxed, limits_of_time, relaxed_optimum, unseen
 from srt.planning.order import best_order
 from srt.planning.polish import WholeTest
 from srt.planning.prediction import Prediction, predict, prior_information, units
@@ -497,8 +497,7 @@ class Task:
 
     def _require_reach(self) -> None:
         """Raise DataError where no time is enough: what the whole test has in common remains."""
-        even = np.full(len(self.coarse.cost_s), FOR_EVER)
-        g, _ = self.coarse.variances(self.coarse.information(np.arange(len(even)), even))
+        g = limits_of_time(self.coarse, self.limits.longest_test_s)
         if g.max() > 1.0:
             k = int(self.judge.targets[np.argmax(g)])
             raise DataError(
@@ -526,7 +525,7 @@ class Task:
         return DataError(
             f"The targets are out of reach in {self.limits.longest_test_s / 3600.0:.3g} h: {plan.worst} stays at "
             f"{plan.ratio:.3g} times its target, {100.0 * share:.0f} % of its variance by {source.replace('_', ' ')}; "
-            "take larger targets, a better unit, fixture or gravity, or allow more time (longest_test_s)."
+            "take larger targets, a better unit, fixture or gravity, or allow more time."
         )
 
     def _shortened(self, plan: Plan) -> Plan:

@@ -1,0 +1,145 @@
+"""``srt plan`` at the shell: what it writes, what it prints, and its sentences."""
+
+import json
+
+import pytest
+
+import sims
+from srt.cli import main
+from srt.sensor_errors import NAMES
+
+PLAN = """
+[imu]
+from = "tactical-fog"
+[fixture]
+from = "lab-1mrad"
+[site]
+from = "latitude-45"
+[stand]
+settle_s = 0.5
+{stand}
+[targets]
+{targets}
+[plan]
+most_legs = 2
+largest_turn_deg = 360
+most_sequences = 12
+{plan}
+[recording]
+sample_rate_hz = 50.0
+"""
+SCALES = "gyro_scale_ppm = 100.0\naccel_scale_ppm = 200.0\naccel_bias_ug = 200.0"
+
+
+def write(path, *, stand="", targets=SCALES, plan="total_time_s = 200.0"):
+    path.write_text(PLAN.format(stand=stand, targets=targets, plan=plan), encoding="utf-8")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    file = write(folder / "lab.toml")
+    names = {"-o": "s.toml", "--sheet": "s.md", "--json": "s.json", "--plot": "s.png"}
+    options = [text for option, name in names.items() for text in (option, str(folder / name))]
+    assert main(["plan", file, *options, "-q"]) == 0
+    return folder
+
+
+def test_the_schedule_is_what_the_plan_says(made):
+    plan = json.loads((made / "s.json").read_text(encoding="utf-8"))
+    scenario = sims.load_scenario(made / "s.toml")
+    sequences = scenario.schedule.turn_sequences()
+    assert [s.id for s in sequences] == [s["id"] for s in plan["sequences"]]
+    for executed, said in zip(sequences, plan["sequences"], strict=True):
+        assert (executed.down, executed.along_outer) == (said["down"], said["along_outer"])
+        assert [list(r) for r in executed.rotations] == said["rotations"]
+        inner_or_outer = [["inner" if axis == 0 else "outer", pytest.approx(said_turn)] for axis, said_turn in
+                          ((a, round(t * 57.29577951308232, 6)) for a, t in executed.fixture_legs())]  # fmt: skip
+        assert inner_or_outer == said["fixture_turns"]
+    for (start, end), said in zip(scenario.schedule.dwells_s, plan["sequences"], strict=True):
+        assert start == pytest.approx(said["start_static_s"][1] - said["start_static_s"][0], abs=1e-3)
+        assert end == pytest.approx(said["end_static_s"][1] - said["end_static_s"][0], abs=1e-3)
+    assert plan["total_s"] <= 200.0 * (1.0 + 1e-6)
+    assert plan["ratio_bound"] <= plan["worst_ratio"]
+    assert [p["name"] for p in plan["parameters"]] == list(NAMES)
+
+
+def test_sheet_and_plot(made):
+    sheet = (made / "s.md").read_text(encoding="utf-8")
+    plan = json.loads((made / "s.json").read_text(encoding="utf-8"))
+    rows = [line for line in sheet.splitlines() if line.startswith("| ") and line.split("|")[1].strip().isdigit()]
+    assert len(rows) == len(plan["sequences"])
+    assert sheet.count("[[sequence]]") == len(rows)
+    assert (made / "s.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_plan_is_simulated_and_calibrated(made, tmp_path, capsys):
+    assert main(["simulate", str(made / "s.toml"), "-o", str(tmp_path / "run"), "-q"]) == 0
+    unit = tmp_path / "unit.json"
+    assert main(["calibrate", str(tmp_path / "run"), "-o", str(unit), "-q"]) == 0
+    capsys.readouterr()
+    assert main(["plan", str(made / "lab.toml"), "--after", str(unit)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("What the best continuation of the test runs")
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_the_table_fits_a_terminal(tmp_path, capsys):
+    file = write(tmp_path / "lab.toml", targets="gyro_scale_ppm = 100.0", plan="total_time_s = 150.0")
+    assert main(["plan", file, "--table-1"]) == 0
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 80
+    assert "No plan of this length" in out
+    assert "150 s are too short for 17 sequences" in " ".join(out.split())
+
+
+def test_missed_targets_exit_with_one_and_leave_a_plan(tmp_path, capsys):
+    file = write(tmp_path / "lab.toml", targets="gyro_scale_ppm = 1.0", plan="total_time_s = 150.0")
+    assert main(["plan", file, "-o", str(tmp_path / "s.toml"), "-q"]) == 1
+    assert "The plan misses 3 of the targets: gyro_scale_" in capsys.readouterr().err
+    assert (tmp_path / "s.toml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("changes", "arguments", "code", "said"),
+    [
+        (
+            {"targets": "gyro_scale = 1.0"},
+            [],
+            2,
+            "unknown key 'gyro_scale' in [targets]: did you mean 'gyro_scale_ppm'?",
+        ),
+        ({"targets": "gyro_scale_ppm = -1.0"}, [], 2, "targets.gyro_scale_ppm is -1.0"),
+        ({"targets": "parameters = {gyro_scale_q = 1e-6}"}, [], 2, "no sensor error named 'gyro_scale_q'"),
+        ({"targets": ""}, [], 2, "there is no target"),
+        ({"stand": "inner = {travel_deg = [10.0, 80.0]}"}, [], 2, "No multiple of 90 deg"),
+        ({"stand": "inner = {turns = false}\nouter = {turns = false}"}, [], 2, "Neither axis"),
+        ({"stand": "inner = {turns = false, travel_deg = [0.0, 90.0]}"}, [], 2, "has no travel_deg"),
+        ({"stand": "inner = {set_s = 3.0}"}, [], 2, "add turns = false"),
+        ({"stand": "rate_rad_s = 0.0"}, [], 2, "stand.rate_rad_s is 0.0"),
+        ({"plan": "shortest_window_s = 70.0"}, [], 2, "contradictory"),
+        ({"plan": "total_time_s = 4.0"}, [], 2, "too short"),
+        ({"stand": "inner = {turns = false}"}, [], 1, "shows gyro_scale_"),
+        ({}, ["--total-time", "nan"], 2, "--total-time is nan"),
+        ({}, ["-o", "s.txt"], 2, ".toml"),
+        ({}, ["--after", "no.json", "--sheet", "s.md"], 2, "leave the other options out"),
+        ({}, ["--after", "no.json"], 2, "no.json"),
+    ],
+)
+def test_mistakes(tmp_path, monkeypatch, capsys, changes, arguments, code, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["plan", write(tmp_path / "lab.toml", **changes), *arguments]) == code
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert len(captured.err.strip().splitlines()) == 1
+    assert captured.out == ""
+
+
+def test_shipped_plans_are_read():
+    from sims.library import names
+    from sims.plan_file import load_plan_file
+
+    assert len(names("plan")) == 6
+    for name in names("plan"):
+        load_plan_file(name).conditions()
