@@ -61,8 +61,8 @@ _ACCEL_UNITS: Final = (
 )
 _MATCH: Final = math.log(1.8)
 """Within this a factor is recognised through the errors of an uncalibrated unit."""
-_BOTH: Final = math.log(1.5)
-"""Within this gyros and accelerometers are off by one and the same factor."""
+_BOTH: Final = math.log(1.7)
+"""Within this gyros and accelerometers are off by one and the same factor: errors of a quarter either way make 1.67."""
 _TIGHT: Final = 0.07
 """Within this whole numbers are a unit rather than counts: mg are often logged without decimals, and pulses of a part
 of an arc second are whole numbers of deg/h (but not every whole number)."""
