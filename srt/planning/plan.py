@@ -9,7 +9,7 @@ time that the moves leave.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,11 +19,11 @@ from srt.exceptions import DataError, InputError
 from srt.planning.candidates import executable, from_catalogue, words
 from srt.planning.information import Signatures
 from srt.planning.optimum import Columns, Relaxed, limits_of_time, relaxed_optimum, unseen
-from srt.planning.order import best_order
+from srt.planning.planned import MET, Limits, Plan, TooLongError, check_targets, finished, judge_of
 from srt.planning.polish import WholeTest
-from srt.planning.prediction import Prediction, predict, prior_information, units
+from srt.planning.prediction import predict
 from srt.planning.selection import Choice, Judge, Pool, select
-from srt.sensor_errors import N_PARAMETERS, NAMES
+from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Progress = Callable[[str, int, float], None]
 
+__all__ = ["Limits", "Plan", "Task", "check_targets", "make_plan", "table_1_plan"]
+
 _GRID: Final = 8
 _FINE_GRID: Final = 9
 _FINE_SEQUENCES: Final = 150
@@ -45,7 +47,6 @@ _NEARLY: Final = 0.9
 _POOL: Final = 250
 _START_COUNTS: Final = (8, 14, 22)
 _FIRST_TIME_S: Final = 900.0
-_MET: Final = 1.0 + 1e-4
 _TRIES: Final = 12
 _HALVINGS: Final = 4
 _ROUNDS: Final = 4
@@ -53,100 +54,6 @@ _POLISHES: Final = 4
 _BALANCES: Final = 5
 _WORTHWHILE: Final = 5e-3
 _CLOSE: Final = 0.03
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What the planner may choose from.
-
-    Attributes
-    ----------
-    shortest_window_s, longest_window_s : float
-    largest_turn_deg : int
-        Of one rotation.
-    most_legs : int
-        Rotations in a sequence.
-    longest_test_s : float
-        Targets that take longer are out of reach.
-    most_sequences : int
-    """
-
-    shortest_window_s: float = 5.0
-    longest_window_s: float = 60.0
-    largest_turn_deg: int = 1080
-    most_legs: int = 8
-    longest_test_s: float = 8.0 * 3600.0
-    most_sequences: int = 40
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.shortest_window_s <= self.longest_window_s < math.inf:
-            raise InputError(
-                f"Windows of {self.shortest_window_s:g} to {self.longest_window_s:g} s are contradictory: the shortest "
-                "must be positive and not above the longest."
-            )
-        least = {"largest_turn_deg": 90, "most_legs": 1, "most_sequences": 1}
-        for name, low in least.items():
-            if getattr(self, name) < low:
-                raise InputError(f"{name} is {getattr(self, name)}, which leaves no sequence: give at least {low}.")
-
-    def grid_s(self, count: int) -> Array:
-        """Windows that the optimum with fractions chooses from, s."""
-        if self.shortest_window_s == self.longest_window_s:
-            return np.array([self.shortest_window_s])
-        return np.geomspace(self.shortest_window_s, self.longest_window_s, count)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """A test, ready to be run.
-
-    Attributes
-    ----------
-    candidates : tuple of Candidate
-        In the order of execution, at the fixture's angles.
-    windows_s : ndarray, shape (n, 2)
-    total_s, moves_s : float
-        The whole test from the first window to the last; what of it is moves, pauses and settling between sequences.
-    targets : ndarray, shape (27,), SI
-        NaN: none.
-    prediction : Prediction
-    bound : float
-        No plan of this length, for this fixture and of this kind of sequences, has a smaller worst ratio; NaN where
-        it was not computed.
-    ruling : tuple of (str, float)
-        Parameters that rule the optimum, and their weights.
-    """
-
-    candidates: tuple[Candidate, ...]
-    windows_s: Array
-    total_s: float
-    moves_s: float
-    stand: Stand
-    conditions: Conditions
-    targets: Array
-    prediction: Prediction
-    bound: float = math.nan
-    ruling: tuple[tuple[str, float], ...] = ()
-
-    @property
-    def ratios(self) -> Array:
-        """Sigma over target, shape (27,); NaN where there is no target."""
-        return np.asarray(self.prediction.sigma / self.targets)
-
-    @property
-    def ratio(self) -> float:
-        """Worst sigma over target."""
-        return float(np.nanmax(self.ratios))
-
-    @property
-    def worst(self) -> str:
-        """Parameter of the worst sigma over target."""
-        return NAMES[int(np.nanargmax(self.ratios))]
-
-    @property
-    def unmet(self) -> tuple[str, ...]:
-        """Parameters whose target is missed."""
-        return tuple(NAMES[k] for k in np.flatnonzero(self.ratios > _MET))
 
 
 def make_plan(
@@ -204,46 +111,10 @@ def table_1_plan(
     limits = limits or Limits()
     check_targets(targets)
     candidates = [from_catalogue(s, stand) for s in SEQUENCES.values()]
-    judge = _judge(Signatures(candidates, stand, conditions), targets, limits)
+    judge = judge_of(Signatures(candidates, stand, conditions), targets, limits)
     which = np.arange(len(candidates))
     guess = Choice(which, np.full((len(which), 2), 10.0), math.nan)
-    return _finished(judge, guess, stand, conditions, targets, total_s)
-
-
-def check_targets(targets: Array) -> None:
-    """Raise InputError unless there is at least one target and all are positive."""
-    if targets.shape != (N_PARAMETERS,):
-        raise InputError(
-            f"The targets have shape {targets.shape}: give {N_PARAMETERS} sigmas, NaN where none is wanted."
-        )
-    if not np.isfinite(targets).any():
-        raise InputError("The plan has no target: state the sigma that is wanted of at least one parameter.")
-    low = [NAMES[k] for k in np.flatnonzero(targets <= 0.0)]
-    if low:
-        raise InputError(f"The target of {low[0]} is not positive: no test is perfect; give the sigma that is wanted.")
-
-
-def _judge(signatures: Signatures, targets: Array, limits: Limits, known: Array | None = None) -> Judge:
-    scale = units(targets)
-    counted = np.flatnonzero(np.isfinite(targets))
-    return Judge(
-        signatures,
-        scale,
-        prior_information(signatures.conditions, scale, known),
-        counted,
-        signatures.conditions.drift_variance()[counted] / targets[counted] ** 2,
-        limits.shortest_window_s,
-        limits.longest_window_s,
-        np.ones(len(counted)),
-    )
-
-
-class _TooLongError(InputError):
-    """The moves leave no time for the windows; they took so much per sequence."""
-
-    def __init__(self, message: str, per_sequence_s: float) -> None:
-        super().__init__(message)
-        self.per_sequence_s = per_sequence_s
+    return finished(judge, guess, stand, conditions, targets, total_s)
 
 
 class Task:
@@ -276,7 +147,7 @@ class Task:
         if not candidates:
             raise InputError("The fixture can execute no sequence at all: widen its travel to 90 deg or more.")
         self.signatures = Signatures(candidates, stand, conditions)
-        self.judge = _judge(self.signatures, targets, limits, known)
+        self.judge = judge_of(self.signatures, targets, limits, known)
         self._number = {c.key: k for k, c in enumerate(candidates)}
         self._table_1 = [from_catalogue(s) for s in SEQUENCES.values()]
         self.grid = limits.grid_s(_GRID)
@@ -406,10 +277,10 @@ class Task:
             most = self.limits.most_sequences
             try:
                 choice = select(judge, pool, total_s, per_sequence, most, lambda: self.tell("plan", 0, 0.0))
-                plan = _finished(judge, choice, self.stand, self.conditions, self.targets, total_s)
+                plan = finished(judge, choice, self.stand, self.conditions, self.targets, total_s)
             except ValueError:
                 break
-            except _TooLongError as error:
+            except TooLongError as error:
                 per_sequence = max(1.05 * per_sequence, error.per_sequence_s)
                 continue
             if best is None or plan.ratio < best.ratio:
@@ -437,8 +308,8 @@ class Task:
             found, choice = plan, Choice(which, windows_s, math.nan)
             for _ in range(_BALANCES):
                 try:
-                    trial = _finished(judge, choice, self.stand, self.conditions, self.targets, total_s)
-                except _TooLongError:
+                    trial = finished(judge, choice, self.stand, self.conditions, self.targets, total_s)
+                except TooLongError:
                     break
                 judge = self._corrected(judge, trial)
                 found = min(found, trial, key=lambda p: p.ratio)
@@ -468,7 +339,7 @@ class Task:
                 ratio = plan.ratio
             except InputError:  # too short for any
                 ratio = math.inf
-            if plan is not None and ratio <= _MET:
+            if plan is not None and ratio <= MET:
                 return self._bounded(self._shortened(self._halved(plan, relaxed, too_short)))
             too_short = total_s
             # Variances fall with the time, and a little more for what whole numbers cost.
@@ -489,7 +360,7 @@ class Task:
             except InputError:  # too short for any
                 too_short_s = total_s
                 continue
-            if trial.ratio <= _MET:
+            if trial.ratio <= MET:
                 plan = trial
             else:
                 too_short_s = total_s
@@ -535,32 +406,7 @@ class Task:
         total_s = plan.total_s + float(choice.windows_s.sum() - plan.windows_s.sum())
         prediction = predict(plan.candidates, choice.windows_s, self.stand, self.conditions, self.targets)
         shorter = replace(plan, windows_s=choice.windows_s, total_s=total_s, prediction=prediction)
-        return shorter if shorter.ratio <= _MET and total_s < plan.total_s else plan
+        return shorter if shorter.ratio <= MET and total_s < plan.total_s else plan
 
     def _positions(self, candidates: Sequence[Candidate]) -> NDArray[np.intp]:
         return np.array([self._number[c.key] for c in candidates], dtype=np.intp)
-
-
-def _finished(
-    judge: Judge,
-    choice: Choice,
-    stand: Stand,
-    conditions: Conditions,
-    targets: Array,
-    total_s: float,
-) -> Plan:
-    """Order the sequences, and give the time that the moves leave to the windows."""
-    order, ways, moves_s = best_order([judge.signatures.candidates[k] for k in choice.which], stand)
-    which = choice.which[list(order)]
-    budget = total_s - moves_s - float(judge.signatures.own_s[which].sum())
-    least = 2.0 * judge.shortest_s * len(which)
-    if budget < least:
-        raise _TooLongError(
-            f"{total_s:g} s are too short for {len(which)} sequences: rotations and moves alone take "
-            f"{total_s - budget:.0f} s, and the windows at least {least:.0f} s.",
-            moves_s / max(1, len(which) - 1),
-        )
-    refined = judge.refine(which, choice.windows_s[list(order)], budget)
-    used = total_s - budget + float(refined.windows_s.sum())
-    prediction = predict(ways, refined.windows_s, stand, conditions, targets)
-    return Plan(ways, refined.windows_s, used, moves_s, stand, conditions, targets, prediction)
