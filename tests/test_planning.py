@@ -39,6 +39,20 @@ def file_of(noise=None, **stand):
     return base.model_copy(update={"imu": imu, "stand": base.stand.model_copy(update=figures), "recording": recording})
 
 
+def table_1_scenario(file, seed, **schedule):
+    """Sequences of Table 1 with windows of 10 s, for the unit, fixture and site of a plan file."""
+    return sims.scenario_from_dict(
+        {
+            "seed": seed,
+            "imu": file.imu.model_dump(exclude_none=True),
+            "fixture": file.fixture.model_dump(),
+            "site": file.site.model_dump(exclude_none=True),
+            "schedule": {"dwell_s": 10.0, "settle_s": 0.5, **schedule},
+            "recording": {"sample_rate_hz": 50.0},
+        }
+    )
+
+
 @pytest.fixture(scope="module")
 def white():
     """A plan for a unit of white noise, with its file."""
@@ -85,11 +99,7 @@ def test_no_weights_are_better_than_the_bound(seed):
 
 def test_predicted_sigma_is_that_of_the_estimator():
     file = file_of(WHITE)
-    scenario = sims.scenario_from_dict(
-        {"seed": 3, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
-         "site": file.site.model_dump(exclude_none=True), "schedule": {"dwell_s": 10.0, "settle_s": 0.5},
-         "recording": {"sample_rate_hz": 50.0}}
-    )  # fmt: skip
+    scenario = table_1_scenario(file, 3)
     found = srt.calibrate(sims.simulate(scenario).recording, "least-squares")
     candidates = [from_catalogue(s, STAND) for s in SEQUENCES.values()]
     predicted = predict(candidates, np.full((17, 2), 10.0), STAND, file.conditions()).sigma
@@ -101,11 +111,7 @@ def test_predicted_sigma_is_that_of_the_estimator():
 def test_drift_is_counted_about_as_the_estimator_does():
     file = file_of()
     candidates = [from_catalogue(s, STAND) for s in SEQUENCES.values()]
-    scenario = sims.scenario_from_dict(
-        {"seed": 3, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
-         "site": file.site.model_dump(exclude_none=True), "schedule": {"dwell_s": 10.0, "settle_s": 0.5},
-         "recording": {"sample_rate_hz": 50.0}}
-    )  # fmt: skip
+    scenario = table_1_scenario(file, 3)
     found = srt.calibrate(sims.simulate(scenario).recording, "least-squares")
     ratio = predict(candidates, np.full((17, 2), 10.0), STAND, file.conditions()).sigma / np.sqrt(
         np.diag(found.covariance)
@@ -270,11 +276,7 @@ def half_done():
     """A test that ran but for the sequences about z, and its file."""
     file = file_of(WHITE)
     ids = [name for name in SEQUENCES if name not in {"3", "3a", "6", "9", "10"}]
-    scenario = sims.scenario_from_dict(
-        {"seed": 9, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
-         "site": file.site.model_dump(exclude_none=True),
-         "schedule": {"dwell_s": 10.0, "settle_s": 0.5, "sequences": ids}, "recording": {"sample_rate_hz": 50.0}}
-    )  # fmt: skip
+    scenario = table_1_scenario(file, 9, sequences=ids)
     return file, srt.calibrate(sims.simulate(scenario).recording, "least-squares")
 
 
@@ -301,11 +303,7 @@ def test_known_information_is_that_of_the_sequences():
     file = file_of(WHITE)
     conditions, stand = file.conditions(), file.stand.stand()
     done = [from_catalogue(s, stand) for s in SEQUENCES.values()]
-    scenario = sims.scenario_from_dict(
-        {"seed": 9, "imu": file.imu.model_dump(exclude_none=True), "fixture": file.fixture.model_dump(),
-         "site": file.site.model_dump(exclude_none=True), "schedule": {"dwell_s": 10.0, "settle_s": 0.5},
-         "recording": {"sample_rate_hz": 50.0}}
-    )  # fmt: skip
+    scenario = table_1_scenario(file, 9)
     known = known_information(srt.calibrate(sims.simulate(scenario).recording, "least-squares"), conditions)
     assert known.shape == (N_UNKNOWNS, N_UNKNOWNS)
     more = [from_catalogue(SEQUENCES["8"], stand)]
