@@ -1,6 +1,7 @@
 """``srt plan`` at the shell: what it writes, what it prints, and its sentences."""
 
 import json
+import math
 
 import pytest
 
@@ -125,6 +126,14 @@ def test_missed_targets_exit_with_one_and_leave_a_plan(tmp_path, capsys):
         ({}, ["-o", "s.txt"], 2, ".toml"),
         ({}, ["--after", "no.json", "--sheet", "s.md"], 2, "leave the other options out"),
         ({}, ["--after", "no.json"], 2, "no.json"),
+        ({}, ["--sequence", "z/y"], 2, "is no sequence"),
+        ({}, ["--sequence", "z/y +360x"], 2, "rotation 1 is about x, which does not lie along the outer axis"),
+        (
+            {"stand": "outer = {travel_deg = [-180.0, 180.0]}"},
+            ["--sequence", "1"],
+            2,
+            "rotation 1 (+360 deg about the outer axis) would go from 0 to 360 deg",
+        ),
     ],
 )
 def test_mistakes(tmp_path, monkeypatch, capsys, changes, arguments, code, said):
@@ -134,6 +143,36 @@ def test_mistakes(tmp_path, monkeypatch, capsys, changes, arguments, code, said)
     assert said in captured.err
     assert len(captured.err.strip().splitlines()) == 1
     assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("sequence", "component", "terms"),
+    [
+        ("1", "horizontal x", {"κyy": -2 * math.pi, "κyyy": -2 * math.pi}),
+        ("z/x +180x +180z +180x +180z", "horizontal x", {"υzx": 4.0}),
+        ("7", "horizontal x", {"μxy": 2.0, "υxy": 1.0}),
+        ("7", "down at end", {"λyy": -1.0, "λyyy": -1.0, "λy": -1.0}),
+    ],
+)
+def test_what_a_sequence_shows_is_table_2(tmp_path, sequence, component, terms):
+    """Savage 2020, Table 2, over g; gyro biases apart, which eqs. 20-22 have."""
+    from sims.plan_file import load_plan_file
+    from srt.planning.signature import parse_sequence, signature
+
+    file = load_plan_file(write(tmp_path / "lab.toml"))
+    stand = file.stand.stand()
+    rows = {
+        row.component: dict(row.terms) for row in signature(parse_sequence(sequence, stand), stand, file.conditions())
+    }
+    found = {symbol: value for symbol, value in rows[component].items() if symbol not in ("κx", "κy", "κz")}
+    assert found == pytest.approx(terms, abs=1e-9)
+
+
+def test_a_sequence_is_shown(capsys):
+    assert main(["plan", "navigation-equal", "--sequence", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "horizontal x   -6.283 κyy -6.283 κyyy" in out
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_shipped_plans_are_read():

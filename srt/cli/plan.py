@@ -42,6 +42,11 @@ _TURNS_WIDTH: Final = 38
     metavar="CALIBRATION",
     help="Instead of a plan, propose the next sequence after the test so far, from its calibration (JSON).",
 )
+@click.option(
+    "--sequence",
+    metavar="TEXT",
+    help="Instead of a plan, show what one sequence tells: 'z/y +180y +180z', or an id of Table 1.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def plan(
     plan_file: str,
@@ -52,6 +57,7 @@ def plan(
     plot: Path | None,
     table_1: bool,
     after: Path | None,
+    sequence: str | None,
     quiet: bool,
 ) -> int:
     """Plan a rotation test for the fixture, unit and targets of PLAN: a TOML file, or the name of a shipped one.
@@ -77,6 +83,9 @@ def plan(
     if total_time is not None:
         options = chosen.plan.model_copy(update={"total_time_s": total_time})
         chosen = chosen.model_copy(update={"plan": options})
+    if sequence is not None:
+        show(chosen, sequence)
+        return 0
     if after is not None:
         if any(given is not None for given in (output, sheet, document, plot)) or table_1:
             raise InputError("--after proposes single sequences and writes no plan: leave the other options out.")
@@ -200,6 +209,25 @@ def _against_table_1(found: Plan, table_1: Callable[[], Plan]) -> str:
             f"{other.ratio:.3f} of its target; this plan is {better:.0f} % better."
         )
     )
+
+
+def show(chosen: PlanFile, text: str) -> None:
+    """Show what one sequence tells, component by component."""
+    from srt.planning.signature import parse_sequence, signature
+
+    stand = chosen.stand.stand()
+    candidate = parse_sequence(text, stand)
+    inner, outer = candidate.start_deg
+    click.echo(
+        f"{candidate.label}: from inner {inner}, outer {outer} deg, {candidate.turning_s(stand):.1f} s of turning"
+    )
+    click.echo("Over g; accelerometer biases in g, coefficients of gyro biases in s")
+    for row in signature(candidate, stand, chosen.conditions()):
+        terms = " ".join(f"{value:+.4g} {symbol}" for symbol, value in row.terms)
+        lines = textwrap.wrap(terms, 60, break_on_hyphens=False) or ["nothing"]
+        click.echo(f" {row.component:<14} {lines[0]}")
+        for more in lines[1:]:
+            click.echo(f" {'':<14} {more}")
 
 
 def propose(chosen: PlanFile, after: Path, *, quiet: bool) -> int:
