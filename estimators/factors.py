@@ -19,13 +19,19 @@ if TYPE_CHECKING:
     Linearised = tuple[Array, list[Array]]
 
 
-def gaussian(covariance: Array) -> Any:
-    """Noise model by its square root, the upper triangle of which is what gtsam reads.
+def gaussians(covariances: Array) -> list[Any]:
+    """Noise models of covariances (n, d, d) by their square roots, the upper triangles of which are what gtsam reads.
 
     Neither by the covariance, which gtsam inverts (a start attitude's spans eight decades), nor as a diagonal one,
     which it takes for a hard constraint where a sigma is below 1e-8 (as gyro biases in rad/s are).
     """
-    return gtsam.noiseModel.Gaussian.SqrtInformation(np.linalg.qr(whiten(covariance[None])[0], mode="r"), False)
+    roots = np.linalg.qr(whiten(covariances), mode="r")
+    return [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in roots]
+
+
+def gaussian(covariance: Array) -> Any:
+    """Noise model of one covariance, as :func:`gaussians`."""
+    return gaussians(covariance[None])[0]
 
 
 class Terms:

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, Final
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, B, D, E, F, G, Q, U, X
-from scipy.linalg import block_diag
 
 from estimators import factors
 from estimators.system import N_ERRORS, edge_numbers, fixed_headings, fixture_starts, total
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from estimators.point import Played, Point
@@ -111,9 +112,12 @@ class GraphBuilder:
         if self.gravity:
             self.values.insert(G(0), np.array([point.gravity]))
 
-    def _add(self, kind: str, number: int, sequence: int, covariance: Array, terms: factors.Terms) -> None:
+    def _noise(self, covariance: Array, sequence: Sequence[int] | NDArray[np.intp]) -> list[Any]:
+        """Noise models of measurements of sequences, with the weights of these."""
+        return factors.gaussians(covariance / self.weights[sequence][:, None, None])
+
+    def _add(self, kind: str, number: int, sequence: int, noise: Any, terms: factors.Terms) -> None:
         """Add a measurement factor of a sequence; held variables are left out of it."""
-        noise = factors.gaussian(covariance / self.weights[sequence])
         self.measured.append((kind, number, sequence))
         self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
 
@@ -136,6 +140,9 @@ class GraphBuilder:
         T = problem.data.windows.duration_s
         force_noise, rate_noise = total(played.force_noise), total(played.rate_noise)
         known = np.stack([c.earth_rate for c in problem.chains])
+        covariance = np.zeros((len(T), 6, 6))
+        covariance[:, :3, :3], covariance[:, 3:, 3:] = force_noise, rate_noise
+        noise = self._noise(covariance, problem.window_sequence)
         for w in range(len(T)):
             chain = int(problem.window_chain[w])
             jacobian = -np.concatenate([played.force_jacobian[w], played.rate_jacobian[w]])
@@ -152,13 +159,12 @@ class GraphBuilder:
             function = factors.pose(
                 played.force[w], played.rate[w], problem.data.gravity, known[chain], gravity_free=self.gravity
             )
-            noise = block_diag(force_noise[w], rate_noise[w])
             owner = int(problem.window_sequence[w])
-            self._add("window", w, owner, noise, factors.Terms(linear, others, function))
+            self._add("window", w, owner, noise[w], factors.Terms(linear, others, function))
 
     def _turns(self) -> None:
         problem, played = self.problem, self.played
-        data, noise = problem.data, total(played.turned_noise)
+        data, noise = problem.data, self._noise(total(played.turned_noise), np.arange(problem.data.K))
         known = np.stack([c.earth_rate for c in problem.chains])
         for k in range(data.K):
             start, end = int(data.start[k]), int(data.end[k])
@@ -186,11 +192,13 @@ class GraphBuilder:
         problem = self.problem
         if not problem.fixture_states:
             return
-        variance = np.diag(problem.start_sigma**2)
-        for owner, window, nominal in fixture_starts(problem):
+        starts = fixture_starts(problem)
+        variance = np.tile(np.diag(problem.start_sigma**2), (len(starts), 1, 1))
+        noises = self._noise(variance, [owner for owner, _, _ in starts])
+        for (owner, window, nominal), noise in zip(starts, noises, strict=True):
             keys = [int(A(window)), int(F(0)), int(U(0))]
             terms = factors.Terms([], keys, factors.start(nominal, problem.heading_rad))
-            self._add("start", window, owner, variance, terms)
+            self._add("start", window, owner, noise, terms)
 
     def _priors(self, prior: Prior | None) -> None:
         problem, graph = self.problem, self.graph
@@ -214,8 +222,9 @@ class GraphBuilder:
             keep = np.array(self.values.atRot3(A(w)).matrix())
             noise = isotropic(1, _HEADING_SIGMA)
             graph.add(gtsam.CustomFactor(noise, [A(w)], factors.Terms([], [int(A(w))], factors.heading(keep)).function))
+        unit = isotropic(3, 1.0)
         for number in range(int(self.edges.max()) + 1):
-            graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), isotropic(3, 1.0)))
+            graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
         if self.played.drift.size:
             graph.add(
                 gtsam.PriorFactorVector(D(0), np.zeros(self.played.drift.size), isotropic(self.played.drift.size, 1.0))

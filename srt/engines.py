@@ -8,6 +8,7 @@ many share it, and threads of neighbours only wait for one another.
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -82,12 +83,25 @@ class Engine:
 
 def single_threaded(function: Callable[[T], R], task: T) -> R:
     """Call a function while linear algebra keeps to one thread."""
+    with one_thread("campaign"):
+        return function(task)
+
+
+@contextmanager
+def one_thread(extra: str) -> Iterator[None]:
+    """Keep linear algebra to one thread: on matrices as small as here, threads would mostly wait for one another.
+
+    Raises
+    ------
+    MissingExtraError
+        Without threadpoolctl, which the named extra brings.
+    """
     try:
         from threadpoolctl import threadpool_limits
     except ModuleNotFoundError as error:
-        raise MissingExtraError("threadpoolctl", "campaign", "Keeping each worker to one thread") from error
+        raise MissingExtraError("threadpoolctl", extra, "Keeping linear algebra to one thread") from error
     with threadpool_limits(limits=1):
-        return function(task)
+        yield
 
 
 def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: int) -> Iterator[R]:

@@ -134,19 +134,29 @@ def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], time_s: A
         correlation falls with the logarithm of the distance, so that this matters little.
     """
     edges = cut(rotation, parts_per_turn(len(rotation)))
-    first = np.concatenate([windows[:, 0], edges[:, :-1].ravel()])
-    last = np.concatenate([windows[:, 1], edges[:, 1:].ravel()])
+    parts = np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)
+    root, length_s = _root(np.concatenate([windows, parts]), time_s)
+    W = len(windows)
+    part_s = length_s[W:].reshape(len(rotation), -1)
+    return DriftDraws(root[:W], root[W:].reshape(*part_s.shape, -1), part_s)
+
+
+def window_draws(windows: NDArray[np.intp], time_s: Array) -> Array:
+    """Draws of the drift of windows alone, shape (W, W), for sensors of which the rotations do not matter."""
+    return _root(windows, time_s)[0]
+
+
+def _root(spans: NDArray[np.intp], time_s: Array) -> tuple[Array, Array]:
+    """Lower triangular root of the covariance of the means over sample spans (n, 2), and the lengths of these, s."""
     # A sample stands for the interval before its time; a part without one has no length.
     length = float(np.median(np.diff(time_s)))
-    end = time_s[np.minimum(last, len(time_s)) - 1]
-    start = np.minimum(time_s[first] - length, end)
+    end = time_s[np.minimum(spans[:, 1], len(time_s)) - 1]
+    start = np.minimum(time_s[spans[:, 0]] - length, end)
     covariance = flicker_covariance(start, end, correlation_times(float(end.max() - start.min())))
     root: Array = np.asarray(
         np.linalg.cholesky(covariance + _ROUNDING * np.diag(np.diag(covariance))), dtype=np.float64
     )
-    W = len(windows)
-    part_s = (end - start)[W:].reshape(len(rotation), -1)
-    return DriftDraws(root[:W], root[W:].reshape(*part_s.shape, -1), part_s)
+    return root, end - start
 
 
 def shares_within(spacing_s: float) -> Array:

@@ -290,8 +290,7 @@ def accel_drift(data: PlaybackData, slope: Array) -> Disturbance:
     slope : ndarray, shape (W, 3, 3)
         Compensated specific force of a unit bias of the raw channels.
     """
-    windows = data.drift.windows[:, : len(slope)]
-    force = (slope * data.noise.accel_flicker)[:, :, :, None] * windows[:, None, None, :]
+    force = (slope * data.noise.accel_flicker)[:, :, :, None] * data.window_drift[:, None, None, :]
     return Disturbance(force=force.reshape(*force.shape[:2], -1))
 
 

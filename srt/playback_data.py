@@ -12,7 +12,7 @@ from srt.attitude import GyroStream, gyro_stream
 from srt.catalogue import SEQUENCES, Sequence, axis_vector
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
-from srt.flicker import DriftDraws, drift_draws
+from srt.flicker import DriftDraws, drift_draws, window_draws
 from srt.noise_estimation import NoiseModel, noise_model
 from srt.windows import Windows, average_windows, averaging_weights
 
@@ -117,6 +117,11 @@ class PlaybackData:
     def drift(self) -> DriftDraws:
         """Unit draws of the drift that bias instability brings into windows and rotations."""
         return drift_draws(self.windows.samples, self.rotation, self.recording.time)
+
+    @cached_property
+    def window_drift(self) -> Array:
+        """Unit draws of the drift of the windows alone, shape (W, W)."""
+        return window_draws(self.windows.samples, self.recording.time)
 
     def earth_rate_base(self) -> Array:
         """Known part of the Earth's rate in fixture base axes, rad/s.

@@ -129,6 +129,7 @@ def against_others(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> l
     X = whitener @ H[:, estimated]
     size = np.linalg.norm(X, axis=0)
     Q, triangle = np.linalg.qr(X / size)
+    sigma = np.linalg.norm(solve_triangular(triangle, np.eye(len(size))), axis=1) / size
     left = whitener - Q @ (Q.T @ whitener)  # M is its square: the projector is idempotent
     Mz = left.T @ (left @ z)
     out: list[Contradiction | None] = [None] * len(groups)
@@ -147,7 +148,6 @@ def against_others(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> l
             if not there.all():
                 # M E_D u = 0 says E_D u = H c: c is what this group alone shows.
                 c = solve_triangular(triangle, Q.T @ (whitener[:, D] @ root @ V[:, ~there])) / size[:, None]
-                sigma = np.linalg.norm(solve_triangular(triangle, np.eye(len(size))), axis=1) / size
                 witnessed[estimated] = named(c / sigma[:, None])
             out[i] = Contradiction(float(statistic), int(there.sum()), int((~there).sum()), witnessed)
     return [c for c in out if c is not None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import math
 import sys
@@ -19,6 +20,12 @@ from srt.playback import Player
 from srt.playback_data import PlaybackData, prepare
 from srt.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+
+with contextlib.suppress(ModuleNotFoundError):
+    from threadpoolctl import threadpool_limits
+
+    # Test workers are processes already: run without the Makefile, their threads would only wait for one another.
+    threadpool_limits(limits=1)
 
 DERIVATIONS = Path(__file__).parents[1] / "docs" / "derivations"
 

@@ -45,6 +45,8 @@ READERS_OWN = {"docs/exports.md", "docs/mount-alignment.md"}
 """Pages whose Python speaks of files and values of the reader's own: run with those of a simulated unit."""
 SLOW = {"docs/robustness.md"}
 """Pages whose Python takes a minute."""
+SLOW_EXAMPLES = {"docs/planning.md"}
+"""Pages whose examples take a quarter of one; tests/test_cli_plan.py runs the same commands on less."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,9 @@ def run_console(block):
             assert_prints(expected, printed.getvalue())
 
 
-@pytest.mark.parametrize("page", EXAMPLES)
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=pytest.mark.slow) if page in SLOW_EXAMPLES else page for page in EXAMPLES]
+)
 def test_examples_run_and_print_what_the_page_shows(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")

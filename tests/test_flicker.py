@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 import sims
 from sims.imu import CORRELATION_TIMES_S as SIMULATED_TIMES_S
 from sims.imu import drift
-from srt.flicker import CORRELATION_TIMES_S, correlation_times, cut, drift_draws, flicker_covariance
+from srt.flicker import CORRELATION_TIMES_S, correlation_times, cut, drift_draws, flicker_covariance, window_draws
 from srt.recording import Site
 
 TIME_S = 100.0 + 0.01 * np.arange(1, 4001)
@@ -97,6 +97,7 @@ def test_draws_have_the_covariance():
     np.testing.assert_allclose(together @ together.T, expected, rtol=1e-2)
     np.testing.assert_allclose(draws.windows @ draws.windows.T, expected[:4, :4], rtol=1e-9)
     assert np.all(draws.windows[:, 4:] == 0.0)
+    np.testing.assert_allclose(window_draws(windows, TIME_S), draws.windows[:, :4], rtol=1e-12, atol=1e-15)
 
 
 def test_rotations_too_short_for_their_parts():

@@ -15,6 +15,7 @@ import click
 
 from srt.cli.calibrate import PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.output import check_file, say
+from srt.engines import one_thread
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -89,10 +90,12 @@ def plan(
     if after is not None:
         if any(given is not None for given in (output, sheet, document, plot)) or table_1:
             raise InputError("--after proposes single sequences and writes no plan: leave the other options out.")
-        return propose(chosen, after, quiet=quiet)
+        with one_thread("sims"):
+            return propose(chosen, after, quiet=quiet)
     if plot is not None:
         import_module("srt.planning.figure")  # whether it can be
-    return make(chosen, output, sheet, document, plot, table_1=table_1, quiet=quiet)
+    with one_thread("sims"):
+        return make(chosen, output, sheet, document, plot, table_1=table_1, quiet=quiet)
 
 
 def make(

@@ -264,7 +264,9 @@ class Signatures:
         for rows, t in zip((_START_RATE, _END_RATE), T, strict=True):
             gyro[:, rows, rows] += (c.gyro_white**2 / t)[:, None, None] * np.eye(3)
         force, own = self._fixed["force"][k], self.own_s[k]
-        drift = adjoining_covariance(np.stack([T[0], np.maximum(own, 1e-6), T[1]], axis=1), self.own_drift)
+        lengths = np.stack([T[0], np.maximum(own, 1e-6), T[1]], axis=1)
+        drifts = c.gyro_instability > 0.0 or c.accel_instability > 0.0
+        drift = adjoining_covariance(lengths, self.own_drift) if drifts else np.zeros((len(k), 3, 3))
         white = np.einsum("nwwab->nwab", force)
         return {
             "gyro_noise": gyro,
