@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 # Test workers are processes already: threads of linear algebra in each would only wait for one another.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
+# Tests start many processes: let each read what is compiled, wherever writing it may have been turned off.
+export PYTHONDONTWRITEBYTECODE :=
 STAMP := $(VENV)/.installed
 
 .PHONY: demo test lint docs slow figures clean

@@ -84,7 +84,7 @@ def converges(seed):
     assert np.all(np.abs(found.errors.vector - batch.errors.vector) < 0.02 * batch.sigma)
 
 
-@pytest.mark.parametrize("seed", [401, 402])
+@pytest.mark.parametrize("seed", [401, pytest.param(402, marks=pytest.mark.slow)])
 def test_large_errors_end_at_the_right_optimum(seed):
     converges(seed)
 
