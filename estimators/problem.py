@@ -181,12 +181,13 @@ class Problem:
         """One sigma of a start attitude in inner angle, outer angle and squareness of the axes, shape (3,), rad.
 
         The axes' lean from square is one angle of the fixture, and no unknown of its own: where all starts can be
-        brought about by another base and mounting, these take it up; else every start has a lean.
+        brought about by another base and mounting, these take it up; else every start has a lean. What it differs by
+        from start to start is the wobble.
         """
         fixture = self.data.recording.fixture
-        rotation = 0.0 if fixture is None else fixture.rotation_sigma_rad
+        rotation, wobble = (0.0, 0.0) if fixture is None else (fixture.rotation_sigma_rad, fixture.wobble)
         lean = _START_AXIS * rotation if self._lean_is_taken_up else self.alignment_sigma
-        return np.array([rotation, rotation, lean])
+        return np.array([rotation, rotation, np.hypot(lean, wobble)])
 
     @cached_property
     def _lean_is_taken_up(self) -> bool:

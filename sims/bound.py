@@ -50,7 +50,9 @@ if TYPE_CHECKING:
 START_GYRO, START_ACCEL, END_GYRO, END_ACCEL, ROTATION = (slice(row, row + 3) for row in range(0, 15, 3))
 """Rows of a sequence's measurements: window means in rad/s and m/s², the integrated rotation in rad."""
 
-FIXTURE_SIGMAS = tuple(f"{of}_sigma_rad" for of in ("level", "north", "mounting", "non_orthogonality", "rotation"))
+FIXTURE_SIGMAS = tuple(
+    f"{of}_sigma_rad" for of in ("level", "north", "mounting", "non_orthogonality", "rotation", "wobble")
+)
 """Keys of ``fixture_sigma``: the keyword arguments of :func:`sims.fixture.draw_fixture`."""
 
 # Of the unknowns in Linearisation.fixture.
@@ -185,7 +187,7 @@ class Linearisation:
                 raise InputError(f"{name} is {value!r} rad: it must be zero or a positive number.")
         if not 0.0 <= gyro_bias_walk_rad_s < math.inf:
             raise InputError(f"gyro_bias_walk_rad_s is {gyro_bias_walk_rad_s!r}: it must be zero or a positive number.")
-        level, north, mounting, skew, start = (float(fixture_sigma.get(name, 0.0)) for name in FIXTURE_SIGMAS)
+        level, north, mounting, skew, start, wobble = (float(fixture_sigma.get(name, 0.0)) for name in FIXTURE_SIGMAS)
         prior = [level, level, north, mounting, mounting, mounting, skew, gravity_sigma_m_s2]
         count = len(self.errors)
         # The bias of each sequence by the steps between them, less its mean: that stays among the 27.
@@ -195,14 +197,15 @@ class Linearisation:
         steps = (walked[:, np.newaxis, :, np.newaxis] * bias[:, :, np.newaxis, :]).reshape(count, 15, -1)
         sigma = np.array([np.inf] * N_PARAMETERS + prior + [gyro_bias_walk_rad_s] * steps.shape[2])
         common = np.concatenate([self.errors, self.fixture[:, :, : _STARTS.start], steps], axis=2)[:, :, sigma > 0.0]
-        own = np.concatenate([self.end, self.fixture[:, :, _STARTS] * start], axis=2)
+        leaning = self.fixture[:, :, [_SKEW]]
+        own = np.concatenate([self.end, self.fixture[:, :, _STARTS] * start, leaning * wobble], axis=2)
         root = np.linalg.cholesky(self.noise)
         common, own = np.linalg.solve(root, common), np.linalg.solve(root, own)
         known = np.diag(1.0 / sigma[sigma > 0.0])
         scale = np.linalg.norm(np.vstack([*common, known]), axis=0)
-        # Of a sequence there counts what its own unknowns cannot explain; its start angles are known in their sigmas.
-        own = np.concatenate([own, np.tile(np.eye(2, 5, 3), (count, 1, 1))], axis=1)
-        unexplained = np.linalg.qr(own, mode="complete").Q[:, :15, 5:].transpose(0, 2, 1)
+        # Of a sequence there counts what its own unknowns cannot explain; its start is known in its sigmas.
+        own = np.concatenate([own, np.tile(np.eye(3, 6, 3), (count, 1, 1))], axis=1)
+        unexplained = np.linalg.qr(own, mode="complete").Q[:, :15, 6:].transpose(0, 2, 1)
         return Bound(_covariance(np.vstack([*(unexplained @ common), known]), scale))
 
 

@@ -43,7 +43,7 @@ NOT_COUNTED: Final = {
 }
 """Effects that are told and are no part of the total, with what they are."""
 _PERFECT: Final = {
-    f"{name}_sigma_mrad": 0.0 for name in ("level", "north", "mounting", "non_orthogonality", "rotation")
+    f"{name}_sigma_mrad": 0.0 for name in ("level", "north", "mounting", "non_orthogonality", "rotation", "wobble")
 }
 
 

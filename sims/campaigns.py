@@ -217,7 +217,7 @@ def large_trial(seed: int, *, sigma_rad: float = 5e-3, sample_rate_hz: float = 1
         site=SITE,
         sample_rate_hz=sample_rate_hz,
         fixture_draw=fixture_errors(rng, sigma_rad),
-        stated_fixture=Fixture(0.0, sigma_rad, sigma_rad),
+        stated_fixture=Fixture(0.0, sigma_rad, sigma_rad, wobble_sigma_rad=0.0),
     )
     recording = read_out(motion, truth)
     found = srt.calibrate(recording, "closed-form", **options)
@@ -248,7 +248,7 @@ def noisy_recording(
         site=true_site,
         sample_rate_hz=sample_rate_hz,
         fixture_draw=fixture_errors(rng, sigma_rad),
-        stated_fixture=Fixture(0.0, sigma_rad, sigma_rad),
+        stated_fixture=Fixture(0.0, sigma_rad, sigma_rad, wobble_sigma_rad=0.0),
     )
     imu = replace(GRADES[grade], gyro_g_sensitivity=rng.standard_normal((3, 3)) * g_sensitivity)
     if instability:

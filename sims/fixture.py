@@ -73,6 +73,8 @@ class FixtureDraw:
         axis.
     legs : tuple of ndarray, rad
         For each sequence, the error of each executed rotation; it stays until the sequence ends.
+    wobble : ndarray, shape (s,), rad
+        What ε is more in each sequence, from the move to its start on.
     """
 
     base: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
@@ -80,12 +82,17 @@ class FixtureDraw:
     non_orthogonality: float = 0.0
     starts: NDArray[np.float64] | None = None
     legs: tuple[NDArray[np.float64], ...] | None = None
+    wobble: NDArray[np.float64] | None = None
 
     def start_errors(self, sequence: int) -> tuple[float, float]:
         """Error of the (inner, outer) start angle of a sequence, rad."""
         if self.starts is None:
             return 0.0, 0.0
         return float(self.starts[sequence, 0]), float(self.starts[sequence, 1])
+
+    def wobble_of(self, sequence: int) -> float:
+        """What ε is more in a sequence, rad."""
+        return 0.0 if self.wobble is None else float(self.wobble[sequence])
 
     def leg_errors(self, sequence: int, count: int) -> NDArray[np.float64]:
         """Errors of a sequence's rotations, shape (count,), rad."""
@@ -98,6 +105,11 @@ class FixtureDraw:
             raise InputError(
                 f"The fixture draw holds start errors of shape {self.starts.shape} for {len(wanted)} "
                 f"sequences: draw it for these sequences, shape ({len(wanted)}, 2)."
+            )
+        if self.wobble is not None and self.wobble.shape != (len(wanted),):
+            raise InputError(
+                f"The fixture draw holds wobble of shape {self.wobble.shape} for {len(wanted)} sequences: draw it for "
+                f"these sequences, shape ({len(wanted)},)."
             )
         if self.legs is not None and [len(e) for e in self.legs] != wanted:
             raise InputError(
@@ -115,6 +127,7 @@ def draw_fixture(
     mounting_sigma_rad: float = 0.0,
     non_orthogonality_sigma_rad: float = 0.0,
     rotation_sigma_rad: float = 0.0,
+    wobble_sigma_rad: float = 0.0,
 ) -> FixtureDraw:
     """Draw the errors of a fixture and of one run of these sequences, all normal with zero mean."""
     return FixtureDraw(
@@ -123,6 +136,8 @@ def draw_fixture(
         non_orthogonality=float(rng.standard_normal() * non_orthogonality_sigma_rad),
         starts=rng.standard_normal((len(sequences), 2)) * rotation_sigma_rad,
         legs=tuple(rng.standard_normal(len(s.rotations)) * rotation_sigma_rad for s in sequences),
+        # Nothing is drawn where there is none: seeds mean the same with and without.
+        wobble=rng.standard_normal(len(sequences)) * wobble_sigma_rad if wobble_sigma_rad else None,
     )
 
 
@@ -151,7 +166,11 @@ class FixtureGeometry:
         return cls(ned_from_base.T, draw.non_orthogonality, U @ rotation(draw.mounting).T)
 
     def to_body(
-        self, v_base: NDArray[np.float64], inner: NDArray[np.float64], outer: NDArray[np.float64]
+        self,
+        v_base: NDArray[np.float64],
+        inner: NDArray[np.float64],
+        outer: NDArray[np.float64],
+        wobble: NDArray[np.float64] | float = 0.0,
     ) -> NDArray[np.float64]:
         """B-components of vectors that are constant in the base.
 
@@ -159,6 +178,8 @@ class FixtureGeometry:
         ----------
         v_base : ndarray, shape (k, 3)
         inner, outer : ndarray, shape (...), rad
+        wobble : ndarray, shape (...), or float, rad
+            What ε is more.
 
         Returns
         -------
@@ -168,25 +189,31 @@ class FixtureGeometry:
         co, so, ci, si = np.cos(outer), np.sin(outer), np.cos(inner), np.sin(inner)
         x = co * columns[0] - so * columns[2]  # R_y(outer)ᵀ
         z = so * columns[0] + co * columns[2]
-        ce, se = math.cos(self.non_orthogonality), math.sin(self.non_orthogonality)
+        lean = self.non_orthogonality + np.asarray(wobble)
+        ce, se = np.cos(lean), np.sin(lean)
         y, z = ce * columns[1] + se * z, ce * z - se * columns[1]  # R_x(ε)ᵀ
         x, y = ci * x + si * y, ci * y - si * x  # R_z(inner)ᵀ
         m = self.body_from_inner
         return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=-1)
 
     def turning_rate(
-        self, inner: NDArray[np.float64], inner_rate: NDArray[np.float64], outer_rate: NDArray[np.float64]
+        self,
+        inner: NDArray[np.float64],
+        inner_rate: NDArray[np.float64],
+        outer_rate: NDArray[np.float64],
+        wobble: NDArray[np.float64] | float = 0.0,
     ) -> NDArray[np.float64]:
         """Rate of B relative to the base in B-components, shape (..., 3), rad/s."""
-        ce, se = math.cos(self.non_orthogonality), math.sin(self.non_orthogonality)
+        lean = self.non_orthogonality + np.asarray(wobble)
+        ce, se = np.cos(lean), np.sin(lean)
         # The outer axis is y of the outer frame; seen from the inner frame it turns with the inner angle.
         x, y = np.sin(inner) * ce * outer_rate, np.cos(inner) * ce * outer_rate
         z = inner_rate - se * outer_rate
         m = self.body_from_inner
         return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=-1)
 
-    def attitude(self, inner: float, outer: float) -> NDArray[np.float64]:
+    def attitude(self, inner: float, outer: float, wobble: float = 0.0) -> NDArray[np.float64]:
         """C_NED,B at the given fixture angles, shape (3, 3)."""
         # Row k of to_body(I) is the base's axis k in B, so that the stack is C_base,B.
-        base_from_body = self.to_body(np.eye(3), np.array(inner), np.array(outer))
+        base_from_body = self.to_body(np.eye(3), np.array(inner), np.array(outer), wobble)
         return np.asarray(self.base_from_ned.T @ base_from_body)

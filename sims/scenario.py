@@ -158,6 +158,9 @@ class FixtureConfig(Table):
     rotation_sigma_mrad: NonNegative
     stated_alignment_sigma_mrad: Positive
     stated_rotation_sigma_mrad: Positive
+    wobble_sigma_mrad: NonNegative = 0.0
+    stated_wobble_sigma_mrad: NonNegative | None = None
+    """Not stated: a hundredth of the rotations' sigma, see :class:`srt.recording.Fixture`."""
     state_heading: Flag = True
 
     def draw_sizes(self) -> dict[str, float]:
@@ -168,6 +171,7 @@ class FixtureConfig(Table):
             "mounting_sigma_rad": self.mounting_sigma_mrad * MRAD,
             "non_orthogonality_sigma_rad": self.non_orthogonality_sigma_mrad * MRAD,
             "rotation_sigma_rad": self.rotation_sigma_mrad * MRAD,
+            "wobble_sigma_rad": self.wobble_sigma_mrad * MRAD,
         }
 
 

@@ -104,6 +104,8 @@ class _Run:
     angles: tuple[float, float]
     ringings: tuple[Ringing, ...] = ()
     recorded: JoinedProfile = field(default_factory=JoinedProfile)
+    wobble: float = 0.0
+    wobbles: list[tuple[int, float]] = field(default_factory=list)  # first piece of an episode, and the wobble in it
 
     def profile(self, legs: Sequence[tuple[int, float]], leg_dwell_s: float) -> AngleProfile:
         return angle_profile(self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings)
@@ -124,18 +126,21 @@ class _Run:
 
     def _episode(self, profile: AngleProfile, n_samples: int) -> Episode:
         first = self.recorded.append(profile)
+        self.wobbles.append((first, self.wobble))
         return Episode(n_samples, profile.breaks_s, profile.moving, profile.bandwidth_rad_s, self.sensed, first)
 
     def sensed(self, piece: NDArray[np.intp], time: NDArray[np.float64]) -> NDArray[np.float64]:
         """Rate and specific force in B at times of the pieces of all recorded episodes."""
         angle, rate = self.recorded.angles(piece, time)
         inner, outer = angle[..., INNER], angle[..., OUTER]
-        constant = self.geometry.to_body(self.constant_base, inner, outer)
-        turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER])
+        first, values = (np.array(part) for part in zip(*self.wobbles, strict=True))
+        wobble = np.broadcast_to(values[np.searchsorted(first, piece, side="right") - 1], inner.shape)
+        constant = self.geometry.to_body(self.constant_base, inner, outer, wobble)
+        turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble)
         return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
 
     def attitude(self) -> NDArray[np.float64]:
-        return self.geometry.attitude(*self.angles)
+        return self.geometry.attitude(*self.angles, self.wobble)
 
 
 def run_schedule(
@@ -178,6 +183,11 @@ def run_schedule(
     """
     draw = fixture_draw or FixtureDraw()
     draw.check_covers(schedule.sequences)
+    if schedule.moves == "recorded" and draw.wobble is not None:
+        raise InputError(
+            "Wobble changes between sequences, and how it does during a move is not simulated: leave the moves out "
+            "of the recording, or the wobble."
+        )
     geometry = FixtureGeometry.build(heading_rad, draw, check_rotation(U))
     constant_ned = constants_of_site(site, earth_rate=earth_rate)
     clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
@@ -189,6 +199,7 @@ def run_schedule(
         nominal, (dwell, end_dwell) = sequence.start_rad(), dwells[number]
         error = draw.start_errors(number)
         start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
+        run.wobble = draw.wobble_of(number)
         if number == 0:
             run.angles = start
             run.execute(run.profile([], 0.0), dwell, record=True)

@@ -309,11 +309,13 @@ def _alignment(data: PlaybackData) -> dict[str, Any]:
     fixture = data.recording.fixture
     if fixture is None:
         return {"fixture": False}
+    wobble = {} if fixture.wobble_sigma_rad is None else {"wobble_sigma_mrad": fixture.wobble_sigma_rad * 1e3}
     return {
         "fixture": True,
         "heading_deg": None if fixture.heading_rad is None else float(np.degrees(fixture.heading_rad)),
         "alignment_sigma_mrad": fixture.alignment_sigma_rad * 1e3,
         "rotation_sigma_mrad": fixture.rotation_sigma_rad * 1e3,
+        **wobble,
     }
 
 

@@ -29,6 +29,8 @@ Kind = Literal["rate", "increment"]
 GRAVITY_RANGE_M_S2: Final = (9.5, 10.1)
 """Gravity outside this is not on the Earth's surface (9.76 to 9.84 m/s²)."""
 
+_WOBBLE: Final = 0.01
+"""Of the sigma of the rotations, where no wobble is stated: 2 seconds of arc of a fixture of 1 mrad."""
 WINDOW_TOLERANCE: Final = 1e-6
 """Rounding of stamps and window limits that a window's edge forgives, in intervals."""
 
@@ -87,16 +89,20 @@ class Fixture:
         One draw per recording of each of: base level x, y, north; mounting x, y, z.
     rotation_sigma_rad : float
         One draw per executed rotation, the move to a start attitude included.
+    wobble_sigma_rad : float or None
+        By how much the inner axis tilts from one start to the next, along the outer one: wobble of the bearings, and
+        movement of the floor. None: not stated, see :attr:`wobble`.
 
     Raises
     ------
     InputError
-        A heading beyond ±360° or not finite, a sigma that is not positive.
+        A heading beyond ±360° or not finite, a sigma that is not positive, a negative wobble.
     """
 
     heading_rad: float | None = 0.0
     alignment_sigma_rad: float = 1e-3
     rotation_sigma_rad: float = 1e-3
+    wobble_sigma_rad: float | None = None
 
     def __post_init__(self) -> None:
         if self.heading_rad is not None and not abs(self.heading_rad) <= (360.0 + 1e-9) * DEG:
@@ -106,6 +112,16 @@ class Fixture:
             )
         _require_positive("The fixture's alignment sigma", self.alignment_sigma_rad, "rad")
         _require_positive("The fixture's rotation sigma", self.rotation_sigma_rad, "rad")
+        if self.wobble_sigma_rad is not None and not 0.0 <= self.wobble_sigma_rad < math.inf:
+            raise InputError(
+                f"The fixture's wobble is {self.wobble_sigma_rad:g} rad: give a number that is not negative, or leave "
+                "it out."
+            )
+
+    @property
+    def wobble(self) -> float:
+        """Wobble, rad; where it is not stated, a hundredth of the rotations' sigma."""
+        return _WOBBLE * self.rotation_sigma_rad if self.wobble_sigma_rad is None else self.wobble_sigma_rad
 
 
 @dataclass(frozen=True, slots=True)

@@ -169,6 +169,7 @@ FIXTURE_KEYS: Final = (
     number("heading_deg", "degrees", "heading_rad", factor=DEG, low=-360.0, high=360.0),
     number("alignment_sigma_mrad", "mrad", "alignment_sigma_rad", factor=1e-3, above=0.0),
     number("rotation_sigma_mrad", "mrad", "rotation_sigma_rad", factor=1e-3, above=0.0),
+    number("wobble_sigma_mrad", "mrad", "wobble_sigma_rad", factor=1e-3, low=0.0),
 )
 
 IMU_KEYS: Final = (

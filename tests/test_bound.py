@@ -129,6 +129,7 @@ def test_derivatives_predict_what_the_simulator_measures(size):
     e = Rotation.from_matrix(still.attitudes[:, 1].transpose(0, 2, 1) @ moved.attitudes[:, 1]).as_rotvec()
     unknowns = np.array([*draw.base, *draw.mounting, draw.non_orthogonality, gravity])
     unknowns = np.hstack([np.tile(unknowns, (4, 1)), draw.starts])
+    unknowns[:, 6] += draw.wobble
     predicted = model.errors @ change
     predicted += np.einsum("krp,kp->kr", model.fixture, unknowns) + np.einsum("krp,kp->kr", model.end, e)
     np.testing.assert_allclose(new_means - means, predicted[:, :12], rtol=0.0, atol=1e-11)
@@ -192,22 +193,25 @@ def test_noise_is_that_of_windows_of_their_own_lengths():
 
 
 def test_bound_is_the_inverse_information_of_all_unknowns_at_once():
-    """Nothing eliminated, the bias of each sequence an unknown of its own: 24, 3K, 8, 2K and 3K unknowns."""
+    """Nothing eliminated, the bias of each sequence an unknown of its own: 24, 3K, 8, 2K, 3K and K unknowns."""
     model, K = linear(), len(sims.TABLE_1)
-    known = dict(zip(FIXTURE_SIGMAS, (2e-4, 1e-3, 5e-4, 3e-4, 7e-4), strict=True))
-    level, north, mounting, skew, rotation = known.values()
+    known = dict(zip(FIXTURE_SIGMAS, (2e-4, 1e-3, 5e-4, 3e-4, 7e-4, 5e-6), strict=True))
+    level, north, mounting, skew, rotation, wobble = known.values()
     walk = 2e-8
-    blocks = np.zeros((K, 15, K, 3 + 2 + 3))
+    own = 3 + 2 + 3 + 1
+    blocks = np.zeros((K, 15, K, own))
     blocks[range(K), :, range(K)] = np.concatenate(
-        [model.errors[:, :, 24:], model.fixture[:, :, 8:], model.end], axis=2
+        [model.errors[:, :, 24:], model.fixture[:, :, 8:], model.end, model.fixture[:, :, [6]]], axis=2
     )
     J = np.concatenate([model.errors[:, :, :24], model.fixture[:, :, :8], blocks.reshape(K, 15, -1)], axis=2)
     information = np.einsum("kri,krs,ksj->ij", J, np.linalg.inv(model.noise), J, optimize=True)
     variance = np.square([level, level, north, mounting, mounting, mounting, skew, 5e-6])
     information[range(24, 32), range(24, 32)] += 1.0 / variance
-    bias = 32 + 8 * np.arange(K)[:, np.newaxis] + np.arange(3)
-    start = 32 + 8 * np.arange(K)[:, np.newaxis] + np.arange(3, 5)
+    bias = 32 + own * np.arange(K)[:, np.newaxis] + np.arange(3)
+    start = 32 + own * np.arange(K)[:, np.newaxis] + np.arange(3, 5)
     information[start, start] += 1.0 / rotation**2
+    lean = 32 + own * np.arange(K) + 8
+    information[lean, lean] += 1.0 / wobble**2
     step = np.zeros((K - 1, 3, len(information)))
     step[np.arange(K - 1)[:, np.newaxis], np.arange(3), bias[1:]] = 1.0 / walk
     step[np.arange(K - 1)[:, np.newaxis], np.arange(3), bias[:-1]] = -1.0 / walk

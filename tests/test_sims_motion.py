@@ -44,7 +44,7 @@ TURNS = {
 }  # fmt: skip
 
 
-def imperfect(rng, ids, size=1e-3):
+def imperfect(rng, ids, size=1e-3, wobble=0.0):
     sequences = sims.table_sequences(ids)
     return sims.draw_fixture(
         rng,
@@ -54,6 +54,7 @@ def imperfect(rng, ids, size=1e-3):
         mounting_sigma_rad=size,
         non_orthogonality_sigma_rad=size,
         rotation_sigma_rad=size,
+        wobble_sigma_rad=wobble,
     )
 
 
@@ -123,7 +124,7 @@ def test_each_rotation_is_about_the_imu_axis_named(name):
 def test_attitudes_with_all_fixture_errors():
     rng = np.random.default_rng(10)
     ids = ("7", "13", "6")
-    draw, U, heading = imperfect(rng, ids, 0.05), sims.rotation(rng.standard_normal(3)), 0.7
+    draw, U, heading = imperfect(rng, ids, 0.05, 0.02), sims.rotation(rng.standard_normal(3)), 0.7
     motion = sims.table1_motion(
         site=SITE,
         sequences=ids,
@@ -146,7 +147,7 @@ def test_attitudes_with_all_fixture_errors():
             expected = (
                 base
                 * Rotation.from_euler("y", outer + error[1])
-                * Rotation.from_euler("x", draw.non_orthogonality)
+                * Rotation.from_euler("x", draw.non_orthogonality + draw.wobble[number])
                 * Rotation.from_euler("z", inner + error[0])
                 * Rotation.from_rotvec(draw.mounting)
             ).as_matrix() @ U.T
@@ -156,7 +157,7 @@ def test_attitudes_with_all_fixture_errors():
 @pytest.mark.parametrize("moves", ["skipped", "recorded"])
 def test_still_windows_sense_the_earth_and_gravity(moves):
     ids = ("1", "12", "9", "14")
-    draw = imperfect(np.random.default_rng(11), ids)
+    draw = imperfect(np.random.default_rng(11), ids, wobble=1e-3 if moves == "skipped" else 0.0)
     motion = sims.table1_motion(
         site=SITE,
         sequences=ids,
@@ -180,7 +181,7 @@ def test_still_windows_sense_the_earth_and_gravity(moves):
 def test_increments_compose_to_the_attitudes():
     # One axis turns at a time, so each increment is a rotation about an axis fixed in B.
     ids = ("6", "13", "4")
-    draw = imperfect(np.random.default_rng(12), ids, 0.02)
+    draw = imperfect(np.random.default_rng(12), ids, 0.02, 0.02)
     U = sims.rotation([0.3, -0.2, 0.5])
     motion = sims.table1_motion(
         site=SITE, sequences=ids, sample_rate_hz=200.0, dwell_s=0.5, fixture_draw=draw, U=U, earth_rate=False
@@ -455,6 +456,16 @@ def test_free_sums_do_not_depend_on_the_sample_rate():
                 site=SITE, sequences=("1",), fixture_draw=imperfect(np.random.default_rng(0), ("1", "2"))
             ),
             "2, 2",
+        ),
+        (
+            lambda: sims.table1_motion(site=SITE, sequences=("1",), fixture_draw=sims.FixtureDraw(wobble=np.zeros(2))),
+            r"wobble of shape \(2,\) for 1 sequences",
+        ),
+        (
+            lambda: sims.table1_motion(
+                site=SITE, sequences=("1",), fixture_draw=sims.FixtureDraw(wobble=np.zeros(1)), moves="recorded"
+            ),
+            "during a move is not simulated",
         ),
     ],
 )

@@ -106,6 +106,8 @@ def _fixture(calibration: Calibration, *, merged: bool) -> str:
     ):
         value = alignment.get(key)
         parts.append(f"{words} {f'{value:g}{unit}' if isinstance(value, int | float) else 'not stated'}")
+    if "wobble_sigma_mrad" in alignment:
+        parts.append(f"wobble {alignment['wobble_sigma_mrad']:g} mrad")
     return "two axes, " + ", ".join(parts)
 
 

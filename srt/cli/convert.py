@@ -27,7 +27,7 @@ _ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "counts")
 _TIME_UNITS = ("s", "ms", "us", "ns")
 
 _SITE_KEYS = ("latitude_deg", "gravity_m_s2", "height_m", "gravity_sigma_m_s2")
-_FIXTURE_KEYS = ("heading_deg", "alignment_sigma_mrad", "rotation_sigma_mrad")
+_FIXTURE_KEYS = ("heading_deg", "alignment_sigma_mrad", "rotation_sigma_mrad", "wobble_sigma_mrad")
 _READING = (
     "kind", "time_unit", "gyro_unit", "accel_unit", "sample_rate_hz", "topic", "instance", "delimiter",
     "decimal_comma", "skip", "variable", "map_gyro", "map_accel",
@@ -89,6 +89,7 @@ _SAY = [
     click.option("--heading-deg", type=float, help="Of the fixture's x axis, clockwise from north."),
     click.option("--alignment-sigma-mrad", type=float, help="Of the fixture."),
     click.option("--rotation-sigma-mrad", type=float, help="Of each turn of the fixture."),
+    click.option("--wobble-sigma-mrad", type=float, help="By which its inner axis tilts from start to start."),
     click.option("--serial", help="Of the unit."),
     click.option("--date", help="Of the recording."),
     click.option("--temperature-c", type=float, help="For all samples, where the file has none."),
