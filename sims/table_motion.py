@@ -133,8 +133,10 @@ class _Run:
         """Rate and specific force in B at times of the pieces of all recorded episodes."""
         angle, rate = self.recorded.angles(piece, time)
         inner, outer = angle[..., INNER], angle[..., OUTER]
-        first, values = (np.array(part) for part in zip(*self.wobbles, strict=True))
-        wobble = np.broadcast_to(values[np.searchsorted(first, piece, side="right") - 1], inner.shape)
+        wobble: NDArray[np.float64] | float = 0.0
+        if any(value for _, value in self.wobbles):
+            first, values = (np.array(part) for part in zip(*self.wobbles, strict=True))
+            wobble = np.broadcast_to(values[np.searchsorted(first, piece, side="right") - 1], inner.shape)
         constant = self.geometry.to_body(self.constant_base, inner, outer, wobble)
         turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble)
         return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
