@@ -135,7 +135,8 @@ class GraphStep(Step):
                 weights = sequence_weights(built, values, loss)
             far = loss == "squared" and np.abs(step).max(initial=0.0) > _NEAR
             settled = np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance)))
-            if far or (i and settled and np.abs(weights - before).max() < _SETTLED_WEIGHT):
+            # The first weights are those of no residuals at all.
+            if far or ((i or loss == "squared") and settled and np.abs(weights - before).max() < _SETTLED_WEIGHT):
                 break
         assert solution is not None
         self.measured = [(kind, number, float(weights[k])) for kind, number, k in built.measured]
