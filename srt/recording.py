@@ -91,7 +91,7 @@ class Fixture:
         One draw per executed rotation, the move to a start attitude included.
     wobble_sigma_rad : float or None
         By how much the inner axis tilts from one start to the next, along the outer one: wobble of the bearings, and
-        movement of the floor. None: not stated, see :attr:`wobble`.
+        movement of the floor. None: not stated; a hundredth of ``rotation_sigma_rad`` is taken.
 
     Raises
     ------
