@@ -347,7 +347,7 @@ def wobbling(seed):
 
 
 @sized(4, 200)
-@pytest.mark.parametrize("estimator", JOINT)
+@pytest.mark.parametrize("estimator", [pytest.param("ekf", marks=pytest.mark.slow), "graph"])
 def test_a_fixture_that_wobbles(estimator, count):
     """A wobble of 2 seconds of arc is what is allowed for where none is stated; stated as none, it is contradicted.
 
