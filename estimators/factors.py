@@ -69,48 +69,169 @@ class Terms:
         return np.ascontiguousarray(residual)
 
 
-def pose(force: Array, rate: Array, gravity: float, known: Array, *, gravity_free: bool) -> Callable[..., Linearised]:
-    """Force (3, m/s²) and rate (3, rad/s) of a window: attitude, then gravity if free, then the unknown Earth rate."""
+class Kind:
+    """All factors of one kind: what depends on attitudes and site, computed for any of them at once.
 
-    def evaluate(values: Any, keys: list[int]) -> Linearised:
-        others = list(keys[1:])
-        g = gravity + (float(values.atVector(others.pop(0))[0]) if gravity_free else 0.0)
-        earth = known + values.atVector(others[0]) if others else known
-        attitude = values.atRot3(keys[0]).matrix()[None]
-        r_force, force_by_attitude, by_gravity = model.pose_force(force[None], attitude, g)
-        r_rate, rate_by_attitude, by_earth = model.pose_rate(rate[None], attitude, earth[None])
-        jacobians = [np.concatenate([force_by_attitude[0], rate_by_attitude[0]])]
-        if gravity_free:
-            jacobians.append(np.concatenate([by_gravity[0], np.zeros(3)])[:, None])
-        if others:
-            jacobians.append(np.concatenate([np.zeros((3, 3)), by_earth[0]]))
-        return np.concatenate([r_force[0], r_rate[0]]), jacobians
+    gtsam asks factor by factor, and a model made for arrays spends its time on overhead then. :meth:`prepare` computes
+    all before a linearisation; what is asked for until :meth:`forget` is looked up.
+    """
 
-    return evaluate
+    def __init__(self, count: int) -> None:
+        self._rows = np.arange(count)
+        self._prepared: tuple[Array, list[list[Array]]] | None = None
 
+    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+        """Residuals (n, d) of some factors, and the Jacobians of each by its variables in their order."""
+        raise NotImplementedError
 
-def turn(turned: Array, known: Array, duration_s: float) -> Callable[..., Linearised]:
-    """Rotation between two windows, rad: their attitudes, then the unknown Earth rate; scales the linear terms."""
-    T = np.array([duration_s])
+    def prepare(self, values: Any) -> None:
+        """Compute all factors; only these values may be asked for until :meth:`forget`."""
+        self._prepared = self.evaluate(values, self._rows)
 
-    def evaluate(values: Any, keys: list[int]) -> Linearised:
-        earth = known + values.atVector(keys[2]) if len(keys) > 2 else known
-        start, end = (values.atRot3(key).matrix()[None] for key in keys[:2])
-        r, by_start, by_end, by_turned, by_earth = model.turn(turned[None], start, end, earth[None], T)
-        return r[0], [*[by_start[0], by_end[0], by_earth[0]][: len(keys)], by_turned[0]]
+    def forget(self) -> None:
+        """Compute each factor when it is asked for."""
+        self._prepared = None
 
-    return evaluate
+    def at(self, row: int, values: Any, keys: list[int]) -> Linearised:  # noqa: ARG002 - the signature of Terms
+        """Residual and Jacobians of one factor."""
+        residuals, jacobians = self._prepared or self.evaluate(values, self._rows[row : row + 1])
+        at = row if self._prepared else 0
+        return residuals[at], list(jacobians[at])
 
 
-def start(nominal: Array, heading_rad: float) -> Callable[..., Linearised]:
-    """Start attitude on the fixture, rad: attitude, base, mounting."""
+def _matrices(values: Any, keys: NDArray[np.intp]) -> Array:
+    return np.stack([values.atRot3(key).matrix() for key in keys.tolist()])
 
-    def evaluate(values: Any, keys: list[int]) -> Linearised:
-        attitude, base, mounting = (values.atRot3(key).matrix() for key in keys)
-        r, *jacobians = model.start_attitude(attitude[None], nominal[None], base, mounting, heading_rad)
-        return r[0], [J[0] for J in jacobians]
 
-    return evaluate
+class _Earth:
+    """The Earth's rate of every factor: known, and in some chains a variable besides."""
+
+    def __init__(self, known: Array, keys: list[int | None]) -> None:
+        self.known, self.keys = known, keys
+
+    def rate(self, values: Any, rows: NDArray[np.intp]) -> Array:
+        out = self.known[rows].copy()
+        for i, row in enumerate(rows.tolist()):
+            key = self.keys[row]
+            if key is not None:
+                out[i] += values.atVector(key)
+        return out
+
+
+class Poses(Kind):
+    """Force (m/s²) and rate (rad/s) of windows: attitude, then gravity if free, then the Earth's rate if unknown.
+
+    Parameters
+    ----------
+    force, rate : ndarray, shape (n, 3)
+    attitudes : ndarray of int, shape (n,)
+        Variables.
+    gravity : float, m/s²
+    gravity_key : int or None
+        Variable of its correction.
+    known : ndarray, shape (n, 3), rad/s
+    earth_keys : list of (int or None)
+        Variables of the rest of the Earth's rate.
+    """
+
+    def __init__(
+        self,
+        force: Array,
+        rate: Array,
+        attitudes: NDArray[np.intp],
+        gravity: float,
+        gravity_key: int | None,
+        known: Array,
+        earth_keys: list[int | None],
+    ) -> None:
+        super().__init__(len(force))
+        self.force, self.rate, self.attitudes = force, rate, attitudes
+        self.gravity, self.gravity_key, self.earth = gravity, gravity_key, _Earth(known, earth_keys)
+
+    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+        """Of windows."""
+        attitude = _matrices(values, self.attitudes[rows])
+        g = self.gravity + (0.0 if self.gravity_key is None else float(values.atVector(self.gravity_key)[0]))
+        r_force, force_by_attitude, by_gravity = model.pose_force(self.force[rows], attitude, g)
+        r_rate, rate_by_attitude, by_earth = model.pose_rate(self.rate[rows], attitude, self.earth.rate(values, rows))
+        by_attitude = np.concatenate([force_by_attitude, rate_by_attitude], axis=1)
+        of_gravity = np.concatenate([by_gravity, np.zeros_like(by_gravity)], axis=1)[:, :, None]
+        of_earth = np.concatenate([np.zeros_like(by_earth), by_earth], axis=1)
+        jacobians = [
+            [by_attitude[i]]
+            + ([] if self.gravity_key is None else [of_gravity[i]])
+            + ([] if self.earth.keys[row] is None else [of_earth[i]])
+            for i, row in enumerate(rows.tolist())
+        ]
+        return np.concatenate([r_force, r_rate], axis=1), jacobians
+
+
+class Turns(Kind):
+    """Rotations between two windows, rad: their attitudes, the Earth's rate if unknown, and what scales linear terms.
+
+    Parameters
+    ----------
+    turned : ndarray, shape (n, 3, 3)
+    starts, ends : ndarray of int, shape (n,)
+        Variables.
+    known : ndarray, shape (n, 3), rad/s
+    earth_keys : list of (int or None)
+    duration_s : ndarray, shape (n,)
+    """
+
+    def __init__(
+        self,
+        turned: Array,
+        starts: NDArray[np.intp],
+        ends: NDArray[np.intp],
+        known: Array,
+        earth_keys: list[int | None],
+        duration_s: Array,
+    ) -> None:
+        super().__init__(len(turned))
+        self.turned, self.starts, self.ends, self.duration_s = turned, starts, ends, duration_s
+        self.earth = _Earth(known, earth_keys)
+
+    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+        """Of turns."""
+        start, end = _matrices(values, self.starts[rows]), _matrices(values, self.ends[rows])
+        earth = self.earth.rate(values, rows)
+        r, by_start, by_end, by_turned, by_earth = model.turn(
+            self.turned[rows], start, end, earth, self.duration_s[rows]
+        )
+        jacobians = [
+            [by_start[i], by_end[i], *([] if self.earth.keys[row] is None else [by_earth[i]]), by_turned[i]]
+            for i, row in enumerate(rows.tolist())
+        ]
+        return r, jacobians
+
+
+class Starts(Kind):
+    """Start attitudes on the fixture, rad: attitude, base, mounting.
+
+    Parameters
+    ----------
+    nominal : ndarray, shape (n, 3, 3)
+    attitudes : ndarray of int, shape (n,)
+        Variables.
+    base, mounting : int
+        Variables.
+    heading_rad : float
+    """
+
+    def __init__(
+        self, nominal: Array, attitudes: NDArray[np.intp], base: int, mounting: int, heading_rad: float
+    ) -> None:
+        super().__init__(len(nominal))
+        self.nominal, self.attitudes, self.base, self.mounting = nominal, attitudes, base, mounting
+        self.heading_rad = heading_rad
+
+    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+        """Of starts."""
+        base, mounting = (values.atRot3(key).matrix() for key in (self.base, self.mounting))
+        attitude = _matrices(values, self.attitudes[rows])
+        r, *jacobians = model.start_attitude(attitude, self.nominal[rows], base, mounting, self.heading_rad)
+        return r, [[J[i] for J in jacobians] for i in range(len(rows))]
 
 
 def heading(keep: Array) -> Callable[..., Linearised]:

@@ -125,7 +125,8 @@ class GraphStep(Step):
             if i and loss != "squared":
                 built = GraphBuilder(problem, point, system.played, system.free, prior=prior, weights=weights)
             try:
-                solution = solve_linear(built.graph, values, last)
+                with built.evaluated(values):
+                    solution = solve_linear(built.graph, values, last)
             except RuntimeError as error:  # gtsam's indeterminate linear system
                 raise np.linalg.LinAlgError(str(error).strip().split("\n")[0]) from None
             values = values.retract(solution.delta)
@@ -184,11 +185,12 @@ def sequence_weights(built: GraphBuilder, values: Any, loss: str) -> Array:
     horizontal force, which any of the three may be at fault for, and the parts would share the blame.
     """
     squares, rows = np.zeros(built.problem.data.K), np.zeros(built.problem.data.K)
-    for i, (_, _, k) in enumerate(built.measured):
-        factor: Any = built.graph.at(i)
-        residual = factor.noiseModel().whiten(factor.unwhitenedError(values))
-        squares[k] += float(residual @ residual) / built.weights[k]
-        rows[k] += len(residual)
+    with built.evaluated(values):
+        for i, (_, _, k) in enumerate(built.measured):
+            factor: Any = built.graph.at(i)
+            residual = factor.noiseModel().whiten(factor.unwhitenedError(values))
+            squares[k] += float(residual @ residual) / built.weights[k]
+            rows[k] += len(residual)
     # Its own attitudes take six of a sequence's numbers; one that hands its poses on has three.
     freedom = np.maximum(rows - 6.0, 3.0)
     limits = np.sqrt(chdtri(freedom, 0.05))

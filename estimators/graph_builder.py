@@ -8,6 +8,8 @@ attitude of every stationary window ``a``, the reading errors at the windows' ed
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
@@ -19,7 +21,7 @@ from estimators.system import N_ERRORS, edge_numbers, fixed_headings, fixture_st
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -68,6 +70,7 @@ class GraphBuilder:
         self.edges = edge_numbers(problem, played)
         self.graph: Any = gtsam.NonlinearFactorGraph()
         self.values: Any = gtsam.Values()
+        self.kinds: list[factors.Kind] = []
         self.measured: list[tuple[str, int, int]] = []
         """Kind, number and sequence of the measurement factors, which come first in the graph."""
         self._variables()
@@ -75,6 +78,17 @@ class GraphBuilder:
         self._turns()
         self._starts()
         self._priors(prior)
+
+    @contextmanager
+    def evaluated(self, values: Any) -> Iterator[None]:
+        """Compute all factors at some values, the only ones that they may be asked for within."""
+        for kind in self.kinds:
+            kind.prepare(values)
+        try:
+            yield
+        finally:
+            for kind in self.kinds:
+                kind.forget()
 
     def bias_key(self, sequence: int) -> int:
         """Variable of the gyro bias of a sequence."""
@@ -143,8 +157,18 @@ class GraphBuilder:
         covariance = np.zeros((len(T), 6, 6))
         covariance[:, :3, :3], covariance[:, 3:, 3:] = force_noise, rate_noise
         noise = self._noise(covariance, problem.window_sequence)
+        earth_keys = [self.earth_key(int(chain)) for chain in problem.window_chain]
+        poses = factors.Poses(
+            played.force,
+            played.rate,
+            np.array([A(w) for w in range(len(T))], dtype=np.intp),
+            problem.data.gravity,
+            int(G(0)) if self.gravity else None,
+            known[problem.window_chain],
+            earth_keys,
+        )
+        self.kinds.append(poses)
         for w in range(len(T)):
-            chain = int(problem.window_chain[w])
             jacobian = -np.concatenate([played.force_jacobian[w], played.rate_jacobian[w]])
             linear = self._linear(jacobian, int(problem.window_sequence[w]))
             linear += self._drift(-np.concatenate([played.drift.force[w], played.drift.rate[w]]))
@@ -154,11 +178,9 @@ class GraphBuilder:
                 for number, sign in zip(self.edges[w].tolist(), (1.0, -1.0), strict=True)
                 if number >= 0
             ]
-            earth = self.earth_key(chain)
+            earth = earth_keys[w]
             others = [int(A(w))] + ([int(G(0))] if self.gravity else []) + ([earth] if earth is not None else [])
-            function = factors.pose(
-                played.force[w], played.rate[w], problem.data.gravity, known[chain], gravity_free=self.gravity
-            )
+            function = partial(poses.at, w)
             owner = int(problem.window_sequence[w])
             self._add("window", w, owner, noise[w], factors.Terms(linear, others, function))
 
@@ -166,15 +188,20 @@ class GraphBuilder:
         problem, played = self.problem, self.played
         data, noise = problem.data, self._noise(total(played.turned_noise), np.arange(problem.data.K))
         known = np.stack([c.earth_rate for c in problem.chains])
+        earth_keys = [self.earth_key(int(chain)) for chain in problem.sequence_chain]
+        starts, ends = (np.array([A(int(w)) for w in which], dtype=np.intp) for which in (data.start, data.end))
+        turns = factors.Turns(
+            played.turned, starts, ends, known[problem.sequence_chain], earth_keys, np.asarray(played.duration_s)
+        )
+        self.kinds.append(turns)
         for k in range(data.K):
             start, end = int(data.start[k]), int(data.end[k])
-            chain = int(problem.sequence_chain[k])
             linear = self._linear(played.turned_jacobian[k], k) + self._drift(played.drift.turned[k])
             if self.edges[start, 1] >= 0:
                 linear.append((int(Q(self.edges[start, 1])), -played.edge_slope))
             if self.edges[end, 0] >= 0:
                 linear.append((int(Q(self.edges[end, 0])), played.turned[k] @ played.edge_slope))
-            earth = self.earth_key(chain)
+            earth = earth_keys[k]
             self._add(
                 "turn",
                 k,
@@ -183,7 +210,7 @@ class GraphBuilder:
                 factors.Terms(
                     linear,
                     [int(A(start)), int(A(end))] + ([earth] if earth is not None else []),
-                    factors.turn(played.turned[k], known[chain], float(played.duration_s[k])),
+                    partial(turns.at, k),
                     scaled=True,
                 ),
             )
@@ -195,9 +222,19 @@ class GraphBuilder:
         starts = fixture_starts(problem)
         variance = np.tile(np.diag(problem.start_sigma**2), (len(starts), 1, 1))
         noises = self._noise(variance, [owner for owner, _, _ in starts])
-        for (owner, window, nominal), noise in zip(starts, noises, strict=True):
+        if not starts:
+            return
+        kind = factors.Starts(
+            np.stack([nominal for _, _, nominal in starts]),
+            np.array([A(window) for _, window, _ in starts], dtype=np.intp),
+            int(F(0)),
+            int(U(0)),
+            problem.heading_rad,
+        )
+        self.kinds.append(kind)
+        for i, ((owner, window, _), noise) in enumerate(zip(starts, noises, strict=True)):
             keys = [int(A(window)), int(F(0)), int(U(0))]
-            terms = factors.Terms([], keys, factors.start(nominal, problem.heading_rad))
+            terms = factors.Terms([], keys, partial(kind.at, i))
             self._add("start", window, owner, noise, terms)
 
     def _priors(self, prior: Prior | None) -> None:
