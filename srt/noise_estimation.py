@@ -30,6 +30,7 @@ ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
 _QUANTIZATION_DOUBT: Final = 0.5
 _POOL_ABOVE: Final = 0.2
+_LEAST_SHARE: Final = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +185,8 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
         scale = np.linalg.norm(weighted, axis=0)
         solution = nnls(weighted / scale, variance / sigma)[0] / scale
     doubt = np.sqrt(np.linalg.inv((weighted / scale).T @ (weighted / scale))[0, 0]) / scale[0]
-    return solution, float(doubt / max(solution[0], 1e-300))
+    # Without any white noise found its doubt is beyond measure: a number that is large whatever the units.
+    return solution, float(doubt / max(solution[0], _LEAST_SHARE * doubt))
 
 
 def _resolution(recording: Recording, windows: NDArray[np.intp], sensor: str) -> Array:

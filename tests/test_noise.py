@@ -5,7 +5,7 @@ import pytest
 
 import srt
 from sims import campaigns
-from srt.noise_estimation import ACCEL_FLOOR, GYRO_FLOOR, flicker_spread, noise_model
+from srt.noise_estimation import ACCEL_FLOOR, GYRO_FLOOR, _fit_one, flicker_spread, noise_model
 from srt.variance_components import restricted_likelihood
 
 N, RATE = 2000, 200.0
@@ -114,3 +114,14 @@ def test_restricted_likelihood_finds_nothing_in_nothing():
     rng = np.random.default_rng(10)
     H, R0 = rng.standard_normal((60, 10)), np.eye(60)
     assert np.all(restricted_likelihood(np.zeros(60), H, R0, (np.eye(60),)) == 0.0)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+def test_pulses_alone_leave_no_white_noise_and_all_doubt(size):
+    """Whatever the units: readings of a million times full scale once made the doubt overflow."""
+    tau = np.array([0.02, 0.04, 0.08, 0.16])
+    # Falls faster than even pulses do, so that nothing is left for white noise.
+    (white, pulses), doubt = _fit_one(tau, np.array([1000.0, 500.0, 250.0, 125.0]), size / tau**3)
+    assert white == 0.0
+    assert pulses > 0.0
+    assert 1.0 < doubt < np.inf
