@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import gtsam
@@ -44,19 +45,19 @@ class Terms:
     keys : list of key
         The others.
     function : callable
-        ``(values, keys) -> (residual, Jacobians)`` without the linear terms; with ``scaled`` its last Jacobian
-        multiplies the linear ones.
+        ``(values) -> (residual, Jacobians)`` without the linear terms; with ``scaled`` its last Jacobian multiplies
+        the linear ones.
     """
 
     def __init__(
         self, linear: list[tuple[int, Array]], keys: list[int], function: Callable[..., Any], *, scaled: bool = False
     ) -> None:
-        self.linear, self.others, self.evaluate, self.scaled = linear, keys, function, scaled
+        self.linear, self.evaluate, self.scaled = linear, function, scaled
         self.keys = [key for key, _ in linear] + keys
 
     def function(self, this: Any, values: Any, jacobians: Any) -> Array:  # noqa: ARG002 - gtsam's signature
         """Error function of a gtsam.CustomFactor over :attr:`keys`."""
-        residual, by_others = self.evaluate(values, self.others)
+        residual, by_others = self.evaluate(values)
         scale = by_others.pop() if self.scaled else None
         for i, (key, J) in enumerate(self.linear):
             J_now = J if scale is None else scale @ J
@@ -69,7 +70,7 @@ class Terms:
         return np.ascontiguousarray(residual)
 
 
-class Kind:
+class Kind(ABC):
     """All factors of one kind: what depends on attitudes and site, computed for any of them at once.
 
     gtsam asks factor by factor, and a model made for arrays spends its time on overhead then. :meth:`prepare` computes
@@ -80,9 +81,13 @@ class Kind:
         self._rows = np.arange(count)
         self._prepared: tuple[Array, list[list[Array]]] | None = None
 
+    @abstractmethod
+    def keys(self, row: int) -> list[int]:
+        """Variables of a factor that do not enter linearly."""
+
+    @abstractmethod
     def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
-        """Residuals (n, d) of some factors, and the Jacobians of each by its variables in their order."""
-        raise NotImplementedError
+        """Residuals (n, d) of some factors, and the Jacobians of each by the variables of :meth:`keys`."""
 
     def prepare(self, values: Any) -> None:
         """Compute all factors; only these values may be asked for until :meth:`forget`."""
@@ -92,7 +97,7 @@ class Kind:
         """Compute each factor when it is asked for."""
         self._prepared = None
 
-    def at(self, row: int, values: Any, keys: list[int]) -> Linearised:  # noqa: ARG002 - the signature of Terms
+    def at(self, row: int, values: Any) -> Linearised:
         """Residual and Jacobians of one factor."""
         residuals, jacobians = self._prepared or self.evaluate(values, self._rows[row : row + 1])
         at = row if self._prepared else 0
@@ -148,6 +153,11 @@ class Poses(Kind):
         self.force, self.rate, self.attitudes = force, rate, attitudes
         self.gravity, self.gravity_key, self.earth = gravity, gravity_key, _Earth(known, earth_keys)
 
+    def keys(self, row: int) -> list[int]:
+        """Of a window."""
+        keys = (int(self.attitudes[row]), self.gravity_key, self.earth.keys[row])
+        return [key for key in keys if key is not None]
+
     def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
         """Of windows."""
         attitude = _matrices(values, self.attitudes[rows])
@@ -192,6 +202,11 @@ class Turns(Kind):
         self.turned, self.starts, self.ends, self.duration_s = turned, starts, ends, duration_s
         self.earth = _Earth(known, earth_keys)
 
+    def keys(self, row: int) -> list[int]:
+        """Of a turn."""
+        keys = (int(self.starts[row]), int(self.ends[row]), self.earth.keys[row])
+        return [key for key in keys if key is not None]
+
     def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
         """Of turns."""
         start, end = _matrices(values, self.starts[rows]), _matrices(values, self.ends[rows])
@@ -226,6 +241,10 @@ class Starts(Kind):
         self.nominal, self.attitudes, self.base, self.mounting = nominal, attitudes, base, mounting
         self.heading_rad = heading_rad
 
+    def keys(self, row: int) -> list[int]:
+        """Of a start."""
+        return [int(self.attitudes[row]), self.base, self.mounting]
+
     def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
         """Of starts."""
         base, mounting = (values.atRot3(key).matrix() for key in (self.base, self.mounting))
@@ -234,11 +253,11 @@ class Starts(Kind):
         return r, [[J[i] for J in jacobians] for i in range(len(rows))]
 
 
-def heading(keep: Array) -> Callable[..., Linearised]:
+def heading(keep: Array, key: int) -> Callable[[Any], Linearised]:
     """Turn about the vertical since an attitude."""
 
-    def evaluate(values: Any, keys: list[int]) -> Linearised:
-        now = values.atRot3(keys[0]).matrix()
+    def evaluate(values: Any) -> Linearised:
+        now = values.atRot3(key).matrix()
         turn = keep @ now.T
         return np.array([0.5 * (turn[0, 1] - turn[1, 0])]), [now[2][None]]
 

@@ -157,7 +157,6 @@ class GraphBuilder:
         covariance = np.zeros((len(T), 6, 6))
         covariance[:, :3, :3], covariance[:, 3:, 3:] = force_noise, rate_noise
         noise = self._noise(covariance, problem.window_sequence)
-        earth_keys = [self.earth_key(int(chain)) for chain in problem.window_chain]
         poses = factors.Poses(
             played.force,
             played.rate,
@@ -165,7 +164,7 @@ class GraphBuilder:
             problem.data.gravity,
             int(G(0)) if self.gravity else None,
             known[problem.window_chain],
-            earth_keys,
+            [self.earth_key(int(chain)) for chain in problem.window_chain],
         )
         self.kinds.append(poses)
         for w in range(len(T)):
@@ -178,11 +177,8 @@ class GraphBuilder:
                 for number, sign in zip(self.edges[w].tolist(), (1.0, -1.0), strict=True)
                 if number >= 0
             ]
-            earth = earth_keys[w]
-            others = [int(A(w))] + ([int(G(0))] if self.gravity else []) + ([earth] if earth is not None else [])
-            function = partial(poses.at, w)
             owner = int(problem.window_sequence[w])
-            self._add("window", w, owner, noise[w], factors.Terms(linear, others, function))
+            self._add("window", w, owner, noise[w], factors.Terms(linear, poses.keys(w), partial(poses.at, w)))
 
     def _turns(self) -> None:
         problem, played = self.problem, self.played
@@ -201,29 +197,18 @@ class GraphBuilder:
                 linear.append((int(Q(self.edges[start, 1])), -played.edge_slope))
             if self.edges[end, 0] >= 0:
                 linear.append((int(Q(self.edges[end, 0])), played.turned[k] @ played.edge_slope))
-            earth = earth_keys[k]
-            self._add(
-                "turn",
-                k,
-                k,
-                noise[k],
-                factors.Terms(
-                    linear,
-                    [int(A(start)), int(A(end))] + ([earth] if earth is not None else []),
-                    partial(turns.at, k),
-                    scaled=True,
-                ),
-            )
+            terms = factors.Terms(linear, turns.keys(k), partial(turns.at, k), scaled=True)
+            self._add("turn", k, k, noise[k], terms)
 
     def _starts(self) -> None:
         problem = self.problem
         if not problem.fixture_states:
             return
         starts = fixture_starts(problem)
-        variance = np.tile(np.diag(problem.start_sigma**2), (len(starts), 1, 1))
-        noises = self._noise(variance, [owner for owner, _, _ in starts])
         if not starts:
             return
+        variance = np.tile(np.diag(problem.start_sigma**2), (len(starts), 1, 1))
+        noises = self._noise(variance, [owner for owner, _, _ in starts])
         kind = factors.Starts(
             np.stack([nominal for _, _, nominal in starts]),
             np.array([A(window) for _, window, _ in starts], dtype=np.intp),
@@ -233,9 +218,7 @@ class GraphBuilder:
         )
         self.kinds.append(kind)
         for i, ((owner, window, _), noise) in enumerate(zip(starts, noises, strict=True)):
-            keys = [int(A(window)), int(F(0)), int(U(0))]
-            terms = factors.Terms([], keys, partial(kind.at, i))
-            self._add("start", window, owner, noise, terms)
+            self._add("start", window, owner, noise, factors.Terms([], kind.keys(i), partial(kind.at, i)))
 
     def _priors(self, prior: Prior | None) -> None:
         problem, graph = self.problem, self.graph
@@ -258,7 +241,8 @@ class GraphBuilder:
         for w in fixed_headings(problem).tolist():
             keep = np.array(self.values.atRot3(A(w)).matrix())
             noise = isotropic(1, _HEADING_SIGMA)
-            graph.add(gtsam.CustomFactor(noise, [A(w)], factors.Terms([], [int(A(w))], factors.heading(keep)).function))
+            terms = factors.Terms([], [int(A(w))], factors.heading(keep, int(A(w))))
+            graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
         unit = isotropic(3, 1.0)
         for number in range(int(self.edges.max()) + 1):
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
@@ -289,5 +273,5 @@ class GraphBuilder:
         if not linear:
             return
         noise = factors.gaussian(prior.covariance)
-        terms = factors.Terms(linear, [], lambda *_: (away, []))
+        terms = factors.Terms(linear, [], lambda _: (away, []))
         self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))

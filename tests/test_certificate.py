@@ -19,7 +19,7 @@ from sims.free_motion import free_motion, random_attitude, random_turns
 from sims.imu import read_out
 from sims.table_motion import table1_motion
 from srt.calibration import Residual
-from srt.certificate import load_limits, load_source, make_certificate, page, pdf
+from srt.certificate import facts, load_limits, load_source, make_certificate, page, pdf
 from srt.certificate.change import FALSE_ALARM, change_since
 from srt.certificate.figures import pictures
 from srt.certificate.replay import check_recording, replay
@@ -649,3 +649,18 @@ def test_both_forms_of_every_kind(recordings, calibrations, saved, tmp_path, kin
     assert text.count("<svg") == len(pictures(made))
     pdf.write_pdf(made, tmp_path / "x.pdf")
     assert (tmp_path / "x.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({}, "rotation sigma 1 mrad"),
+        ({"wobble_sigma_mrad": 0.02}, "rotation sigma 1 mrad, wobble 0.02 mrad"),
+        # Of merged recordings that state different ones.
+        ({"wobble_sigma_mrad": None}, "rotation sigma 1 mrad, wobble not stated"),
+    ],
+)
+def test_the_fixtures_wobble_is_told_where_it_is_stated(stated, said):
+    given = calibration()
+    text = facts._fixture(replace(given, alignment={**given.alignment, **stated}), merged=False)
+    assert text.endswith(said)

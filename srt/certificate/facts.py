@@ -103,11 +103,12 @@ def _fixture(calibration: Calibration, *, merged: bool) -> str:
         ("heading_deg", "heading", "°"),
         ("alignment_sigma_mrad", "alignment sigma", " mrad"),
         ("rotation_sigma_mrad", "rotation sigma", " mrad"),
+        ("wobble_sigma_mrad", "wobble", " mrad"),
     ):
+        if key == "wobble_sigma_mrad" and key not in alignment:  # seldom stated, and only two estimators rely on it
+            continue
         value = alignment.get(key)
         parts.append(f"{words} {f'{value:g}{unit}' if isinstance(value, int | float) else 'not stated'}")
-    if "wobble_sigma_mrad" in alignment:
-        parts.append(f"wobble {alignment['wobble_sigma_mrad']:g} mrad")
     return "two axes, " + ", ".join(parts)
 
 
