@@ -41,7 +41,11 @@ if TYPE_CHECKING:
     help="As in calibrate, for all calibrations.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Stacked bars: FILE.png, .pdf or .svg.")
+@click.option(
+    "--plot",
+    type=click.Path(path_type=Path),
+    help="Stacked bars: FILE.png, .pdf or .svg; of several estimators one each, as FILE-graph.png.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def budget(
     scenario: str,
