@@ -15,8 +15,8 @@ import numpy as np
 
 from srt.applier import Applier
 from srt.calibration import Calibration
-from srt.compensation import accel_triad, gyro_triad
-from srt.quaternion import rotation_matrix
+from srt.model.rotations import rotation_matrix
+from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 REPEATS = 25

@@ -31,7 +31,7 @@ from srt.closed_form_estimator import ClosedFormSolver
 from srt.iteration import iterate
 from srt.least_squares_estimator import LeastSquaresSolver
 from srt.options import Options
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, SYMBOLS, SensorErrors
 from srt.session import open_session
 from srt.start import first_estimate

@@ -25,9 +25,9 @@ from rich.table import Table
 from sims.fault_study import Report, Study
 from sims.fault_table import cell, markdown, missed_targets
 from sims.faults import GRADES
-from srt.atomic import atomic_write_text
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
+from srt.recording.atomic import atomic_write_text
 
 console = Console(width=180)
 RESULTS = Path("build") / "fault-study.jsonl"

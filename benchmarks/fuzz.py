@@ -40,9 +40,9 @@ from fuzz_seeds import READERS, RECORDINGS, Seed
 
 import srt
 from srt.exceptions import DataError, InputError
-from srt.importers.imported import to_recording
-from srt.importers.registry import IMPORTERS, import_file, importer
-from srt.recording import Site
+from srt.recording.importers.imported import to_recording
+from srt.recording.importers.registry import IMPORTERS, import_file, importer
+from srt.recording.recording import Site
 
 SECONDS_PER_INPUT = 10
 """Of this process's computing, so that a busy machine does not count."""

@@ -11,7 +11,7 @@ from scipy.linalg import rq
 
 import srt
 from sims import recorded
-from srt.compensation import accel_triad, gyro_triad
+from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 
 IMU_TK = {

@@ -47,10 +47,10 @@ from sims.ferraris import (
 from sims.imu import accel_matrix, read_out
 from sims.motion import RateProfile
 from sims.table_motion import table1_motion
-from srt.atomic import atomic_write_text
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.exceptions import SrtError
-from srt.recording import Fixture
+from srt.recording.atomic import atomic_write_text
+from srt.recording.recording import Fixture
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, SensorErrors
 
 console = Console(width=180)

@@ -17,8 +17,8 @@ import numpy as np
 
 import srt
 from sims import campaigns, recorded
-from srt.attitude import gyro_stream, integrate
-from srt.compensation import gyro_triad
+from srt.model.analytic_platform import gyro_stream, integrate
+from srt.model.sensor_model import gyro_triad
 from srt.side_by_side import default_estimators, run_estimators
 
 REPEATS = 15

@@ -30,7 +30,7 @@ nitpick_ignore = [  # named in docstrings, without a page of their own
     ("py:data", "srt.diagnosis.faults.FAULTS"),
     ("py:func", "find_importer"),
     ("py:func", "run_schedule"),
-    ("py:mod", "srt.compensation"),
+    ("py:mod", "srt.model.sensor_model"),
     ("py:mod", "srt.diagnosis.faults"),
     ("py:mod", "srt.exporters.linear"),
 ]

@@ -18,8 +18,8 @@ from srt.measurement_noise import accel_drift, gyro_drift
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from srt.model.rotation_integrals import RotationIntegrals
     from srt.playback_data import PlaybackData
-    from srt.rotation_integrals import RotationIntegrals
 
     Array = NDArray[np.float64]
 

@@ -19,12 +19,12 @@ from estimators.statistics import deletion_table, excess_noise
 from estimators.system import N_ERRORS, linearise
 from estimators.targets import PARAMETER_UNITS
 from srt.assembly import is_misfit
-from srt.compensation import outside_model
 from srt.held import held_sigma, request_reason
 from srt.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma, admit
-from srt.prior import Prior
-from srt.quaternion import rotation_matrix
+from srt.model.prior import Prior
+from srt.model.rotations import rotation_matrix
+from srt.model.sensor_model import outside_model
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:

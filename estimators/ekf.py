@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from estimators.system import System
     from srt.calibration import Calibration
     from srt.estimation import Progress
+    from srt.model.prior import Prior
     from srt.options import Options
-    from srt.prior import Prior
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from estimators.system import whiten
-from srt import measurement_model as model
+from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
     from collections.abc import Callable

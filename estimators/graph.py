@@ -2,7 +2,7 @@
 
 Factors: mean specific force and mean rate of every window, the rotation that the gyros integrated between the windows
 of a sequence, and the fixture's attitude at its start; see :mod:`estimators.graph_builder`. Residuals and Jacobians are
-those of :mod:`srt.measurement_model`.
+those of :mod:`srt.model.measurement_model`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from estimators.system import System
     from srt.calibration import Calibration
     from srt.estimation import Progress
+    from srt.model.prior import Prior
     from srt.options import Options
-    from srt.prior import Prior
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
     Linearised = tuple[Array, list[Array]]
@@ -207,7 +207,7 @@ def _columns_of(built: GraphBuilder, system: System, key: int) -> NDArray[np.int
 
 def _columns(built: GraphBuilder, system: System, values: Any) -> Array:
     """Correction of all columns of the system from the graph's values."""
-    from srt.quaternion import rotation_vector
+    from srt.model.rotations import rotation_vector
 
     problem, point = built.problem, built.point
     delta = np.zeros(system.A.shape[1])

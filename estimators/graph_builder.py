@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from estimators.point import Played, Point
     from estimators.problem import Problem
-    from srt.prior import Prior
+    from srt.model.prior import Prior
 
     Array = NDArray[np.float64]
 

@@ -23,11 +23,11 @@ from estimators.judgement import with_prior
 from estimators.problem import Problem
 from estimators.root_ekf import RootExtendedKalmanFilter
 from estimators.targets import judge_targets
-from srt.attitude import gyro_stream
-from srt.compensation import Triad, to_mars
 from srt.exceptions import DataError, InputError
 from srt.executed import end_attitude
 from srt.fixture_start import split_legs
+from srt.model.analytic_platform import gyro_stream
+from srt.model.sensor_model import Triad, to_mars
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.session import open_session
 from srt.start import first_estimate
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from srt.model.prior import Prior
     from srt.options import Options
     from srt.playback_data import PlaybackData
-    from srt.prior import Prior
-    from srt.recording import Recording, SequenceLabel
+    from srt.recording.recording import Recording, SequenceLabel
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ Unknowns besides the sensor errors: drift of the biases as their instability is 
 scatter, a gyro bias of every sequence), levelling and north of the fixture's base, orientation U of MARS on the table,
 gravity, the Earth's rate where it is not known, and the attitude of every stationary window.
 Measurements: mean specific force and mean rate of every window, and the rotation that the gyros integrated between
-the windows of a sequence. The mathematics is that of :mod:`srt.measurement_model`.
+the windows of a sequence. The mathematics is that of :mod:`srt.model.measurement_model`.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import numpy as np
 
 from estimators.drift import drift
 from estimators.point import Chain, Played, Point
-from srt import measurement_model as model
-from srt.attitude import integrate
-from srt.compensation import accel_triad, gyro_triad
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError, InputError
 from srt.g_sensitivity import MODE as G_SENSITIVE
 from srt.measurement_noise import earth_rate_doubt, excess_scatter
+from srt.model import measurement_model as model
+from srt.model.analytic_platform import integrate
+from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
+from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise_estimation import flicker_spread
 from srt.playback import Player
 from srt.playback_data import nominal_attitude, sequence_of_label
-from srt.quaternion import rotation_matrix, rotation_vector, smallest_rotation
 from srt.recording_checks import gap_inside
 from srt.segmentation import find_turns
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
@@ -40,10 +40,10 @@ from srt.stillness import moved_windows
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.catalogue import Sequence
+    from srt.model.table1 import Sequence
     from srt.options import Options
     from srt.playback_data import PlaybackData
-    from srt.recording import Recording, SequenceLabel
+    from srt.recording.recording import Recording, SequenceLabel
 
     Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt import measurement_model as model
+from srt.model import measurement_model as model
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from estimators.point import Played, Point
     from estimators.problem import Problem
-    from srt.prior import Prior
+    from srt.model.prior import Prior
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]
@@ -367,7 +367,7 @@ def _drift(build: _Builder, played: Played) -> None:
 
 def _priors(build: _Builder, problem: Problem, point: Point, edges: NDArray[np.intp], prior: Prior | None) -> None:
     """What is known before the data: alignments, gravity, Earth's rate, bias walk, edges, sensor errors."""
-    from srt.quaternion import inverse_right_jacobian, rotation_vector
+    from srt.model.rotations import inverse_right_jacobian, rotation_vector
 
     one = np.array([-1], dtype=np.intp)
     if problem.fixture_states:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from sims.imu import ImuModel
     from sims.scenario import Scenario
     from sims.true_motion import TrueMotion
-    from srt.recording import Site
+    from srt.recording.recording import Site
 
     Array = NDArray[np.float64]
 

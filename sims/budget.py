@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sims.simulation import Simulation
     from srt.calibration import Calibration
     from srt.options import GyroBias
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
     Progress = Callable[[int, int], None]

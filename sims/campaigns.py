@@ -20,7 +20,7 @@ from sims.imu import ImuModel, is_imu, read_out
 from sims.sequences import TABLE_1, table_sequences
 from sims.table_motion import table1_motion
 from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
-from srt.recording import Fixture, Site
+from srt.recording.recording import Fixture, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
-    from srt.recording import Kind, Recording
+    from srt.recording.recording import Kind, Recording
 
     Array = NDArray[np.float64]
 

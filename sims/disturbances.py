@@ -10,7 +10,7 @@ Three kinds, by where they act; each function returns a new object and leaves it
 
 A disturbance of the true motion is sensed by gyros and accelerometers alike; one of the samples is not, and comes
 after quantisation and saturation. Spans of time hold the samples that a window with the same limits holds,
-a + dt/2 < t <= b + dt/2 (:meth:`srt.recording.Recording.window_indices`).
+a + dt/2 < t <= b + dt/2 (:meth:`srt.recording.recording.Recording.window_indices`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.polynomial import legendre
 
 from sims.fixture import rotation
 from srt.exceptions import InputError
-from srt.recording import WINDOW_TOLERANCE
+from srt.recording.recording import WINDOW_TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from sims.fixture import FixtureDraw
     from sims.true_motion import TrueMotion
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 Sensor = Literal["gyro", "accel"]
 

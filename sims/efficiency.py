@@ -23,7 +23,7 @@ from sims.campaigns import GRADES, IN_G, SITE, Trial, noisy_recording, normalise
 from sims.sequences import TABLE_1, table_sequences
 from sims.table_motion import Schedule
 from srt.constants import DEG_PER_H
-from srt.prior import Prior
+from srt.model.prior import Prior
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
 
 if TYPE_CHECKING:

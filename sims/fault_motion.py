@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from sims.faults import Case
     from sims.true_motion import TrueMotion
-    from srt.recording import Recording, SequenceLabel
+    from srt.recording.recording import Recording, SequenceLabel
 
     Array = NDArray[np.float64]
 

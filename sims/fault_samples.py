@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from sims.faults import Case
-    from srt.recording import Recording, SequenceLabel
+    from srt.recording.recording import Recording, SequenceLabel
 
     Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sims.faults import Case
     from sims.imu import ImuModel
     from sims.true_motion import TrueMotion
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sims.scenario import Scenario
     from sims.simulation import Simulation
     from srt.options import Options
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 GRADES: Final = ("navigation-rlg", "tactical-fog", "industrial-mems", "consumer-mems")
 """Configurations of units, best first."""

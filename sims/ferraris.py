@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from sims.true_motion import TrueMotion
-    from srt.recording import Recording, Site
+    from srt.recording.recording import Recording, Site
 
     Array = NDArray[np.float64]
     Picks = Mapping[str, tuple[tuple[int, int], ...]]

@@ -21,7 +21,7 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.recording import Site
+    from srt.recording.recording import Site
 
 
 def random_turns(

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.recording import ImuNoise, Kind, Recording
+from srt.recording.recording import ImuNoise, Kind, Recording
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

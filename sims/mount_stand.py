@@ -21,7 +21,7 @@ import numpy as np
 from sims.fixture import rotation
 from sims.free_motion import free_motion
 from srt.exceptions import InputError
-from srt.recording import SequenceLabel
+from srt.recording.recording import SequenceLabel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from sims.true_motion import TrueMotion
-    from srt.recording import Site
+    from srt.recording.recording import Site
 
 LEVEL_AND_NOSE_DOWN_RAD = (0.0, -0.5 * math.pi)
 """The two stands of the procedure: pitched by -90° about y, x is down."""

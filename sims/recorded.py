@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from srt.calibration import Calibration
 from srt.constants import DEG
-from srt.recording import Recording, Site
+from srt.recording.recording import Recording, Site
 from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ from srt.constants import (
     normal_gravity_m_s2,
 )
 from srt.exceptions import InputError
-from srt.recording import Site
+from srt.recording.recording import Site
 from srt.sensor_errors import GROUPS, NAMES
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ class FixtureConfig(Table):
     stated_rotation_sigma_mrad: Positive
     wobble_sigma_mrad: NonNegative = 0.0
     stated_wobble_sigma_mrad: NonNegative | None = None
-    """Not stated: a hundredth of the rotations' sigma, see :class:`srt.recording.Fixture`."""
+    """Not stated: a hundredth of the rotations' sigma, see :class:`srt.recording.recording.Fixture`."""
     state_heading: Flag = True
 
     def draw_sizes(self) -> dict[str, float]:

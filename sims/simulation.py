@@ -18,7 +18,7 @@ from sims.scenario import MRAD
 from sims.table_motion import Schedule, run_schedule
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUPS, SensorErrors
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sims.fixture import FixtureDraw
     from sims.scenario import Scenario, ScheduleConfig
     from sims.true_motion import TrueMotion
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 TRUTH_FORMAT = "srt-truth"
 TRUTH_VERSION = 1
@@ -39,7 +39,7 @@ class Simulation:
 
     Attributes
     ----------
-    recording : srt.recording.Recording
+    recording : srt.recording.recording.Recording
     truth : srt.sensor_errors.SensorErrors
         In B.
     U : ndarray, shape (3, 3)

@@ -18,7 +18,7 @@ from sims.motion import AngleProfile, JoinedProfile, RateProfile, Ringing, angle
 from sims.sequences import INNER, OUTER, TABLE_1, TurnSequence, table_sequences
 from sims.true_motion import Clock, TrueMotion
 from srt.exceptions import InputError
-from srt.recording import Fixture, SequenceLabel, Site
+from srt.recording.recording import Fixture, SequenceLabel, Site
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

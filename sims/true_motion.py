@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from sims.fixture import FixtureDraw
-    from srt.recording import Fixture, SequenceLabel, Site
+    from srt.recording.recording import Fixture, SequenceLabel, Site
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from srt.diagnosis import diagnose
     from srt.estimation import calibrate, estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
-    from srt.importers.registry import import_file
     from srt.merge import merge_calibrations
     from srt.options import Options
     from srt.recognition import recognise
-    from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
-    from srt.recording_io import load_recording, write_recording
+    from srt.recording.folder import load_recording, write_recording
+    from srt.recording.importers.registry import import_file
+    from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
     from srt.segmentation import find_turns
     from srt.sensor_errors import INDEX, NAMES, SensorErrors
 
 _HOME = {
     "Applier": "applier",
     "diagnose": "diagnosis",
-    "import_file": "importers.registry",
+    "import_file": "recording.importers.registry",
     "merge_calibrations": "merge",
     "recognise": "recognition",
     "Calibration": "calibration",
@@ -47,13 +47,13 @@ _HOME = {
     "MissingExtraError": "exceptions",
     "SrtError": "exceptions",
     "Options": "options",
-    "Fixture": "recording",
-    "ImuNoise": "recording",
-    "Recording": "recording",
-    "SequenceLabel": "recording",
-    "Site": "recording",
-    "load_recording": "recording_io",
-    "write_recording": "recording_io",
+    "Fixture": "recording.recording",
+    "ImuNoise": "recording.recording",
+    "Recording": "recording.recording",
+    "SequenceLabel": "recording.recording",
+    "Site": "recording.recording",
+    "load_recording": "recording.folder",
+    "write_recording": "recording.folder",
     "find_turns": "segmentation",
     "INDEX": "sensor_errors",
     "NAMES": "sensor_errors",

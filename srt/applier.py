@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from srt.compensation import SIGNS, Triad, accel_triad, gyro_triad
 from srt.exceptions import InputError
-from srt.measurement_model import force_error_jacobian, rate_error_jacobian
+from srt.model.measurement_model import force_error_jacobian, rate_error_jacobian
+from srt.model.sensor_model import SIGNS, Triad, accel_triad, gyro_triad
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:

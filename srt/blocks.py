@@ -23,7 +23,7 @@ from srt.noise_estimation import smallest_step
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

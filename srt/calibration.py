@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.applier import BLOCK, Applier
-from srt.atomic import atomic_write_text
 from srt.exceptions import InputError
+from srt.recording.atomic import atomic_write_text
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 
 if TYPE_CHECKING:

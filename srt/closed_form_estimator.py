@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt import closed_form
 from srt.assembly import assemble, outcome_of
-from srt.catalogue import SEQUENCES
 from srt.exceptions import DataError
 from srt.held import held_sigma, request_reason
 from srt.iteration import iterate
+from srt.model import closed_form
+from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 from srt.session import open_session
 from srt.start import first_estimate
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from srt.options import Options
     from srt.playback import Playback
     from srt.playback_data import PlaybackData
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

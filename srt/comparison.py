@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.atomic import atomic_write_text
 from srt.exceptions import InputError
 from srt.pairwise import FALSE_ALARM, Pair, finite, make_pair, ratio_of, some
+from srt.recording.atomic import atomic_write_text
 from srt.sensor_errors import NAMES, SYMBOLS, UNITS
 from srt.side_by_side import ESTIMATORS
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from srt.calibration import Calibration
     from srt.options import Options
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
     Progress = Callable[[int, float], None]
@@ -128,7 +128,7 @@ def calibrate(
 
 def automatic_estimator(recording: Recording) -> str:
     """What "auto" stands for: the closed form for sequences of Table 1 on a fixture, else least squares."""
-    from srt.catalogue import SEQUENCES
+    from srt.model.table1 import SEQUENCES
 
     labelled = [s for s in recording.sequences if s.id in SEQUENCES]
     return "closed-form" if recording.fixture is not None and labelled else "least-squares"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.options import Options
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 
 def calibrate_examined(

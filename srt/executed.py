@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.quaternion import rotation_matrix, rotation_vector
+from srt.model.rotations import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.catalogue import Sequence
+    from srt.model.table1 import Sequence
     from srt.playback_data import PlaybackData
 
     Array = NDArray[np.float64]

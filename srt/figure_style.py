@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.atomic import atomic_path
 from srt.exceptions import MissingExtraError
+from srt.recording.atomic import atomic_path
 
 try:
     from matplotlib.axes import Axes

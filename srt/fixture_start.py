@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.compensation import Triad, to_mars
 from srt.exceptions import DataError
 from srt.executed import end_attitude
+from srt.model.sensor_model import Triad, to_mars
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.attitude import GyroStream
-    from srt.catalogue import Sequence
+    from srt.model.analytic_platform import GyroStream
+    from srt.model.table1 import Sequence
     from srt.playback_data import PlaybackData
     from srt.sensor_errors import SensorErrors
 

@@ -259,7 +259,7 @@ def assemble_fleet(units: Sequence[Unit]) -> Fleet:
 def calibrate_unit(task: UnitTask) -> tuple[int, Unit]:
     """Calibrate one unit; what goes wrong, and be it a defect of the program, becomes its message."""
     from srt.examined import calibrate_examined
-    from srt.recording_io import load_recording
+    from srt.recording.folder import load_recording
 
     unit = partial(Unit, task.name, task.recording)
     serial = None

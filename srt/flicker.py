@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.model.rotation_integrals import equal_parts, parts_per_rotation
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -28,8 +30,6 @@ if TYPE_CHECKING:
 CORRELATION_TIMES_S: Final = tuple(10.0**decade for decade in range(-1, 5))
 """Correlation times of all processes."""
 _SLOWEST_S: Final = 1000.0
-_PARTS: Final = (2, 12)
-_PARTS_IN_ALL: Final = 600
 _ROUNDING: Final = 1e-12
 _NO_TIME_S: Final = 1e-9
 
@@ -83,20 +83,6 @@ def _twice_integrated(t: Array, tau: float) -> Array:
     return out
 
 
-def parts_per_turn(turns: int) -> int:
-    """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment.
-
-    Four for each half turn of a sequence of three; with two of them its sigmas come out a tenth too small.
-    """
-    return int(np.clip(_PARTS_IN_ALL // max(turns, 1), *_PARTS))
-
-
-def cut(spans: NDArray[np.intp], parts: int) -> NDArray[np.intp]:
-    """Ends of equal parts of sample spans (K, 2), shape (K, parts + 1)."""
-    out: NDArray[np.intp] = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * np.arange(parts + 1) // parts
-    return out
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftDraws:
     """Unit draws of the drift of one sensor with an Allan floor of one, the same for all that it acts on.
@@ -133,7 +119,7 @@ def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], time_s: A
         Of the samples, as recorded. Where recordings were joined end to end, the pause between them is not in it: a
         correlation falls with the logarithm of the distance, so that this matters little.
     """
-    edges = cut(rotation, parts_per_turn(len(rotation)))
+    edges = equal_parts(rotation, parts_per_rotation(len(rotation)))
     parts = np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)
     root, length_s = _root(np.concatenate([windows, parts]), time_s)
     W = len(windows)

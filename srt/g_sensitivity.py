@@ -31,9 +31,9 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from srt.attitude import GyroStream
     from srt.calibration import Calibration
-    from srt.compensation import Triad
+    from srt.model.analytic_platform import GyroStream
+    from srt.model.sensor_model import Triad
     from srt.playback import Playback
 
     Array = NDArray[np.float64]

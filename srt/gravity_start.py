@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from srt.compensation import accel_triad
-from srt.measurement_model import down_jacobian
+from srt.model.measurement_model import down_jacobian
+from srt.model.sensor_model import accel_triad
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:

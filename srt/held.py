@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S
+from srt.model.prior import PRIOR_SIGMA, prior_sigma
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
@@ -16,26 +17,6 @@ if TYPE_CHECKING:
     from srt.playback_data import PlaybackData
 
     Array = NDArray[np.float64]
-
-PRIOR_SIGMA: Final = {
-    "gyro_scale": 0.3,
-    "gyro_asymmetry": 1e-3,
-    "gyro_orthogonality": 0.3,
-    "accel_bias": 3.0,
-    "accel_scale": 0.3,
-    "accel_asymmetry": 3e-3,
-    "accel_misalignment": 0.3,
-    "gyro_bias": 0.3,
-}
-"""One sigma of each group before any data, SI. Asymmetries: above those of any grade in the configurations."""
-
-
-def prior_sigma() -> Array:
-    """Prior one sigma of the 27 parameters."""
-    out = np.empty(N_PARAMETERS)
-    for group, sigma in PRIOR_SIGMA.items():
-        out[GROUP_SLICES[group]] = sigma
-    return out
 
 
 def held_sigma(data: PlaybackData, options: Options) -> Array:

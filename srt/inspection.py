@@ -12,18 +12,18 @@ import numpy as np
 from srt.allan import AllanDeviation, allan_deviation
 from srt.allan_terms import TERMS
 from srt.blocks import blocks_of, find_rest, still_runs
-from srt.catalogue import AXES
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis import diagnose
 from srt.exceptions import DataError, MissingExtraError
 from srt.inspected import Inspection, Leg, Noise, Stamps, Stillness, Temperature, TurnSeen
+from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
+from srt.model.table1 import AXES
 from srt.noise_estimation import noise_model
-from srt.quaternion import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.recognition import recognise
-from srt.recording import Recording
+from srt.recording.folder import TOML_NAME
+from srt.recording.recording import Recording
+from srt.recording.schema import IMU_KEYS, in_file_unit
 from srt.recording_checks import check_interval
-from srt.recording_io import TOML_NAME
-from srt.recording_keys import IMU_KEYS, in_file_unit
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.allan_terms import TERMS
-from srt.catalogue import AXES
 from srt.constants import DEG, DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.figure_style import (
     BLUE,
@@ -33,6 +32,7 @@ from srt.figure_style import (
     save_figure,
     style,
 )
+from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from srt.allan import AllanDeviation
     from srt.inspected import Inspection, TurnSeen
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

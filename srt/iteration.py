@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from srt import measurement_noise
-from srt.compensation import compose, outside_model
 from srt.exceptions import DataError
 from srt.g_sensitivity import MODE as G_SENSITIVE
 from srt.g_sensitivity import scatter_left
+from srt.model.sensor_model import compose, outside_model
 from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.stillness import moved_windows

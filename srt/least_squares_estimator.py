@@ -14,8 +14,9 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt import measurement_noise
 from srt.assembly import assemble, chi_square, is_misfit, outcome_of
-from srt.held import held_sigma, prior_sigma, request_reason
+from srt.held import held_sigma, request_reason
 from srt.iteration import iterate
+from srt.model.prior import prior_sigma
 from srt.segmentation import find_turns
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, expand_names
 from srt.session import open_session
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from srt.options import Options
     from srt.playback import Playback
     from srt.playback_data import PlaybackData
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri
 
-from srt import measurement_model as model
 from srt.constants import EARTH_RATE_RAD_S
 from srt.g_sensitivity import MODE as G_SENSITIVE
 from srt.g_sensitivity import carried
+from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from srt.model.rotation_integrals import RotationIntegrals
     from srt.playback import Playback
     from srt.playback_data import PlaybackData
-    from srt.rotation_integrals import RotationIntegrals
 
     Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from srt.exceptions import DataError, InputError
 from srt.g_sensitivity import KEY
 from srt.merge_model import GROUP_OF, Stack, between_sigma, estimate, stack_of
 from srt.merge_repeatability import repeatability
-from srt.quaternion import rotation_vector
+from srt.model.rotations import rotation_vector
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 from srt.verdict import Evidence, against_others, verdict, without_groups
 

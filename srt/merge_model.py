@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
 from srt.exceptions import InputError
-from srt.held import prior_sigma
+from srt.model.prior import prior_sigma
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 from srt.variance_components import restricted_likelihood
 

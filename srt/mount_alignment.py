@@ -29,7 +29,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from srt.exceptions import DataError, InputError
-from srt.quaternion import rotation_matrix
+from srt.model.rotations import rotation_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.atomic import atomic_write_text
 from srt.exceptions import InputError
 from srt.mount_alignment import ANGLES, MountAlignment
+from srt.recording.atomic import atomic_write_text
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -10,13 +10,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from srt.assembly import software
-from srt.catalogue import SEQUENCES
-from srt.compensation import accel_triad, outside_model
 from srt.exceptions import DataError, InputError
-from srt.measurement_model import force_error_jacobian
+from srt.model.measurement_model import force_error_jacobian
+from srt.model.sensor_model import accel_triad, outside_model
+from srt.model.table1 import SEQUENCES
 from srt.mount_alignment import MountAlignment, align_mount, poses, require_both
 from srt.noise_estimation import noise_model
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.recording_checks import check_interval, check_rest, clipped_samples, clipping_levels, gap_inside
 from srt.segmentation import find_windows, window_times
 from srt.sensor_errors import GROUP_SLICES, NAMES
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
-    from srt.compensation import Triad
+    from srt.model.sensor_model import Triad
     from srt.noise_estimation import NoiseModel
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
     from srt.windows import Windows
 
     Array = NDArray[np.float64]

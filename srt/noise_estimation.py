@@ -19,7 +19,7 @@ from srt.constants import STANDARD_GRAVITY_M_S2
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

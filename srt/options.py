@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from srt.exceptions import InputError
-from srt.prior import Prior
+from srt.model.prior import Prior
 from srt.sensor_errors import SensorErrors, expand_names
 
 if TYPE_CHECKING:

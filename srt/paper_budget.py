@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt import measurement_model as model
-from srt.catalogue import AXES, SEQUENCES, axis_vector
 from srt.constants import DEG_PER_H, EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
-from srt.rotation_integrals import RotationIntegrals, ideal_rotations
+from srt.model import measurement_model as model
+from srt.model.rotation_integrals import RotationIntegrals, ideal_rotations
+from srt.model.table1 import AXES, SEQUENCES, axis_vector
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt import measurement_model as model
-from srt.attitude import integrate
-from srt.catalogue import AXES
-from srt.compensation import accel_triad, gyro_triad
 from srt.g_sensitivity import MODE, insensitive, pose_regression
-from srt.quaternion import cross_matrix, smallest_rotation
+from srt.model import measurement_model as model
+from srt.model.analytic_platform import integrate
+from srt.model.rotations import cross_matrix, smallest_rotation
+from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.attitude import GyroStream
-    from srt.compensation import Triad
     from srt.g_sensitivity import PoseRegression
+    from srt.model.analytic_platform import GyroStream
+    from srt.model.rotation_integrals import RotationIntegrals
+    from srt.model.sensor_model import Triad
     from srt.options import Options
     from srt.playback_data import PlaybackData
-    from srt.rotation_integrals import RotationIntegrals
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.attitude import GyroStream, gyro_stream
-from srt.catalogue import SEQUENCES, Sequence, axis_vector
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
 from srt.flicker import DriftDraws, drift_draws, window_draws
+from srt.model.analytic_platform import GyroStream, gyro_stream
+from srt.model.table1 import SEQUENCES, Sequence, axis_vector
 from srt.noise_estimation import NoiseModel, noise_model
 from srt.windows import Windows, average_windows, averaging_weights
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.options import Options
-    from srt.recording import Recording, SequenceLabel
+    from srt.recording.recording import Recording, SequenceLabel
 
     Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.blocks import resolution_floor
-from srt.catalogue import AXES, SEQUENCES, axis_vector
 from srt.exceptions import DataError
 from srt.faces import QUARTER, face_vector, faces, leg_axis, quarter_turn, quarters, scales
+from srt.model.table1 import AXES, SEQUENCES, axis_vector
 from srt.playback_data import nominal_attitude
-from srt.recording import SequenceLabel
+from srt.recording.recording import SequenceLabel
 from srt.segmentation import find_windows, window_times
 from srt.turns import Turn, find_legs
 from srt.window_edges import best_join, trimmed
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
     Whole = NDArray[np.int64]

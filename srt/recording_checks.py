@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.catalogue import AXES
 from srt.constants import ARCSEC, DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError
+from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 LEGAL_RATIO: Final = (0.35, 1.8)
 """Reading over truth of an uncalibrated unit: 50 % of scale factor, and 1 m/s² or its like of bias."""

@@ -8,13 +8,13 @@ import numpy as np
 
 from srt.blocks import BLOCK_S, blocks_of, find_rest, still_runs
 from srt.exceptions import DataError
-from srt.recording import SequenceLabel
+from srt.recording.recording import SequenceLabel
 from srt.window_edges import split_at_jumps, to_the_sample
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

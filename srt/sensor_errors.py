@@ -6,7 +6,7 @@ Reading model of a triad in the MARS frame B (``ω`` the true angular rate, ``f`
     f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias + noise      Ma = I + λ_LinScal + λ_Mis,  λ_ij = μ_ij
 
 Savage 2020, eqs. 6-11. Biases are in rad/s and m/s², everything else is dimensionless or rad.
-This module holds names and values only; the arithmetic of compensation is in :mod:`srt.compensation`.
+This module holds names and values only; the arithmetic of compensation is in :mod:`srt.model.sensor_model`.
 """
 
 from __future__ import annotations

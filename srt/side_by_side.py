@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from srt.calibration import Calibration
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Progress = Callable[[str, int, float], None]
 

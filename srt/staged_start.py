@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from srt import measurement_model as model
-from srt.compensation import outside_model
+from srt.model import measurement_model as model
+from srt.model.sensor_model import outside_model
 from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.attitude import gyro_stream
 from srt.fixture_start import start_from_fixture
 from srt.gravity_start import start_from_gravity
+from srt.model.analytic_platform import gyro_stream
 from srt.playback import Player
 from srt.sensor_errors import SensorErrors
 from srt.staged_start import start_in_stages

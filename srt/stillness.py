@@ -10,7 +10,7 @@ from scipy.special import chdtri
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.compensation import Triad
+    from srt.model.sensor_model import Triad
     from srt.playback_data import PlaybackData
 
     Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 

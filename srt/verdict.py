@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
-from srt.held import prior_sigma
+from srt.model.prior import prior_sigma
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:

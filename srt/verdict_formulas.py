@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt import closed_form
-from srt.catalogue import AXES, SEQUENCES
+from srt.model import closed_form
+from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 from srt.verdict import LeftOut
 from srt.verdict_playback import pools_left

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt import measurement_model as model
 from srt import measurement_noise
 from srt.g_sensitivity import carried
 from srt.held import held_sigma
+from srt.model import measurement_model as model
 from srt.sensor_errors import N_PARAMETERS
 from srt.verdict import LeftOut, reestimate
 from srt.verdict_playback import pools_left

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import sims
-from srt.catalogue import SEQUENCES
+from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback import Player
 from srt.playback_data import PlaybackData, prepare
-from srt.recording import Site
+from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 with contextlib.suppress(ModuleNotFoundError):

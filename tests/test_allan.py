@@ -193,7 +193,7 @@ def test_a_channel_that_never_changes_has_no_figures():
 
 
 def test_figures_carry_the_names_of_the_recording_file():
-    from srt.recording_keys import IMU_KEYS
+    from srt.recording.schema import IMU_KEYS
 
     keys = {key.name: key.factor for key in IMU_KEYS}
     for term in TERMS[:3]:

@@ -15,8 +15,8 @@ import srt
 from srt import applier as module
 from srt.applier import Applier
 from srt.calibration import Calibration
-from srt.compensation import MIN_SINGULAR_VALUE, SIGNS, Triad, accel_triad, gyro_triad
-from srt.quaternion import rotation_matrix
+from srt.model.rotations import rotation_matrix
+from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, Triad, accel_triad, gyro_triad
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 EPS = np.finfo(float).eps

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import sims
-from srt import attitude, quaternion
-from srt.attitude import gyro_stream, integrate
-from srt.catalogue import SEQUENCES
-from srt.compensation import Triad, gyro_triad
+from srt.model import analytic_platform, rotations
+from srt.model.analytic_platform import gyro_stream, integrate
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.sensor_model import Triad, gyro_triad
+from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback_data import prepare
-from srt.recording import Site
-from srt.rotation_integrals import ideal_rotations
+from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
 
 EPS = np.finfo(float).eps
@@ -30,7 +30,7 @@ TAYLOR_SWITCH = math.sqrt(0.05)  # rad, where the series hands over to sine and 
 
 def matrices(q):
     """(n, 3, 3) from the package's (2, n)."""
-    return np.moveaxis(quaternion.to_matrix(q), 2, 0)
+    return np.moveaxis(rotations.to_matrix(q), 2, 0)
 
 
 def random_vectors(rng, n, size):
@@ -45,25 +45,25 @@ def test_rotation_vectors_of_any_size(size):
     rng = np.random.default_rng(1)
     direction = random_vectors(rng, 50, 1.0)
     phi = size * direction / np.linalg.norm(direction, axis=0)
-    found = matrices(quaternion.from_rotation_vector(phi))
+    found = matrices(rotations.from_rotation_vector(phi))
     # Rounding of the angle itself, some eps of it, and of the products.
     np.testing.assert_allclose(found, Rotation.from_rotvec(phi.T).as_matrix(), rtol=0, atol=(8 + 2 * size) * EPS)
-    np.testing.assert_allclose(quaternion.rotation_matrix(phi.T), found, rtol=0, atol=0)
+    np.testing.assert_allclose(rotations.rotation_matrix(phi.T), found, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("side", [1 - 1e-12, 1 + 1e-12])
 def test_both_sides_of_the_switch_of_the_series(side):
     """Just below it is Taylor's series, just above sine and cosine: both to the last digits."""
     phi = np.array([[0.6], [-0.48], [0.64]]) * TAYLOR_SWITCH * side
-    q = quaternion.from_rotation_vector(phi)
+    q = rotations.from_rotation_vector(phi)
     half = 0.5 * TAYLOR_SWITCH * side
     expected = np.array([math.cos(half), *(math.sin(half) * np.array([0.6, -0.48, 0.64]))])
     found = np.array([q[0, 0].real, -q[1, 0].imag, -q[1, 0].real, -q[0, 0].imag])
     np.testing.assert_allclose(found, expected, rtol=4 * EPS)
     # The switch looks at the largest of all: a small one beside it takes the other branch, and must not notice.
     both = np.concatenate([phi, 0.01 * phi, 10 * phi], axis=1)
-    alone = quaternion.from_rotation_vector(0.01 * phi)
-    np.testing.assert_allclose(quaternion.from_rotation_vector(both)[:, 1:2], alone, rtol=4 * EPS)
+    alone = rotations.from_rotation_vector(0.01 * phi)
+    np.testing.assert_allclose(rotations.from_rotation_vector(both)[:, 1:2], alone, rtol=4 * EPS)
 
 
 @pytest.mark.parametrize("n", [*range(1, 18), 31, 32, 33, 1000, 1001])
@@ -71,7 +71,7 @@ def test_both_sides_of_the_switch_of_the_series(side):
 def test_prefix_products_of_chains(n, size):
     """Odd, even and shortest lengths, against multiplying one by one."""
     phi = random_vectors(np.random.default_rng(n), n, size)
-    found = matrices(quaternion.prefix_product(quaternion.from_rotation_vector(phi)))
+    found = matrices(rotations.prefix_product(rotations.from_rotation_vector(phi)))
     total = Rotation.identity()
     for i, vector in enumerate(phi.T):
         total = total * Rotation.from_rotvec(vector)
@@ -83,15 +83,15 @@ def test_prefix_products_of_chains(n, size):
 @settings(max_examples=50, deadline=None)
 def test_quaternion_algebra(n, seed):
     rng = np.random.default_rng(seed)
-    p, q = (quaternion.from_rotation_vector(random_vectors(rng, n, 2.0)) for _ in range(2))
-    np.testing.assert_allclose(matrices(quaternion.multiply(p, q)), matrices(p) @ matrices(q), atol=16 * EPS)
-    np.testing.assert_allclose(matrices(quaternion.conjugate(p)), np.swapaxes(matrices(p), 1, 2), atol=4 * EPS)
-    unit = quaternion.multiply(p, quaternion.conjugate(p))
+    p, q = (rotations.from_rotation_vector(random_vectors(rng, n, 2.0)) for _ in range(2))
+    np.testing.assert_allclose(matrices(rotations.multiply(p, q)), matrices(p) @ matrices(q), atol=16 * EPS)
+    np.testing.assert_allclose(matrices(rotations.conjugate(p)), np.swapaxes(matrices(p), 1, 2), atol=4 * EPS)
+    unit = rotations.multiply(p, rotations.conjugate(p))
     np.testing.assert_allclose(unit, np.array([[1.0], [0.0]]) * np.ones(n), atol=4 * EPS)
     # Normalised whatever the norm of the quaternion.
     np.testing.assert_allclose(matrices(1.5 * p), matrices(p), atol=8 * EPS)
     v, w = rng.normal(size=(2, n, 3))
-    crossed = np.einsum("nab,nb->na", quaternion.cross_matrix(v), w)
+    crossed = np.einsum("nab,nb->na", rotations.cross_matrix(v), w)
     np.testing.assert_allclose(crossed, np.cross(v, w), atol=8 * EPS * 25)
 
 
@@ -324,10 +324,10 @@ def assert_same(a, b, n):
 @pytest.mark.parametrize("weighted", [False, True])
 def test_blocks_leave_no_trace(monkeypatch, weighted):
     """A stream of more than two blocks, as one, in blocks of other sizes, and piece by piece."""
-    n = 2 * attitude.BLOCK + 1000
+    n = 2 * analytic_platform.BLOCK + 1000
     gyro = random_recording(n + 2)
     # Sequences that start on a border of blocks, just beside one, end on one, and reach over two.
-    B = attitude.BLOCK
+    B = analytic_platform.BLOCK
     edges = np.array([0, 700, B - 1, B, B + 1, 2 * B, 2 * B, n])
     spans = np.stack([edges[:-1], edges[1:]], axis=1) + 1
     spans = spans[spans[:, 1] > spans[:, 0]]
@@ -339,11 +339,11 @@ def test_blocks_leave_no_trace(monkeypatch, weighted):
     found, kept = integrate(stream, ERRORS, earth, with_noise=True)
     assert kept.shape == ((3, 3, total) if weighted else (3, 3, 0))
     for block in (997, 1 << 20):
-        monkeypatch.setattr(attitude, "BLOCK", block)
+        monkeypatch.setattr(analytic_platform, "BLOCK", block)
         other, other_kept = integrate(stream, ERRORS, earth, with_noise=True)
         assert_same(other, found, n)
         np.testing.assert_allclose(other_kept, kept, rtol=0, atol=64 * EPS)
-    monkeypatch.setattr(attitude, "BLOCK", B)
+    monkeypatch.setattr(analytic_platform, "BLOCK", B)
     at = 0
     for k, span in enumerate(spans):
         length = int(span[1] - span[0])
@@ -359,7 +359,7 @@ def test_blocks_leave_no_trace(monkeypatch, weighted):
 
 def test_long_chain_against_one_by_one_multiplication():
     """About a fixed axis no coning enters: only the chain over the block's border is left."""
-    n = attitude.BLOCK + 77
+    n = analytic_platform.BLOCK + 77
     sizes = 0.05 * np.sin(np.arange(n) / 50.0)
     axis = np.array([0.6, -0.48, 0.64])
     found, _ = integrate(one_stream(sizes[:, None] * axis, 0.01), PERFECT, np.zeros((1, 3)))

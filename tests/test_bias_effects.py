@@ -14,14 +14,14 @@ import pytest
 from conftest import RAMP_S, RATE_RAD_S, SAMPLE_RATE_HZ, WINDOW_S, G
 
 import sims
-from srt.catalogue import AXES, SEQUENCES
 from srt.constants import DEG
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.rotations import cross_matrix, rotation_matrix
+from srt.model.table1 import AXES, SEQUENCES
 from srt.options import Options
 from srt.playback import Player
 from srt.playback_data import prepare
-from srt.quaternion import cross_matrix, rotation_matrix
-from srt.recording import Site
-from srt.rotation_integrals import ideal_rotations
+from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
 
 BIAS = np.array([0.12, -0.08, 0.1]) * DEG

@@ -10,7 +10,7 @@ from sims import campaigns
 from sims.imu import read_out
 from sims.sequences import TABLE_1
 from sims.table_motion import table1_motion
-from srt.compensation import accel_triad, gyro_triad
+from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sims
-from srt.catalogue import AXES, SEQUENCES
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.table1 import AXES, SEQUENCES
 from srt.playback_data import nominal_attitude
-from srt.rotation_integrals import ideal_rotations
 
 EPS = np.finfo(float).eps
 UNIT = dict(zip(AXES, np.eye(3), strict=True))

@@ -24,7 +24,7 @@ from srt.certificate.change import FALSE_ALARM, change_since
 from srt.certificate.figures import pictures
 from srt.certificate.replay import check_recording, replay
 from srt.merge import merge_calibrations
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS, SensorErrors
 
 COMPONENTS = ("horizontal_x", "horizontal_y", "start_down", "end_down")

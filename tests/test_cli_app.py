@@ -17,7 +17,7 @@ from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.cli.calibrate import CHOICES
 from srt.cli.simulate import FORMATS
-from srt.samples_io import SAMPLES_FORMATS
+from srt.recording.samples import SAMPLES_FORMATS
 
 HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow")
 
@@ -212,7 +212,7 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, capfd, 
         done.append(descriptor)
         sync(descriptor)
 
-    monkeypatch.setattr("srt.atomic.os.fsync", interrupted)
+    monkeypatch.setattr("srt.recording.atomic.os.fsync", interrupted)
     folder = tmp_path / "x"
     assert main(["simulate", "noise-free", "-o", str(folder)]) == 130
     assert capfd.readouterr() == ("", "\n")

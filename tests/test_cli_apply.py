@@ -12,7 +12,7 @@ import srt
 from srt.c_header import c99_header
 from srt.calibration import Calibration
 from srt.cli import main
-from srt.quaternion import rotation_matrix
+from srt.model.rotations import rotation_matrix
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 U = rotation_matrix(np.array([0.0, 0.1, -0.05]))
@@ -266,7 +266,7 @@ def test_a_failure_leaves_nothing(unit, recording, tmp_path, capfd, monkeypatch)
     def fail(*args, **options):
         raise srt.InputError("The disk is full.")
 
-    monkeypatch.setattr("srt.recording_io.write_samples", fail)
+    monkeypatch.setattr("srt.recording.folder.write_samples", fail)
     line = [unit, recording, "-o", tmp_path / "out", "--c-header", tmp_path / "imu.h"]
     assert refused(capfd, *line) == "srt: The disk is full.\n"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["raw", "unit.json"]

@@ -13,7 +13,7 @@ from srt import exporters
 from srt.calibration import Calibration
 from srt.cli import main
 from srt.exporters import Readings, export
-from srt.quaternion import rotation_matrix
+from srt.model.rotations import rotation_matrix
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("yaml")

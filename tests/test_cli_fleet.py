@@ -19,7 +19,7 @@ from sims.imu import read_out
 from sims.table_motion import table1_motion
 from srt.cli import main
 from srt.cli.recordings import find_recordings, unit_names
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.sensor_errors import INDEX, NAMES, SYMBOLS, SensorErrors
 
 ODD, BROKEN, SHIFT = "unit-2", "unit-10", 0.02

@@ -14,9 +14,9 @@ import pytest
 import sims
 import srt
 from sims import campaigns
-from srt.catalogue import SEQUENCES
 from srt.cli import main
 from srt.cli.inspection_report import significant
+from srt.model.table1 import SEQUENCES
 
 RATE = 100.0
 

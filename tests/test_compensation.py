@@ -12,8 +12,9 @@ from hypothesis.extra.numpy import arrays
 
 import sims
 from sims.imu import exact_increments
-from srt.attitude import gyro_stream, integrate
-from srt.compensation import (
+from srt.exceptions import DataError
+from srt.model.analytic_platform import gyro_stream, integrate
+from srt.model.sensor_model import (
     MIN_SINGULAR_VALUE,
     SIGNS,
     Triad,
@@ -25,7 +26,6 @@ from srt.compensation import (
     outside_model,
     to_mars,
 )
-from srt.exceptions import DataError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
 EPS = np.finfo(float).eps

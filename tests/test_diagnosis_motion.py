@@ -26,7 +26,7 @@ from srt.diagnosis.motion import offset
 from srt.diagnosis.turn_evidence import cross, legs, robust_fit
 from srt.exceptions import InputError
 from srt.options import Options
-from srt.recording import Fixture, Recording, SequenceLabel, Site
+from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.segmentation import find_turns
 
 STAGES = ("sequences", "windows", "motion")

@@ -27,7 +27,7 @@ from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.repeat_evidence import stuck_runs
 from srt.diagnosis.spike_evidence import find_spikes
 from srt.exceptions import SrtError
-from srt.recording import ImuNoise, Recording, SequenceLabel, Site
+from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
 SEED = 320_000
 STAGES = ("timing", "channels", "units", "frames")

@@ -20,7 +20,7 @@ from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of
 from srt.diagnosis.rest_evidence import rest_fit
 from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M  # registers its checks
-from srt.recording import Fixture, Recording, SequenceLabel, Site
+from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
 
 FAULTS = ("gravity", "latitude", "north")

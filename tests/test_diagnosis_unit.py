@@ -20,7 +20,7 @@ from srt.diagnosis.noise_evidence import shown_noise
 from srt.diagnosis.rest_evidence import rest_fit
 from srt.diagnosis.unit import BENCH_C, NOISE_RATIO, STEADY_C  # registers its checks
 from srt.options import Options
-from srt.recording import ImuNoise, Recording, SequenceLabel, Site
+from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
 FAULTS = (
     "temperature_unit",

@@ -25,11 +25,11 @@ from test_errata_papers import BIAS_EFFECTS
 import sims
 import srt
 from sims import plan_file
-from srt import recording_keys
 from srt.calibration import STATUSES
 from srt.cli import main
 from srt.cli.app import app
 from srt.mount_alignment import mount_from_calibration
+from srt.recording import schema
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -216,10 +216,10 @@ def first_column(page, heading):
     return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
 
 
-@pytest.mark.parametrize("section", recording_keys.SECTIONS)
+@pytest.mark.parametrize("section", schema.SECTIONS)
 def test_the_page_of_files_lists_the_keys_of_a_recording(section):
     heading = "`[[sequence]]`" if section == "sequence" else f"`[{section}]`"
-    assert first_column("docs/reference/files.md", heading) == {k.name for k in recording_keys.SECTIONS[section]}
+    assert first_column("docs/reference/files.md", heading) == {k.name for k in schema.SECTIONS[section]}
 
 
 def test_the_page_of_files_lists_the_keys_of_a_calibration():

@@ -8,13 +8,13 @@ from conftest import SAMPLE_RATE_HZ, Simulated, component_rows
 from test_equations_signatures import G, ideal_jacobian
 
 import sims
-from srt import closed_form
-from srt.catalogue import SEQUENCES
 from srt.closed_form_estimator import ClosedFormSolver
+from srt.model import closed_form
+from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback import Player
 from srt.playback_data import prepare
-from srt.recording import Site
+from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
 ALL = tuple(SEQUENCES)

@@ -21,10 +21,10 @@ from conftest import RATE_RAD_S, WINDOW_S, G, Simulated
 from scipy.spatial.transform import Rotation
 
 from sims.fixture import FixtureDraw, FixtureGeometry, rotation
-from srt import closed_form, measurement_model, rotation_integrals
-from srt.catalogue import AXES, SEQUENCES, Sequence
-from srt.compensation import Triad, accel_triad, gyro_triad
-from srt.quaternion import cross_matrix
+from srt.model import closed_form, measurement_model, rotation_integrals
+from srt.model.rotations import cross_matrix
+from srt.model.sensor_model import Triad, accel_triad, gyro_triad
+from srt.model.table1 import AXES, SEQUENCES, Sequence
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 MODULES = (measurement_model, rotation_integrals, closed_form)

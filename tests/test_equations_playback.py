@@ -17,7 +17,7 @@ from srt.constants import EARTH_RATE_RAD_S
 from srt.options import Options
 from srt.playback import Player
 from srt.playback_data import prepare
-from srt.recording import SequenceLabel, Site
+from srt.recording.recording import SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
 
 LATITUDE, HEADING = 0.8, 0.4

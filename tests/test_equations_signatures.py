@@ -7,10 +7,10 @@ import pytest
 import sympy as sp
 from conftest import RATE_RAD_S, WINDOW_S, G
 
-from srt import measurement_model as model
-from srt.catalogue import AXES, SEQUENCES
-from srt.compensation import Triad
-from srt.rotation_integrals import ideal_rotations
+from srt.model import measurement_model as model
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.sensor_model import Triad
+from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import INDEX, N_PARAMETERS
 
 PERFECT = Triad(np.eye(3), np.zeros(3), np.zeros(3))

@@ -15,13 +15,13 @@ from conftest import RATE_RAD_S, WINDOW_S, G
 from scipy.stats import chi2
 
 import sims
-from srt import closed_form
-from srt.catalogue import SEQUENCES
 from srt.exceptions import InputError
+from srt.model import closed_form
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback_data import prepare
-from srt.recording import Site
-from srt.rotation_integrals import ideal_rotations
+from srt.recording.recording import Site
 from srt.sensor_errors import INDEX, SensorErrors
 from srt.windows import averaging_weights
 

@@ -14,10 +14,10 @@ import pytest
 from conftest import G
 from test_equations_signatures import ideal_jacobian
 
-from srt.catalogue import AXES, SEQUENCES
-from srt.compensation import Triad
-from srt.measurement_model import attitude_error_jacobian, force_error_jacobian
-from srt.rotation_integrals import ideal_rotations
+from srt.model.measurement_model import attitude_error_jacobian, force_error_jacobian
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.sensor_model import Triad
+from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import INDEX, N_PARAMETERS, SYMBOLS
 
 PLACE = {symbol: i for i, symbol in enumerate(SYMBOLS)}

@@ -16,10 +16,10 @@ import pytest
 import srt
 from srt import exporters
 from srt.calibration import Calibration
-from srt.compensation import accel_triad, gyro_triad
 from srt.exporters import Readings, Settings, export, gtsam_preintegration, load, save
 from srt.exporters.linear import lower_rotation, upper_rotation
-from srt.quaternion import rotation_matrix
+from srt.model.rotations import rotation_matrix
+from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 yaml = pytest.importorskip("yaml")
@@ -408,7 +408,7 @@ def test_a_file_comes_back_as_a_pre_calibration(tmp_path, target):
         within = 20.0 * SINGLE if target == "vectornav" else EXACT
         np.testing.assert_allclose(found.errors.vector, expected, rtol=0, atol=within)
         np.testing.assert_allclose(found.U, made.C_FB.T, rtol=0, atol=within)
-        prior = importlib.import_module("srt.prior").Prior.from_sigma(np.full(N_PARAMETERS, 1e-3), found.errors)
+        prior = importlib.import_module("srt.model.prior").Prior.from_sigma(np.full(N_PARAMETERS, 1e-3), found.errors)
         assert prior.mean == found.errors
 
 

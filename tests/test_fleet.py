@@ -249,7 +249,7 @@ def test_a_defect_of_the_program_is_one_units_own(tmp_path, monkeypatch):
     def defect(path):
         raise ZeroDivisionError("of\nzero")
 
-    monkeypatch.setattr("srt.recording_io.load_recording", defect)
+    monkeypatch.setattr("srt.recording.folder.load_recording", defect)
     (unit,) = calibrate_fleet([tmp_path]).units
     assert unit.exit_code == 1
     assert unit.message.startswith("The program failed (ZeroDivisionError: of zero): ")

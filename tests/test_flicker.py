@@ -11,8 +11,9 @@ from scipy.integrate import dblquad
 import sims
 from sims.imu import CORRELATION_TIMES_S as SIMULATED_TIMES_S
 from sims.imu import drift
-from srt.flicker import CORRELATION_TIMES_S, correlation_times, cut, drift_draws, flicker_covariance, window_draws
-from srt.recording import Site
+from srt.flicker import CORRELATION_TIMES_S, correlation_times, drift_draws, flicker_covariance, window_draws
+from srt.model.rotation_integrals import equal_parts
+from srt.recording.recording import Site
 
 TIME_S = 100.0 + 0.01 * np.arange(1, 4001)
 PROCESS = math.log(10.0) / (2.0 * math.log(2.0))
@@ -103,7 +104,7 @@ def test_draws_have_the_covariance():
 def test_rotations_too_short_for_their_parts():
     """Parts without a sample stay without effect, and the draws stay finite."""
     rotation = np.array([[100, 103], [203, 204]])
-    assert np.array_equal(cut(rotation, 4), [[100, 100, 101, 102, 103], [203, 203, 203, 203, 204]])
+    assert np.array_equal(equal_parts(rotation, 4), [[100, 100, 101, 102, 103], [203, 203, 203, 203, 204]])
     draws = drift_draws(np.array([[0, 100], [103, 203], [204, 304]]), rotation, TIME_S)
     assert np.all(np.isfinite(draws.parts))
     np.testing.assert_allclose(draws.part_s.sum(axis=1), [0.03, 0.01], rtol=1e-9)

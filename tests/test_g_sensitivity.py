@@ -25,11 +25,11 @@ from srt.cli import main
 from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.iteration import CONVERGED_CORRECTION
-from srt.measurement_model import attitude_to_horizontal
+from srt.model.measurement_model import attitude_to_horizontal
 from srt.options import Options
 from srt.playback import Player
 from srt.playback_data import prepare
-from srt.recording import Fixture, Site
+from srt.recording.recording import Fixture, Site
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 
 PER_G = DEG_PER_H / STANDARD_GRAVITY_M_S2

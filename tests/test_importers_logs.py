@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.importers import guarded
-from srt.importers.imported import to_recording
-from srt.importers.options import ImportOptions
-from srt.importers.registry import find_importer, import_file
-from srt.recording import Site
+from srt.recording.importers import guarded
+from srt.recording.importers.imported import to_recording
+from srt.recording.importers.options import ImportOptions
+from srt.recording.importers.registry import find_importer, import_file
+from srt.recording.recording import Site
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 ff = importlib.import_module("foreign_files")

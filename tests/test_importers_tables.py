@@ -12,11 +12,11 @@ import scipy.io
 import srt
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError, InputError
-from srt.importers import registry
-from srt.importers.channels import meaning_of
-from srt.importers.imported import Imported, Units, assemble, join_streams, to_recording, without_repeats
-from srt.importers.options import ImportOptions, parse_axis_map, parse_columns, parse_lsb, parse_offset
-from srt.importers.registry import IMPORTERS, find_importer, import_file
+from srt.recording.importers import registry
+from srt.recording.importers.channels import meaning_of
+from srt.recording.importers.imported import Imported, Units, assemble, join_streams, to_recording, without_repeats
+from srt.recording.importers.options import ImportOptions, parse_axis_map, parse_columns, parse_lsb, parse_offset
+from srt.recording.importers.registry import IMPORTERS, find_importer, import_file
 
 N = 40
 RNG = np.random.default_rng(5)

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 import sims
 import srt
 from sims import campaigns, recorded
-from srt.catalogue import SEQUENCES
 from srt.inspection import declared_units, inspect
 from srt.inspection_plot import envelope, inspection_figure, save_figure
+from srt.model.table1 import SEQUENCES
 
 FOLDER = recorded.data_folder()
 RATE = 100.0

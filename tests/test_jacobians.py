@@ -11,14 +11,14 @@ import pytest
 from conftest import G, component_rows
 
 import sims
-from srt import measurement_model as model
-from srt.attitude import integrate
-from srt.compensation import accel_triad, gyro_triad, outside_model
+from srt.model import measurement_model as model
+from srt.model.analytic_platform import integrate
+from srt.model.rotations import cross_matrix
+from srt.model.sensor_model import accel_triad, gyro_triad, outside_model
 from srt.options import Options
 from srt.playback import Player
 from srt.playback_data import prepare
-from srt.quaternion import cross_matrix
-from srt.recording import Site
+from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
 EARTH = 7.292115e-5

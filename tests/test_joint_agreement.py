@@ -24,13 +24,13 @@ from scipy.stats import chi2, norm
 import sims
 from sims.campaigns import noisy_recording
 from srt import iteration
-from srt.catalogue import AXES
 from srt.closed_form_estimator import ClosedFormSolver
 from srt.constants import EARTH_RATE_RAD_S
 from srt.least_squares_estimator import LeastSquaresSolver
+from srt.model.prior import Prior
+from srt.model.table1 import AXES
 from srt.options import Options
-from srt.prior import Prior
-from srt.recording import Fixture, ImuNoise, Site
+from srt.recording.recording import Fixture, ImuNoise, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.session import open_session
 from srt.start import first_estimate

@@ -21,7 +21,7 @@ from sims.imu import read_out
 from sims.sequences import TABLE_1
 from sims.table_motion import table1_motion
 from srt.constants import DEG_PER_H
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.sensor_errors import NAMES
 
 pytest.importorskip("filterpy")

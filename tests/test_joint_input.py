@@ -15,8 +15,8 @@ from sims.table_motion import table1_motion
 from srt.cli import main
 from srt.constants import DEG_PER_H
 from srt.exceptions import InputError
-from srt.prior import Prior
-from srt.recording import Fixture
+from srt.model.prior import Prior
+from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 
 JOINT = ("ekf", "graph")

@@ -21,12 +21,13 @@ from scipy.spatial.transform import Rotation
 import sims
 from sims.campaigns import large_errors
 from sims.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
-from srt import flicker, quaternion
-from srt import measurement_model as model
-from srt.compensation import accel_triad, gyro_triad
+from srt import flicker
+from srt.model import measurement_model as model
+from srt.model import rotation_integrals, rotations
+from srt.model.prior import Prior
+from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.options import Options
-from srt.prior import Prior
-from srt.recording import Fixture, ImuNoise, SequenceLabel, Site
+from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 pytest.importorskip("gtsam")
@@ -84,18 +85,18 @@ def numerical(scale, distance=1.0, step=1e-3):
 def test_rotation_vectors_round_trip(direction, angle):
     """To rounding of the angle, and of a small one relative to itself; at half a turn the sign alone is open."""
     phi = angle * direction / np.linalg.norm(direction)
-    found = quaternion.rotation_vector(quaternion.rotation_matrix(phi[None]))[0]
+    found = rotations.rotation_vector(rotations.rotation_matrix(phi[None]))[0]
     # The quaternion's elements come with some ten roundings, the angle is twice its arc; subnormal numbers have none.
     assert np.abs(found - phi).max() <= 20.0 * EPS * angle + 1e-300
-    np.testing.assert_allclose(quaternion.rotation_vector(exp(phi)[None])[0], phi, rtol=0, atol=20.0 * EPS)
+    np.testing.assert_allclose(rotations.rotation_vector(exp(phi)[None])[0], phi, rtol=0, atol=20.0 * EPS)
 
 
 @settings(deadline=None)
 @given(directions(), st.floats(0.0, 1e-7))
 def test_rotation_vectors_at_half_a_turn(direction, less):
     phi = (math.pi - less) * direction / np.linalg.norm(direction)
-    C = quaternion.rotation_matrix(phi[None])
-    found = quaternion.rotation_vector(C)[0]
+    C = rotations.rotation_matrix(phi[None])
+    found = rotations.rotation_vector(C)[0]
     assert np.linalg.norm(found) <= math.pi + 4.0 * EPS
     # Either sign is within rounding of half a turn.
     off = min(np.abs(found - phi).max(), np.abs(found + phi).max() - 2.0 * less)
@@ -104,8 +105,8 @@ def test_rotation_vectors_at_half_a_turn(direction, less):
 
 
 def test_no_rotation_at_all():
-    assert not quaternion.rotation_vector(np.eye(3)[None]).any()
-    np.testing.assert_array_equal(quaternion.inverse_right_jacobian(np.zeros((1, 3)))[0], np.eye(3))
+    assert not rotations.rotation_vector(np.eye(3)[None]).any()
+    np.testing.assert_array_equal(rotations.inverse_right_jacobian(np.zeros((1, 3)))[0], np.eye(3))
 
 
 @settings(deadline=None)
@@ -113,7 +114,7 @@ def test_no_rotation_at_all():
 def test_inverse_right_jacobian(direction, angle):
     """Log(Exp(φ) Exp(δ)) and Log(Exp(δ) Exp(φ)), also where the series ends; both vary over a whole turn, 2π away."""
     phi = angle * direction / np.linalg.norm(direction)
-    found = quaternion.inverse_right_jacobian(phi[None])[0]
+    found = rotations.inverse_right_jacobian(phi[None])[0]
     right = derivative(lambda d: log(exp(phi) @ exp(d)))
     left = derivative(lambda d: log(exp(d) @ exp(phi)))
     assert np.abs(found - right).max() <= numerical(4.0, 2.0)
@@ -125,11 +126,11 @@ def test_inverse_right_jacobian(direction, angle):
 def test_inverse_right_jacobian_is_the_inverse(direction, angle):
     """Of Σ (−φ×)ⁿ / (n + 1)!, at any angle; 40 terms leave 1e-16 of it."""
     phi = angle * direction / np.linalg.norm(direction)
-    X, term, Jr = quaternion.cross_matrix(phi), np.eye(3), np.eye(3)
+    X, term, Jr = rotations.cross_matrix(phi), np.eye(3), np.eye(3)
     for n in range(1, 41):
         term = term @ -X / (n + 1)
         Jr = Jr + term
-    found = quaternion.inverse_right_jacobian(phi[None])[0]
+    found = rotations.inverse_right_jacobian(phi[None])[0]
     # Terms of up to e^|φ|, and an inverse of up to |φ| / (2 sin |φ|/2).
     assert np.abs(found @ Jr - np.eye(3)).max() <= 10.0 * EPS * math.exp(angle) * np.linalg.norm(found, 2)
 
@@ -143,7 +144,7 @@ def test_smallest_rotation(first, other, angle):
     assume(np.linalg.norm(axis) > 0.1)
     axis /= np.linalg.norm(axis)
     b = exp(angle * axis) @ a
-    found = quaternion.smallest_rotation(a[None], b[None])[0]
+    found = rotations.smallest_rotation(a[None], b[None])[0]
     rounding = 20.0 * EPS / (1.0 + math.cos(angle))
     np.testing.assert_allclose(found @ a, b, rtol=0, atol=rounding)
     np.testing.assert_allclose(found @ axis, axis, rtol=0, atol=rounding)
@@ -595,7 +596,7 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     problem, system = case.problem, case.system
     data, draws = problem.data, problem.data.drift
     windows = data.windows.samples
-    ends = flicker.cut(data.rotation, draws.parts.shape[1])
+    ends = rotation_integrals.equal_parts(data.rotation, draws.parts.shape[1])
     spans = [*windows.tolist(), *np.stack([ends[:, :-1], ends[:, 1:]], axis=2).reshape(-1, 2).tolist()]
     values = np.concatenate([draws.windows, draws.parts.reshape(-1, draws.parts.shape[2])])
     found, kinds = unwhitened(system), ("force", "rate", "turn")

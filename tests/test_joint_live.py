@@ -10,7 +10,7 @@ from sims import campaigns
 from sims.imu import read_out
 from sims.table_motion import table1_motion
 from srt.exceptions import InputError
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.sensor_errors import NAMES
 
 pytest.importorskip("filterpy")

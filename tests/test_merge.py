@@ -19,7 +19,7 @@ from srt.constants import DEG_PER_H
 from srt.merge import merge_calibrations
 from srt.merge_model import between_sigma, stack_of
 from srt.merge_table import repeatability_text
-from srt.recording import Fixture
+from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
 TAIL = 2.3e-4

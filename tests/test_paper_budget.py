@@ -6,13 +6,13 @@ from decimal import ROUND_HALF_UP, Decimal
 import numpy as np
 import pytest
 
-from srt import measurement_model as model
-from srt.catalogue import AXES, SEQUENCES
-from srt.compensation import accel_triad
 from srt.constants import ARCSEC, DEG_PER_SQRT_H, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
+from srt.model import measurement_model as model
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.sensor_model import accel_triad
+from srt.model.table1 import AXES, SEQUENCES
 from srt.paper_budget import PAPER_BIAS, QUANTITIES, PaperSetting, bias_effects, paper_budget
-from srt.rotation_integrals import ideal_rotations
 from srt.sensor_errors import INDEX, SensorErrors
 
 G = STANDARD_GRAVITY_M_S2

@@ -12,8 +12,8 @@ import sims
 import srt
 from sims.library import names
 from sims.plan_file import load_plan_file
-from srt.catalogue import SEQUENCES
 from srt.exceptions import DataError, InputError
+from srt.model.table1 import SEQUENCES
 from srt.planning.candidates import from_catalogue
 from srt.planning.document import timetable
 from srt.planning.information import N_UNKNOWNS, Conditions

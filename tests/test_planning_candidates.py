@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from sims.fixture import FixtureGeometry
 from sims.motion import RateProfile
 from sims.sequences import TABLE_1, TurnSequence
-from srt.catalogue import SEQUENCES, Sequence
 from srt.exceptions import InputError
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.table1 import SEQUENCES, Sequence
 from srt.planning.candidates import Candidate, executable, from_catalogue, words
 from srt.planning.order import best_order
 from srt.planning.stand import Stand, StandAxis
-from srt.rotation_integrals import ideal_rotations
 
 LIMITED = Stand(StandAxis(travel_deg=(-180.0, 180.0)), StandAxis(travel_deg=(-180.0, 180.0)))
 OUTER_ONLY = Stand(StandAxis(turns=False, positions_deg=(0.0, 90.0), set_s=300.0), StandAxis())

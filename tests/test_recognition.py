@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 import srt
 from sims import recognition_study as study
 from sims.faults import GRADES, Case
-from srt.catalogue import AXES, SEQUENCES
 from srt.faces import face_vector, quarter_turn
+from srt.model.table1 import AXES, SEQUENCES
 from srt.recognition import label_sequences, recognise
 
 

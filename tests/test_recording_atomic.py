@@ -8,9 +8,8 @@ import sys
 
 import pytest
 
-from srt.atomic import atomic_path, atomic_write_bytes, atomic_write_text
-from srt.exceptions import InputError
-from srt.suggestions import did_you_mean
+from srt.exceptions import InputError, did_you_mean
+from srt.recording.atomic import atomic_path, atomic_write_bytes, atomic_write_text
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):

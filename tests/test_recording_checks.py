@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from srt.exceptions import DataError
-from srt.recording import ImuNoise, Recording, Site
+from srt.recording.recording import ImuNoise, Recording, Site
 from srt.recording_checks import (
     check_interval,
     check_rest,

@@ -17,9 +17,9 @@ from hypothesis.extra.numpy import arrays
 
 from srt.constants import ARCSEC, DEG, STANDARD_GRAVITY_M_S2, normal_gravity_m_s2
 from srt.exceptions import InputError, MissingExtraError
-from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
-from srt.recording_io import load_recording, write_recording
-from srt.samples_io import SAMPLES_FORMATS, Samples, read_samples, write_samples
+from srt.recording.folder import load_recording, write_recording
+from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+from srt.recording.samples import SAMPLES_FORMATS, Samples, read_samples, write_samples
 
 REQUIRES = {"parquet": "pyarrow", "h5": "h5py"}
 FORMATS = [
@@ -288,7 +288,7 @@ def test_a_failed_write_leaves_nothing_of_its_own_and_all_that_was(tmp_path, mon
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setitem(sys.modules["srt.samples_io"]._FORMATS, ".csv", (fail, fail))
+    monkeypatch.setitem(sys.modules["srt.recording.samples"]._FORMATS, ".csv", (fail, fail))
     with pytest.raises(InputError, match="No space left"):
         write_recording(make(), tmp_path / "new")
     assert not (tmp_path / "new").exists()

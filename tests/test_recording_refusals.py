@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from srt.exceptions import InputError
-from srt.recording_io import load_recording
+from srt.recording.folder import load_recording
 
 HEADER = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
 ROWS = [f"{0.01 * i:.2f},0.1,0.2,0.3,0.01,0.02,{9.8 + 1e-9 * (i % 7):.9f}" for i in range(1, 801)]

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srt.exceptions import InputError
-from srt.recording import Recording, Site
-from srt.sample_timing import sample_timing, stamp_resolution
+from srt.recording.recording import Recording, Site
+from srt.recording.timing import sample_timing, stamp_resolution
 
 N = 5000
 
@@ -136,7 +136,7 @@ def test_resolution_of_other_stamps_is_that_of_floats():
 
 def test_timing_is_found_once_and_only_when_asked_for(monkeypatch):
     calls = []
-    monkeypatch.setattr("srt.recording.sample_timing", lambda *a: calls.append(a) or sample_timing(*a))
+    monkeypatch.setattr("srt.recording.recording.sample_timing", lambda *a: calls.append(a) or sample_timing(*a))
     recording = Recording(stamps(0.01), np.zeros((N, 3)), np.zeros((N, 3)), Site(9.8))
     assert not calls
     assert recording.interval_s == recording.nominal_interval_s == pytest.approx(0.01)

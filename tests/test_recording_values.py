@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srt.exceptions import InputError
-from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
 
 SITE = Site(9.80665, latitude_rad=0.8)
 

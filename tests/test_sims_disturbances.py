@@ -16,7 +16,7 @@ import sims
 from sims.disturbances import accel_bias_step, lose_samples, noisier_window, tilt_step, wrong_angle
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import InputError
-from srt.recording import Recording, Site
+from srt.recording.recording import Recording, Site
 from srt.sensor_errors import SensorErrors
 
 LATITUDE = math.radians(45.0)

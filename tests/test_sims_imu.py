@@ -9,7 +9,7 @@ import sims
 from sims.imu import ALLAN_FLOOR, CORRELATION_TIMES_S, ImuModel, drift, read_out
 from sims.true_motion import TrueMotion
 from srt.exceptions import InputError
-from srt.recording import ImuNoise, Site
+from srt.recording.recording import ImuNoise, Site
 from srt.sensor_errors import SensorErrors
 
 SITE = Site(9.80665, 5e-6, math.radians(45.0))

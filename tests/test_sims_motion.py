@@ -14,7 +14,7 @@ from sims.integrals import node_count
 from sims.motion import angle_profile
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import InputError
-from srt.recording import Site
+from srt.recording.recording import Site
 
 LATITUDE = math.radians(45.0)
 SITE = Site(9.80665, 5e-6, LATITUDE)

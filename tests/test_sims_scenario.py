@@ -13,7 +13,7 @@ from sims import library
 from sims.simulation import schedule_of
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.exceptions import InputError
-from srt.recording_io import load_recording, write_recording
+from srt.recording.folder import load_recording, write_recording
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 SMALL = {

@@ -148,7 +148,7 @@ def test_inflation_correlation_and_weakest_combination():
         assert abs(value) == pytest.approx(np.abs(others).max(), rel=1e-9)
     assert result["probability"] == pytest.approx(0.55782540, rel=1e-7)  # exp(-3/2) (1 + 3/2)
     combination = result["weakest_combination"]
-    from srt.held import prior_sigma
+    from srt.model.prior import prior_sigma
 
     scaled = part / np.outer(prior_sigma()[seen], prior_sigma()[seen])
     assert combination["sigma_over_prior"] ** 2 == pytest.approx(np.linalg.eigvalsh(scaled)[-1], rel=1e-9)

@@ -22,7 +22,7 @@ import pytest
 
 import sims
 import srt
-from srt.recording import Fixture, Site
+from srt.recording.recording import Fixture, Site
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {"srt": "srt", "estimators": "estimators", "sims": "sims", "configs": "sims/configs"}

@@ -30,10 +30,9 @@ from sims import library
 from sims.scenario import Finite, Flag, Scenario, scenario_from_dict, validation_sentence
 from sims.sequences import TABLE_1
 from srt.estimation import find_estimator
-from srt.exceptions import InputError
+from srt.exceptions import InputError, did_you_mean
 from srt.options import Options
 from srt.sensor_errors import SensorErrors
-from srt.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from sims.robustness.config import AXES
 from srt.assembly import software
-from srt.atomic import atomic_path, atomic_write_text, unwritable
 from srt.exceptions import InputError, MissingExtraError
+from srt.recording.atomic import atomic_path, atomic_write_text, unwritable
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.certificate.tables import Cell, Table
-from srt.compensation import accel_triad, gyro_triad
+from srt.model.sensor_model import accel_triad, gyro_triad
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
-    from srt.compensation import Triad
+    from srt.model.sensor_model import Triad
 
     Array = NDArray[np.float64]
 

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import ndtri
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, clipped
 from srt.sensor_errors import NAMES
-from srt.suggestions import clipped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

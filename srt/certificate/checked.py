@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.calibration import load_calibration
-from srt.compensation import outside_model
-from srt.exceptions import InputError
+from srt.exceptions import InputError, clipped
+from srt.model.sensor_model import outside_model
 from srt.sensor_errors import INDEX, N_PARAMETERS, SYMBOLS, UNITS
-from srt.suggestions import clipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.catalogue import AXES
 from srt.certificate.tables import plain
 from srt.constants import MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.figure_style import (
@@ -26,6 +25,7 @@ from srt.figure_style import (
     style,
 )
 from srt.inspection_plot import envelope
+from srt.model.table1 import AXES
 from srt.plots import _convergence as draw_convergence
 from srt.plots import _errors as draw_errors
 from srt.plots import _values as draw_values

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, clipped, did_you_mean
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
-from srt.suggestions import clipped, did_you_mean
 
 if TYPE_CHECKING:
     from pathlib import Path

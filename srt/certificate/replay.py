@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt import quaternion
 from srt.applier import Applier
-from srt.catalogue import SEQUENCES
 from srt.constants import DEG
-from srt.exceptions import DataError, InputError
+from srt.exceptions import DataError, InputError, clipped
+from srt.model import rotations
+from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback import Player
 from srt.recognition import label_sequences
@@ -23,7 +23,6 @@ from srt.segmentation import find_turns
 from srt.sensor_errors import GROUP_SLICES
 from srt.session import open_session
 from srt.stillness import moved_windows
-from srt.suggestions import clipped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from srt.certificate.checked import Source
     from srt.playback import Playback
     from srt.playback_data import PlaybackData
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
 
@@ -245,9 +244,9 @@ def _course(calibration: Calibration, data: PlaybackData) -> Course:
         turn = slice(*data.rotation[k].tolist())
         fastest = max(fastest, _fastest(angle[turn], dt[turn], width))
         # The Earth turns by a few thousandths of a degree in a sequence's time: less than a line is wide.
-        chained = quaternion.prefix_product(quaternion.from_rotation_vector(np.ascontiguousarray(angle[a:b].T)))
+        chained = rotations.prefix_product(rotations.from_rotation_vector(np.ascontiguousarray(angle[a:b].T)))
         at = np.unique(np.linspace(0, b - a - 1, _MOST).astype(np.intp))
-        C = quaternion.to_matrix(np.ascontiguousarray(chained[:, at]))
+        C = rotations.to_matrix(np.ascontiguousarray(chained[:, at]))
         downs += [np.einsum("abn,a->nb", C, rest_down[data.start[k]]), np.full((1, 3), np.nan)]
         times += [recording.time[a:b][at], recording.time[b - 1 : b]]
     rest = recording.time[samples - np.array([0, 1])]

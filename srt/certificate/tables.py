@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from srt.suggestions import clipped
+from srt.exceptions import clipped
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet

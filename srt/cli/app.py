@@ -59,7 +59,7 @@ class LazyGroup(click.Group):
         """Find the command of a line; a name that is nearly right is suggested."""
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
-            from srt.suggestions import did_you_mean
+            from srt.exceptions import did_you_mean
 
             raise click.UsageError(f"There is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
         return super().resolve_command(ctx, args)

@@ -12,7 +12,7 @@ from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from srt.calibration import Calibration
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 FORMATS = ("csv", "npz", "parquet", "h5")
 HEADER_SUFFIXES = (".h",)
@@ -66,13 +66,13 @@ def apply(
     # All that can be refused has been: now it is written.
     written = []
     if corrected is not None and output is not None:
-        from srt.recording_io import write_recording
+        from srt.recording.folder import write_recording
 
         samples_format = samples_format or source_format
         write_recording(corrected, output, samples_format=samples_format, overwrite=overwrite)
         written.append(f"{output}: recording.toml, samples.{samples_format}")
     if header is not None and c_header is not None:
-        from srt.atomic import atomic_write_text
+        from srt.recording.atomic import atomic_write_text
 
         atomic_write_text(c_header, header)
         written.append(str(c_header))
@@ -155,7 +155,7 @@ def load_fit(path: Path, *, force: bool) -> Calibration:
         errors that such a status does not go with.
     """
     from srt.calibration import load_calibration
-    from srt.compensation import outside_model
+    from srt.model.sensor_model import outside_model
 
     calibration = load_calibration(path)
     if not isinstance(calibration.provenance, dict) or not isinstance(calibration.estimator, str):
@@ -241,8 +241,8 @@ def samples_suffix(recording: Path) -> str:
     """Format of the samples of a recording that has been read before; CSV for a foreign log."""
     import tomllib
 
-    from srt.recording_io import TOML_NAME
-    from srt.samples_io import SAMPLES_FORMATS
+    from srt.recording.folder import TOML_NAME
+    from srt.recording.samples import SAMPLES_FORMATS
 
     with (recording_folder(recording) / TOML_NAME if recording.is_dir() else recording).open("rb") as file:
         suffix = Path(tomllib.load(file)["recording"]["samples"]).suffix.lower().lstrip(".")

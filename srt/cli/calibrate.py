@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srt.calibration import Calibration
+    from srt.model.prior import Prior
     from srt.options import Options
-    from srt.prior import Prior
     from srt.sensor_errors import SensorErrors
 
 # The option types of srt.options, written out: importing them here would make help wait for numpy.
@@ -257,7 +257,7 @@ def load_prior(path: Path) -> Prior:
         What :func:`srt.load_calibration` raises, and a calibration that did not converge.
     """
     from srt.calibration import load_calibration
-    from srt.prior import Prior
+    from srt.model.prior import Prior
 
     calibration = load_calibration(path)
     if calibration.status not in ("converged", "partial"):

@@ -138,9 +138,9 @@ def write(made: Certificate, page: Path, document: Path) -> None:
     ------
     SrtError
     """
-    from srt.atomic import atomic_path, atomic_write_text
     from srt.certificate.page import html_page
     from srt.certificate.pdf import write_pdf
+    from srt.recording.atomic import atomic_path, atomic_write_text
 
     text = html_page(made)
     make_directory(page.parent)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srt.comparison import Comparison
     from srt.options import Options
     from srt.pairwise import Pair
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 SHARED_OPTIONS = ("no_asymmetry", "hold", "average", "window_attitude", "start", "max_playbacks")
 """Options of ``srt calibrate`` that mean the same to every estimator."""

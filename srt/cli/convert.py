@@ -13,10 +13,10 @@ from srt.exceptions import DataError, InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from srt.importers.imported import Imported
-    from srt.importers.options import ImportOptions
-    from srt.importers.registry import Importer
-    from srt.recording import Recording
+    from srt.recording.importers.imported import Imported
+    from srt.recording.importers.options import ImportOptions
+    from srt.recording.importers.registry import Importer
+    from srt.recording.recording import Recording
 
 FORMATS = ("csv", "npz", "parquet", "h5")
 
@@ -37,7 +37,7 @@ _READING = (
 def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> None:  # noqa: ARG001 - click's
     if not value or ctx.resilient_parsing:
         return
-    from srt.importers.registry import IMPORTERS, importer
+    from srt.recording.importers.registry import IMPORTERS, importer
     from srt.tables import text_table
 
     rows = []
@@ -143,9 +143,9 @@ def convert(
         raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
     options = reading_options(rest, second)
     document = surroundings(like, rest)
-    from srt.importers.imported import to_recording
-    from srt.importers.registry import import_file
-    from srt.recording_io import read_surroundings, write_recording
+    from srt.recording.folder import read_surroundings, write_recording
+    from srt.recording.importers.imported import to_recording
+    from srt.recording.importers.registry import import_file
 
     about = read_surroundings("What was said of the recording" if like is None else str(like), document)
     importer, imported = import_file(source, options, name)
@@ -216,7 +216,7 @@ def reading_options(given: Mapping[str, Any], second: Path | None) -> ImportOpti
     ------
     InputError
     """
-    from srt.importers.options import ImportOptions, parse_columns, parse_lsb, parse_offset
+    from srt.recording.importers.options import ImportOptions, parse_columns, parse_lsb, parse_offset
 
     fields: dict[str, Any] = {name: given[name] for name in _READING}
     for sensor in ("gyro", "accel"):
@@ -247,7 +247,7 @@ def surroundings(like: Path | None, given: Mapping[str, Any]) -> dict[str, Any]:
     InputError
         Gravity from nowhere, or a file that cannot be read.
     """
-    from srt.recording_io import read_document
+    from srt.recording.folder import read_document
 
     document = {} if like is None else {k: v for k, v in read_document(like).items() if k != "recording"}
     for section, keys in (("site", _SITE_KEYS), ("fixture", _FIXTURE_KEYS)):

@@ -88,8 +88,8 @@ def run_fleet(
     SrtError
         An engine that cannot start, or tables of the fleet that cannot be written.
     """
-    from srt.atomic import atomic_write_text
     from srt.fleet_run import calibrate_fleet
+    from srt.recording.atomic import atomic_write_text
 
     if output is not None:
         make_directory(output)

@@ -36,8 +36,8 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
         import srt.inspection_plot  # whether it can be
     import srt
     from srt import inspection
-    from srt.atomic import atomic_write_text
     from srt.cli.inspection_report import inspection_report
+    from srt.recording.atomic import atomic_write_text
 
     samples = srt.load_recording(recording)
     found = inspection.inspect(samples, calibrating=deep, units=inspection.declared_units(recording))

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from srt.atomic import unwritable
 from srt.exceptions import InputError
+from srt.recording.atomic import unwritable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -110,9 +110,9 @@ def make(
 ) -> int:
     """Make a plan, write what is asked for, and show it."""
     from sims.plan_file import scenario_toml
-    from srt.atomic import atomic_write_text
     from srt.planning.document import operator_sheet, plan_document
     from srt.planning.plan import make_plan, table_1_plan
+    from srt.recording.atomic import atomic_write_text
 
     stand, conditions, targets = chosen.stand.stand(), chosen.conditions(), chosen.targets.sigma()
     limits = chosen.plan.limits()

@@ -83,8 +83,8 @@ def robustness(
         check_file(markdown, (".md",), "The document")
     from sims.robustness.report import html_report, markdown_tables, short_answer, text_summary
     from sims.robustness.run import run_campaign
-    from srt.atomic import atomic_write_text
     from srt.engines import Engine
+    from srt.recording.atomic import atomic_write_text
 
     with campaign_progress(campaign.name, quiet=quiet) as progress:
         try:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.atomic import atomic_write_text
 from srt.exceptions import InputError
+from srt.recording.atomic import atomic_write_text
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:

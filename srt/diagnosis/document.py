@@ -6,8 +6,8 @@ import re
 import sys
 from typing import Final
 
-from srt.atomic import atomic_write_text
 from srt.diagnosis.faults import FAULTS, STAGES, Fault
+from srt.recording.atomic import atomic_write_text
 
 _INTRODUCTION: Final = """# Faults of a recording
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from srt.calibration import Calibration
     from srt.playback_data import PlaybackData
     from srt.recognition import Recognition
-    from srt.recording import Recording, SequenceLabel
+    from srt.recording.recording import Recording, SequenceLabel
 
     Array = NDArray[np.float64]
 
@@ -181,8 +181,8 @@ class Evidence:
         nominal, turned : ndarray, shape (L, 3), rad
             Stated rotation, signed angle times axis, and summed gyro reading less the mean of the two windows.
         """
-        from srt.attitude import gyro_stream
         from srt.fixture_start import split_legs
+        from srt.model.analytic_platform import gyro_stream
 
         data = self._data
         stream = gyro_stream(

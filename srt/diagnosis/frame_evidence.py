@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.catalogue import AXES
+from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

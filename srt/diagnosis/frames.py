@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.catalogue import AXES
 from srt.diagnosis.findings import check, found
 from srt.diagnosis.frame_evidence import accel_axes, gravity_relation, gyro_axes, mapping, nearest_axes
+from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from srt.exceptions import SrtError
     from srt.options import Options
     from srt.recognition import Recognition
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
 _MODULES: Final = ("timing", "channels", "units", "ranges", "frames", "sequences", "windows", "motion", "site", "unit")
 """Modules of this package that hold checks, one for each stage or part of one."""

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt import closed_form
-from srt.catalogue import SEQUENCES
 from srt.diagnosis.findings import check, found
 from srt.diagnosis.turn_evidence import blocks, legs, nominal_sums, once, solved, sums, swing, triads
 from srt.exceptions import DataError
+from srt.model import closed_form
+from srt.model.table1 import SEQUENCES
 from srt.segmentation import find_windows
 
 if TYPE_CHECKING:

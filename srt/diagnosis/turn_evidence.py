@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
-from srt import quaternion
 from srt.executed import end_attitude
+from srt.model import rotations
 from srt.playback_data import nominal_attitude
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.catalogue import Sequence
     from srt.diagnosis.evidence import Evidence
+    from srt.model.table1 import Sequence
 
     Array = NDArray[np.float64]
 
@@ -332,10 +332,10 @@ def swing(evidence: Evidence) -> Swing | None:
 
 def _attitudes(angle: Array, starts: NDArray[np.intp]) -> Array:
     """Attitude at the middle of every step of chains of rotation vectors, against the start of each; (n, 3, 3)."""
-    half = quaternion.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
-    ends = quaternion.prefix_product(quaternion.multiply(half, half))
+    half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
+    ends = rotations.prefix_product(rotations.multiply(half, half))
     begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
     # All chains are one: taken back to the start of each, and from the end of a step half of it back.
-    back = np.repeat(quaternion.conjugate(begins), np.diff(starts), axis=1)
-    middle = quaternion.multiply(quaternion.multiply(back, ends), quaternion.conjugate(half))
-    return np.ascontiguousarray(np.moveaxis(quaternion.to_matrix(middle), 2, 0))
+    back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
+    middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
+    return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import stdtrit
 
-from srt.catalogue import AXES
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
 from srt.diagnosis.findings import Finding, check, found
 from srt.diagnosis.noise_evidence import Sensor, shown_noise
 from srt.diagnosis.rest_evidence import RestFit, rest_fit
 from srt.exceptions import DataError
+from srt.model.table1 import AXES
 from srt.options import Options
 from srt.sensor_errors import GROUP_SLICES, NAMES
 

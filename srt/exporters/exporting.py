@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.applier import Applier
-from srt.atomic import atomic_path
-from srt.compensation import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.linear import ASYMMETRY, FACTORS, Linear, linear_part
 from srt.exporters.noise_fields import unknown
@@ -19,6 +17,8 @@ from srt.exporters.registry import exporter
 from srt.exporters.residual import Readings, Residual, compare
 from srt.exporters.source import Settings, Source
 from srt.g_sensitivity import KEY
+from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
+from srt.recording.atomic import atomic_path
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -22,7 +22,7 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.compensation import Triad
+    from srt.model.sensor_model import Triad
 
     Array = NDArray[np.float64]
 

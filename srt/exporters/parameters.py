@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.compensation import Triad, accel_triad, gyro_triad
 from srt.exceptions import InputError
 from srt.exporters.format import (
     SINGLE,
@@ -35,6 +34,7 @@ from srt.exporters.format import (
     whole_lines,
 )
 from srt.exporters.source import comment
+from srt.model.sensor_model import Triad, accel_triad, gyro_triad
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from srt.compensation import accel_triad, gyro_triad
 from srt.exceptions import InputError, MissingExtraError
 from srt.exporters.format import Exporter, field, from_json, to_json
+from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, did_you_mean
 from srt.exporters.forward_models import KALIBR, PYINS
 from srt.exporters.inverse_models import BASALT, IMU_TK, IMUCAL, OPENVINS
 from srt.exporters.parameters import ARDUPILOT, PX4, ROS2, VECTORNAV
 from srt.exporters.preintegration import GTSAM
-from srt.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

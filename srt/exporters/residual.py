@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.compensation import accel_triad, gyro_triad
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
-from srt.sample_arrays import as_samples, require_finite
+from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.recording.recording import as_samples, require_finite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.calibration import Calibration
-    from srt.recording import Recording
+    from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]
     Correction = Callable[[Array, Array], tuple[Array, Array]]

@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.g_sensitivity import KEY
-from srt.quaternion import rotation_vector
+from srt.model.rotations import rotation_vector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

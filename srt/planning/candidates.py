@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.catalogue import AXES, Sequence
 from srt.exceptions import InputError
+from srt.model.table1 import AXES, Sequence
 from srt.planning.stand import AXIS_NAMES, INNER, OUTER, QUARTER_DEG
 
 if TYPE_CHECKING:

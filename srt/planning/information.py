@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt import measurement_model as model
-from srt.catalogue import AXES
-from srt.compensation import accel_triad, gyro_triad
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.flicker import CORRELATION_TIMES_S, adjoining_covariance, common_variance, shares_within
+from srt.model import measurement_model as model
+from srt.model.rotation_integrals import ideal_rotations
+from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.model.table1 import AXES
 from srt.planning.candidates import down_axis, outer_axis
 from srt.planning.stand import INNER
-from srt.rotation_integrals import ideal_rotations
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from srt.model.rotation_integrals import RotationIntegrals
     from srt.planning.candidates import Candidate
     from srt.planning.stand import Stand
-    from srt.rotation_integrals import RotationIntegrals
 
     Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.catalogue import SEQUENCES
 from srt.exceptions import DataError, InputError
+from srt.model.table1 import SEQUENCES
 from srt.planning.candidates import executable, from_catalogue, words
 from srt.planning.information import Signatures
 from srt.planning.optimum import Columns, Relaxed, limits_of_time, relaxed_optimum, unseen

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.catalogue import AXES, SEQUENCES, SIGNED_AXES, Sequence
 from srt.exceptions import InputError
+from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES, Sequence
 from srt.planning.candidates import from_catalogue
 from srt.planning.information import COMPONENTS, Signatures
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.importers.options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
-from srt.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site
-from srt.recording_keys import COUNTS, TIME_UNITS
-from srt.sample_timing import GAP_STEPS
+from srt.recording.importers.options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
+from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site
+from srt.recording.schema import COUNTS, TIME_UNITS
+from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -328,7 +328,7 @@ def to_recording(
     Raises
     ------
     InputError
-        Neither stamps nor a rate, or samples that :class:`~srt.recording.Recording` refuses.
+        Neither stamps nor a rate, or samples that :class:`~srt.recording.recording.Recording` refuses.
     """
     time, rate = imported.time, imported.sample_rate_hz
     if time is None:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.catalogue import AXES
 from srt.exceptions import InputError
-from srt.importers.channels import Assignment, assign, listed, meaning_of, with_temperature
-from srt.importers.imported import Imported, Units, assemble, join_streams, seconds_of
-from srt.importers.options import ImportOptions, option
-from srt.importers.registry import Importer, head
-from srt.importers.text_tables import Layout, find_layout, read_table
-from srt.samples_io import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
+from srt.model.table1 import AXES
+from srt.recording.importers.channels import Assignment, assign, listed, meaning_of, with_temperature
+from srt.recording.importers.imported import Imported, Units, assemble, join_streams, seconds_of
+from srt.recording.importers.options import ImportOptions, option
+from srt.recording.importers.registry import Importer, head
+from srt.recording.importers.text_tables import Layout, find_layout, read_table
+from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.exceptions import DataError, InputError
-from srt.importers.imported import Imported, in_axes, without_repeats
-from srt.importers.options import ImportOptions, option
-from srt.suggestions import did_you_mean
+from srt.exceptions import DataError, InputError, did_you_mean
+from srt.recording.importers.imported import Imported, in_axes, without_repeats
+from srt.recording.importers.options import ImportOptions, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,19 +65,19 @@ class Importer:
 
 
 IMPORTERS: Final[dict[str, str]] = {
-    "rosbag1": "srt.importers.rosbag:ROSBAG1",
-    "rosbag2": "srt.importers.rosbag:ROSBAG2",
-    "ulog": "srt.importers.ulog:ULOG",
-    "ardupilot": "srt.importers.ardupilot:ARDUPILOT",
-    "matlab": "srt.importers.matlab:MATLAB",
-    "hdf5": "srt.importers.arrays:HDF5",
-    "parquet": "srt.importers.arrays:PARQUET",
-    "npz": "srt.importers.arrays:NPZ",
-    "euroc": "srt.importers.csv_formats:EUROC",
-    "kalibr": "srt.importers.csv_formats:KALIBR",
-    "imu-tk": "srt.importers.csv_formats:IMU_TK",
-    "psins": "srt.importers.psins:PSINS",
-    "csv": "srt.importers.csv_formats:CSV",
+    "rosbag1": "srt.recording.importers.rosbag:ROSBAG1",
+    "rosbag2": "srt.recording.importers.rosbag:ROSBAG2",
+    "ulog": "srt.recording.importers.ulog:ULOG",
+    "ardupilot": "srt.recording.importers.ardupilot:ARDUPILOT",
+    "matlab": "srt.recording.importers.matlab:MATLAB",
+    "hdf5": "srt.recording.importers.arrays:HDF5",
+    "parquet": "srt.recording.importers.arrays:PARQUET",
+    "npz": "srt.recording.importers.arrays:NPZ",
+    "euroc": "srt.recording.importers.csv_formats:EUROC",
+    "kalibr": "srt.recording.importers.csv_formats:KALIBR",
+    "imu-tk": "srt.recording.importers.csv_formats:IMU_TK",
+    "psins": "srt.recording.importers.psins:PSINS",
+    "csv": "srt.recording.importers.csv_formats:CSV",
 }
 """Name to "module:attribute", those with the most certain marks first."""
 

@@ -23,14 +23,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from srt import quaternion
-from srt.flicker import cut, parts_per_turn
-from srt.rotation_integrals import RotationIntegrals
+from srt.model import rotations
+from srt.model.rotation_integrals import RotationIntegrals, equal_parts, parts_per_rotation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.compensation import Triad
+    from srt.model.sensor_model import Triad
 
     Array = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ class GyroStream:
     rotation : ndarray of int, shape (K, 2)
         Where the rotation begins and ends within the stream (windows with integrated attitude lie outside it).
     F : ndarray, shape (n,), or None
-        Weight of an attitude error, see :mod:`srt.rotation_integrals`; None means 1 everywhere.
+        Weight of an attitude error, see :mod:`srt.model.rotation_integrals`; None means 1 everywhere.
     velocity : ndarray, shape (3, n), m/s, or None
         Compensated specific force times the interval, whose integral with the attitude is to be gathered.
     """
@@ -167,11 +166,11 @@ def integrate(
         inner = slice(a - lo, a - lo + b - a)
         theta, D = np.ascontiguousarray(theta[:, inner]), D if D.ndim == 2 else D[:, :, inner]
         phi = theta + _cross(theta, change[:, inner]) / 12.0
-        chained = quaternion.multiply(chain, quaternion.prefix_product(quaternion.from_rotation_vector(phi)))
+        chained = rotations.multiply(chain, rotations.prefix_product(rotations.from_rotation_vector(phi)))
         chain = chained[:, -1:]
         ended = np.flatnonzero((stream.starts > a) & (stream.starts <= b))
         edges[:, ended] = chained[:, stream.starts[ended] - a - 1]
-        C = quaternion.to_matrix(chained)
+        C = rotations.to_matrix(chained)
         C_mid = np.empty_like(C)
         C_mid[:, :, 0] = C_before + C[:, :, 0]
         np.add(C[:, :, :-1], C[:, :, 1:], out=C_mid[:, :, 1:])
@@ -198,8 +197,8 @@ def integrate(
     # the mean of its turn (less than 1e-3 rad in a sequence, of which the mean leaves a part in ten).
     to_start = np.swapaxes(_matrices(edges[:, :-1]), 1, 2)
     elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
-    C_end = quaternion.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
-    middle = quaternion.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
+    C_end = rotations.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
+    middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
     sums = np.einsum("kad,kdbm->kabm", middle, sums.reshape(K, 3, 3, columns))
     if noise is not None:
         noise = np.einsum("kad,kdeb,kce->kacb", middle, noise, middle)
@@ -225,7 +224,7 @@ class _Parts:
     """Sums of a 3x3 quantity over the parts of all rotations, shape (9, K P)."""
 
     def __init__(self, stream: GyroStream) -> None:
-        inner = cut(stream.rotation, parts_per_turn(len(stream.rotation)))[:, 1:-1]
+        inner = equal_parts(stream.rotation, parts_per_rotation(len(stream.rotation)))[:, 1:-1]
         begins = np.concatenate([stream.starts[:-1, None], inner], axis=1).ravel()
         self._edges = np.append(begins, stream.starts[-1])
         self.sums = np.zeros((9, len(begins)))
@@ -254,8 +253,8 @@ def _integrands(theta: Array, dt: Array, velocity: Array | None) -> Array:
     return V
 
 
-def _matrices(q: quaternion.Quaternions) -> Array:
-    return np.ascontiguousarray(np.moveaxis(quaternion.to_matrix(np.ascontiguousarray(q)), 2, 0))
+def _matrices(q: rotations.Quaternions) -> Array:
+    return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(np.ascontiguousarray(q)), 2, 0))
 
 
 def _at_start(stream: GyroStream, C: Array, to_start: Array, earth_rate: Array) -> Array:
@@ -267,7 +266,7 @@ def _at_start(stream: GyroStream, C: Array, to_start: Array, earth_rate: Array) 
         for lo, hi in ((s, int(stream.rotation[k, 0])), (int(stream.rotation[k, 1]), e)):
             if hi > lo:
                 earth = -earth_rate[k][:, None] * (middle[lo:hi] - origin)
-                E = quaternion.to_matrix(quaternion.from_rotation_vector(earth))
+                E = rotations.to_matrix(rotations.from_rotation_vector(earth))
                 C[:, :, lo:hi] = np.einsum("abn,bcn->acn", E, np.tensordot(to_start[k], C[:, :, lo:hi], 1))
     return C
 

@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.atomic import atomic_path
-from srt.exceptions import InputError, MissingExtraError
-from srt.file_guards import guard_hdf5, guard_hdf5_trees, guard_npz, guard_parquet
-from srt.samples_csv import read_csv, write_csv
-from srt.suggestions import clipped, did_you_mean
+from srt.exceptions import InputError, MissingExtraError, clipped, did_you_mean
+from srt.recording.atomic import atomic_path
+from srt.recording.csv_samples import read_csv, write_csv
+from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npz, guard_parquet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -125,7 +124,7 @@ def is_foreign(path: Path) -> bool:
     """
     if path.suffix.lower() in _FORMATS:
         return False
-    from srt.importers.registry import find_importer
+    from srt.recording.importers.registry import find_importer
 
     try:
         find_importer(path)

@@ -12,10 +12,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.catalogue import SIGNED_AXES
 from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
-from srt.exceptions import InputError
-from srt.suggestions import clipped, did_you_mean
+from srt.exceptions import InputError, clipped, did_you_mean
+from srt.model.table1 import SIGNED_AXES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

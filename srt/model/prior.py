@@ -3,21 +3,56 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
-
     Array = NDArray[np.float64]
 
-_SYMMETRY = 1e-9
+_SYMMETRY: Final = 1e-9
+"""Largest asymmetry of a correlation matrix that counts as rounding of the file it came from."""
+
+PRIOR_SIGMA: Final = {
+    "gyro_scale": 0.3,
+    "gyro_asymmetry": 1e-3,
+    "gyro_orthogonality": 0.3,
+    "accel_bias": 3.0,
+    "accel_scale": 0.3,
+    "accel_asymmetry": 3e-3,
+    "accel_misalignment": 0.3,
+    "gyro_bias": 0.3,
+}
+"""One sigma of each parameter group without any data, SI. Those of asymmetries exceed all configured grades."""
+
+
+def prior_sigma() -> Array:
+    """Prior one sigma of the 27 parameters."""
+    out = np.empty(N_PARAMETERS)
+    for group, sigma in PRIOR_SIGMA.items():
+        out[GROUP_SLICES[group]] = sigma
+    return out
+
+
+class CalibratedErrors(Protocol):
+    """Earlier calibration, as far as a prior needs it; :class:`srt.Calibration` is one."""
+
+    @property
+    def errors(self) -> SensorErrors:
+        """Sensor errors."""
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance, shape (27, 27), SI."""
+
+    @property
+    def observed(self) -> NDArray[np.bool_]:
+        """Parameters that were estimated, shape (27,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +116,7 @@ class Prior:
         return cls(mean or SensorErrors(), np.diag(np.asarray(sigma, dtype=np.float64) ** 2))
 
     @classmethod
-    def from_calibration(cls, calibration: Calibration, *, growth: float = 1.0) -> Prior:
+    def from_calibration(cls, calibration: CalibratedErrors, *, growth: float = 1.0) -> Prior:
         """Take an earlier calibration as the prior, its sigmas times ``growth``; what it held gets the wide default.
 
         Raises
@@ -89,8 +124,6 @@ class Prior:
         InputError
             If ``growth`` is not positive.
         """
-        from srt.held import prior_sigma
-
         if not 0.0 < growth < np.inf:
             raise InputError(f"The growth of a prior's sigmas is {growth!r}: give a positive number.")
         unseen = ~calibration.observed

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.atomic import atomic_path, unwritable
 from srt.constants import normal_gravity_m_s2
-from srt.exceptions import InputError
-from srt.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
-from srt.recording_keys import (
+from srt.exceptions import InputError, clipped, did_you_mean
+from srt.recording.atomic import atomic_path, unwritable
+from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+from srt.recording.samples import SAMPLES_FORMATS, Samples, is_foreign, read_samples, write_samples
+from srt.recording.schema import (
     ACCEL_UNITS,
     COUNTS,
     FIXTURE_KEYS,
@@ -35,8 +36,6 @@ from srt.recording_keys import (
     read_section,
     toml_value,
 )
-from srt.samples_io import SAMPLES_FORMATS, Samples, is_foreign, read_samples, write_samples
-from srt.suggestions import clipped, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -86,7 +85,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     ------
     InputError
         A file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value, samples outside the
-        recording's folder, or such that :class:`~srt.recording.Recording` refuses. One sentence each.
+        recording's folder, or such that :class:`~srt.recording.recording.Recording` refuses. One sentence each.
     MissingExtraError
         If the samples format needs a package that is not installed.
     """
@@ -256,7 +255,7 @@ def _find_toml(path: Path) -> Path:
 
 def _conversion_advice(path: Path, what: str) -> str:
     """How a foreign file becomes a recording, if its format is known."""
-    from srt.importers.registry import find_importer
+    from srt.recording.importers.registry import find_importer
 
     try:
         title = find_importer(path).title
@@ -288,9 +287,9 @@ def _import_recording(
     toml: Path, samples_path: Path, main: Mapping[str, Any], about: Surroundings, source: str
 ) -> Recording:
     """Read samples in a foreign format, with what the keys of [recording] say about them."""
-    from srt.importers.imported import to_recording
-    from srt.importers.options import ImportOptions
-    from srt.importers.registry import import_file
+    from srt.recording.importers.imported import to_recording
+    from srt.recording.importers.options import ImportOptions
+    from srt.recording.importers.registry import import_file
 
     names = {f"{sensor}_offset": f"{sensor}_offset_counts" for sensor in ("gyro", "accel")}
     fields = ("kind", "time_unit", "sample_rate_hz", "gyro_unit", "accel_unit", "gyro_lsb", "accel_lsb", *names)

@@ -25,15 +25,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.compensation import ACCEL_BASIS, GYRO_BASIS
-from srt.quaternion import cross_matrix, inverse_right_jacobian, rotation_matrix, rotation_vector
+from srt.model.rotations import cross_matrix, inverse_right_jacobian, rotation_matrix, rotation_vector
+from srt.model.sensor_model import ACCEL_BASIS, GYRO_BASIS
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.compensation import Triad
-    from srt.rotation_integrals import RotationIntegrals
+    from srt.model.rotation_integrals import RotationIntegrals
+    from srt.model.sensor_model import Triad
 
     Array = NDArray[np.float64]
 

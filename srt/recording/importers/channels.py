@@ -6,19 +6,18 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from srt.catalogue import AXES
-from srt.exceptions import InputError
-from srt.importers.imported import Units
-from srt.importers.options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
-from srt.recording_keys import COUNTS, TIME_UNITS
-from srt.samples_io import TEMPERATURE, TIME
-from srt.suggestions import did_you_mean
+from srt.exceptions import InputError, did_you_mean
+from srt.model.table1 import AXES
+from srt.recording.importers.imported import Units
+from srt.recording.importers.options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
+from srt.recording.samples import TEMPERATURE, TIME
+from srt.recording.schema import COUNTS, TIME_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from srt.recording import Kind
+    from srt.recording.recording import Kind
 
 _RATE_STEMS: Final = {
     "gyro": (

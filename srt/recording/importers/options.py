@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
-from srt.catalogue import AXES
 from srt.constants import DEG
-from srt.exceptions import InputError
-from srt.recording import Kind
-from srt.recording_keys import ACCEL_UNITS, COUNTS, GYRO_UNITS, TIME_UNITS
-from srt.samples_io import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
-from srt.suggestions import did_you_mean
+from srt.exceptions import InputError, did_you_mean
+from srt.model.table1 import AXES
+from srt.recording.recording import Kind
+from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
+from srt.recording.schema import ACCEL_UNITS, COUNTS, GYRO_UNITS, TIME_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

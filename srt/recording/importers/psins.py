@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.importers.arrays import from_matrix
-from srt.importers.channels import listed
-from srt.importers.imported import Imported, Units
-from srt.importers.matlab import is_matlab, matlab_store
-from srt.importers.options import ImportOptions, option, parse_columns
-from srt.importers.registry import Importer, head
-from srt.importers.text_tables import find_layout, read_table
+from srt.recording.importers.arrays import from_matrix
+from srt.recording.importers.channels import listed
+from srt.recording.importers.imported import Imported, Units
+from srt.recording.importers.matlab import is_matlab, matlab_store
+from srt.recording.importers.options import ImportOptions, option, parse_columns
+from srt.recording.importers.registry import Importer, head
+from srt.recording.importers.text_tables import find_layout, read_table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,11 +1,4 @@
-"""A recording in memory: samples in SI units, and what is known of site, fixture, unit and sequences.
-
-Conventions: a *rate* sample is the mean over the interval that ends at its time stamp, an *increment* sample
-the integral over that interval. Specific force at rest points up.
-
-Everything is checked once, when it is built, so that what computes with a recording need not ask again. The
-arrays become read-only views, copied only if they are not contiguous float64 already.
-"""
+"""Recording in memory: samples in SI units, site, fixture, unit and sequence labels."""
 
 from __future__ import annotations
 
@@ -15,11 +8,10 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 
-from srt.catalogue import AXES, SEQUENCES, SIGNED_AXES
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.sample_arrays import as_samples, require_finite, require_increasing
-from srt.sample_timing import SampleTiming, sample_timing
+from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES
+from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -403,4 +395,75 @@ def _require_positive(what: str, value: float, unit: str) -> None:
 def _same_rotations(first: tuple[tuple[str, float], ...], second: tuple[tuple[str, float], ...]) -> bool:
     return len(first) == len(second) and all(
         a == b and abs(x - y) < 1e-6 for (a, x), (b, y) in zip(first, second, strict=True)
+    )
+
+
+def as_samples(name: str, given: object, dimensions: int) -> NDArray[np.float64]:
+    """Give a read-only contiguous float64 view, copied only where needed.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    given : array_like, shape (n,) or (n, 3)
+    dimensions : int
+        1 or 2.
+
+    Returns
+    -------
+    ndarray, shape (n,) or (n, 3)
+        A value broadcast to n samples stays one value in memory.
+
+    Raises
+    ------
+    InputError
+        If it has another shape or does not consist of numbers.
+    """
+    try:
+        values = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} does not consist of numbers: {error}.") from None
+    if values.ndim != dimensions or (dimensions == 2 and values.shape[1] != 3):
+        expected = "(n, 3)" if dimensions == 2 else "(n,)"
+        raise InputError(f"{name} has the shape {values.shape}, but {expected} is expected.")
+    if values.strides != (0,):
+        values = np.ascontiguousarray(values)
+    values = values.view()
+    values.flags.writeable = False
+    return values
+
+
+def require_finite(name: str, values: NDArray[np.float64], time: NDArray[np.float64] | None) -> None:
+    """Raise InputError that names the first value that is not finite, by column, sample and time."""
+    # A sum is finite only if every term is, and costs a fraction of a test of each. If it overflows,
+    # look closer.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if math.isfinite(values.sum()):
+            return
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size == 0:
+        return
+    row, column = divmod(int(bad[0]), values.size // len(values))
+    full_name = f"{name}_{AXES[column]}" if values.ndim == 2 else name
+    when = "" if time is None else f", at {time[row]:.9g} s,"
+    raise InputError(
+        f"Column {full_name}: sample {row + 1} of {len(values)}{when} is {values.flat[bad[0]]} "
+        f"({bad.size} such in this sensor), but every reading must be a finite number: "
+        "repair or remove the sample.",
+        fault="not_finite",
+    )
+
+
+def require_increasing(time: NDArray[np.float64]) -> None:
+    """Raise InputError that names the first stamp which does not follow its predecessor."""
+    rising = time[1:] > time[:-1]
+    if rising.all():
+        return
+    bad = np.flatnonzero(~rising) + 1
+    row = int(bad[0])
+    what = "repeats" if time[row] == time[row - 1] else "goes back from"
+    raise InputError(
+        f"Column time: sample {row + 1} of {time.size} at {time[row]:.9g} s {what} {time[row - 1]:.9g} s "
+        f"({bad.size} such in all), but time must increase: remove repeated samples, or restore the order.",
+        fault="time_repeats" if what == "repeats" else "time_backwards",
     )

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError
-from srt.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet
-from srt.importers.channels import assign, clean, listed, with_temperature
-from srt.importers.guarded import library
-from srt.importers.imported import Imported, Units, assemble
-from srt.importers.options import TRIADS, ImportOptions, option
-from srt.importers.registry import Importer, head
-from srt.recording_keys import TIME_UNITS
-from srt.samples_io import TEMPERATURE, TIME
-from srt.suggestions import did_you_mean
+from srt.exceptions import InputError, MissingExtraError, did_you_mean
+from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet
+from srt.recording.importers.channels import assign, clean, listed, with_temperature
+from srt.recording.importers.guarded import library
+from srt.recording.importers.imported import Imported, Units, assemble
+from srt.recording.importers.options import TRIADS, ImportOptions, option
+from srt.recording.importers.registry import Importer, head
+from srt.recording.samples import TEMPERATURE, TIME
+from srt.recording.schema import TIME_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -122,7 +121,7 @@ def from_matrix(
         ``columns`` by number.
     stated : Units, optional
     **fixed
-        Further arguments of :func:`~srt.importers.imported.assemble`.
+        Further arguments of :func:`~srt.recording.importers.imported.assemble`.
 
     Returns
     -------

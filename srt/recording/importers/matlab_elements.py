@@ -14,7 +14,7 @@ import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from srt.file_guards import DEFLATE_LIMIT, SLACK_BYTES
+from srt.recording.file_guards import DEFLATE_LIMIT, SLACK_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

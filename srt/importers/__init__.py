@@ -1,1 +1,0 @@
-"""Readers of foreign formats: any log in, samples in SI units out, each assumption said."""

@@ -1,0 +1,1 @@
+"""Importers of foreign formats: samples in SI units, with every assumption stated."""
