@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from srt.applier import Applier
-from srt.calibration import Calibration
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.result.applier import Applier
+from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 REPEATS = 25

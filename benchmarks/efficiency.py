@@ -33,7 +33,7 @@ from srt.least_squares_estimator import LeastSquaresSolver
 from srt.options import Options
 from srt.recording.recording import Fixture
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, SYMBOLS, SensorErrors
-from srt.session import open_session
+from srt.sequences.preparation import open_session
 from srt.start import first_estimate
 
 console = Console(width=150)

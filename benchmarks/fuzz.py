@@ -40,8 +40,8 @@ from fuzz_seeds import READERS, RECORDINGS, Seed
 
 import srt
 from srt.exceptions import DataError, InputError
-from srt.recording.importers.imported import to_recording
-from srt.recording.importers.registry import IMPORTERS, import_file, importer
+from srt.recording.imported_samples import to_recording
+from srt.recording.importer_registry import IMPORTERS, import_file, importer
 from srt.recording.recording import Site
 
 SECONDS_PER_INPUT = 10

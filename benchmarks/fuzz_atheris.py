@@ -17,7 +17,7 @@ with atheris.instrument_imports(include=["srt", "pyulog", "rosbags", "pymavlink"
     import fuzz
 
     from srt.exceptions import DataError, InputError
-    from srt.recording.importers.registry import IMPORTERS
+    from srt.recording.importer_registry import IMPORTERS
 
     # Readers and their libraries are loaded on use elsewhere; only what is imported here is watched.
     for module in ("pyulog.core", "pymavlink.DFReader", "rosbags.rosbag1.reader", "rosbags.rosbag2.reader"):

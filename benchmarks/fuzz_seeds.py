@@ -13,7 +13,7 @@ import foreign_files as ff
 import numpy as np
 import scipy.io
 
-from srt.recording.importers.options import ImportOptions, parse_columns
+from srt.recording.import_options import ImportOptions, parse_columns
 
 if TYPE_CHECKING:
     from collections.abc import Callable

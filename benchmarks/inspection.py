@@ -24,7 +24,7 @@ import srt
 from srt.diagnosis import diagnose
 from srt.inspection import inspect
 from srt.inspection_plot import inspection_figure
-from srt.recognition import recognise
+from srt.sequences.recognition import recognise
 
 RATE_HZ = 1000.0
 DURATION_S = 3600.0

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.model.rotation_integrals import RotationIntegrals
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from estimators.point import Played, Point
     from estimators.problem import Problem
     from estimators.system import System
-    from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.options import Options
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

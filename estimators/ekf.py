@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from estimators.problem import Problem
     from estimators.sequential import Block
     from estimators.system import System
-    from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.model.prior import Prior
     from srt.options import Options
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 
@@ -277,7 +277,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     InputError
         Options that are another estimator's.
     DataError
-        As :func:`srt.session.open_session`.
+        As :func:`srt.sequences.preparation.open_session`.
     """
     options.refuse(("loss",), "The Kalman filter")
     step = EkfStep(options.prior or default_prior())

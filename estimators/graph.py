@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from estimators.point import Point
     from estimators.problem import Problem
     from estimators.system import System
-    from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.model.prior import Prior
     from srt.options import Options
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
     Linearised = tuple[Array, list[Array]]
@@ -240,7 +240,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     Raises
     ------
     DataError
-        As :func:`srt.session.open_session`.
+        As :func:`srt.sequences.preparation.open_session`.
     """
     options.refuse(("live", "targets"), "The factor graph")
     return run(open_problem(recording, options), GraphStep(options.loss, options.prior), options, progress)

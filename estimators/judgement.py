@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from estimators.driver import State, Step
     from estimators.problem import Problem
     from estimators.system import System
-    from srt.calibration import Calibration, Residual
     from srt.options import Options
+    from srt.result.calibration import Calibration, Residual
     from srt.verdict import Evidence
 
     Array = NDArray[np.float64]

@@ -24,12 +24,12 @@ from estimators.problem import Problem
 from estimators.root_ekf import RootExtendedKalmanFilter
 from estimators.targets import judge_targets
 from srt.exceptions import DataError, InputError
-from srt.executed import end_attitude
 from srt.fixture_start import split_legs
 from srt.model.analytic_platform import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
 from srt.sensor_errors import GROUP_SLICES, NAMES
-from srt.session import open_session
+from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.preparation import open_session
 from srt.start import first_estimate
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
     from srt.model.prior import Prior
     from srt.options import Options
-    from srt.playback_data import PlaybackData
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -26,24 +26,23 @@ from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate
 from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.noise_estimation import flicker_spread
+from srt.noise.from_windows import flicker_spread
 from srt.playback import Player
-from srt.playback_data import nominal_attitude, sequence_of_label
-from srt.recording_checks import gap_inside
-from srt.segmentation import find_turns
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
-from srt.session import open_session
+from srt.sequences.plausibility import gap_inside
+from srt.sequences.preparation import nominal_attitude, open_session, sequence_of_label
+from srt.sequences.stationary_windows import find_turns
+from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
+from srt.sequences.stillness import moved_windows
 from srt.start import first_estimate
-from srt.stillness import PROBABILITY as STILLNESS_PROBABILITY
-from srt.stillness import moved_windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.model.table1 import Sequence
     from srt.options import Options
-    from srt.playback_data import PlaybackData
     from srt.recording.recording import Recording, SequenceLabel
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 
@@ -384,7 +383,7 @@ def open_problem(recording: Recording, options: Options) -> Problem:
     Raises
     ------
     DataError
-        As :func:`srt.session.open_session`, and if no sequence has both its windows.
+        As :func:`srt.sequences.preparation.open_session`, and if no sequence has both its windows.
     """
     labels = recording.sequences or find_turns(recording)
     whole = tuple(s for s in labels if not _end_is_lost(recording, s))

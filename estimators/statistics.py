@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtrc
 
-from srt.calibration import Residual
+from srt.noise.variance_components import restricted_likelihood
+from srt.result.calibration import Residual
 from srt.sensor_errors import N_PARAMETERS
-from srt.variance_components import restricted_likelihood
 from srt.verdict import REDUNDANT, Contradiction, Evidence, LeftOut, named, reestimate, suspect
 
 if TYPE_CHECKING:

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     from sims.scenario import Scenario
     from sims.simulation import Simulation
-    from srt.calibration import Calibration
     from srt.options import GyroBias
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
     Progress = Callable[[int, int], None]

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.recording.recording import Kind, Recording
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from sims.scenario import Scenario
     from sims.simulation import Simulation
-    from srt.calibration import Calibration
     from srt.options import GyroBias
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

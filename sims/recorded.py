@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from srt.calibration import Calibration
 from srt.constants import DEG
 from srt.recording.recording import Recording, Site
+from srt.result.calibration import Calibration
 from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:

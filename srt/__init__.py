@@ -18,28 +18,28 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from srt.applier import Applier
-    from srt.calibration import Calibration, load_calibration
     from srt.diagnosis import diagnose
     from srt.estimation import calibrate, estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
     from srt.merge import merge_calibrations
     from srt.options import Options
-    from srt.recognition import recognise
     from srt.recording.folder import load_recording, write_recording
-    from srt.recording.importers.registry import import_file
+    from srt.recording.importer_registry import import_file
     from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
-    from srt.segmentation import find_turns
+    from srt.result.applier import Applier
+    from srt.result.calibration import Calibration, load_calibration
     from srt.sensor_errors import INDEX, NAMES, SensorErrors
+    from srt.sequences.recognition import recognise
+    from srt.sequences.stationary_windows import find_turns
 
 _HOME = {
-    "Applier": "applier",
+    "Applier": "result.applier",
     "diagnose": "diagnosis",
-    "import_file": "recording.importers.registry",
+    "import_file": "recording.importer_registry",
     "merge_calibrations": "merge",
-    "recognise": "recognition",
-    "Calibration": "calibration",
-    "load_calibration": "calibration",
+    "recognise": "sequences.recognition",
+    "Calibration": "result.calibration",
+    "load_calibration": "result.calibration",
     "calibrate": "estimation",
     "estimators": "estimation",
     "DataError": "exceptions",
@@ -54,7 +54,7 @@ _HOME = {
     "Site": "recording.recording",
     "load_recording": "recording.folder",
     "write_recording": "recording.folder",
-    "find_turns": "segmentation",
+    "find_turns": "sequences.stationary_windows",
     "INDEX": "sensor_errors",
     "NAMES": "sensor_errors",
     "SensorErrors": "sensor_errors",

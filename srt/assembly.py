@@ -11,9 +11,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from srt import g_sensitivity_result
-from srt.calibration import Calibration, Residual
-from srt.executed import wrong_turns
+from srt.result.calibration import Calibration, Residual
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
+from srt.sequences.manoeuvres import wrong_turns
 from srt.verdict import verdict
 from srt.verdict_playback import evidence_of
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from srt.iteration import Solution
     from srt.options import Options
-    from srt.playback_data import PlaybackData
     from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PlaybackData
     from srt.verdict import Evidence
 
     Array = NDArray[np.float64]

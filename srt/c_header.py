@@ -1,18 +1,18 @@
-"""A calibration as a C99 header without dependencies: the arithmetic of :mod:`srt.applier`, operation by operation."""
+"""A calibration as a C99 header without dependencies: the arithmetic of :mod:`srt.result.applier`, operation by operation."""
 
 from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING, Final
 
-from srt.applier import STEPS, Applier
 from srt.exceptions import InputError
+from srt.result.applier import STEPS, Applier
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from srt.applier import TriadInverse
-    from srt.calibration import Calibration
+    from srt.result.applier import TriadInverse
+    from srt.result.calibration import Calibration
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")
@@ -138,7 +138,7 @@ def c99_header(calibration: Calibration, name: str = "imu") -> str:
     Notes
     -----
     Constants have 17 significant digits, which give back the same doubles. With contraction of products and sums off
-    (-ffp-contract=off) results are those of :class:`srt.applier.Applier` to the last bit on machines that compute in
+    (-ffp-contract=off) results are those of :class:`srt.result.applier.Applier` to the last bit on machines that compute in
     double. Readings that are not finite are not refused but come out as NaN or infinite.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):

@@ -14,18 +14,18 @@ from srt.iteration import iterate
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
-from srt.session import open_session
+from srt.sequences.preparation import open_session
 from srt.start import first_estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.options import Options
     from srt.playback import Playback
-    from srt.playback_data import PlaybackData
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

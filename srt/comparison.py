@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.options import Options
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
     Progress = Callable[[int, float], None]
@@ -109,7 +109,7 @@ def calibrate(
         Data that cannot support a result.
     """
     from srt.options import Options as _Options
-    from srt.recognition import label_sequences
+    from srt.sequences.recognition import label_sequences
 
     if options is None:
         unknown = sorted(set(choices) - set(_Options.__dataclass_fields__))

@@ -10,10 +10,10 @@ from srt.estimation import calibrate
 from srt.exceptions import DataError
 
 if TYPE_CHECKING:
-    from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.options import Options
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
 
 def calibrate_examined(

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.executed import end_attitude
 from srt.model.sensor_model import Triad, to_mars
+from srt.sequences.manoeuvres import end_attitude
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.model.analytic_platform import GyroStream
     from srt.model.table1 import Sequence
-    from srt.playback_data import PlaybackData
     from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from os import PathLike
 
-    from srt.calibration import Calibration
     from srt.engines import Engine
     from srt.options import Options
+    from srt.result.calibration import Calibration
 
 FORMAT: Final = "srt-fleet"
 VERSION: Final = 1

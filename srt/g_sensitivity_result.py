@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from srt.iteration import Solution
     from srt.playback import Playback
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

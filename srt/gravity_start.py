@@ -18,7 +18,7 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

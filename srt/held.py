@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.options import Options
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

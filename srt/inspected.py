@@ -6,11 +6,11 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.allan import CHANNELS
+from srt.noise.allan import CHANNELS
 
 if TYPE_CHECKING:
-    from srt.allan import AllanDeviation
     from srt.diagnosis import Diagnosis
+    from srt.noise.allan import AllanDeviation
 
 FORMAT: Final = "srt-inspection"
 VERSION: Final = 1

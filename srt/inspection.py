@@ -9,28 +9,27 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.allan import AllanDeviation, allan_deviation
-from srt.allan_terms import TERMS
-from srt.blocks import blocks_of, find_rest, still_runs
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis import diagnose
 from srt.exceptions import DataError, MissingExtraError
 from srt.inspected import Inspection, Leg, Noise, Stamps, Stillness, Temperature, TurnSeen
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
-from srt.noise_estimation import noise_model
-from srt.recognition import recognise
+from srt.noise.allan import TERMS, AllanDeviation, allan_deviation
+from srt.noise.from_windows import noise_model
 from srt.recording.folder import TOML_NAME
 from srt.recording.recording import Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
-from srt.recording_checks import check_interval
+from srt.sequences.plausibility import check_interval
+from srt.sequences.recognition import recognise
+from srt.sequences.stationary_windows import blocks_of, find_rest, still_runs
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import NDArray
 
-    from srt.recognition import FoundTurn, Recognition
+    from srt.sequences.recognition import FoundTurn, Recognition
 
     Array = NDArray[np.float64]
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.allan_terms import TERMS
 from srt.constants import DEG, DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.figure_style import (
     BLUE,
@@ -33,14 +32,15 @@ from srt.figure_style import (
     style,
 )
 from srt.model.table1 import AXES
+from srt.noise.allan import TERMS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from srt.allan import AllanDeviation
     from srt.inspected import Inspection, TurnSeen
+    from srt.noise.allan import AllanDeviation
     from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from srt.g_sensitivity import scatter_left
 from srt.model.sensor_model import compose, outside_model
 from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
-from srt.stillness import moved_windows
+from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from srt.options import Options
     from srt.playback import Playback
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

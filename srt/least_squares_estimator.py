@@ -17,23 +17,23 @@ from srt.assembly import assemble, chi_square, is_misfit, outcome_of
 from srt.held import held_sigma, request_reason
 from srt.iteration import iterate
 from srt.model.prior import prior_sigma
-from srt.segmentation import find_turns
+from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, expand_names
-from srt.session import open_session
+from srt.sequences.preparation import open_session
+from srt.sequences.stationary_windows import find_turns
 from srt.start import first_estimate
-from srt.variance_components import restricted_likelihood
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.estimation import Progress
     from srt.iteration import Solution
     from srt.options import Options
     from srt.playback import Playback
-    from srt.playback_data import PlaybackData
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

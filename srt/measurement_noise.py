@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.playback import Playback
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

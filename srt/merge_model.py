@@ -8,7 +8,7 @@ can be compared whatever the mounting::
 e_r is the recording's own error. c_r is common to recordings: gravity where the same value was stated, and values held
 because no recording showed them; the mean of many recordings has it as much as one. b_r is what differs from recording
 to recording, as bias from turn-on to turn-on: one variance per group of parameters, by restricted maximum likelihood
-(:mod:`srt.variance_components`). From few recordings that variance is uncertain itself: from n of them, for a group of
+(:mod:`srt.noise.variance_components`). From few recordings that variance is uncertain itself: from n of them, for a group of
 three parameters, to √(2 / 3(n − 1)) of it, 58 % from three.
 """
 
@@ -22,15 +22,15 @@ from scipy.linalg import block_diag, solve_triangular
 
 from srt.exceptions import InputError
 from srt.model.prior import prior_sigma
+from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
-from srt.variance_components import restricted_likelihood
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]

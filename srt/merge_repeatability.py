@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.merge_model import Stack
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]

@@ -12,7 +12,7 @@ from srt.verdict_table import probability
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
 
 _DIGITS: Final = 7
 

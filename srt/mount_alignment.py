@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

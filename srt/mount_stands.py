@@ -15,21 +15,21 @@ from srt.model.measurement_model import force_error_jacobian
 from srt.model.sensor_model import accel_triad, outside_model
 from srt.model.table1 import SEQUENCES
 from srt.mount_alignment import MountAlignment, align_mount, poses, require_both
-from srt.noise_estimation import noise_model
+from srt.noise.from_windows import noise_model
 from srt.recording.recording import Fixture
-from srt.recording_checks import check_interval, check_rest, clipped_samples, clipping_levels, gap_inside
-from srt.segmentation import find_windows, window_times
 from srt.sensor_errors import GROUP_SLICES, NAMES
-from srt.windows import average_windows
+from srt.sequences.plausibility import check_interval, check_rest, clipped_samples, clipping_levels, gap_inside
+from srt.sequences.stationary_windows import find_windows, window_times
+from srt.sequences.window_means import average_windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.model.sensor_model import Triad
-    from srt.noise_estimation import NoiseModel
+    from srt.noise.from_windows import NoiseModel
     from srt.recording.recording import Recording
-    from srt.windows import Windows
+    from srt.result.calibration import Calibration
+    from srt.sequences.window_means import Windows
 
     Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
     from srt.options import Options
-    from srt.playback_data import PlaybackData
     from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -40,7 +40,7 @@ from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, SYMB
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration, Residual
+    from srt.result.calibration import Calibration, Residual
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

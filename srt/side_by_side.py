@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Final
 from srt.estimation import automatic_estimator, find_estimator
 from srt.exceptions import DataError, SrtError
 from srt.options import Options
-from srt.recognition import label_sequences
+from srt.sequences.recognition import label_sequences
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from srt.calibration import Calibration
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
     Progress = Callable[[str, int, float], None]
 

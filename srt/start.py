@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.options import Options
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
 
 def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, NDArray[np.float64]]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from srt.iteration import Solution
     from srt.options import Options
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
     from srt.verdict_playback import Owned
 
     Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from srt.iteration import Solution
     from srt.options import Options
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
     Mask = NDArray[np.bool_]

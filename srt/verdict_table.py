@@ -12,7 +12,7 @@ from srt.verdict import suspect
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
 
 UNLIKELY: Final = 0.05
 """Chance below which something is worth a look, shared among all that are looked at."""

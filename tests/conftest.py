@@ -17,9 +17,9 @@ import sims
 from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback import Player
-from srt.playback_data import PlaybackData, prepare
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+from srt.sequences.preparation import PlaybackData, prepare
 
 with contextlib.suppress(ModuleNotFoundError):
     from threadpoolctl import threadpool_limits

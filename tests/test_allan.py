@@ -14,9 +14,8 @@ from scipy.stats import norm
 import sims
 import srt
 from sims import campaigns
-from srt import allan
-from srt.allan import CHANNELS, allan_deviation
-from srt.allan_terms import TERMS, interval
+from srt.noise import allan
+from srt.noise.allan import CHANNELS, TERMS, allan_deviation, interval
 
 RATE = 100.0
 WALK, FLAT = 1, 2
@@ -219,7 +218,7 @@ def test_confidence_is_what_the_tables_say():
 def test_an_absent_allantools_says_what_to_install():
     code = (
         "import sys; sys.modules['allantools'] = None\n"
-        "import numpy as np, srt\nfrom srt.allan import allan_deviation\n"
+        "import numpy as np, srt\nfrom srt.noise.allan import allan_deviation\n"
         "x = np.random.default_rng(0).standard_normal((4000, 3))\n"
         "r = srt.Recording(np.arange(1, 4001) / 100, x, x, srt.Site(9.8))\n"
         "try:\n    allan_deviation(r, np.array([[0, 4000]]))\nexcept srt.MissingExtraError as error:\n    print(error)"

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import srt
-from srt import applier as module
-from srt.applier import Applier
-from srt.calibration import Calibration
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, Triad, accel_triad, gyro_triad
+from srt.result import applier as module
+from srt.result.applier import Applier
+from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 EPS = np.finfo(float).eps

@@ -19,9 +19,9 @@ from srt.model.rotation_integrals import ideal_rotations
 from srt.model.sensor_model import Triad, gyro_triad
 from srt.model.table1 import SEQUENCES
 from srt.options import Options
-from srt.playback_data import prepare
 from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
+from srt.sequences.preparation import prepare
 
 EPS = np.finfo(float).eps
 PERFECT = Triad(np.eye(3), np.zeros(3), np.zeros(3))

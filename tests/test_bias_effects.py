@@ -20,9 +20,9 @@ from srt.model.rotations import cross_matrix, rotation_matrix
 from srt.model.table1 import AXES, SEQUENCES
 from srt.options import Options
 from srt.playback import Player
-from srt.playback_data import prepare
 from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
+from srt.sequences.preparation import prepare
 
 BIAS = np.array([0.12, -0.08, 0.1]) * DEG
 STEPS = 4000

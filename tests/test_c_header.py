@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import srt
-from srt.applier import Applier
 from srt.c_header import c99_header
-from srt.calibration import Calibration
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, accel_triad, gyro_triad
+from srt.result.applier import Applier
+from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")

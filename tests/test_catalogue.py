@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import sims
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import AXES, SEQUENCES
-from srt.playback_data import nominal_attitude
+from srt.sequences.preparation import nominal_attitude
 
 EPS = np.finfo(float).eps
 UNIT = dict(zip(AXES, np.eye(3), strict=True))

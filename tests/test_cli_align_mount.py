@@ -11,13 +11,13 @@ import pytest
 import srt
 from sims.imu import ImuModel, read_out
 from sims.mount_stand import stand_motion
-from srt.calibration import Calibration
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.model.rotations import rotation_matrix
 from srt.mount_alignment import mount_from_calibration
 from srt.mount_file import load_mount_alignment
 from srt.mount_stands import mount_from_recording
+from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 ANGLES = np.array([0.004, -0.003, 0.006])

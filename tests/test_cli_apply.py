@@ -10,9 +10,9 @@ import pytest
 
 import srt
 from srt.c_header import c99_header
-from srt.calibration import Calibration
 from srt.cli import main
 from srt.model.rotations import rotation_matrix
+from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 U = rotation_matrix(np.array([0.0, 0.1, -0.05]))

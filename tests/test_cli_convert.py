@@ -173,7 +173,7 @@ def test_places(log, tmp_path, capsys):
 
 
 def test_formats_are_listed(capsys):
-    from srt.recording.importers.registry import IMPORTERS
+    from srt.recording.importer_registry import IMPORTERS
 
     assert convert("--list") == 0
     out = capsys.readouterr().out

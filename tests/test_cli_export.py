@@ -10,10 +10,10 @@ import pytest
 
 import srt
 from srt import exporters
-from srt.calibration import Calibration
 from srt.cli import main
 from srt.exporters import Readings, export
 from srt.model.rotations import rotation_matrix
+from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("yaml")

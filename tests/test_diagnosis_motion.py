@@ -27,7 +27,7 @@ from srt.diagnosis.turn_evidence import cross, legs, robust_fit
 from srt.exceptions import InputError
 from srt.options import Options
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
-from srt.segmentation import find_turns
+from srt.sequences.stationary_windows import find_turns
 
 STAGES = ("sequences", "windows", "motion")
 FAULTS = (

@@ -25,7 +25,7 @@ from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.findings import checks_of, in_order
 from srt.diagnosis.frame_evidence import gravity_relation, mapping, nearest_axes
 from srt.diagnosis.scale_evidence import accel_scales, gyro_scales
-from srt.recording.importers.options import parse_axis_map
+from srt.recording.import_options import parse_axis_map
 
 SEED = 330_000
 STAGES = ("units", "frames")

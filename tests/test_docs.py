@@ -25,11 +25,11 @@ from test_errata_papers import BIAS_EFFECTS
 import sims
 import srt
 from sims import plan_file
-from srt.calibration import STATUSES
 from srt.cli import main
 from srt.cli.app import app
 from srt.mount_alignment import mount_from_calibration
 from srt.recording import schema
+from srt.result.calibration import STATUSES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

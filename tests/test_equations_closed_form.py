@@ -13,9 +13,9 @@ from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback import Player
-from srt.playback_data import prepare
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
+from srt.sequences.preparation import prepare
 
 ALL = tuple(SEQUENCES)
 ASYMMETRY = NAMES[GROUP_SLICES["gyro_asymmetry"]]

@@ -16,9 +16,9 @@ import sims
 from srt.constants import EARTH_RATE_RAD_S
 from srt.options import Options
 from srt.playback import Player
-from srt.playback_data import prepare
 from srt.recording.recording import SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
+from srt.sequences.preparation import prepare
 
 LATITUDE, HEADING = 0.8, 0.4
 WINDOW_S = 2.0

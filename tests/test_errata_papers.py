@@ -20,10 +20,10 @@ from srt.model import closed_form
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import SEQUENCES
 from srt.options import Options
-from srt.playback_data import prepare
 from srt.recording.recording import Site
 from srt.sensor_errors import INDEX, SensorErrors
-from srt.windows import averaging_weights
+from srt.sequences.preparation import prepare
+from srt.sequences.window_means import averaging_weights
 
 
 def symbols_of(derivation):

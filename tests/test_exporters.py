@@ -15,11 +15,11 @@ import pytest
 
 import srt
 from srt import exporters
-from srt.calibration import Calibration
 from srt.exporters import Readings, Settings, export, gtsam_preintegration, load, save
 from srt.exporters.linear import lower_rotation, upper_rotation
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 yaml = pytest.importorskip("yaml")

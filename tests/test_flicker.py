@@ -11,8 +11,14 @@ from scipy.integrate import dblquad
 import sims
 from sims.imu import CORRELATION_TIMES_S as SIMULATED_TIMES_S
 from sims.imu import drift
-from srt.flicker import CORRELATION_TIMES_S, correlation_times, drift_draws, flicker_covariance, window_draws
 from srt.model.rotation_integrals import equal_parts
+from srt.noise.bias_instability import (
+    CORRELATION_TIMES_S,
+    correlation_times,
+    drift_draws,
+    flicker_covariance,
+    window_draws,
+)
 from srt.recording.recording import Site
 
 TIME_S = 100.0 + 0.01 * np.arange(1, 4001)

@@ -10,7 +10,7 @@ import pytest
 
 import srt
 from srt.exceptions import InputError
-from srt.recording.importers.registry import import_file
+from srt.recording.importer_registry import import_file
 
 NAMES = ("time", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 TOML = """[recording]

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from srt.exceptions import DataError, InputError
-from srt.recording.importers.registry import IMPORTERS
+from srt.recording.importer_registry import IMPORTERS
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 fuzz = importlib.import_module("fuzz")

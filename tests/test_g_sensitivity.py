@@ -18,7 +18,6 @@ from sims.g_sensitivity_study import BIAS_DEG_PER_S, MODES, mems_scenario, study
 from sims.imu import ImuModel, read_out
 from sims.simulation import draw_errors
 from srt import exporters, g_sensitivity, g_sensitivity_result
-from srt.calibration import FORMULA
 from srt.certificate.checked import load_source
 from srt.certificate.replay import replay
 from srt.cli import main
@@ -28,9 +27,10 @@ from srt.iteration import CONVERGED_CORRECTION
 from srt.model.measurement_model import attitude_to_horizontal
 from srt.options import Options
 from srt.playback import Player
-from srt.playback_data import prepare
 from srt.recording.recording import Fixture, Site
+from srt.result.calibration import FORMULA
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
+from srt.sequences.preparation import prepare
 
 PER_G = DEG_PER_H / STANDARD_GRAVITY_M_S2
 GAMMA = np.array([[30.0, -12.0, 25.0], [8.0, -35.0, 14.0], [-20.0, 28.0, 17.0]]) * PER_G

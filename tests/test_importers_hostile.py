@@ -13,9 +13,9 @@ import scipy.io
 
 import srt
 from srt.exceptions import InputError
+from srt.recording.import_options import ImportOptions
+from srt.recording.importer_registry import import_file
 from srt.recording.importers.matlab_elements import variables
-from srt.recording.importers.options import ImportOptions
-from srt.recording.importers.registry import import_file
 
 N = 30
 TIME = np.arange(1, N + 1) / 64.0

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from srt.exceptions import InputError, MissingExtraError
+from srt.recording.import_options import ImportOptions
+from srt.recording.imported_samples import to_recording
+from srt.recording.importer_registry import find_importer, import_file
 from srt.recording.importers import guarded
-from srt.recording.importers.imported import to_recording
-from srt.recording.importers.options import ImportOptions
-from srt.recording.importers.registry import find_importer, import_file
 from srt.recording.recording import Site
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))

@@ -12,11 +12,11 @@ import scipy.io
 import srt
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError, InputError
-from srt.recording.importers import registry
+from srt.recording import importer_registry
+from srt.recording.import_options import ImportOptions, parse_axis_map, parse_columns, parse_lsb, parse_offset
+from srt.recording.imported_samples import Imported, Units, assemble, join_streams, to_recording, without_repeats
+from srt.recording.importer_registry import IMPORTERS, find_importer, import_file
 from srt.recording.importers.channels import meaning_of
-from srt.recording.importers.imported import Imported, Units, assemble, join_streams, to_recording, without_repeats
-from srt.recording.importers.options import ImportOptions, parse_axis_map, parse_columns, parse_lsb, parse_offset
-from srt.recording.importers.registry import IMPORTERS, find_importer, import_file
 
 N = 40
 RNG = np.random.default_rng(5)
@@ -433,16 +433,16 @@ def test_formats_by_name(tmp_path):
     with pytest.raises(InputError, match="There is no file"):
         find_importer(tmp_path / "absent.csv")
     for name in IMPORTERS:
-        assert registry.importer(name).name == name
+        assert importer_registry.importer(name).name == name
 
 
 def test_a_format_from_outside(monkeypatch, tmp_path):
-    monkeypatch.setattr(registry, "IMPORTERS", dict(IMPORTERS))
-    registry.register("mine", f"{__name__}:MINE")
+    monkeypatch.setattr(importer_registry, "IMPORTERS", dict(IMPORTERS))
+    importer_registry.register("mine", f"{__name__}:MINE")
     assert find_importer(_mark(tmp_path)).name == "mine"
     assert import_file(_mark(tmp_path))[1].sample_rate_hz == 10.0
     with pytest.raises(InputError, match="already"):
-        registry.register("mine", "a:b")
+        importer_registry.register("mine", "a:b")
 
 
 def _mark(folder):
@@ -450,12 +450,12 @@ def _mark(folder):
     return folder / "a.mine"
 
 
-MINE = registry.Importer(
+MINE = importer_registry.Importer(
     "mine",
     "my own",
     (),
     None,
-    lambda path: registry.head(path) == b"MINE",
+    lambda path: importer_registry.head(path) == b"MINE",
     lambda path, options: Imported(GYRO, ACCEL, sample_rate_hz=10.0),
 )
 
@@ -560,6 +560,6 @@ def test_an_error_of_the_data_names_the_file(tmp_path, monkeypatch):
     def read(path, options):
         raise DataError("No IMU\x1b[0m here.")
 
-    monkeypatch.setattr(registry, "importer", lambda name: replace(MINE, read=read))
+    monkeypatch.setattr(importer_registry, "importer", lambda name: replace(MINE, read=read))
     with pytest.raises(DataError, match=r"a\.mine: No IMU\?\[0m here"):
         import_file(_mark(tmp_path), name="mine")

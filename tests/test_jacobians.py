@@ -17,9 +17,9 @@ from srt.model.rotations import cross_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad, outside_model
 from srt.options import Options
 from srt.playback import Player
-from srt.playback_data import prepare
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+from srt.sequences.preparation import prepare
 
 EARTH = 7.292115e-5
 SAMPLE_RATE_HZ = 200.0

@@ -32,7 +32,7 @@ from srt.model.table1 import AXES
 from srt.options import Options
 from srt.recording.recording import Fixture, ImuNoise, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
-from srt.session import open_session
+from srt.sequences.preparation import open_session
 from srt.start import first_estimate
 
 pytest.importorskip("filterpy")

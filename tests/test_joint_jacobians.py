@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 import sims
 from sims.campaigns import large_errors
 from sims.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
-from srt import flicker
 from srt.model import measurement_model as model
 from srt.model import rotation_integrals, rotations
 from srt.model.prior import Prior
 from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.noise import bias_instability
 from srt.options import Options
 from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
@@ -591,7 +591,7 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     With three parts of each turn, which is as good a test as twelve and faster. Away from the data it was taken from,
     the problem's residual is minus what its unknown takes off.
     """
-    monkeypatch.setattr(flicker, "_PARTS", (2, 3))
+    monkeypatch.setattr(bias_instability, "_PARTS", (2, 3))
     case = make(motions, VARIANTS[variant], size)
     problem, system = case.problem, case.system
     data, draws = problem.data, problem.data.drift

@@ -14,13 +14,13 @@ from sims import campaigns
 from sims.imu import ImuModel, read_out
 from sims.mount_stand import LEVEL_AND_NOSE_DOWN_RAD, StandDraw, draw_stand, mount_matrix, stand_motion
 from sims.table_motion import table1_motion
-from srt.calibration import Calibration
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad
 from srt.mount_alignment import MountAlignment, align_mount, mount_from_calibration
 from srt.mount_file import load_mount_alignment
 from srt.mount_stands import mount_from_recording
+from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 
 G = 9.80665

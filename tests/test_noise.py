@@ -5,8 +5,8 @@ import pytest
 
 import srt
 from sims import campaigns
-from srt.noise_estimation import ACCEL_FLOOR, GYRO_FLOOR, _fit_one, flicker_spread, noise_model
-from srt.variance_components import restricted_likelihood
+from srt.noise.from_windows import ACCEL_FLOOR, GYRO_FLOOR, _fit_one, flicker_spread, noise_model
+from srt.noise.variance_components import restricted_likelihood
 
 N, RATE = 2000, 200.0
 WINDOWS = np.array([[k * N, (k + 1) * N] for k in range(34)])

@@ -12,7 +12,7 @@ from srt.model import measurement_model as model
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.sensor_model import accel_triad
 from srt.model.table1 import AXES, SEQUENCES
-from srt.paper_budget import PAPER_BIAS, QUANTITIES, PaperSetting, bias_effects, paper_budget
+from srt.noise.accuracy_analysis import PAPER_BIAS, QUANTITIES, PaperSetting, bias_effects, paper_budget
 from srt.sensor_errors import INDEX, SensorErrors
 
 G = STANDARD_GRAVITY_M_S2

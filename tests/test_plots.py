@@ -13,8 +13,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import srt
-from srt.calibration import Residual
 from srt.plots import calibration_figure, save_figure
+from srt.result.calibration import Residual
 from srt.sensor_errors import DISPLAY_FACTORS, NAMES
 
 COMPONENTS = ("horizontal_x", "horizontal_y", "start_down", "end_down")

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 import srt
 from sims import recognition_study as study
 from sims.faults import GRADES, Case
-from srt.faces import face_vector, quarter_turn
 from srt.model.table1 import AXES, SEQUENCES
-from srt.recognition import label_sequences, recognise
+from srt.sequences.manoeuvres import face_vector, quarter_turn
+from srt.sequences.recognition import label_sequences, recognise
 
 
 def unlabelled(grade="tactical-fog", seed=5, **sections):

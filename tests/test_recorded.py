@@ -7,8 +7,8 @@ from scipy.linalg import rq
 import srt
 from sims import recorded
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.segmentation import find_windows
 from srt.sensor_errors import GROUP_SLICES
+from srt.sequences.stationary_windows import find_windows
 
 FOLDER = recorded.data_folder()
 pytestmark = pytest.mark.skipif(

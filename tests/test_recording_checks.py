@@ -9,7 +9,7 @@ import pytest
 
 from srt.exceptions import DataError
 from srt.recording.recording import ImuNoise, Recording, Site
-from srt.recording_checks import (
+from srt.sequences.plausibility import (
     check_interval,
     check_rest,
     check_turns,

@@ -9,8 +9,8 @@ from sims.free_motion import free_motion, random_attitude, random_turns
 from sims.imu import ImuModel, read_out
 from sims.table_motion import table1_motion
 from srt.constants import DEG, DEG_PER_SQRT_H, MICRO_G
-from srt.segmentation import find_turns, find_windows
 from srt.sensor_errors import SensorErrors
+from srt.sequences.stationary_windows import find_turns, find_windows
 
 UNITS = {
     "noise-free": ImuModel(),

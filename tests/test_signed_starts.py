@@ -18,11 +18,11 @@ import sims
 import srt
 from sims import campaigns
 from sims.imu import read_out
-from srt.executed import end_attitude
 from srt.model.table1 import SIGNED_AXES, Sequence, axis_vector
-from srt.playback_data import nominal_attitude, sequence_of_label
 from srt.recording.folder import load_recording, write_recording
 from srt.sensor_errors import SensorErrors
+from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.preparation import nominal_attitude, sequence_of_label
 
 HEADING = 0.7
 STARTS = [

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from sims.robustness.config import Campaign, EstimatorChoice
     from sims.simulation import Simulation
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

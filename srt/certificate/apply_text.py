@@ -13,8 +13,8 @@ from srt.model.sensor_model import accel_triad, gyro_triad
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.model.sensor_model import Triad
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.calibration import load_calibration
 from srt.exceptions import InputError, clipped
 from srt.model.sensor_model import outside_model
+from srt.result.calibration import load_calibration
 from srt.sensor_errors import INDEX, N_PARAMETERS, SYMBOLS, UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
 
 _ROUNDING: Final = 1e-6
 """Relative: numbers are written with all their digits, so that only the order of operations is between them."""

@@ -21,12 +21,12 @@ from srt.verdict_table import overall, probability
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from srt.calibration import Calibration, Residual
     from srt.certificate.apply_text import Application
     from srt.certificate.change import Change
     from srt.certificate.checked import Source
     from srt.certificate.limits import Limits
     from srt.certificate.replay import Course
+    from srt.result.calibration import Calibration, Residual
 
 _DIGITS: Final = 7
 _SOLVED: Final = 1e-3

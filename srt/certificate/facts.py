@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.assembly import software
-from srt.calibration import VERSION
 from srt.certificate.tables import Cell, Table, plain
 from srt.options import Options
+from srt.result.calibration import VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from srt.calibration import Calibration
     from srt.certificate.checked import Source
     from srt.certificate.limits import Limits
     from srt.certificate.replay import Course
+    from srt.result.calibration import Calibration
 
 SERIAL_LENGTH: Final = 200
 """Characters of a serial that are shown."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

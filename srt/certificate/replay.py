@@ -11,27 +11,27 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.applier import Applier
 from srt.constants import DEG
 from srt.exceptions import DataError, InputError, clipped
 from srt.model import rotations
 from srt.model.table1 import SEQUENCES
 from srt.options import Options
 from srt.playback import Player
-from srt.recognition import label_sequences
-from srt.segmentation import find_turns
+from srt.result.applier import Applier
 from srt.sensor_errors import GROUP_SLICES
-from srt.session import open_session
-from srt.stillness import moved_windows
+from srt.sequences.preparation import open_session
+from srt.sequences.recognition import label_sequences
+from srt.sequences.stationary_windows import find_turns
+from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.certificate.checked import Source
     from srt.playback import Playback
-    from srt.playback_data import PlaybackData
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from srt.sensor_errors import GROUP_SLICES, NAMES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from srt.calibration import Calibration
     from srt.certificate.replay import Course
+    from srt.result.calibration import Calibration
 
 
 def unseen(calibration: Calibration, course: Course | None) -> tuple[str, ...]:

@@ -11,8 +11,8 @@ from srt.cli.output import check_directory, check_file, recording_folder, warn
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from srt.calibration import Calibration
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
 FORMATS = ("csv", "npz", "parquet", "h5")
 HEADER_SUFFIXES = (".h",)
@@ -154,8 +154,8 @@ def load_fit(path: Path, *, force: bool) -> Calibration:
         What :func:`srt.load_calibration` raises; unless forced, a status other than "converged" and "partial", or
         errors that such a status does not go with.
     """
-    from srt.calibration import load_calibration
     from srt.model.sensor_model import outside_model
+    from srt.result.calibration import load_calibration
 
     calibration = load_calibration(path)
     if not isinstance(calibration.provenance, dict) or not isinstance(calibration.estimator, str):
@@ -212,13 +212,13 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
     import numpy as np
 
-    from srt.applier import Applier
     from srt.g_sensitivity import KEY, insensitive_readings
+    from srt.result.applier import Applier
 
     applier = Applier(calibration, frame=frame)
     increments = recording.kind == "increment"
     if check:
-        from srt.recording_checks import check_rest
+        from srt.sequences.plausibility import check_rest
 
         # Whatever a vehicle does, the median force is near gravity, as at rest.
         size = np.linalg.norm(recording.accel, axis=1)

@@ -125,7 +125,7 @@ def tables(found: Budget) -> str:
 
 def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
     """The paper's analysis with the noise, bias and fixture of a scenario."""
-    from srt.paper_budget import QUANTITIES, paper_budget
+    from srt.noise.accuracy_analysis import QUANTITIES, paper_budget
     from srt.recording.atomic import atomic_write_text
     from srt.tables import fixed, text_table
 
@@ -156,7 +156,7 @@ def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
 
 def paper_setting(scenario: Scenario) -> Any:
     """What the paper's analysis takes of a scenario; times are the paper's own."""
-    from srt.paper_budget import PaperSetting
+    from srt.noise.accuracy_analysis import PaperSetting
 
     noise, errors = scenario.imu.noise.si(), scenario.imu.errors.si()
     fixture, schedule = scenario.fixture, scenario.schedule

@@ -16,9 +16,9 @@ from srt.exceptions import DataError, InputError, SrtError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.calibration import Calibration
     from srt.model.prior import Prior
     from srt.options import Options
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
 # The option types of srt.options, written out: importing them here would make help wait for numpy.
@@ -256,8 +256,8 @@ def load_prior(path: Path) -> Prior:
     InputError
         What :func:`srt.load_calibration` raises, and a calibration that did not converge.
     """
-    from srt.calibration import load_calibration
     from srt.model.prior import Prior
+    from srt.result.calibration import load_calibration
 
     calibration = load_calibration(path)
     if calibration.status not in ("converged", "partial"):

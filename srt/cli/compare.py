@@ -17,11 +17,11 @@ from srt.exceptions import DataError, InputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from srt.calibration import Calibration
     from srt.comparison import Comparison
     from srt.options import Options
     from srt.pairwise import Pair
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
 SHARED_OPTIONS = ("no_asymmetry", "hold", "average", "window_attitude", "start", "max_playbacks")
 """Options of ``srt calibrate`` that mean the same to every estimator."""

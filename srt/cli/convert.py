@@ -13,9 +13,9 @@ from srt.exceptions import DataError, InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from srt.recording.importers.imported import Imported
-    from srt.recording.importers.options import ImportOptions
-    from srt.recording.importers.registry import Importer
+    from srt.recording.import_options import ImportOptions
+    from srt.recording.imported_samples import Imported
+    from srt.recording.importer_registry import Importer
     from srt.recording.recording import Recording
 
 FORMATS = ("csv", "npz", "parquet", "h5")
@@ -37,7 +37,7 @@ _READING = (
 def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> None:  # noqa: ARG001 - click's
     if not value or ctx.resilient_parsing:
         return
-    from srt.recording.importers.registry import IMPORTERS, importer
+    from srt.recording.importer_registry import IMPORTERS, importer
     from srt.tables import text_table
 
     rows = []
@@ -144,8 +144,8 @@ def convert(
     options = reading_options(rest, second)
     document = surroundings(like, rest)
     from srt.recording.folder import read_surroundings, write_recording
-    from srt.recording.importers.imported import to_recording
-    from srt.recording.importers.registry import import_file
+    from srt.recording.imported_samples import to_recording
+    from srt.recording.importer_registry import import_file
 
     about = read_surroundings("What was said of the recording" if like is None else str(like), document)
     importer, imported = import_file(source, options, name)
@@ -216,7 +216,7 @@ def reading_options(given: Mapping[str, Any], second: Path | None) -> ImportOpti
     ------
     InputError
     """
-    from srt.recording.importers.options import ImportOptions, parse_columns, parse_lsb, parse_offset
+    from srt.recording.import_options import ImportOptions, parse_columns, parse_lsb, parse_offset
 
     fields: dict[str, Any] = {name: given[name] for name in _READING}
     for sensor in ("gyro", "accel"):
@@ -283,7 +283,7 @@ def check_gravity(recording: Recording, source: Path) -> None:
     """
     import numpy as np
 
-    from srt.recording_checks import check_rest
+    from srt.sequences.plausibility import check_rest
 
     # Whatever the unit is turned through, the median force is near gravity, as at rest.
     size = np.linalg.norm(recording.accel, axis=1)

@@ -13,7 +13,7 @@ from srt.cli.simulate import check_target, run_scenario, summary, write_simulati
 from srt.exceptions import MissingExtraError
 
 if TYPE_CHECKING:
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
 SCENARIO = "demo"

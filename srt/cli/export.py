@@ -12,10 +12,10 @@ from srt.cli.output import check_file, warn
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from srt.calibration import Calibration
     from srt.exporters.exporting import Exported
     from srt.exporters.format import Exporter
     from srt.exporters.residual import Readings
+    from srt.result.calibration import Calibration
 
 
 def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.allan import CHANNELS
-from srt.allan_terms import TERMS
 from srt.cli.report import wrap
+from srt.noise.allan import CHANNELS, TERMS
 from srt.tables import text_table
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from srt.calibration import Calibration
     from srt.cli.calibrate import Display, Job
     from srt.options import Options
+    from srt.result.calibration import Calibration
 
 
 def run_merging(

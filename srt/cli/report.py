@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

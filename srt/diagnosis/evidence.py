@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.executed import end_attitude
 from srt.options import Options
-from srt.playback_data import nominal_attitude, prepare
+from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.preparation import nominal_attitude, prepare
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
-    from srt.playback_data import PlaybackData
-    from srt.recognition import Recognition
     from srt.recording.recording import Recording, SequenceLabel
+    from srt.result.calibration import Calibration
+    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.recognition import Recognition
 
     Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ class Evidence:
     @cached_property
     def recognition(self) -> Recognition | None:
         """Stillness, turns and sequences found in the samples; None if no two windows were found."""
-        from srt.recognition import recognise
+        from srt.sequences.recognition import recognise
 
         try:
             return recognise(self.recording)

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri
 
-from srt.noise_estimation import smallest_step
+from srt.noise.from_windows import smallest_step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.diagnosis.evidence import Evidence
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.noise_estimation import smallest_step
-from srt.recording_checks import Clipping, ClippingLevels, clipped_samples, clipping_levels
+from srt.noise.from_windows import smallest_step
+from srt.sequences.plausibility import Clipping, ClippingLevels, clipped_samples, clipping_levels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

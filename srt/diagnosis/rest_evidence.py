@@ -22,15 +22,15 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from srt.constants import EARTH_RATE_RAD_S
-from srt.executed import end_attitude
-from srt.flicker import flicker_covariance
-from srt.playback_data import nominal_attitude
+from srt.noise.bias_instability import flicker_covariance
+from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.preparation import nominal_attitude
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.diagnosis.evidence import Evidence
-    from srt.playback_data import PlaybackData
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ from srt.diagnosis.faults import FAULTS, STAGES
 from srt.diagnosis.findings import Finding, checks_of, found, in_order
 
 if TYPE_CHECKING:
-    from srt.calibration import Calibration
     from srt.exceptions import SrtError
     from srt.options import Options
-    from srt.recognition import Recognition
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
+    from srt.sequences.recognition import Recognition
 
 _MODULES: Final = ("timing", "channels", "units", "ranges", "frames", "sequences", "windows", "motion", "site", "unit")
 """Modules of this package that hold checks, one for each stage or part of one."""

@@ -13,7 +13,7 @@ from srt.diagnosis.turn_evidence import blocks, legs, nominal_sums, once, solved
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
-from srt.segmentation import find_windows
+from srt.sequences.stationary_windows import find_windows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -41,7 +41,7 @@ _FAR: Final = 1.0
 """Squared distance between two sequences, in half turns and in faces: the nearest two of Table 1 are 2 apart (one
 half turn more, or about another axis), a unit with errors of 10 % is within 0.1 of its own."""
 _SIGMAS: Final = 6.0
-"""As calibration judges turns (:func:`srt.executed.wrong_turns`)."""
+"""As calibration judges turns (:func:`srt.sequences.manoeuvres.wrong_turns`)."""
 _AGREE: Final = 0.5
 """Share of an angle to which the accelerometers confirm it: an angle that the gyros alone are off by, because they
 lost it or have asymmetric scale factors, is off by all of it."""

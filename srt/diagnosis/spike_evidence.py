@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.noise_estimation import smallest_step
+from srt.noise.from_windows import smallest_step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

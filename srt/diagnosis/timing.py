@@ -10,7 +10,7 @@ import numpy as np
 from srt.diagnosis.findings import check, found
 from srt.diagnosis.scale_evidence import accel_scales, gyro_scales
 from srt.recording.timing import ROUNDING_FRACTION
-from srt.recording_checks import LEGAL_RATIO, LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
+from srt.sequences.plausibility import LEGAL_RATIO, LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
-from srt.executed import end_attitude
 from srt.model import rotations
-from srt.playback_data import nominal_attitude
+from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.preparation import nominal_attitude
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.diagnosis.evidence import Evidence
-    from srt.playback_data import PlaybackData
+    from srt.result.calibration import Calibration
+    from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.findings import check, found
 from srt.diagnosis.range_evidence import clipped_parts
 from srt.diagnosis.scale_evidence import Scales, accel_scales, gyro_scales, rest_spread
-from srt.recording_checks import LEGAL_RATIO
+from srt.sequences.plausibility import LEGAL_RATIO
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.turn_evidence import end_of, once, robust_fit, solved, triads
-from srt.noise_estimation import ACCEL_FLOOR, GYRO_FLOOR, smallest_step
+from srt.noise.from_windows import ACCEL_FLOOR, GYRO_FLOOR, smallest_step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.applier import Applier
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.linear import ASYMMETRY, FACTORS, Linear, linear_part
 from srt.exporters.noise_fields import unknown
@@ -19,15 +18,16 @@ from srt.exporters.source import Settings, Source
 from srt.g_sensitivity import KEY
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.recording.atomic import atomic_path
+from srt.result.applier import Applier
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.exporters.format import Exporter, Fields
     from srt.exporters.residual import Correction
+    from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
     Array = NDArray[np.float64]

@@ -24,9 +24,9 @@ from srt.sensor_errors import GROUP_SLICES
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.exporters.format import Fields, Texts
     from srt.exporters.source import Source
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

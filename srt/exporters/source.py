@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.exporters.format import Exporter
     from srt.exporters.linear import Linear
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

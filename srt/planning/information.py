@@ -18,11 +18,11 @@ import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
-from srt.flicker import CORRELATION_TIMES_S, adjoining_covariance, common_variance, shares_within
 from srt.model import measurement_model as model
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.model.table1 import AXES
+from srt.noise.bias_instability import CORRELATION_TIMES_S, adjoining_covariance, common_variance, shares_within
 from srt.planning.candidates import down_axis, outer_axis
 from srt.planning.stand import INNER
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors

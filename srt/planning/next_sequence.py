@@ -16,11 +16,11 @@ from srt.sensor_errors import N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.planning.candidates import Candidate
     from srt.planning.information import Conditions
     from srt.planning.plan import Progress
     from srt.planning.stand import Stand
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.flicker import correlation_times, flicker_covariance
+from srt.noise.bias_instability import correlation_times, flicker_covariance
 from srt.planning.information import N_ROWS
 
 if TYPE_CHECKING:

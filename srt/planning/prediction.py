@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.flicker import correlation_times, flicker_covariance
+from srt.noise.bias_instability import correlation_times, flicker_covariance
 from srt.planning.information import GRAVITY, N_ROWS, N_UNKNOWNS, NORTH, Signatures
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 

@@ -255,7 +255,7 @@ def _find_toml(path: Path) -> Path:
 
 def _conversion_advice(path: Path, what: str) -> str:
     """How a foreign file becomes a recording, if its format is known."""
-    from srt.recording.importers.registry import find_importer
+    from srt.recording.importer_registry import find_importer
 
     try:
         title = find_importer(path).title
@@ -287,9 +287,9 @@ def _import_recording(
     toml: Path, samples_path: Path, main: Mapping[str, Any], about: Surroundings, source: str
 ) -> Recording:
     """Read samples in a foreign format, with what the keys of [recording] say about them."""
-    from srt.recording.importers.imported import to_recording
-    from srt.recording.importers.options import ImportOptions
-    from srt.recording.importers.registry import import_file
+    from srt.recording.import_options import ImportOptions
+    from srt.recording.imported_samples import to_recording
+    from srt.recording.importer_registry import import_file
 
     names = {f"{sensor}_offset": f"{sensor}_offset_counts" for sensor in ("gyro", "accel")}
     fields = ("kind", "time_unit", "sample_rate_hz", "gyro_unit", "accel_unit", "gyro_lsb", "accel_lsb", *names)

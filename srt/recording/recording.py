@@ -1,4 +1,11 @@
-"""Recording in memory: samples in SI units, site, fixture, unit and sequence labels."""
+"""Recording in memory: samples in SI units, site, fixture, unit and sequence labels.
+
+Conventions: a *rate* sample is the mean over the interval that ends at its time stamp, an *increment* sample
+the integral over that interval. Specific force at rest points up.
+
+Everything is checked once, when it is built, so that what computes with a recording need not ask again. The
+arrays become read-only views, copied only if they are not contiguous float64 already.
+"""
 
 from __future__ import annotations
 

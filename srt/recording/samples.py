@@ -124,7 +124,7 @@ def is_foreign(path: Path) -> bool:
     """
     if path.suffix.lower() in _FORMATS:
         return False
-    from srt.recording.importers.registry import find_importer
+    from srt.recording.importer_registry import find_importer
 
     try:
         find_importer(path)

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, did_you_mean
+from srt.recording.import_options import option
+from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.guarded import library, require, silence_below
 from srt.recording.importers.log_streams import Stream, choose_instance, join, to_imported
-from srt.recording.importers.options import option
-from srt.recording.importers.registry import Importer, head
 
 if TYPE_CHECKING:
     import mmap
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.recording.importers.imported import Imported
-    from srt.recording.importers.options import ImportOptions
+    from srt.recording.import_options import ImportOptions
+    from srt.recording.imported_samples import Imported
 
 MAGIC: Final = b"\xa3\x95\x80"  # the first message of a log defines the message that defines messages
 

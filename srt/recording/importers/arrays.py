@@ -10,11 +10,11 @@ import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError, did_you_mean
 from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet
+from srt.recording.import_options import TRIADS, ImportOptions, option
+from srt.recording.imported_samples import Imported, Units, assemble
+from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import assign, clean, listed, with_temperature
 from srt.recording.importers.guarded import library
-from srt.recording.importers.imported import Imported, Units, assemble
-from srt.recording.importers.options import TRIADS, ImportOptions, option
-from srt.recording.importers.registry import Importer, head
 from srt.recording.samples import TEMPERATURE, TIME
 from srt.recording.schema import TIME_UNITS
 
@@ -121,7 +121,7 @@ def from_matrix(
         ``columns`` by number.
     stated : Units, optional
     **fixed
-        Further arguments of :func:`~srt.recording.importers.imported.assemble`.
+        Further arguments of :func:`~srt.recording.imported_samples.assemble`.
 
     Returns
     -------

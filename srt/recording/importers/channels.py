@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
-from srt.recording.importers.imported import Units
-from srt.recording.importers.options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
+from srt.recording.import_options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
+from srt.recording.imported_samples import Units
 from srt.recording.samples import TEMPERATURE, TIME
 from srt.recording.schema import COUNTS, TIME_UNITS
 

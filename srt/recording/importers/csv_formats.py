@@ -9,10 +9,10 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.model.table1 import AXES
+from srt.recording.import_options import ImportOptions, option
+from srt.recording.imported_samples import Imported, Units, assemble, join_streams, seconds_of
+from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import Assignment, assign, listed, meaning_of, with_temperature
-from srt.recording.importers.imported import Imported, Units, assemble, join_streams, seconds_of
-from srt.recording.importers.options import ImportOptions, option
-from srt.recording.importers.registry import Importer, head
 from srt.recording.importers.text_tables import Layout, find_layout, read_table
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, did_you_mean
-from srt.recording.importers.imported import Imported, Units, assemble, join_streams
-from srt.recording.importers.options import option
+from srt.recording.import_options import option
+from srt.recording.imported_samples import Imported, Units, assemble, join_streams
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.recording.importers.options import ImportOptions
+    from srt.recording.import_options import ImportOptions
 
 SI_UNITS: Final = ("rad/s", "m/s^2")
 
@@ -185,7 +185,7 @@ def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more
     options : ImportOptions
     notes : list of str
     **more
-        Further arguments of :func:`srt.recording.importers.imported.assemble`.
+        Further arguments of :func:`srt.recording.imported_samples.assemble`.
 
     Returns
     -------

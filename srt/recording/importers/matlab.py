@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.arrays import ARRAY_OPTIONS, HDF5_MAGIC, Store, from_store, hdf5_store
 from srt.recording.importers.guarded import library, silence
 from srt.recording.importers.matlab_elements import NUMERIC, variables
-from srt.recording.importers.registry import Importer, head
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.recording.importers.imported import Imported
-    from srt.recording.importers.options import ImportOptions
+    from srt.recording.import_options import ImportOptions
+    from srt.recording.imported_samples import Imported
 
 _TITLE = "MATLAB file"
 _HDF5_OFFSET = 512  # MATLAB's own header stands before the HDF5 one

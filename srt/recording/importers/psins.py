@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.recording.import_options import ImportOptions, option, parse_columns
+from srt.recording.imported_samples import Imported, Units
+from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.arrays import from_matrix
 from srt.recording.importers.channels import listed
-from srt.recording.importers.imported import Imported, Units
 from srt.recording.importers.matlab import is_matlab, matlab_store
-from srt.recording.importers.options import ImportOptions, option, parse_columns
-from srt.recording.importers.registry import Importer, head
 from srt.recording.importers.text_tables import find_layout, read_table
 
 if TYPE_CHECKING:

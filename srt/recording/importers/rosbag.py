@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.recording.import_options import option
+from srt.recording.importer_registry import Importer
 from srt.recording.importers import rosbag_storage
 from srt.recording.importers.guarded import inflate, library, silence
 from srt.recording.importers.log_streams import Stream, choose, join, to_imported
-from srt.recording.importers.options import option
-from srt.recording.importers.registry import Importer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.recording.importers.imported import Imported
-    from srt.recording.importers.options import ImportOptions
+    from srt.recording.import_options import ImportOptions
+    from srt.recording.imported_samples import Imported
 
 IMU: Final = "sensor_msgs/msg/Imu"
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
+from srt.recording.importer_registry import head
 from srt.recording.importers.guarded import INFLATED_LIMIT, READ_FACTOR, BoundedPath, inflate, library
-from srt.recording.importers.registry import head
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

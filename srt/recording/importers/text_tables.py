@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.recording.importers.options import ImportOptions, option
+from srt.recording.import_options import ImportOptions, option
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -17,18 +17,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, did_you_mean
+from srt.recording.import_options import option
+from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.guarded import BoundedFile, library, require, silence
 from srt.recording.importers.log_streams import Stream, choose_instance, join, to_imported
-from srt.recording.importers.options import option
-from srt.recording.importers.registry import Importer, head
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from srt.recording.importers.imported import Imported
-    from srt.recording.importers.options import ImportOptions
+    from srt.recording.import_options import ImportOptions
+    from srt.recording.imported_samples import Imported
 
 MAGIC: Final = b"ULog\x01\x12\x35"
 

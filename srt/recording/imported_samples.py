@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.recording.importers.options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
+from srt.recording.import_options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
 from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site
 from srt.recording.schema import COUNTS, TIME_UNITS
 from srt.recording.timing import GAP_STEPS

@@ -14,23 +14,31 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.blocks import resolution_floor
 from srt.exceptions import DataError
-from srt.faces import QUARTER, face_vector, faces, leg_axis, quarter_turn, quarters, scales
 from srt.model.table1 import AXES, SEQUENCES, axis_vector
-from srt.playback_data import nominal_attitude
 from srt.recording.recording import SequenceLabel
-from srt.segmentation import find_windows, window_times
-from srt.turns import Turn, find_legs
-from srt.window_edges import best_join, trimmed
+from srt.sequences.manoeuvres import (
+    QUARTER,
+    Turn,
+    face_vector,
+    faces,
+    find_legs,
+    leg_axis,
+    quarter_turn,
+    quarters,
+    scales,
+)
+from srt.sequences.preparation import nominal_attitude
+from srt.sequences.stationary_windows import find_windows, resolution_floor, window_times
+from srt.sequences.window_edges import best_join, trimmed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
     from numpy.typing import NDArray
 
-    from srt.calibration import Calibration
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
     Whole = NDArray[np.int64]

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.blocks import Blocks
     from srt.recording.recording import Recording
+    from srt.sequences.stationary_windows import Blocks
 
     Array = NDArray[np.float64]
 

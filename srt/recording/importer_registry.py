@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import DataError, InputError, did_you_mean
-from srt.recording.importers.imported import Imported, in_axes, without_repeats
-from srt.recording.importers.options import ImportOptions, option
+from srt.recording.import_options import ImportOptions, option
+from srt.recording.imported_samples import Imported, in_axes, without_repeats
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from srt.calibration import Calibration
+    from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]
     Vector = tuple[float, float, float]

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from srt.applier import BLOCK, Applier
 from srt.exceptions import InputError
 from srt.recording.atomic import atomic_write_text
+from srt.result.applier import BLOCK, Applier
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Calibration:
 
         Notes
         -----
-        In a loop, make an :class:`srt.applier.Applier` once and use that: it is this method without its preparations,
+        In a loop, make an :class:`srt.result.applier.Applier` once and use that: it is this method without its preparations,
         and corrects single samples in microseconds.
 
         The noise of a channel near zero is rectified by its asymmetry s: a bias of about 0.8 s times the one-sigma

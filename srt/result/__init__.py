@@ -1,0 +1,1 @@
+"""Calibrations: parameters with their covariance, and their application to samples."""

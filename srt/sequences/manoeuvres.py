@@ -1,0 +1,257 @@
+"""Manoeuvres between stationary windows: rotations about one axis each, faces down, angles against nominal ones.
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from srt.model.rotations import rotation_matrix, rotation_vector
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.recording.recording import Recording
+
+    Array = NDArray[np.float64]
+    from collections.abc import Sequence as SequenceOf
+
+    Whole = NDArray[np.int64]
+    from srt.model.table1 import Sequence
+    from srt.sequences.preparation import PlaybackData
+
+MOVING: Final = 0.2
+"""Share of a turn's highest rate above which it is moving."""
+_SMOOTH_S: Final = 0.05
+_SHORTEST: Final = 0.02
+"""Share of a turn's duration, below which a leg is a transient between two others."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """What happened between two successive stationary windows of one contiguous piece.
+
+    Attributes
+    ----------
+    start_window, end_window : int
+        Indices into the windows.
+    first, last : int
+        First sample of the turn and one past its last.
+    legs : ndarray, shape (m, 3), rad
+        Summed raw gyro angle of each leg, less the bias that the two windows show.
+    bounds : ndarray of int, shape (m, 2)
+        First sample of each leg and one past its last.
+    """
+
+    start_window: int
+    end_window: int
+    first: int
+    last: int
+    legs: Array
+    bounds: NDArray[np.intp]
+
+    @property
+    def angle_rad(self) -> float:
+        """Sum of the legs' angles."""
+        return float(np.linalg.norm(self.legs, axis=1).sum())
+
+
+def find_legs(recording: Recording, windows: NDArray[np.intp], start: int) -> Turn:
+    """Split the turn after a window into legs.
+
+    A leg is a stretch in which the same sensor axis turns fastest, in the same sense: a fixture turns about one axis at
+    a time, and sensor axes lie within some tenths of a radian of the fixture's. A stop on the way does not end a leg.
+
+    Parameters
+    ----------
+    recording : Recording
+    windows : ndarray of int, shape (W, 2)
+    start : int
+        Window before the turn; the turn ends at the next one.
+    """
+    a, b = int(windows[start, 1]), int(windows[start + 1, 0])
+    rest = [recording.gyro[lo:hi].mean(axis=0) for lo, hi in windows[start : start + 2].tolist()]
+    per_sample = recording.gyro[a:b] - 0.5 * (rest[0] + rest[1])
+    interval = recording.interval_s
+    if recording.kind == "rate":
+        per_sample = per_sample * (interval if isinstance(interval, float) else interval[a:b, None])
+    smooth = uniform_filter1d(
+        per_sample, max(1, round(_SMOOTH_S / recording.nominal_interval_s)), axis=0, mode="nearest"
+    )
+    speed = np.linalg.norm(smooth, axis=1)
+    moving = np.flatnonzero(speed > MOVING * speed.max())
+    axis = np.argmax(np.abs(smooth[moving]), axis=1)
+    sense = np.sign(smooth[moving, axis])
+    key = (axis * 2 + (sense > 0)).astype(np.int64)
+    cuts = np.flatnonzero(np.diff(key)) + 1
+    starts, stops = np.concatenate([[0], cuts]), np.append(cuts, len(key))
+    keep = stops - starts > _SHORTEST * len(moving)
+    bounds: list[list[int]] = []
+    names: list[int] = []
+    for lo, hi in zip(starts[keep].tolist(), stops[keep].tolist(), strict=True):
+        if names and names[-1] == key[lo]:
+            bounds[-1][1] = int(moving[hi - 1]) + 1
+        else:
+            bounds.append([int(moving[lo]), int(moving[hi - 1]) + 1])
+            names.append(int(key[lo]))
+    # Every sample belongs to a leg: cut in the middle of what lies between two.
+    middles = [(bounds[i][1] + bounds[i + 1][0]) // 2 for i in range(len(bounds) - 1)]
+    edges = np.array([0, *middles, b - a], dtype=np.intp)
+    legs = np.add.reduceat(per_sample, edges[:-1], axis=0)
+    return Turn(start, start + 1, a, b, legs, a + np.stack([edges[:-1], edges[1:]], axis=1))
+
+
+QUARTER: Final = 0.5 * np.pi
+LEGAL_SCALE: Final = (0.5, 1.6)
+"""Reading over truth of a gyro that quarter turns are counted by; 30 % of error and as much in safety."""
+_UPRIGHT: Final = 0.75
+"""Cosine of the angle to the next axis, within which a face counts as down: 40° take in misalignment and bias."""
+_PURE: Final = 0.75
+OFF: Final = 0.4
+"""Quarter turns by which an angle may be off the next whole number and still stand for it."""
+
+
+@cache
+def quarter_turn(axis: int, count: int) -> Whole:
+    """Rotation by quarter turns about a body axis, turned to unturned components, shape (3, 3), whole numbers."""
+    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
+    out = np.eye(3, dtype=np.int64)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    out[i, i] = out[j, j] = c
+    out[i, j], out[j, i] = -s, s
+    out.flags.writeable = False
+    return out
+
+
+def centred(force: Array, gravity: float) -> Array:
+    """Mean specific force of windows less what the extremes of each axis have in common, its bias, shape (W, 3)."""
+    low, high = force.min(axis=0), force.max(axis=0)
+    both = (low < -0.3 * gravity) & (high > 0.3 * gravity)
+    return np.asarray(force - np.where(both, 0.5 * (low + high), 0.0))
+
+
+def faces(force: Array, gravity: float) -> list[tuple[int, int] | None]:
+    """Body axis that is down, and its sign, for every window; None where no axis is near the vertical."""
+    f = centred(force, gravity)
+    axis = np.argmax(np.abs(f), axis=1)
+    share = np.abs(f[np.arange(len(f)), axis]) / np.maximum(np.linalg.norm(f, axis=1), 1e-300)
+    sign = -np.sign(f[np.arange(len(f)), axis]).astype(int)
+    return [(int(a), int(s)) if c > _UPRIGHT else None for a, s, c in zip(axis, sign, share, strict=True)]
+
+
+def face_vector(face: tuple[int, int]) -> Whole:
+    """Down in body axes, shape (3,)."""
+    out = np.zeros(3, dtype=np.int64)
+    out[face[0]] = face[1]
+    return out
+
+
+def leg_axis(leg: Array) -> tuple[int, float] | None:
+    """Sensor axis of a leg and its signed raw angle; None where no axis stands out."""
+    axis = int(np.argmax(np.abs(leg)))
+    size = float(np.linalg.norm(leg))
+    if size == 0.0 or abs(leg[axis]) < _PURE * size:
+        return None
+    return axis, float(np.sign(leg[axis]) * size)
+
+
+def scales(turns: SequenceOf[Turn], face: SequenceOf[tuple[int, int] | None]) -> Array:
+    """Reading over truth of each gyro axis, from turns of one leg that turn a face over, shape (3,).
+
+    What is down before and after such a turn tells its angle but for whole turns, whatever the gyro reads.
+    """
+    ratios: list[list[float]] = [[], [], []]
+    for turn in turns:
+        before, after = face[turn.start_window], face[turn.end_window]
+        found = leg_axis(turn.legs[0]) if len(turn.legs) == 1 else None
+        if found is None or before is None or after is None or found[0] == before[0]:
+            continue
+        axis, angle = found
+        down, end = face_vector(before), face_vector(after)
+        for q in range(1, 7):
+            count = q if angle > 0.0 else -q
+            ratio = angle / (count * QUARTER)
+            if LEGAL_SCALE[0] < ratio < LEGAL_SCALE[1] and np.array_equal(quarter_turn(axis, count).T @ down, end):
+                ratios[axis].append(ratio)
+    middle = [float(np.median(r)) if r else np.nan for r in ratios]
+    common = float(np.nanmedian(middle)) if not np.all(np.isnan(middle)) else 1.0
+    return np.array([common if np.isnan(m) else m for m in middle])
+
+
+def quarters(legs: Array, scale: Array) -> list[tuple[int, int]] | None:
+    """Axis and quarter turns of each leg; None where a leg is no whole number of quarter turns about one axis."""
+    out = []
+    for leg in legs:
+        found = leg_axis(leg)
+        if found is None:
+            return None
+        axis, angle = found
+        turns = angle / (QUARTER * scale[axis])
+        count = round(turns)
+        if count == 0 or abs(turns - count) > OFF:
+            return None
+        out.append((axis, count))
+    return out
+
+
+_SIGMAS: Final = 6.0
+
+
+@cache
+def end_attitude(sequence: Sequence) -> Array:
+    """Nominal C_End of a sequence, B_End to B_Strt, shape (3, 3), for IMU axes along the table's; read-only."""
+    C = np.eye(3)
+    for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
+        C = C @ rotation_matrix(axis * angle)
+    C.flags.writeable = False
+    return C
+
+
+def wrong_turns(data: PlaybackData, turned: Array, U: Array) -> tuple[str, ...]:
+    """Name the sequences that were not turned as their labels say.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    turned : ndarray, shape (K, 3, 3)
+        C_End as the gyros measured it, B_End to B_Strt.
+    U : ndarray, shape (3, 3)
+        T to MARS components.
+
+    Returns
+    -------
+    tuple of str
+        One sentence for each turn that is off by more than six times what the fixture allows.
+    """
+    fixture = data.recording.fixture
+    if fixture is None:
+        return ()
+    said = []
+    for k, sequence in enumerate(data.catalogue):
+        if sequence is None:
+            continue
+        nominal = U @ end_attitude(sequence) @ U.T
+        off = rotation_vector((nominal.T @ turned[k])[None])[0]
+        # Every leg has its own error; about a misaligned axis a turn ends up to twice the misalignment away.
+        legs = len(sequence.rotations)
+        allowed = _SIGMAS * math.hypot(math.sqrt(legs) * fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)
+        if np.linalg.norm(off) <= allowed:
+            continue
+        title = data.labels[k].title[0].upper() + data.labels[k].title[1:]
+        if legs == 1:
+            angle = float(sequence.angles_rad[0])
+            done = angle + float(off @ U @ sequence.axes[0])
+            said.append(
+                f"{title} turned by {math.degrees(done):.2f}° where its label has {math.degrees(angle):.0f}°: "
+                "the gyros measure what it did turn, but check the label."
+            )
+        else:
+            said.append(
+                f"{title} ends {math.degrees(float(np.linalg.norm(off))):.2f}° from where its rotations lead: one of "
+                "them was not turned by its nominal angle; the gyros measure what it did turn, but check the label."
+            )
+    return tuple(said)
