@@ -27,14 +27,14 @@ from sims.campaigns import GRADES, IN_G, SITE, run
 from sims.efficiency import ESTIMATORS, STANDARD_ERRORS, Criterion, Efficiency, Unit
 from sims.imu import read_out
 from sims.table_motion import table1_motion
-from srt.closed_form_estimator import ClosedFormSolver
-from srt.iteration import iterate
-from srt.least_squares_estimator import LeastSquaresSolver
-from srt.options import Options
+from srt.estimation.closed_form_solver import ClosedFormSolver
+from srt.estimation.initial_estimates import first_estimate
+from srt.estimation.iteration import iterate
+from srt.estimation.least_squares_solver import LeastSquaresSolver
+from srt.estimation.options import Options
 from srt.recording.recording import Fixture
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, SYMBOLS, SensorErrors
 from srt.sequences.preparation import open_session
-from srt.start import first_estimate
 
 console = Console(width=150)
 BATCH = 200

@@ -26,7 +26,7 @@ from sims.robustness.run import run_campaign
 from sims.robustness.trial import run_trial
 from sims.simulation import simulate
 from srt.engines import Engine
-from srt.options import Options
+from srt.estimation.options import Options
 
 console = Console(width=120)
 ROUNDS = 5

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.measurement_noise import accel_drift, gyro_drift
+from srt.estimation.measurement_covariance import accel_drift, gyro_drift
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,10 +18,10 @@ from estimators.judgement import calibration_of, judge, with_prior
 from estimators.statistics import deletion_table, excess_noise
 from estimators.system import N_ERRORS, linearise
 from estimators.targets import PARAMETER_UNITS
-from srt.assembly import is_misfit
-from srt.held import held_sigma, request_reason
-from srt.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
-from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma, admit
+from srt.estimation.assembly import is_misfit
+from srt.estimation.fixed_parameters import held_sigma, request_reason
+from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
+from srt.estimation.least_squares_solver import OBSERVED_BELOW, admission_sigma, admit
 from srt.model.prior import Prior
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import outside_model
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from estimators.point import Played, Point
     from estimators.problem import Problem
     from estimators.system import System
-    from srt.estimation import Progress
-    from srt.options import Options
+    from srt.estimation.options import Options
+    from srt.estimation.registry import Progress
     from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from estimators.point import Point
     from estimators.problem import Problem
     from estimators.system import System
-    from srt.estimation import Progress
+    from srt.estimation.options import Options
+    from srt.estimation.registry import Progress
     from srt.model.prior import Prior
-    from srt.options import Options
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 

@@ -10,8 +10,8 @@ import numpy as np
 from estimators.batch import by_source, solve, weighted
 from estimators.statistics import contradictions, deletion_table, evidence, residuals, suspects
 from estimators.system import N_ERRORS, linearise
-from srt.assembly import Outcome, assemble
-from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma
+from srt.estimation.assembly import Outcome, assemble
+from srt.estimation.least_squares_solver import OBSERVED_BELOW, admission_sigma
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from estimators.driver import State, Step
     from estimators.problem import Problem
     from estimators.system import System
-    from srt.options import Options
+    from srt.estimation.leave_one_out import Evidence
+    from srt.estimation.options import Options
     from srt.result.calibration import Calibration, Residual
-    from srt.verdict import Evidence
 
     Array = NDArray[np.float64]
 

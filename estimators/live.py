@@ -23,22 +23,21 @@ from estimators.judgement import with_prior
 from estimators.problem import Problem
 from estimators.root_ekf import RootExtendedKalmanFilter
 from estimators.targets import judge_targets
+from srt.estimation.initial_estimates import first_estimate, split_legs
 from srt.exceptions import DataError, InputError
-from srt.fixture_start import split_legs
 from srt.model.analytic_platform import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import open_session
-from srt.start import first_estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
+    from srt.estimation.options import Options
     from srt.model.prior import Prior
-    from srt.options import Options
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData

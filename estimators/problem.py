@@ -19,28 +19,28 @@ import numpy as np
 from estimators.drift import drift
 from estimators.point import Chain, Played, Point
 from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.initial_estimates import first_estimate
+from srt.estimation.measurement_covariance import earth_rate_doubt, excess_scatter
+from srt.estimation.srt_measurements import Player
 from srt.exceptions import DataError, InputError
-from srt.g_sensitivity import MODE as G_SENSITIVE
-from srt.measurement_noise import earth_rate_doubt, excess_scatter
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate
 from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.from_windows import flicker_spread
-from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 from srt.sequences.plausibility import gap_inside
 from srt.sequences.preparation import nominal_attitude, open_session, sequence_of_label
 from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
-from srt.start import first_estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from srt.estimation.options import Options
     from srt.model.table1 import Sequence
-    from srt.options import Options
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.preparation import PlaybackData
 

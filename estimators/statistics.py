@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtrc
 
+from srt.estimation.leave_one_out import REDUNDANT, Contradiction, Evidence, LeftOut, named, reestimate, suspect
 from srt.noise.variance_components import restricted_likelihood
 from srt.result.calibration import Residual
 from srt.sensor_errors import N_PARAMETERS
-from srt.verdict import REDUNDANT, Contradiction, Evidence, LeftOut, named, reestimate, suspect
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from sims.scenario import Scenario
     from sims.simulation import Simulation
-    from srt.options import GyroBias
+    from srt.estimation.options import GyroBias
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 

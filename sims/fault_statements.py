@@ -11,7 +11,7 @@ import numpy as np
 from sims.faults import injection
 from sims.imu import read_out
 from srt.constants import DEG, DEG_PER_H, normal_gravity_m_s2
-from srt.options import Options
+from srt.estimation.options import Options
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -22,7 +22,7 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from sims.scenario import Scenario
     from sims.simulation import Simulation
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.recording.recording import Recording
 
 GRADES: Final = ("navigation-rlg", "tactical-fog", "industrial-mems", "consumer-mems")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from sims.scenario import Scenario
     from sims.simulation import Simulation
-    from srt.options import GyroBias
+    from srt.estimation.options import GyroBias
     from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]

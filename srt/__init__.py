@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from srt.diagnosis import diagnose
-    from srt.estimation import calibrate, estimators
+    from srt.estimation.options import Options
+    from srt.estimation.registry import calibrate, estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
     from srt.merge import merge_calibrations
-    from srt.options import Options
     from srt.recording.folder import load_recording, write_recording
     from srt.recording.importer_registry import import_file
     from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
@@ -40,13 +40,13 @@ _HOME = {
     "recognise": "sequences.recognition",
     "Calibration": "result.calibration",
     "load_calibration": "result.calibration",
-    "calibrate": "estimation",
-    "estimators": "estimation",
+    "calibrate": "estimation.registry",
+    "estimators": "estimation.registry",
     "DataError": "exceptions",
     "InputError": "exceptions",
     "MissingExtraError": "exceptions",
     "SrtError": "exceptions",
-    "Options": "options",
+    "Options": "estimation.options",
     "Fixture": "recording.recording",
     "ImuNoise": "recording.recording",
     "Recording": "recording.recording",

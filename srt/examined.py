@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from srt.diagnosis.run import Examination
-from srt.estimation import calibrate
+from srt.estimation.registry import calibrate
 from srt.exceptions import DataError
 
 if TYPE_CHECKING:
-    from srt.estimation import Progress
-    from srt.options import Options
+    from srt.estimation.options import Options
+    from srt.estimation.registry import Progress
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from srt.engines import Engine
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.result.calibration import Calibration
 
 FORMAT: Final = "srt-fleet"
@@ -227,7 +227,7 @@ def calibrate_fleet(
     MissingExtraError
         What the engine needs is not installed.
     """
-    from srt.options import Options as _Options
+    from srt.estimation.options import Options as _Options
 
     if not isinstance(recordings, Mapping):
         paths = [str(path) for path in recordings]

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtrc
 
-from srt.assembly import software
+from srt.estimation.assembly import software
+from srt.estimation.g_sensitivity import KEY
+from srt.estimation.leave_one_out import Evidence, against_others, verdict, without_groups
 from srt.exceptions import DataError, InputError
-from srt.g_sensitivity import KEY
 from srt.merge_model import GROUP_OF, Stack, between_sigma, estimate, stack_of
 from srt.merge_repeatability import repeatability
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
-from srt.verdict import Evidence, against_others, verdict, without_groups
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

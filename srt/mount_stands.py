@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri
 
-from srt.assembly import software
+from srt.estimation.assembly import software
 from srt.exceptions import DataError, InputError
 from srt.model.measurement_model import force_error_jacobian
 from srt.model.sensor_model import accel_triad, outside_model

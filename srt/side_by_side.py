@@ -6,9 +6,9 @@ from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Final
 
-from srt.estimation import automatic_estimator, find_estimator
+from srt.estimation.options import Options
+from srt.estimation.registry import automatic_estimator, find_estimator
 from srt.exceptions import DataError, SrtError
-from srt.options import Options
 from srt.sequences.recognition import label_sequences
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.estimation.leave_one_out import suspect
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, SYMBOLS
 from srt.tables import WIDTH, decimals_for, fixed, text_table
-from srt.verdict import suspect
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

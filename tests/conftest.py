@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import sims
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import Player
 from srt.model.table1 import SEQUENCES
-from srt.options import Options
-from srt.playback import Player
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.sequences.preparation import PlaybackData, prepare

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import sims
+from srt.estimation.options import Options
 from srt.model import analytic_platform, rotations
 from srt.model.analytic_platform import gyro_stream, integrate
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.sensor_model import Triad, gyro_triad
 from srt.model.table1 import SEQUENCES
-from srt.options import Options
 from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
 from srt.sequences.preparation import prepare

@@ -15,11 +15,11 @@ from conftest import RAMP_S, RATE_RAD_S, SAMPLE_RATE_HZ, WINDOW_S, G
 
 import sims
 from srt.constants import DEG
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import Player
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.rotations import cross_matrix, rotation_matrix
 from srt.model.table1 import AXES, SEQUENCES
-from srt.options import Options
-from srt.playback import Player
 from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
 from srt.sequences.preparation import prepare

@@ -11,7 +11,7 @@ from typing import get_args
 import click
 import pytest
 
-import srt.options
+import srt.estimation.options
 from srt.cli import app as application
 from srt.cli import main
 from srt.cli.app import COMMANDS
@@ -106,17 +106,17 @@ def test_no_command_shows_the_help_and_is_wrong_usage(capfd):
 def test_choices_are_those_of_the_library():
     """They are written out in the command, so that its help need not import numpy; here is why that is safe."""
     types = {
-        "average": srt.options.Average,
-        "down": srt.options.Down,
-        "window_attitude": srt.options.WindowAttitude,
-        "gyro_bias": srt.options.GyroBias,
-        "step": srt.options.Step,
-        "loss": srt.options.Loss,
+        "average": srt.estimation.options.Average,
+        "down": srt.estimation.options.Down,
+        "window_attitude": srt.estimation.options.WindowAttitude,
+        "gyro_bias": srt.estimation.options.GyroBias,
+        "step": srt.estimation.options.Step,
+        "loss": srt.estimation.options.Loss,
     }
     assert {name: get_args(kind) for name, kind in types.items()} | {"start": ("auto", "zero")} == CHOICES
     for name, allowed in CHOICES.items():
         for value in allowed:
-            srt.options.Options(**{name: value})
+            srt.estimation.options.Options(**{name: value})
     assert set(FORMATS) == set(SAMPLES_FORMATS)
 
 
@@ -124,7 +124,7 @@ def test_defaults_are_those_of_the_library():
     from srt.cli.calibrate import calibrate
 
     defaults = {p.name: p.default for p in calibrate.params}
-    options = srt.options.Options()
+    options = srt.estimation.options.Options()
     for name in (*CHOICES, "max_playbacks"):
         assert defaults[name] == getattr(options, name)
 

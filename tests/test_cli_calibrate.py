@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import srt
-import srt.estimation
+import srt.estimation.registry
 from srt.cli import main
 from srt.sensor_errors import NAMES, SYMBOLS
 
@@ -50,7 +50,7 @@ def result(monkeypatch):
                 raise value
             return value
 
-        monkeypatch.setattr(srt.estimation, "find_estimator", lambda name: estimate)
+        monkeypatch.setattr(srt.estimation.registry, "find_estimator", lambda name: estimate)
 
     return install
 
@@ -259,7 +259,7 @@ def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, mon
 
     monkeypatch.setitem(sys.modules, "their_module", Module)
     entry = EntryPoint("theirs", "their_module:estimate", "srt.estimators")
-    monkeypatch.setattr(srt.estimation, "entry_points", lambda group: [entry])
+    monkeypatch.setattr(srt.estimation.registry, "entry_points", lambda group: [entry])
     assert main(["calibrate", str(recording), "--estimator", "theirs"]) == 0
     out = capfd.readouterr().out
     assert "theirs" in out

@@ -14,7 +14,7 @@ import pytest
 
 import srt
 import srt.comparison
-import srt.estimation
+import srt.estimation.registry
 import srt.side_by_side
 from srt.cli import main
 from srt.cli.calibrate import calibrate
@@ -64,7 +64,7 @@ def results(monkeypatch):
                 raise srt.MissingExtraError("some-package", "all", f"The estimator {name!r}")
             return estimate
 
-        for module in (srt.estimation, srt.side_by_side):
+        for module in (srt.estimation.registry, srt.side_by_side):
             monkeypatch.setattr(module, "find_estimator", find)
 
     return install

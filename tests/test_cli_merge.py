@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import srt
-import srt.estimation
+import srt.estimation.registry
 from sims import campaigns
 from sims.imu import read_out
 from sims.table_motion import table1_motion
@@ -98,7 +98,7 @@ def test_plot_truth_and_quiet(folders, tmp_path, capfd):
 
 
 def test_what_cannot_be_calibrated_is_left_out(folders, tmp_path, monkeypatch, capfd):
-    found = srt.estimation.find_estimator
+    found = srt.estimation.registry.find_estimator
 
     def estimator(name):
         def estimate(recording, options, progress=None):
@@ -110,7 +110,7 @@ def test_what_cannot_be_calibrated_is_left_out(folders, tmp_path, monkeypatch, c
         return estimate
 
     failing = False
-    monkeypatch.setattr(srt.estimation, "find_estimator", estimator)
+    monkeypatch.setattr(srt.estimation.registry, "find_estimator", estimator)
     assert main(["calibrate", "--merge", *folders, "-q", "-o", str(tmp_path / "unit.json")]) == 0
     err = capfd.readouterr().err
     assert err.splitlines() == [f"srt: warning: {folders[0]} is left out: It cannot be."]

@@ -24,8 +24,8 @@ from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of, in_order
 from srt.diagnosis.motion import offset
 from srt.diagnosis.turn_evidence import cross, legs, robust_fit
+from srt.estimation.options import Options
 from srt.exceptions import InputError
-from srt.options import Options
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sequences.stationary_windows import find_turns
 

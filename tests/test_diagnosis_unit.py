@@ -19,7 +19,7 @@ from srt.diagnosis.findings import checks_of
 from srt.diagnosis.noise_evidence import shown_noise
 from srt.diagnosis.rest_evidence import rest_fit
 from srt.diagnosis.unit import BENCH_C, NOISE_RATIO, STEADY_C  # registers its checks
-from srt.options import Options
+from srt.estimation.options import Options
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
 FAULTS = (

@@ -8,11 +8,11 @@ from conftest import SAMPLE_RATE_HZ, Simulated, component_rows
 from test_equations_signatures import G, ideal_jacobian
 
 import sims
-from srt.closed_form_estimator import ClosedFormSolver
+from srt.estimation.closed_form_solver import ClosedFormSolver
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import Player
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
-from srt.options import Options
-from srt.playback import Player
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 from srt.sequences.preparation import prepare

@@ -14,8 +14,8 @@ from conftest import G, component_rows
 
 import sims
 from srt.constants import EARTH_RATE_RAD_S
-from srt.options import Options
-from srt.playback import Player
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import Player
 from srt.recording.recording import SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
 from srt.sequences.preparation import prepare

@@ -15,11 +15,11 @@ from conftest import RATE_RAD_S, WINDOW_S, G
 from scipy.stats import chi2
 
 import sims
+from srt.estimation.options import Options
 from srt.exceptions import InputError
 from srt.model import closed_form
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import SEQUENCES
-from srt.options import Options
 from srt.recording.recording import Site
 from srt.sensor_errors import INDEX, SensorErrors
 from srt.sequences.preparation import prepare

@@ -8,8 +8,8 @@ import pytest
 import srt
 from sims.faults import Case
 from srt.constants import DEG
+from srt.estimation.options import Options
 from srt.examined import calibrate_examined
-from srt.options import Options
 
 
 @pytest.fixture(scope="module")

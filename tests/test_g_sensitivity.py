@@ -17,16 +17,17 @@ from sims.budget import G_SENSITIVITY
 from sims.g_sensitivity_study import BIAS_DEG_PER_S, MODES, mems_scenario, study
 from sims.imu import ImuModel, read_out
 from sims.simulation import draw_errors
-from srt import exporters, g_sensitivity, g_sensitivity_result
+from srt import exporters
 from srt.certificate.checked import load_source
 from srt.certificate.replay import replay
 from srt.cli import main
 from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G, STANDARD_GRAVITY_M_S2
+from srt.estimation import g_sensitivity, g_sensitivity_report
+from srt.estimation.iteration import CONVERGED_CORRECTION
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import Player
 from srt.exceptions import InputError
-from srt.iteration import CONVERGED_CORRECTION
 from srt.model.measurement_model import attitude_to_horizontal
-from srt.options import Options
-from srt.playback import Player
 from srt.recording.recording import Fixture, Site
 from srt.result.calibration import FORMULA
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
@@ -303,14 +304,14 @@ def test_share_of_a_wander_that_is_left():
 
 def test_rates_that_noise_alone_moves_raise_no_alarm_more_often_than_stated(monkeypatch):
     """Drawn rates of windows with a bias for each sequence; at a false-alarm rate that can be counted."""
-    monkeypatch.setattr(g_sensitivity_result, "FALSE_ALARM", 0.3)
+    monkeypatch.setattr(g_sensitivity_report, "FALSE_ALARM", 0.3)
     recording = read_out(motion_of(fixture=1e-9), SensorErrors())
     data = prepare(recording, recording.sequences, Options())
     found = Player(data, Options()).play(SensorErrors())
     rng, n = np.random.default_rng(7), 2000
     own = rng.standard_normal((n, data.K, 3))[:, found.window_sequence] * 10.0
     rates = 1e-4 * (own + rng.standard_normal((n, *found.rest_rate.shape)))
-    alarms = sum(g_sensitivity_result.follows_force(replace(found, rest_rate=r), data) is not None for r in rates)
+    alarms = sum(g_sensitivity_report.follows_force(replace(found, rest_rate=r), data) is not None for r in rates)
     # A third of the rate for each of three gyros.
     low, high = binom.ppf([2.5e-4, 1 - 2.5e-4], n, 1.0 - 0.9**3)
     assert low <= alarms <= high

@@ -11,12 +11,12 @@ import pytest
 from conftest import G, component_rows
 
 import sims
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import Player
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate
 from srt.model.rotations import cross_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad, outside_model
-from srt.options import Options
-from srt.playback import Player
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 from srt.sequences.preparation import prepare

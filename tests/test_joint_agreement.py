@@ -23,17 +23,17 @@ from scipy.stats import chi2, norm
 
 import sims
 from sims.campaigns import noisy_recording
-from srt import iteration
-from srt.closed_form_estimator import ClosedFormSolver
 from srt.constants import EARTH_RATE_RAD_S
-from srt.least_squares_estimator import LeastSquaresSolver
+from srt.estimation import iteration
+from srt.estimation.closed_form_solver import ClosedFormSolver
+from srt.estimation.initial_estimates import first_estimate
+from srt.estimation.least_squares_solver import LeastSquaresSolver
+from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.model.table1 import AXES
-from srt.options import Options
 from srt.recording.recording import Fixture, ImuNoise, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.sequences.preparation import open_session
-from srt.start import first_estimate
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")

@@ -21,12 +21,12 @@ from scipy.spatial.transform import Rotation
 import sims
 from sims.campaigns import large_errors
 from sims.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
+from srt.estimation.options import Options
 from srt.model import measurement_model as model
 from srt.model import rotation_integrals, rotations
 from srt.model.prior import Prior
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise import bias_instability
-from srt.options import Options
 from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 

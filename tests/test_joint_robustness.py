@@ -18,7 +18,7 @@ from sims.free_motion import free_motion, random_attitude, random_turns
 from sims.imu import ImuModel, read_out
 from sims.table_motion import table1_motion
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
-from srt.estimation import find_estimator
+from srt.estimation.registry import find_estimator
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors

@@ -19,9 +19,9 @@ from sims.imu import read_out
 from sims.sequences import TABLE_1
 from sims.table_motion import table1_motion
 from srt.cli.report import report
-from srt.iteration import CONVERGED_SIGMAS
+from srt.estimation.iteration import CONVERGED_SIGMAS
+from srt.estimation.leave_one_out import Evidence, against_others, suspect, verdict, without_groups
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES
-from srt.verdict import Evidence, against_others, suspect, verdict, without_groups
 from srt.verdict_table import overall
 
 PLAYBACK = ("closed-form", "least-squares")

@@ -29,9 +29,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sims import library
 from sims.scenario import Finite, Flag, Scenario, scenario_from_dict, validation_sentence
 from sims.sequences import TABLE_1
-from srt.estimation import find_estimator
+from srt.estimation.options import Options
+from srt.estimation.registry import find_estimator
 from srt.exceptions import InputError, did_you_mean
-from srt.options import Options
 from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.assembly import software
 from srt.certificate.tables import Cell, Table, plain
-from srt.options import Options
+from srt.estimation.assembly import software
+from srt.estimation.options import Options
 from srt.result.calibration import VERSION
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.constants import DEG
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import Player
 from srt.exceptions import DataError, InputError, clipped
 from srt.model import rotations
 from srt.model.table1 import SEQUENCES
-from srt.options import Options
-from srt.playback import Player
 from srt.result.applier import Applier
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.preparation import open_session
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.certificate.checked import Source
-    from srt.playback import Playback
+    from srt.estimation.srt_measurements import Playback
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PlaybackData

@@ -212,7 +212,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
     import numpy as np
 
-    from srt.g_sensitivity import KEY, insensitive_readings
+    from srt.estimation.g_sensitivity import KEY, insensitive_readings
     from srt.result.applier import Applier
 
     applier = Applier(calibration, frame=frame)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from sims.budget import Budget
     from sims.scenario import Scenario
-    from srt.options import GyroBias
+    from srt.estimation.options import GyroBias
 
 
 @click.command()

@@ -16,12 +16,12 @@ from srt.exceptions import DataError, InputError, SrtError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from srt.estimation.options import Options
     from srt.model.prior import Prior
-    from srt.options import Options
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
-# The option types of srt.options, written out: importing them here would make help wait for numpy.
+# The option types of srt.estimation.options, written out: importing them here would make help wait for numpy.
 CHOICES = {
     "average": ("linear", "overlapping"),
     "down": ("tilt-immune", "paper"),
@@ -188,8 +188,8 @@ def calibrate(
     for refused, sentence in refusals:
         if refused:
             raise InputError(sentence)
-    from srt.estimation import find_estimator
-    from srt.options import Options
+    from srt.estimation.options import Options
+    from srt.estimation.registry import find_estimator
 
     options = Options(
         asymmetry=not no_asymmetry,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from srt.comparison import Comparison
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.pairwise import Pair
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
@@ -75,7 +75,7 @@ def compare(
         check_file(output, RESULT_SUFFIXES, "The result")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.side_by_side import ESTIMATORS
 
     names = tuple(dict.fromkeys(names))
@@ -119,7 +119,7 @@ def check_names(names: Sequence[str], default: Sequence[str], reference: str | N
     InputError
         One estimator alone, one that is not installed, or a reference that is not among them.
     """
-    from srt.estimation import find_estimator
+    from srt.estimation.registry import find_estimator
 
     for name in names:
         find_estimator(name)

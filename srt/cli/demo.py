@@ -39,7 +39,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     """
     import sims
     from srt.cli.truth import NAME, load_truth
-    from srt.options import Options
+    from srt.estimation.options import Options
 
     folder = output / "recording"
     check_directory(output)

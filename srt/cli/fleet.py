@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from srt.cli.calibrate import Job
     from srt.engines import Engine
+    from srt.estimation.options import Options
     from srt.fleet_run import Fleet, Unit
-    from srt.options import Options
 
 FLEET_FROM: Final = 6
 """More recordings than five are shown as a fleet: so many full tables nobody reads, and from six on it is judged."""

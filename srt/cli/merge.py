@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.cli.calibrate import Display, Job
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.result.calibration import Calibration
 
 

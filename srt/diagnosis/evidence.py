@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from srt.estimation.options import Options
 from srt.exceptions import DataError
-from srt.options import Options
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare
 
@@ -181,7 +181,7 @@ class Evidence:
         nominal, turned : ndarray, shape (L, 3), rad
             Stated rotation, signed angle times axis, and summed gyro reading less the mean of the two windows.
         """
-        from srt.fixture_start import split_legs
+        from srt.estimation.initial_estimates import split_legs
         from srt.model.analytic_platform import gyro_stream
 
         data = self._data
@@ -242,7 +242,7 @@ class Evidence:
     @cached_property
     def result(self) -> Calibration | None:
         """Calibration of the recording by the options; None where the data cannot support one."""
-        from srt.estimation import automatic_estimator, find_estimator
+        from srt.estimation.registry import automatic_estimator, find_estimator
 
         try:
             recording = self.recording if self.labelled else self.recording.with_sequences(self.labels)

@@ -11,8 +11,8 @@ from srt.diagnosis.faults import FAULTS, STAGES
 from srt.diagnosis.findings import Finding, checks_of, found, in_order
 
 if TYPE_CHECKING:
+    from srt.estimation.options import Options
     from srt.exceptions import SrtError
-    from srt.options import Options
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.recognition import Recognition

@@ -12,9 +12,9 @@ from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
 from srt.diagnosis.findings import Finding, check, found
 from srt.diagnosis.noise_evidence import Sensor, shown_noise
 from srt.diagnosis.rest_evidence import RestFit, rest_fit
+from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
-from srt.options import Options
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def _with_asymmetry(evidence: Evidence, fit: RestFit) -> Calibration | None:
     A g-sensitivity is a bias that the windows show and the turn, over which gravity turns too, does not: of a pair of
     turns in both senses it leaves a false asymmetry.
     """
-    from srt.estimation import automatic_estimator, find_estimator
+    from srt.estimation.registry import automatic_estimator, find_estimator
 
     recording = evidence.recording
     latitude = recording.site.latitude_rad

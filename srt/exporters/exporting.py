@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.estimation.g_sensitivity import KEY
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.linear import ASYMMETRY, FACTORS, Linear, linear_part
 from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
 from srt.exporters.residual import Readings, Residual, compare
 from srt.exporters.source import Settings, Source
-from srt.g_sensitivity import KEY
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
 from srt.recording.atomic import atomic_path
 from srt.result.applier import Applier

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.estimation.g_sensitivity import KEY
 from srt.exceptions import InputError
-from srt.g_sensitivity import KEY
 from srt.model.rotations import rotation_vector
 
 if TYPE_CHECKING:

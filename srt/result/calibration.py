@@ -89,7 +89,7 @@ class Calibration:
     diagnostics : dict
         What else the estimator reports, such as the innovations of every sequence; JSON values.
     verdict : dict
-        What the measurements say of the result, :func:`srt.verdict.verdict`; JSON values, empty where nothing is known.
+        What the measurements say of the result, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty where nothing is known.
     warnings : tuple of str
     """
 

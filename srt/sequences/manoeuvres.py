@@ -1,4 +1,4 @@
-"""Manoeuvres between stationary windows: rotations about one axis each, faces down, angles against nominal ones.
+"""Manoeuvres between stationary windows: rotations about one axis each, faces down, angles against nominal ones."""
 
 from __future__ import annotations
 

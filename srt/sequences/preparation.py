@@ -1,4 +1,4 @@
-"""Preparation of a recording: sequences, window means, rotation samples; unusable data is refused or voided.
+"""Preparation of a recording: sequences, window means, rotation samples; unusable data is refused or voided."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.recording.recording import Recording, SequenceLabel
 
     Array = NDArray[np.float64]

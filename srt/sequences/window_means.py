@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.options import Average
+    from srt.estimation.options import Average
     from srt.recording.recording import Recording
 
     Array = NDArray[np.float64]

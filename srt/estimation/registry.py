@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 GROUP: Final = "srt.estimators"
 _BUILT_IN: Final = {
-    "closed-form": "srt.closed_form_estimator:estimate",
-    "least-squares": "srt.least_squares_estimator:estimate",
+    "closed-form": "srt.estimation.closed_form_solver:estimate",
+    "least-squares": "srt.estimation.least_squares_solver:estimate",
 }
 
 
@@ -95,7 +95,7 @@ def calibrate(
     progress : callable, optional
         Called after every play-back with its number and the largest correction.
     **choices
-        Fields of :class:`srt.options.Options`, instead of ``options``.
+        Fields of :class:`srt.estimation.options.Options`, instead of ``options``.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def calibrate(
     DataError
         Data that cannot support a result.
     """
-    from srt.options import Options as _Options
+    from srt.estimation.options import Options as _Options
     from srt.sequences.recognition import label_sequences
 
     if options is None:

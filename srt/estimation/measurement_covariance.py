@@ -16,15 +16,15 @@ import numpy as np
 from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
-from srt.g_sensitivity import MODE as G_SENSITIVE
-from srt.g_sensitivity import carried
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.g_sensitivity import carried
 from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from srt.estimation.srt_measurements import Playback
     from srt.model.rotation_integrals import RotationIntegrals
-    from srt.playback import Playback
     from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]

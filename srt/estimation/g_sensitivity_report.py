@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import fdtrc
 
-from srt import measurement_noise
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.g_sensitivity import KEY, LEAST_SPREAD, MODE, carried
+from srt.estimation import measurement_covariance
+from srt.estimation.g_sensitivity import KEY, LEAST_SPREAD, MODE, carried
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.iteration import Solution
-    from srt.playback import Playback
+    from srt.estimation.iteration import Solution
+    from srt.estimation.srt_measurements import Playback
     from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def rate_disturbances(playback: Playback, data: PlaybackData, wander: Array) -> 
     wander : ndarray, shape (3,), rad/s
         One sigma of a sequence's gyro bias about the test's, raw channels.
     """
-    sources = measurement_noise.disturbances(playback, data, wander).values()
+    sources = measurement_covariance.disturbances(playback, data, wander).values()
     return np.concatenate([source.rate for source in sources if source.rate is not None], axis=2)
 
 
@@ -136,5 +136,5 @@ def follows_force(playback: Playback, data: PlaybackData) -> float | None:
     if np.min(fdtrc(count, freedom, F)) > FALSE_ALARM / 3.0:
         return None
     size = float(np.abs((right[seen].T / singular[seen]) @ by_force).max())
-    doubt = _EARTH_SIGMAS * measurement_noise.earth_rate_doubt(data)
+    doubt = _EARTH_SIGMAS * measurement_covariance.earth_rate_doubt(data)
     return size if size * data.gravity > doubt else None

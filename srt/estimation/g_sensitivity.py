@@ -31,9 +31,9 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from srt.estimation.srt_measurements import Playback
     from srt.model.analytic_platform import GyroStream
     from srt.model.sensor_model import Triad
-    from srt.playback import Playback
     from srt.result.calibration import Calibration
 
     Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""What a calibration is worth, part by part: every sequence against all the others, and every parameter's witnesses.
+"""Leave-one-out: every sequence against all others, and the estimate without it.
 
 All of it is linear algebra at the solution: measurements z with covariance R and Jacobian H of the errors still in the
 estimate. Nothing is estimated again.
@@ -10,12 +10,18 @@ others mispredict of D, in its own sigma. Directions in which M_DD vanishes are 
 *A sequence left out*: information N' and gradient g' of the estimate without it give the change ``N'⁻¹ g'`` of every
 parameter and its variance. A parameter whose sigma grows a hundredfold, or to what an estimator would hold, is *lost*:
 here it keeps the value found, and the others are estimated beside it.
+
+What a sequence alone brings are its two horizontal components and the down components of windows that no other one
+uses. Leaving it out takes its windows out of the pooled rest rate too, and where a sequence's bias is taken off in
+part, the pooled rate that is left decides how much. Noise is taken as it was found with all sequences; so is the
+knowledge of north, which a gap in a chain of free turns would lower.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -32,6 +38,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Mask = NDArray[np.bool_]
     Indices = NDArray[np.intp]
+    from srt.estimation.iteration import Solution
+    from srt.estimation.options import Options
+    from srt.sequences.preparation import PlaybackData
+
+    Owned = tuple[Indices, Indices]
 
 SUSPECT_PROBABILITY: Final = 1e-4
 """Chance below which a sequence is said to contradict the others; over 17 sequences, about once in 600 recordings."""
@@ -170,7 +181,7 @@ def reestimate(information: Array, gradient: Array, estimated: Mask) -> LeftOut:
         Of what is left, at the solution with all.
     estimated : ndarray of bool, shape (27,)
     """
-    from srt.least_squares_estimator import OBSERVED_BELOW, admission_sigma
+    from srt.estimation.least_squares_solver import OBSERVED_BELOW, admission_sigma
 
     out = LeftOut(np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS, dtype=np.bool_), np.zeros(N_PARAMETERS))
     e = np.flatnonzero(estimated)
@@ -374,3 +385,69 @@ def _weakest(covariance: Array, seen: Indices) -> dict[str, Any] | None:
 
 def _names(mask: Mask) -> list[str]:
     return [NAMES[i] for i in np.flatnonzero(mask)]
+
+
+# By name, as the estimators are: what judges the closed form is no concern of the others.
+_MAKERS: Final = {
+    "closed-form": "srt.estimation.closed_form_solver",
+    "least-squares": "srt.estimation.least_squares_solver",
+}
+
+
+class Maker(Protocol):
+    """What each of those modules has as ``without_sequences``."""
+
+    def __call__(self, data: PlaybackData, options: Options, solution: Solution, owned: list[Owned]) -> list[LeftOut]:
+        """Estimate without each sequence."""
+
+
+def evidence_of(
+    estimator: str, data: PlaybackData, options: Options, solution: Solution, held: Mask
+) -> tuple[Evidence, ...]:
+    """Judge every sequence of a solution by play-back.
+
+    Parameters
+    ----------
+    estimator : str
+        "closed-form" or "least-squares"; of others nothing is known.
+    data : PlaybackData
+    options : Options
+    solution : Solution
+    held : ndarray of bool, shape (27,)
+
+    Returns
+    -------
+    tuple of Evidence
+        In the order of the sequences; empty where the linear model is singular.
+    """
+    if estimator not in _MAKERS or held.all():
+        return ()
+    without_sequences: Maker = import_module(_MAKERS[estimator]).without_sequences
+    H, owned = np.where(held, 0.0, solution.playback.H), owned_by_sequences(data)
+    try:
+        against = against_others(solution.playback.z, H, solution.measurement_covariance, [rows for rows, _ in owned])
+        without = without_sequences(data, options, solution, owned)
+    except np.linalg.LinAlgError:
+        return ()
+    return tuple(Evidence(*row) for row in zip(data.ids, data.occurrences, against, without, strict=True))
+
+
+def owned_by_sequences(data: PlaybackData) -> list[Owned]:
+    """Rows of z that a sequence alone brings, and the windows that no other one uses."""
+    used = np.bincount(data.start, minlength=len(data.windows.duration_s))
+    used += np.bincount(data.end, minlength=len(used))
+    out = []
+    for k in range(data.K):
+        own = np.array([w for w in (int(data.start[k]), int(data.end[k])) if used[w] == 1], dtype=np.intp)
+        out.append((np.concatenate([[2 * k, 2 * k + 1], 2 * data.K + own]).astype(np.intp), own))
+    return out
+
+
+def pools_left(data: PlaybackData, solution: Solution, owned: list[Owned]) -> Array:
+    """Weights of the windows in the pooled rest rate without each sequence, shape (K, W); zeros if none is left."""
+    pools = np.tile(solution.playback.pool, (data.K, 1))
+    for pool, (_, windows) in zip(pools, owned, strict=True):
+        pool[windows] = 0.0
+    total = pools.sum(axis=1, keepdims=True)
+    left = total > 1e-9
+    return np.asarray(np.where(left, pools / np.where(left, total, 1.0), 0.0))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.g_sensitivity import MODE, insensitive, pose_regression
+from srt.estimation.g_sensitivity import MODE, insensitive, pose_regression
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate
 from srt.model.rotations import cross_matrix, smallest_rotation
@@ -22,11 +22,11 @@ from srt.model.table1 import AXES
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.g_sensitivity import PoseRegression
+    from srt.estimation.g_sensitivity import PoseRegression
+    from srt.estimation.options import Options
     from srt.model.analytic_platform import GyroStream
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
-    from srt.options import Options
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData
 

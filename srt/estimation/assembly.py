@@ -10,23 +10,22 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtri
 
-from srt import g_sensitivity_result
+from srt.estimation import g_sensitivity_report
+from srt.estimation.leave_one_out import evidence_of, verdict
 from srt.result.calibration import Calibration, Residual
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 from srt.sequences.manoeuvres import wrong_turns
-from srt.verdict import verdict
-from srt.verdict_playback import evidence_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from srt.iteration import Solution
-    from srt.options import Options
+    from srt.estimation.iteration import Solution
+    from srt.estimation.leave_one_out import Evidence
+    from srt.estimation.options import Options
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData
-    from srt.verdict import Evidence
 
     Array = NDArray[np.float64]
 
@@ -70,7 +69,7 @@ class Outcome:
     evidence : tuple of Evidence
         Every sequence against the others, if the estimator has it.
     solution : Solution, optional
-        Of an estimator by play-back: what :mod:`srt.verdict_playback` judges.
+        Of an estimator by play-back: what :mod:`srt.estimation.leave_one_out` judges.
     """
 
     errors: SensorErrors
@@ -111,7 +110,7 @@ def outcome_of(data: PlaybackData, solution: Solution, held: Mapping[str, str]) 
         solution.wander,
         solution.bias_by_sequence,
         solution.playback.integrals.C_end,
-        diagnostics=g_sensitivity_result.diagnostics(data, solution),
+        diagnostics=g_sensitivity_report.diagnostics(data, solution),
         solution=solution,
     )
 
@@ -349,7 +348,7 @@ def _warnings(data: PlaybackData, outcome: Outcome, observed: NDArray[np.bool_])
     if outcome.status in ("converged", "partial", "not_converged"):
         said += wrong_turns(data, outcome.turned, outcome.U)
     if outcome.solution is not None and outcome.status in ("converged", "partial"):
-        said += g_sensitivity_result.warnings(data, outcome.solution.playback)
+        said += g_sensitivity_report.warnings(data, outcome.solution.playback)
     if data.recording.site.latitude_rad is None:
         said.append("No latitude is given: the Earth's rate is a bounded unknown in the gyro-bias sigma.")
     if data.noise.floored:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from srt import measurement_noise
+from srt.estimation import measurement_covariance
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.g_sensitivity import scatter_left
+from srt.estimation.srt_measurements import Player
 from srt.exceptions import DataError
-from srt.g_sensitivity import MODE as G_SENSITIVE
-from srt.g_sensitivity import scatter_left
 from srt.model.sensor_model import compose, outside_model
-from srt.playback import Player
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.sequences.stillness import moved_windows
 
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from srt.options import Options
-    from srt.playback import Playback
+    from srt.estimation.options import Options
+    from srt.estimation.srt_measurements import Playback
     from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
@@ -250,7 +250,9 @@ class Iteration:
         return bool(change <= max(CONVERGED_CORRECTION, CONVERGED_SIGMAS * sigma[GROUP_SLICES["gyro_bias"]].max()))
 
     def _bias_gain(self, playback: Playback) -> Array:
-        return measurement_noise.bias_gain(playback, self.data, self.options.gyro_bias, self._compensated(playback))
+        return measurement_covariance.bias_gain(
+            playback, self.data, self.options.gyro_bias, self._compensated(playback)
+        )
 
     def _compensated(self, playback: Playback) -> Array:
         return np.asarray(np.sqrt(np.linalg.inv(playback.gyro.matrix) ** 2 @ self.wander**2))
@@ -261,9 +263,9 @@ class Iteration:
         if len(playback.share) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
         deviation = playback.bias_by_sequence / np.sqrt(left)
-        doubt = measurement_noise.earth_rate_doubt(self.data)
-        expected = measurement_noise.rest_rate_variance(playback, self.data) + doubt**2
-        excess = measurement_noise.excess_scatter(deviation, expected)
+        doubt = measurement_covariance.earth_rate_doubt(self.data)
+        expected = measurement_covariance.rest_rate_variance(playback, self.data) + doubt**2
+        excess = measurement_covariance.excess_scatter(deviation, expected)
         return np.asarray(np.sqrt(playback.gyro.matrix**2 @ excess))
 
     def _release_moving(self, playback: Playback) -> bool:
@@ -286,7 +288,9 @@ class Iteration:
         return np.diag(np.concatenate([np.full(2 * K + W, 1e-4), np.full(3, 1e-12)]))
 
     def _by_source(self, playback: Playback) -> dict[str, Array]:
-        return measurement_noise.covariances(playback, self.data, self.wander, self._bias_gain(playback), self.excess)
+        return measurement_covariance.covariances(
+            playback, self.data, self.wander, self._bias_gain(playback), self.excess
+        )
 
     def _finish(
         self,

@@ -13,7 +13,7 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.options import Options
+    from srt.estimation.options import Options
     from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Least squares on the shared model: any turns, labelled or free, fixture or none, iterated by play-back.
+"""Least squares on the shared measurement model, iterated: any manoeuvres, labelled or free; its leave-one-out.
 
 All components of all sequences are weighted by the inverse of their full covariance, shared terms included. What the
 recording does not excite is found out, named and held; noise beyond the sensors' own is estimated from the residuals
@@ -12,30 +12,34 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from srt import measurement_noise
-from srt.assembly import assemble, chi_square, is_misfit, outcome_of
-from srt.held import held_sigma, request_reason
-from srt.iteration import iterate
+from srt.estimation import measurement_covariance
+from srt.estimation.assembly import assemble, chi_square, is_misfit, outcome_of
+from srt.estimation.fixed_parameters import held_sigma, request_reason
+from srt.estimation.g_sensitivity import carried
+from srt.estimation.initial_estimates import first_estimate
+from srt.estimation.iteration import iterate
+from srt.estimation.leave_one_out import LeftOut, pools_left, reestimate
+from srt.model import measurement_model as model
 from srt.model.prior import prior_sigma
 from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, expand_names
 from srt.sequences.preparation import open_session
 from srt.sequences.stationary_windows import find_turns
-from srt.start import first_estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from srt.estimation import Progress
-    from srt.iteration import Solution
-    from srt.options import Options
-    from srt.playback import Playback
+    from srt.estimation.iteration import Solution
+    from srt.estimation.options import Options
+    from srt.estimation.registry import Progress
+    from srt.estimation.srt_measurements import Playback
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData
 
     Array = NDArray[np.float64]
+    from srt.estimation.leave_one_out import Owned
 
 # In this order parameters are admitted: one that is collinear with those before it is the one held.
 _ADMISSION: Final = (
@@ -216,8 +220,83 @@ def _excess(
 ) -> tuple[float, float]:
     """One sigma of attitude per turn and of specific force per pose, by restricted maximum likelihood."""
     playback = solution.playback
-    unit = measurement_noise.covariances(playback, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
+    unit = measurement_covariance.covariances(playback, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
     parts = (unit["turn_excess"], unit["pose_excess"])
     known = solution.measurement_covariance - sum(size**2 * part for size, part in zip(present, parts, strict=True))
     a, b = restricted_likelihood(playback.z, playback.H[:, ~held], known, parts)
     return float(np.sqrt(a)), float(np.sqrt(b))
+
+
+def without_sequences(data: PlaybackData, options: Options, solution: Solution, owned: list[Owned]) -> list[LeftOut]:
+    """Weighted least squares on what is left: the block of a sequence taken out of the inverse covariance.
+
+    The measurements are the rows u of horizontal and down components, and a pooled rate p. Of a Gaussian (u, p) the
+    information is that of u and that of p given u, so that each sequence costs no more than its own few rows.
+    """
+    playback, n = solution.playback, len(solution.playback.z)
+    estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
+    # The weights are those of the noise; what held values add to the covariance came after them.
+    by_held = playback.H * np.where(estimated, 0.0, held_sigma(data, options))
+    noise = solution.measurement_covariance - by_held @ by_held.T
+    sigma = np.sqrt(np.maximum(np.diag(solution.gain @ noise @ solution.gain.T), 0.0))
+    unit = np.where(estimated, sigma, 0.0)
+    back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
+    # Of the last pool nothing is taken: the estimate with all sequences.
+    pools = np.concatenate([pools_left(data, solution, owned), playback.pool[None]])
+    gain = _bias_gain(data, options, solution)
+    with_u, own = _pooled_noise(data, solution, gain, pools)
+    rates = playback.rest_rate
+    H_pools = np.einsum("kw,wap->kap", pools, model.rate_error_jacobian(playback.rate, playback.gyro)) * unit
+    z_pools = playback.z[n - 3 :] + (pools - playback.pool) @ rates
+    pooled = np.concatenate([H_pools, z_pools[:, :, None]], axis=2)
+    # Taking off whole biases instead of their differences from the pooled one changes no estimate, and leaves the
+    # pooled rate to its own rows.
+    T = np.eye(n)[: n - 3]
+    T[: 2 * data.K, n - 3 :] = -_offset_effect(data, solution, gain)
+    R = T @ noise @ T.T
+    scale = 1.0 / np.sqrt(np.diag(R))
+    A = np.linalg.inv(R * np.outer(scale, scale)) * np.outer(scale, scale)
+    X = np.concatenate([T @ playback.H * unit, (T @ playback.z)[:, None], T @ with_u], axis=1)
+    AX = A @ X
+    F = X.T @ AX
+    found = []
+    for k, D in enumerate([rows for rows, _ in owned] + [np.array([], dtype=np.intp)]):
+        at = np.concatenate([np.arange(N_PARAMETERS + 1), N_PARAMETERS + 1 + 3 * k + np.arange(3)])
+        block = AX[np.ix_(D, at)]
+        left = F[np.ix_(at, at)] - block.T @ np.linalg.solve(A[np.ix_(D, D)], block)
+        seen, cross = left[:-3, :-3], left[-3:, :-3]
+        if pools[k].any():
+            innovation = pooled[k] - cross
+            seen = seen + innovation.T @ np.linalg.solve(own[k] - left[-3:, -3:], innovation)
+        found.append(((seen[:-1, :-1] * np.outer(back, back)), seen[:-1, -1] * back))
+    full = found[-1][0]
+    return [reestimate(np.stack([full, N]), g, estimated) for N, g in found[:-1]]
+
+
+def _bias_gain(data: PlaybackData, options: Options, solution: Solution) -> Array:
+    """Share of a sequence's own rest rate that was taken as its bias."""
+    compensated = np.sqrt(np.linalg.inv(solution.playback.gyro.matrix) ** 2 @ solution.wander**2)
+    return measurement_covariance.bias_gain(solution.playback, data, options.gyro_bias, compensated)
+
+
+def _offset_effect(data: PlaybackData, solution: Solution, gain: Array) -> Array:
+    """What a pooled rate does to the horizontal components through the biases less it, shape (2 K, 3)."""
+    playback = solution.playback
+    per_rate = playback.integrals.time @ playback.gyro.matrix
+    M = model.attitude_to_horizontal(playback.basis, playback.acceleration)
+    return np.asarray((M @ per_rate * gain).reshape(2 * data.K, 3))
+
+
+def _pooled_noise(data: PlaybackData, solution: Solution, gain: Array, pools: Array) -> tuple[Array, Array]:
+    """Covariance of rates pooled in P ways with the measurements, shape (n_z, 3 P), and of each, shape (P, 3, 3)."""
+    playback = solution.playback
+    with_z = np.zeros((len(playback.z), 3 * len(pools)))
+    own = np.zeros((len(pools), 3, 3))
+    for source in measurement_covariance.disturbances(playback, data, solution.wander).values():
+        if source.rate is not None:
+            pooled = np.tensordot(pools, carried(playback, source.rate)[0], 1)
+            with_z += (
+                measurement_covariance.project(playback, data, source, gain) @ pooled.reshape(3 * len(pools), -1).T
+            )
+            own += pooled @ np.swapaxes(pooled, 1, 2)
+    return with_z, own
