@@ -22,8 +22,8 @@ import numpy as np
 import sims
 import srt
 from srt.diagnosis import diagnose
-from srt.inspection import inspect
-from srt.inspection_plot import inspection_figure
+from srt.diagnosis.inspection import inspect
+from srt.reports.figures.inspection import inspection_figure
 from srt.sequences.recognition import recognise
 
 RATE_HZ = 1000.0

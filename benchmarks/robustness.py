@@ -25,7 +25,7 @@ from sims.robustness.config import Campaign, EstimatorChoice, load_campaign
 from sims.robustness.run import run_campaign
 from sims.robustness.trial import run_trial
 from sims.simulation import simulate
-from srt.engines import Engine
+from srt.comparison.parallel import Engine
 from srt.estimation.options import Options
 
 console = Console(width=120)

@@ -17,9 +17,9 @@ import numpy as np
 
 import srt
 from sims import campaigns, recorded
+from srt.comparison.estimators import default_estimators, run_estimators
 from srt.model.analytic_platform import gyro_stream, integrate
 from srt.model.sensor_model import gyro_triad
-from srt.side_by_side import default_estimators, run_estimators
 
 REPEATS = 15
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.figure_style import BLUE, GREY, INK, MEDIUM, ORANGE, SKY, SMALL, VERMILION, Figure, LogLocator, style
+from srt.reports.figures.style import BLUE, GREY, INK, MEDIUM, ORANGE, SKY, SMALL, VERMILION, Figure, LogLocator, style
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

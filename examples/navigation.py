@@ -299,7 +299,7 @@ def run(options: argparse.Namespace) -> None:
     """Study what was asked for, print the tables, and write them and the picture."""
     from drift_report import drift_figure, tables
 
-    from srt.figure_style import save_figure
+    from srt.reports.figures.style import save_figure
 
     if options.units < 1:
         raise srt.InputError(f"--units is {options.units}, but at least one unit of each grade is needed.")

@@ -6,7 +6,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.figure_style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, SMALL, VERMILION, Figure, style, symbol
+from srt.reports.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SMALL,
+    VERMILION,
+    Figure,
+    style,
+    symbol,
+)
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, SYMBOLS
 
 if TYPE_CHECKING:

@@ -18,11 +18,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from srt.comparison.merge import merge_calibrations
     from srt.diagnosis import diagnose
     from srt.estimation.options import Options
     from srt.estimation.registry import calibrate, estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
-    from srt.merge import merge_calibrations
     from srt.recording.folder import load_recording, write_recording
     from srt.recording.importer_registry import import_file
     from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
@@ -36,7 +36,7 @@ _HOME = {
     "Applier": "result.applier",
     "diagnose": "diagnosis",
     "import_file": "recording.importer_registry",
-    "merge_calibrations": "merge",
+    "merge_calibrations": "comparison.merge",
     "recognise": "sequences.recognition",
     "Calibration": "result.calibration",
     "load_calibration": "result.calibration",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import srt
-from srt.c_header import c99_header
+from srt.exporters.c_header import c99_header
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, accel_triad, gyro_triad
 from srt.result.applier import Applier

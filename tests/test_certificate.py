@@ -18,12 +18,12 @@ from sims import campaigns
 from sims.free_motion import free_motion, random_attitude, random_turns
 from sims.imu import read_out
 from sims.table_motion import table1_motion
-from srt.certificate import facts, load_limits, load_source, make_certificate, page, pdf
-from srt.certificate.change import FALSE_ALARM, change_since
-from srt.certificate.figures import pictures
-from srt.certificate.replay import check_recording, replay
-from srt.merge import merge_calibrations
+from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
+from srt.reports.certificate import facts, load_limits, load_source, make_certificate, page, pdf
+from srt.reports.certificate.change import FALSE_ALARM, change_since
+from srt.reports.certificate.figures import pictures
+from srt.reports.certificate.replay import check_recording, replay
 from srt.result.calibration import Residual
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS, SensorErrors
 

@@ -14,9 +14,8 @@ from sims.mount_stand import stand_motion
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.model.rotations import rotation_matrix
-from srt.mount_alignment import mount_from_calibration
-from srt.mount_file import load_mount_alignment
-from srt.mount_stands import mount_from_recording
+from srt.mount.alignment import load_mount_alignment, mount_from_calibration
+from srt.mount.poses import mount_from_recording
 from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 

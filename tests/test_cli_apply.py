@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import srt
-from srt.c_header import c99_header
 from srt.cli import main
+from srt.exporters.c_header import c99_header
 from srt.model.rotations import rotation_matrix
 from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors

@@ -10,8 +10,8 @@ import sys
 import pytest
 
 import srt
-import srt.certificate.page
-import srt.certificate.pdf
+import srt.reports.certificate.page
+import srt.reports.certificate.pdf
 from srt.cli import main
 
 SCENARIO = """
@@ -38,8 +38,8 @@ def lab(tmp_path_factory):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Leave out what takes long: the pictures, and the PDF with its fonts."""
-    monkeypatch.setattr(srt.certificate.page, "pictures", lambda certificate: ())
-    monkeypatch.setattr(srt.certificate.pdf, "write_pdf", lambda certificate, path: path.write_bytes(b"%PDF"))
+    monkeypatch.setattr(srt.reports.certificate.page, "pictures", lambda certificate: ())
+    monkeypatch.setattr(srt.reports.certificate.pdf, "write_pdf", lambda certificate, path: path.write_bytes(b"%PDF"))
 
 
 def one_sentence(err):
@@ -165,8 +165,8 @@ def test_nothing_is_left_of_a_certificate_that_fails(lab, tmp_path, monkeypatch,
         path.write_bytes(b"%PDF half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(srt.certificate.page, "pictures", lambda certificate: ())
-    monkeypatch.setattr(srt.certificate.pdf, "write_pdf", fail)
+    monkeypatch.setattr(srt.reports.certificate.page, "pictures", lambda certificate: ())
+    monkeypatch.setattr(srt.reports.certificate.pdf, "write_pdf", fail)
     assert main(["certificate", str(lab / "new.json"), "-o", str(tmp_path / "x.html")]) == 2
     assert "No space left" in one_sentence(capfd.readouterr().err)
     assert list(tmp_path.iterdir()) == []

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 import srt
-import srt.comparison
+import srt.comparison.estimators
 import srt.estimation.registry
-import srt.side_by_side
 from srt.cli import main
 from srt.cli.calibrate import calibrate
 from srt.cli.compare import SHARED_OPTIONS, compare
@@ -64,7 +63,7 @@ def results(monkeypatch):
                 raise srt.MissingExtraError("some-package", "all", f"The estimator {name!r}")
             return estimate
 
-        for module in (srt.estimation.registry, srt.side_by_side):
+        for module in (srt.estimation.registry, srt.comparison.estimators):
             monkeypatch.setattr(module, "find_estimator", find)
 
     return install
@@ -86,7 +85,7 @@ def one_sentence(err):
 def test_table_holds_estimates_and_differences_as_the_library_finds_them(recording, calibrations, capfd):
     assert main(["compare", str(recording), *BOTH]) == 0
     out, err = capfd.readouterr()
-    expected = srt.comparison.compare(calibrations).pairs["closed-form"]
+    expected = srt.comparison.estimators.compare(calibrations).pairs["closed-form"]
     rows = rows_of(out)
     assert list(rows) == list(reversed(NAMES))
     for name, (_, _, *estimates, normalised) in rows.items():

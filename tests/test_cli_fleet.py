@@ -64,7 +64,7 @@ def quick(monkeypatch, calibration):
         return replace(calibration, errors=SensorErrors(shifted), **changes)
 
     changes = {}
-    monkeypatch.setattr("srt.examined.calibrate_examined", calibrate_examined)
+    monkeypatch.setattr("srt.procedure.calibrate_examined", calibrate_examined)
     return changes
 
 

@@ -15,8 +15,8 @@ import sims
 import srt
 from sims import campaigns
 from srt.cli import main
-from srt.cli.inspection_report import significant
 from srt.model.table1 import SEQUENCES
+from srt.reports.text.inspection import significant
 
 RATE = 100.0
 

@@ -14,7 +14,7 @@ from sims import campaigns
 from sims.imu import read_out
 from sims.table_motion import table1_motion
 from srt.cli import main
-from srt.merge import merge_calibrations
+from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
 from srt.sensor_errors import NAMES
 

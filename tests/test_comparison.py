@@ -15,12 +15,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.stats import binom, chi2, norm
 
 import srt
-import srt.side_by_side
-from srt.comparison import compare
-from srt.comparison_plot import comparison_figure
-from srt.pairwise import FALSE_ALARM, LEAST_SPREAD
+import srt.comparison.estimators
+from srt.comparison.estimators import compare, default_estimators, run_estimators
+from srt.comparison.pairs import FALSE_ALARM, LEAST_SPREAD
+from srt.reports.figures.comparison import comparison_figure
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
-from srt.side_by_side import default_estimators, run_estimators
 
 DRAWS = 2000
 UNITS = 1.0 / np.array(DISPLAY_FACTORS)
@@ -281,7 +280,7 @@ def test_json_is_finite_and_holds_what_was_found(pair, tmp_path):
 @pytest.fixture
 def registry(monkeypatch, pair):
     """Let the estimators be what a test says, and recordings be labelled."""
-    monkeypatch.setattr(srt.side_by_side, "label_sequences", lambda recording: (recording, None))
+    monkeypatch.setattr(srt.comparison.estimators, "label_sequences", lambda recording: (recording, None))
 
     def fails(recording, options, progress=None):
         raise srt.DataError("It cannot be.")
@@ -296,7 +295,7 @@ def registry(monkeypatch, pair):
             raise srt.MissingExtraError("absent", "all", "The estimator 'absent'")
         return fails if name == "ekf" else answers
 
-    monkeypatch.setattr(srt.side_by_side, "find_estimator", find)
+    monkeypatch.setattr(srt.comparison.estimators, "find_estimator", find)
 
 
 def test_estimators_run_in_order_and_one_that_fails_stops_none(registry, pair):
@@ -318,9 +317,9 @@ def test_an_estimator_that_is_not_installed_is_refused_first(registry):
 
 
 def test_default_estimators_are_those_that_fit(monkeypatch, registry):
-    monkeypatch.setattr(srt.side_by_side, "ESTIMATORS", ("closed-form", "absent", "graph"))
+    monkeypatch.setattr(srt.comparison.estimators, "ESTIMATORS", ("closed-form", "absent", "graph"))
     for automatic, left in (("closed-form", {"absent"}), ("least-squares", {"closed-form", "absent"})):
-        monkeypatch.setattr(srt.side_by_side, "automatic_estimator", lambda recording, name=automatic: name)
+        monkeypatch.setattr(srt.comparison.estimators, "automatic_estimator", lambda recording, name=automatic: name)
         names, left_out = default_estimators(None)
         assert set(left_out) == left
         assert "pip install" in left_out["absent"]
@@ -386,7 +385,7 @@ def test_nothing_usable_is_nothing_to_draw():
 def test_an_absent_matplotlib_says_what_to_install():
     code = (
         "import sys; sys.modules['matplotlib'] = None\nimport srt\n"
-        "try:\n    import srt.comparison_plot\nexcept srt.MissingExtraError as error:\n    print(error)"
+        "try:\n    import srt.reports.figures.comparison\nexcept srt.MissingExtraError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert "pip install 'strapdown-rotation-test[plot]'" in done.stdout

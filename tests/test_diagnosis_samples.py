@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sims.fault_samples  # noqa: F401 - registers its injections
-import srt.diagnosis.frames
-import srt.diagnosis.ranges
+import srt.diagnosis.axes
+import srt.diagnosis.clipping
 import srt.diagnosis.timing
 import srt.diagnosis.units  # noqa: F401 - register their checks
 from sims.disturbances import tilt_step

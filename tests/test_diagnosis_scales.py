@@ -15,16 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sims.fault_scales  # noqa: F401 - registers its injections
-import srt.diagnosis.frames
-import srt.diagnosis.ranges
+import srt.diagnosis.axes
+import srt.diagnosis.clipping
 import srt.diagnosis.units  # noqa: F401 - register their checks
 from sims.faults import GRADES, INJECTIONS, Case
 from srt.constants import DEG
+from srt.diagnosis.axes import gravity_relation, mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.findings import checks_of, in_order
-from srt.diagnosis.frame_evidence import gravity_relation, mapping, nearest_axes
-from srt.diagnosis.scale_evidence import accel_scales, gyro_scales
+from srt.diagnosis.units import accel_scales, gyro_scales
 from srt.recording.import_options import parse_axis_map
 
 SEED = 330_000

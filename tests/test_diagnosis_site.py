@@ -18,8 +18,7 @@ from sims.imu import ImuModel
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of
-from srt.diagnosis.rest_evidence import rest_fit
-from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M  # registers its checks
+from srt.diagnosis.site import ANOMALY_M_S2, HEIGHTS_M, rest_fit  # registers its checks
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
 

@@ -16,9 +16,8 @@ from sims.faults import GRADES, INJECTIONS, Case
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of
-from srt.diagnosis.noise_evidence import shown_noise
-from srt.diagnosis.rest_evidence import rest_fit
-from srt.diagnosis.unit import BENCH_C, NOISE_RATIO, STEADY_C  # registers its checks
+from srt.diagnosis.site import rest_fit
+from srt.diagnosis.unit import BENCH_C, NOISE_RATIO, STEADY_C, shown_noise  # registers its checks
 from srt.estimation.options import Options
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 

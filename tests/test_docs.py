@@ -27,7 +27,7 @@ import srt
 from sims import plan_file
 from srt.cli import main
 from srt.cli.app import app
-from srt.mount_alignment import mount_from_calibration
+from srt.mount.alignment import mount_from_calibration
 from srt.recording import schema
 from srt.result.calibration import STATUSES
 

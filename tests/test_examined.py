@@ -9,7 +9,7 @@ import srt
 from sims.faults import Case
 from srt.constants import DEG
 from srt.estimation.options import Options
-from srt.examined import calibrate_examined
+from srt.procedure import calibrate_examined
 
 
 @pytest.fixture(scope="module")

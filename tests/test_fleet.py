@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 import srt
-from srt.fleet import (
+from srt.comparison.fleet import COLUMNS, calibrate_fleet
+from srt.comparison.outliers import (
     FALSE_ALARMS,
     MINIMUM_UNITS,
     critical_value,
@@ -21,7 +22,6 @@ from srt.fleet import (
     middle_and_scatter,
     tail_probability,
 )
-from srt.fleet_run import COLUMNS, calibrate_fleet
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 NO_SIGMA = 1e-9

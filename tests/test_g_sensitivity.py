@@ -18,8 +18,6 @@ from sims.g_sensitivity_study import BIAS_DEG_PER_S, MODES, mems_scenario, study
 from sims.imu import ImuModel, read_out
 from sims.simulation import draw_errors
 from srt import exporters
-from srt.certificate.checked import load_source
-from srt.certificate.replay import replay
 from srt.cli import main
 from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.estimation import g_sensitivity, g_sensitivity_report
@@ -29,6 +27,8 @@ from srt.estimation.srt_measurements import Player
 from srt.exceptions import InputError
 from srt.model.measurement_model import attitude_to_horizontal
 from srt.recording.recording import Fixture, Site
+from srt.reports.certificate.checked import load_source
+from srt.reports.certificate.replay import replay
 from srt.result.calibration import FORMULA
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 from srt.sequences.preparation import prepare

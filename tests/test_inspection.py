@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 import sims
 import srt
 from sims import campaigns, recorded
-from srt.inspection import declared_units, inspect
-from srt.inspection_plot import envelope, inspection_figure, save_figure
+from srt.diagnosis.inspection import declared_units, inspect
 from srt.model.table1 import SEQUENCES
+from srt.reports.figures.inspection import envelope, inspection_figure, save_figure
 
 FOLDER = recorded.data_folder()
 RATE = 100.0
@@ -312,7 +312,7 @@ def test_the_picture_leaves_matplotlib_alone(tmp_path, rested, inspected_rests):
     save_figure(inspection_figure(rested, inspected_rests), tmp_path / "x.png")
     assert dict(mpl.rcParams) == before
     assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
-    code = "import srt.inspection_plot, sys; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import srt.reports.figures.inspection, sys; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -15,11 +15,11 @@ import srt
 from sims import campaigns
 from sims.imu import read_out
 from sims.table_motion import table1_motion
+from srt.comparison.merge import merge_calibrations
+from srt.comparison.merge_model import between_sigma, stack_of
 from srt.constants import DEG_PER_H
-from srt.merge import merge_calibrations
-from srt.merge_model import between_sigma, stack_of
-from srt.merge_table import repeatability_text
 from srt.recording.recording import Fixture
+from srt.reports.text.repeatability import repeatability_text
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
 TAIL = 2.3e-4

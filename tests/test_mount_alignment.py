@@ -17,9 +17,8 @@ from sims.table_motion import table1_motion
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad
-from srt.mount_alignment import MountAlignment, align_mount, mount_from_calibration
-from srt.mount_file import load_mount_alignment
-from srt.mount_stands import mount_from_recording
+from srt.mount.alignment import MountAlignment, align_mount, load_mount_alignment, mount_from_calibration
+from srt.mount.poses import mount_from_recording
 from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 

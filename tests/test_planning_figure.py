@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from srt.figure_style import save_figure
 from srt.planning.candidates import Candidate
 from srt.planning.document import timetable
 from srt.planning.figure import plan_figure
@@ -18,6 +17,7 @@ from srt.planning.information import Conditions
 from srt.planning.plan import Plan
 from srt.planning.prediction import predict
 from srt.planning.stand import INNER, OUTER, Stand, StandAxis
+from srt.reports.figures.style import save_figure
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 CONDITIONS = Conditions(gyro_white=1e-6, accel_white=1e-4, accel_instability=1e-5)

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import srt
-from srt.plots import calibration_figure, save_figure
+from srt.reports.figures.calibration import calibration_figure, save_figure
 from srt.result.calibration import Residual
 from srt.sensor_errors import DISPLAY_FACTORS, NAMES
 
@@ -124,14 +124,14 @@ def test_global_state_is_left_alone():
     before = dict(mpl.rcParams)
     calibration_figure(calibration(), truth=srt.SensorErrors())
     assert dict(mpl.rcParams) == before
-    code = "import srt.plots, sys; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import srt.reports.figures.calibration, sys; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_an_absent_matplotlib_says_what_to_install():
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
-        "import srt\ntry:\n    import srt.plots\nexcept srt.MissingExtraError as error:\n    print(error)"
+        "import srt\ntry:\n    import srt.reports.figures.calibration\nexcept srt.MissingExtraError as error:\n    print(error)"
     )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, check=True, capture_output=True, text=True)

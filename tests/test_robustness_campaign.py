@@ -20,8 +20,8 @@ from sims.robustness.trial import OUTCOMES, run_trial
 from sims.scenario import load_scenario
 from sims.sequences import TABLE_1
 from sims.simulation import simulate
+from srt.comparison.parallel import Engine
 from srt.constants import DEG
-from srt.engines import Engine
 from srt.exceptions import DataError, InputError
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 
@@ -362,7 +362,7 @@ def test_every_axis_is_described():
 
 def test_no_scheduler_is_said(small, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("srt.engines._CONNECT_S", 0.5)
+    monkeypatch.setattr("srt.comparison.parallel._CONNECT_S", 0.5)
     with pytest.raises(InputError, match="No Dask scheduler answers at"):
         run_campaign(small(), tmp_path / "a", engine=Engine(scheduler="tcp://127.0.0.1:9"))
 

@@ -18,11 +18,11 @@ from sims import campaigns
 from sims.imu import read_out
 from sims.sequences import TABLE_1
 from sims.table_motion import table1_motion
-from srt.cli.report import report
 from srt.estimation.iteration import CONVERGED_SIGMAS
 from srt.estimation.leave_one_out import Evidence, against_others, suspect, verdict, without_groups
+from srt.reports.text.calibration import report
+from srt.reports.text.leave_one_out import overall
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES
-from srt.verdict_table import overall
 
 PLAYBACK = ("closed-form", "least-squares")
 ALL = (*PLAYBACK, "ekf", "graph")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sims.robustness.convergence import percent
-from srt.figure_style import (
+from srt.reports.figures.style import (
     DPI,
     FAINT,
     GREY,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from sims.robustness.store import Store
 from sims.robustness.trial import run_trial
-from srt.engines import Engine
+from srt.comparison.parallel import Engine
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,7 +12,7 @@ from srt.cli.output import check_file, warn
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from srt.mount_alignment import MountAlignment
+    from srt.mount.alignment import MountAlignment
 
 RESULT_SUFFIXES = (".json",)
 
@@ -82,12 +82,12 @@ def align_mount(
             raise InputError(f"{name} belongs to a stand: name the RECORDING of it, or leave the option out.")
     calibration = load_fit(calibration_file, force=force)
     if recording_path is None:
-        from srt.mount_alignment import mount_from_calibration
+        from srt.mount.alignment import mount_from_calibration
 
         mount = mount_from_calibration(calibration)
     else:
         import srt
-        from srt.mount_stands import mount_from_recording
+        from srt.mount.poses import mount_from_recording
 
         recording = srt.load_recording(recording_path)
         if not force:
@@ -110,8 +110,8 @@ def report(mount: MountAlignment) -> str:
     """Write a mount alignment as text: the angles with their sigmas by source, and the stands."""
     import numpy as np
 
-    from srt.mount_alignment import ANGLES
-    from srt.tables import decimals_for, fixed, text_table
+    from srt.mount.alignment import ANGLES
+    from srt.reports.text.tables import decimals_for, fixed, text_table
 
     rows = []
     by_source = np.array(list(mount.sources.values()))

@@ -51,7 +51,7 @@ def apply(
     calibration = load_fit(calibration_file, force=force)
     header = None
     if c_header is not None:
-        from srt.c_header import c99_header
+        from srt.exporters.c_header import c99_header
 
         header = c99_header(calibration)
     corrected, source_format = None, ""
@@ -77,7 +77,7 @@ def apply(
         atomic_write_text(c_header, header)
         written.append(str(c_header))
     if calibration.held:
-        from srt.cli.report import held_summary
+        from srt.reports.text.calibration import held_summary
 
         warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
     if header is not None and "g_sensitivity" in calibration.diagnostics:

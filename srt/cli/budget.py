@@ -88,7 +88,7 @@ def budget(
         atomic_write_text(output, json.dumps(document, indent=2, allow_nan=False) + "\n")
     if plot is not None:
         from sims.budget_plot import budget_figure
-        from srt.figure_style import save_figure
+        from srt.reports.figures.style import save_figure
 
         for b in found:
             file = plot if len(found) == 1 else plot.with_name(f"{plot.stem}-{b.estimator}{plot.suffix}")
@@ -111,7 +111,7 @@ def tables(found: Budget) -> str:
     import numpy as np
 
     from sims.budget import NOT_COUNTED
-    from srt.cli.report import sources_table, wrap
+    from srt.reports.text.calibration import sources_table, wrap
 
     seen = np.flatnonzero(np.isfinite(found.total)).tolist()
     text = [f"Budget of {found.estimator}: one sigma; the squares of the sources add up"]
@@ -127,7 +127,7 @@ def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
     """The paper's analysis with the noise, bias and fixture of a scenario."""
     from srt.noise.accuracy_analysis import QUANTITIES, paper_budget
     from srt.recording.atomic import atomic_write_text
-    from srt.tables import fixed, text_table
+    from srt.reports.text.tables import fixed, text_table
 
     setting = paper_setting(scenario)
     found = paper_budget(setting)

@@ -201,7 +201,7 @@ def calibrate(
     if estimator != "auto":
         find_estimator(estimator)
     if plot is not None:
-        import srt.plots  # noqa: F401 - whether it can be
+        import srt.reports.figures.calibration  # noqa: F401 - whether it can be
     true_errors = None
     if truth is not None:
         from srt.cli.truth import load_truth
@@ -374,8 +374,8 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     """
     import srt
     from srt.cli.progress import playback_progress
-    from srt.cli.report import report
-    from srt.examined import calibrate_examined
+    from srt.procedure import calibrate_examined
+    from srt.reports.text.calibration import report
 
     recording = srt.load_recording(job.recording)
     with playback_progress(job.name, quiet=display.quiet) as progress:
@@ -393,7 +393,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
             )
         )
     if job.plot is not None:
-        from srt.plots import calibration_figure, save_figure
+        from srt.reports.figures.calibration import calibration_figure, save_figure
 
         save_figure(calibration_figure(calibration, truth=display.truth, title=job.name), job.plot)
     written = [str(path) for path in (job.output, job.plot) if path is not None]
@@ -404,7 +404,7 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
 
 def judge(job: Job, calibration: Calibration) -> int:
     """Say what is wrong with a result, and give the exit code of its status."""
-    from srt.cli.report import held_summary
+    from srt.reports.text.calibration import held_summary
 
     if calibration.status not in ("converged", "partial"):
         kept = f"; {job.output} holds it with that status" if job.output is not None else ""

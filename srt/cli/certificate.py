@@ -11,7 +11,7 @@ from srt.cli.output import check_directory, check_file, make_directory, say, war
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
-    from srt.certificate import Certificate
+    from srt.reports.certificate import Certificate
 
 PAGE: Final = ".html"
 _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
@@ -113,10 +113,10 @@ def assemble(
     SrtError
         Input that cannot be read, or does not belong together.
     """
-    import srt.certificate.page  # whether it can be made, before the samples are read
-    from srt.certificate import load_limits, load_source, make_certificate
-    from srt.certificate.change import change_since
-    from srt.certificate.replay import check_recording, replay
+    import srt.reports.certificate.page  # whether it can be made, before the samples are read
+    from srt.reports.certificate import load_limits, load_source, make_certificate
+    from srt.reports.certificate.change import change_since
+    from srt.reports.certificate.replay import check_recording, replay
 
     source = load_source(calibration_file)
     given = None if limits is None else load_limits(limits)
@@ -138,9 +138,9 @@ def write(made: Certificate, page: Path, document: Path) -> None:
     ------
     SrtError
     """
-    from srt.certificate.page import html_page
-    from srt.certificate.pdf import write_pdf
     from srt.recording.atomic import atomic_path, atomic_write_text
+    from srt.reports.certificate.page import html_page
+    from srt.reports.certificate.pdf import write_pdf
 
     text = html_page(made)
     make_directory(page.parent)

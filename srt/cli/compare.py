@@ -17,9 +17,9 @@ from srt.exceptions import DataError, InputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from srt.comparison import Comparison
+    from srt.comparison.estimators import Comparison
+    from srt.comparison.pairs import Pair
     from srt.estimation.options import Options
-    from srt.pairwise import Pair
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
@@ -75,14 +75,14 @@ def compare(
         check_file(output, RESULT_SUFFIXES, "The result")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
+    from srt.comparison.estimators import ESTIMATORS
     from srt.estimation.options import Options
-    from srt.side_by_side import ESTIMATORS
 
     names = tuple(dict.fromkeys(names))
     check_names(names, ESTIMATORS, reference)
     options = Options(asymmetry=not no_asymmetry, **choices)
     if plot is not None:
-        import srt.comparison_plot  # noqa: F401 - whether it can be
+        import srt.reports.figures.comparison  # noqa: F401 - whether it can be
     comparison = run(recording, names, reference, truth, options, quiet=quiet)
     folder = recording_folder(recording)
     if output is not None:
@@ -90,8 +90,8 @@ def compare(
     if not quiet:
         click.echo(text(comparison, title=str(recording)))
     if plot is not None and comparison.reference is not None:
-        from srt.comparison_plot import comparison_figure
-        from srt.plots import save_figure
+        from srt.reports.figures.calibration import save_figure
+        from srt.reports.figures.comparison import comparison_figure
 
         save_figure(comparison_figure(comparison, title=folder.resolve().name), plot)
     written = [str(path) for path in (output, plot) if path is not None and path.exists()]
@@ -145,8 +145,8 @@ def run(
     """
     import srt
     from srt.cli.progress import playback_progress
-    from srt.comparison import compare as compare_calibrations
-    from srt.side_by_side import default_estimators, run_estimators
+    from srt.comparison.estimators import compare as compare_calibrations
+    from srt.comparison.estimators import default_estimators, run_estimators
 
     true_errors = None
     if truth is not None:
@@ -236,7 +236,7 @@ def text(comparison: Comparison, *, title: str) -> str:
     str
         Lines of at most 120 characters with four estimators, without a line feed at the end.
     """
-    from srt.cli.report import wrap
+    from srt.reports.text.calibration import wrap
 
     serials = {c.provenance.get("serial") for c in comparison.calibrations.values()} - {None}
     serial = f" (serial {serials.pop()})" if serials else ""
@@ -257,7 +257,7 @@ def text(comparison: Comparison, *, title: str) -> str:
 
 def estimator_table(comparison: Comparison) -> str:
     """Set a line for every estimator that ran: its outcome, its cost, and how it compares with the reference."""
-    from srt.tables import fixed, text_table
+    from srt.reports.text.tables import fixed, text_table
 
     truth = ["error/\nsigma"] if comparison.truth is not None else []
     headers = ["estimator", "status", "play-\nbacks", "seconds", "ob-\nserved", *truth]
@@ -284,7 +284,7 @@ def estimator_table(comparison: Comparison) -> str:
 
 def _compared(pair: Pair | None, is_reference: bool) -> list[str]:
     """Cells of the comparison with the reference."""
-    from srt.tables import fixed
+    from srt.reports.text.tables import fixed
 
     if is_reference:
         return ["1.00", "-", "-", "-", "reference"]
@@ -301,8 +301,8 @@ def _compared(pair: Pair | None, is_reference: bool) -> list[str]:
 
 def parameter_table(comparison: Comparison) -> str:
     """Set every parameter: the estimates with their sigmas, then the differences over their expected spreads."""
+    from srt.reports.text.tables import text_table
     from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, NAMES
-    from srt.tables import text_table
 
     if not comparison.calibrations:
         return ""
@@ -323,8 +323,8 @@ def parameter_table(comparison: Comparison) -> str:
 
 def truth_table(comparison: Comparison) -> str:
     """Set the truth, and the error of every estimate over its sigma; empty without a truth."""
+    from srt.reports.text.tables import decimals_for, fixed, text_table
     from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, NAMES
-    from srt.tables import decimals_for, fixed, text_table
 
     if comparison.truth is None or not comparison.calibrations:
         return ""
@@ -340,8 +340,8 @@ def truth_table(comparison: Comparison) -> str:
 
 
 def _legend(comparison: Comparison) -> Iterable[str]:
-    from srt.cli.report import wrap
-    from srt.pairwise import FALSE_ALARM
+    from srt.comparison.pairs import FALSE_ALARM
+    from srt.reports.text.calibration import wrap
 
     pair = next(iter(comparison.pairs.values()), None)
     if pair is None:
@@ -355,7 +355,7 @@ def _legend(comparison: Comparison) -> Iterable[str]:
 
 def _estimate(value: float, sigma: float) -> str:
     """Write value±sigma in display units, with two digits of sigma."""
-    from srt.tables import decimals_for, fixed
+    from srt.reports.text.tables import decimals_for, fixed
 
     if math.isnan(sigma):
         return f"{fixed(value, 2)} held"

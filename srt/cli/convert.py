@@ -38,7 +38,7 @@ def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> No
     if not value or ctx.resilient_parsing:
         return
     from srt.recording.importer_registry import IMPORTERS, importer
-    from srt.tables import text_table
+    from srt.reports.text.tables import text_table
 
     rows = []
     for name in IMPORTERS:
@@ -315,9 +315,9 @@ def summary(recording: Recording, imported: Imported, importer: Importer, source
     """
     import numpy as np
 
-    from srt.cli.report import wrap
     from srt.constants import DEG
-    from srt.tables import text_table
+    from srt.reports.text.calibration import wrap
+    from srt.reports.text.tables import text_table
 
     interval = recording.nominal_interval_s
     per = recording.interval_s if recording.kind == "increment" else 1.0

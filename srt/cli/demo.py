@@ -47,7 +47,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     check_target(folder, overwrite=(folder / NAME).is_file())
     plot: Path | None = output / "calibration.png"
     try:
-        import srt.plots  # noqa: F401 - whether it can be
+        import srt.reports.figures.calibration  # noqa: F401 - whether it can be
     except MissingExtraError as error:
         plot = None
         warn(f"No plot will be made: {error}")
@@ -88,7 +88,7 @@ def verdict(calibration: Calibration, truth: SensorErrors) -> str:
     import numpy as np
     from scipy.stats import norm
 
-    from srt.cli.report import wrap
+    from srt.reports.text.calibration import wrap
     from srt.sensor_errors import NAMES
 
     seen = np.flatnonzero(calibration.observed)

@@ -22,7 +22,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     if not wanted or context.resilient_parsing:
         return
     from srt.exporters import exporters
-    from srt.tables import text_table
+    from srt.reports.text.tables import text_table
 
     rows = [(name, item.title, ", ".join(item.frames)) for name, item in exporters().items()]
     click.echo(text_table(("target", "what is written", "axes"), rows, "lll"))
@@ -97,7 +97,7 @@ def export(
     )
     written = () if output is None else save(made, output)
     if calibration.held:
-        from srt.cli.report import held_summary
+        from srt.reports.text.calibration import held_summary
 
         warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
     if made.unknown:
@@ -120,7 +120,7 @@ def report(made: Exported) -> str:
     str
         Lines of up to 80 characters but for formulas.
     """
-    from srt.tables import text_table
+    from srt.reports.text.tables import text_table
 
     rows = [
         (r.title, *(f"{value:.3e}" for value in (r.gyro_max, r.gyro_rms, r.accel_max, r.accel_rms)))

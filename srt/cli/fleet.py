@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.cli.calibrate import Job
-    from srt.engines import Engine
+    from srt.comparison.fleet import Fleet, Unit
+    from srt.comparison.parallel import Engine
     from srt.estimation.options import Options
-    from srt.fleet_run import Fleet, Unit
 
 FLEET_FROM: Final = 6
 """More recordings than five are shown as a fleet: so many full tables nobody reads, and from six on it is judged."""
@@ -88,7 +88,7 @@ def run_fleet(
     SrtError
         An engine that cannot start, or tables of the fleet that cannot be written.
     """
-    from srt.fleet_run import calibrate_fleet
+    from srt.comparison.fleet import calibrate_fleet
     from srt.recording.atomic import atomic_write_text
 
     if output is not None:
@@ -113,7 +113,7 @@ def run_fleet(
         document = json.dumps(fleet.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
         atomic_write_text(output / "fleet.json", document + "\n")
     if not quiet:
-        from srt.cli.fleet_table import fleet_text
+        from srt.reports.text.fleet import fleet_text
 
         click.echo(fleet_text(fleet))
         click.echo(
@@ -177,7 +177,7 @@ def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[Unit], None]
 
 def _engine(workers: int, scheduler: str | None) -> Engine | None:
     """Engine for the options; None, which is this process as it stands, where nothing else could run anyway."""
-    from srt.engines import Engine
+    from srt.comparison.parallel import Engine
 
     engine = Engine(workers, scheduler)
     # An engine keeps even one process to one thread, so that more of them give the same digits. Where that cannot be
@@ -192,7 +192,7 @@ def _write(unit: Unit, job: Job) -> None:
     if job.output is not None:
         unit.calibration.save(job.output)
     if job.plot is not None:
-        from srt.plots import calibration_figure, save_figure
+        from srt.reports.figures.calibration import calibration_figure, save_figure
 
         save_figure(calibration_figure(unit.calibration, title=job.name), job.plot)
 

@@ -33,11 +33,11 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
         check_file(json_file, JSON_SUFFIXES, "The inspection")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
-        import srt.inspection_plot  # whether it can be
+        import srt.reports.figures.inspection  # whether it can be
     import srt
-    from srt import inspection
-    from srt.cli.inspection_report import inspection_report
+    from srt.diagnosis import inspection
     from srt.recording.atomic import atomic_write_text
+    from srt.reports.text.inspection import inspection_report
 
     samples = srt.load_recording(recording)
     found = inspection.inspect(samples, calibrating=deep, units=inspection.declared_units(recording))
@@ -48,8 +48,8 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
         atomic_write_text(json_file, document + "\n")
     if plot is not None:
         name = recording_folder(recording).resolve().name
-        figure = srt.inspection_plot.inspection_figure(samples, found, title=name)
-        srt.inspection_plot.save_figure(figure, plot)
+        figure = srt.reports.figures.inspection.inspection_figure(samples, found, title=name)
+        srt.reports.figures.inspection.save_figure(figure, plot)
     written = [str(path) for path in (json_file, plot) if path is not None]
     if written and not quiet:
         click.echo(f"\nWritten: {', '.join(written)}")

@@ -42,9 +42,9 @@ def run_merging(
     SrtError
         An input that cannot be read, recordings that are not of one unit, or none that can be merged.
     """
-    from srt.cli.report import held_summary, report
-    from srt.merge import merge_calibrations
-    from srt.merge_table import repeatability_text
+    from srt.comparison.merge import merge_calibrations
+    from srt.reports.text.calibration import held_summary, report
+    from srt.reports.text.repeatability import repeatability_text
 
     found: dict[str, Calibration] = {}
     for job in jobs:
@@ -67,7 +67,7 @@ def run_merging(
         click.echo(report(merged, title=title, truth=display.truth, budget=display.budget, verdict=display.verdict))
         click.echo(f"\n{repeatability_text(merged)}")
     if plot is not None:
-        from srt.plots import calibration_figure, save_figure
+        from srt.reports.figures.calibration import calibration_figure, save_figure
 
         save_figure(calibration_figure(merged, truth=display.truth, title="merged"), plot)
     written = [str(path) for path in (output, plot) if path is not None]
@@ -84,7 +84,7 @@ def _calibration(job: Job, estimator: str, options: Options, display: Display) -
     """Read a calibration, or make it from its recording."""
     import srt
     from srt.cli.progress import playback_progress
-    from srt.examined import calibrate_examined
+    from srt.procedure import calibrate_examined
 
     if job.recording.suffix == ".json":
         return srt.load_calibration(job.recording)

@@ -15,7 +15,7 @@ import click
 
 from srt.cli.calibrate import PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.output import check_file, say
-from srt.engines import one_thread
+from srt.comparison.parallel import one_thread
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -129,8 +129,8 @@ def make(
     if document is not None:
         atomic_write_text(document, json.dumps(plan_document(found), indent=2, allow_nan=False) + "\n")
     if plot is not None:
-        from srt.figure_style import save_figure
         from srt.planning.figure import plan_figure
+        from srt.reports.figures.style import save_figure
 
         save_figure(plan_figure(found, title=title), plot)
     if not quiet:
@@ -151,10 +151,10 @@ def make(
 
 def text(found: Plan, title: str) -> str:
     """A plan as tables."""
-    from srt.cli.report import source_label, wrap
     from srt.planning.document import clock, symbols, timetable
+    from srt.reports.text.calibration import source_label, wrap
+    from srt.reports.text.tables import decimals_for, fixed, text_table
     from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, N_PARAMETERS, SYMBOLS
-    from srt.tables import decimals_for, fixed, text_table
 
     lines = [f"{title}: {len(found.candidates)} sequences in {clock(found.total_s)} (min:s),"]
     lines.append(f"{clock(found.moves_s)} of them moves and waits between the sequences\n")
@@ -199,7 +199,7 @@ def text(found: Plan, title: str) -> str:
 
 
 def _against_table_1(found: Plan, table_1: Callable[[], Plan]) -> str:
-    from srt.cli.report import wrap
+    from srt.reports.text.calibration import wrap
 
     try:
         other = table_1()
@@ -238,8 +238,8 @@ def propose(chosen: PlanFile, after: Path, *, quiet: bool) -> int:
     import srt
     from srt.planning.document import clock, shown
     from srt.planning.next_sequence import known_information, next_sequences
+    from srt.reports.text.tables import text_table
     from srt.sensor_errors import INDEX, SYMBOLS
-    from srt.tables import text_table
 
     calibration = srt.load_calibration(after)
     stand, conditions = chosen.stand.stand(), chosen.conditions()

@@ -83,7 +83,7 @@ def robustness(
         check_file(markdown, (".md",), "The document")
     from sims.robustness.report import html_report, markdown_tables, short_answer, text_summary
     from sims.robustness.run import run_campaign
-    from srt.engines import Engine
+    from srt.comparison.parallel import Engine
     from srt.recording.atomic import atomic_write_text
 
     with campaign_progress(campaign.name, quiet=quiet) as progress:
@@ -180,7 +180,7 @@ def _narrow(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 
 def rendered(rows: list[tuple[str, ...]]) -> str:
     """A table as text; the first row is its heading, the first column left-justified."""
-    from srt.tables import text_table
+    from srt.reports.text.tables import text_table
 
     heads = [head.replace(" ", "\n") for head in rows[0]]
     return text_table(heads, rows[1:], "l" + "r" * (len(heads) - 1))

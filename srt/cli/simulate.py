@@ -89,7 +89,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, samples_format: st
 
 def summary(simulation: Simulation, folder: Path, samples_format: str) -> str:
     """Say in a few lines what was simulated and where it is."""
-    from srt.cli.report import wrap
+    from srt.reports.text.calibration import wrap
 
     recording, scenario = simulation.recording, simulation.scenario
     interval = recording.nominal_interval_s

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
+from srt.diagnosis.axes import turns_of
 from srt.diagnosis.findings import check, found
-from srt.diagnosis.frame_evidence import turns_of
 from srt.diagnosis.repeat_evidence import stuck_runs
 from srt.diagnosis.spike_evidence import find_spikes
 from srt.model.table1 import AXES

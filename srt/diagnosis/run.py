@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.diagnosis import axes, channels, clipping, motion, sequences, site, timing, unit, units, windows
 from srt.diagnosis.evidence import Evidence, plain
 from srt.diagnosis.faults import FAULTS, STAGES
 from srt.diagnosis.findings import Finding, checks_of, found, in_order
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.sequences.recognition import Recognition
 
-_MODULES: Final = ("timing", "channels", "units", "ranges", "frames", "sequences", "windows", "motion", "site", "unit")
-"""Modules of this package that hold checks, one for each stage or part of one."""
+_MODULES: Final = (timing, channels, units, clipping, axes, sequences, windows, motion, site, unit)
+"""Modules with checks, which register themselves on import."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +56,6 @@ class Diagnosis:
         ]
 
 
-def load_checks() -> None:
-    """Import the modules that register checks."""
-    for name in _MODULES:
-        import_module(f"srt.diagnosis.{name}")
-
-
 class Examination:
     """Checks of one recording, in two parts: before a calibration, and with one.
 
@@ -77,7 +71,6 @@ class Examination:
     def __init__(
         self, recording: Recording, options: Options | None = None, recognition: Recognition | None = None
     ) -> None:
-        load_checks()
         self.evidence = Evidence(recording, options)
         if recognition is not None:
             self.evidence.recognition = recognition

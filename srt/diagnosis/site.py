@@ -1,15 +1,32 @@
-"""Place: gravity, latitude and heading as stated, against one another and against the Earth's rate at rest."""
+"""Site: gravity, latitude and heading against each other and against the gyro rates at rest.
+
+Over the windows w of a recording, in raw channels and with ``u_w`` the vertical (down) in table-mounted axes::
+
+    rate_w = b + d t_w + Γ u_w + M (v u_w + x e_x,w + y e_y,w) + noise
+
+b is the bias, d its change through the test (t runs from 0 to 1 in the middle, ±1/2 at the ends), Γ the g-sensitivity,
+(x, y, v) the Earth's rate in fixture base axes and M the raw gyro matrix from the turns. A multiple of the unit matrix
+in Γ is the same as v: Γ is fitted without one, and its other eight components tell how large that one may be.
+
+The noise is white noise plus flicker of the stated bias instability, correlated from window to window; least squares
+weighs by it. What the fit leaves scales all sigmas where it is larger than that.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import fdtri, ndtri, stdtrit
 
 from srt.constants import DEG, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.findings import Finding, check, found
-from srt.diagnosis.rest_evidence import RestFit, rest_fit
+from srt.noise.bias_instability import flicker_covariance
+from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.preparation import nominal_attitude
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +36,7 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
 
     Array = NDArray[np.float64]
+    from srt.sequences.preparation import PlaybackData
 
 HEIGHTS_M: Final = (5000.0, -500.0)
 """Highest and lowest place where a unit is taken to be tested."""
@@ -107,3 +125,203 @@ def _vertical_sigma(fit: RestFit) -> float:
     hidden = np.mean(fit.g_sensitivity**2) / 3.0
     factor = stdtrit(8, 0.5 * FALSE_ALARM) / ndtri(0.5 * FALSE_ALARM)
     return float(np.sqrt(fit.vertical_sigma**2 + factor**2 * hidden))
+
+
+LEAST_FREEDOM: Final = 12
+"""Residuals beyond the unknowns without which the scatter is not known."""
+_RANK: Final = 1e-3
+_OUTLIER: Final = 8.0
+_MOST_OUTLIERS: Final = 0.2
+_MOST_WINDOWS: Final = 400
+"""Taken, evenly spread, of a recording that holds more: time grows with their third power."""
+
+
+def _traceless() -> Array:
+    """Orthonormal basis of the 3x3 matrices without trace, shape (8, 3, 3)."""
+    pairs = [(i, j) for i in range(3) for j in range(3) if i != j]
+    basis = np.zeros((8, 3, 3))
+    for n, (i, j) in enumerate(pairs):
+        basis[n, i, j] = 1.0
+    basis[6] = np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    basis[7] = np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0)
+    return basis
+
+
+_BASIS: Final = _traceless()
+_BIAS, _DRIFT, _G, _V, _H = slice(0, 3), slice(3, 6), slice(6, 14), 14, slice(15, 17)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestFit:
+    """Rates at rest taken apart; all rad/s, raw channels.
+
+    Attributes
+    ----------
+    drift, drift_sigma : ndarray, shape (3,)
+        Change of the bias from the first window to the last.
+    g_sensitivity : ndarray, shape (8,)
+        Components of Γ without trace, each on an orthonormal matrix.
+    g_sensitivity_sigma : ndarray, shape (8,)
+    vertical, vertical_sigma : float
+        Of the Earth's rate, and of the part of Γ that looks like it: rate along the vertical (down) that is fixed to
+        the Earth. The sigma is that of noise alone.
+    horizontal : ndarray, shape (2,), or None
+        Of the Earth's rate, base x and y; None where the attitudes are not known.
+    horizontal_sigma : float
+        Of each of them.
+    freedom : int
+        Of the residuals.
+    """
+
+    drift: Array
+    drift_sigma: Array
+    g_sensitivity: Array
+    g_sensitivity_sigma: Array
+    vertical: float
+    vertical_sigma: float
+    horizontal: Array | None
+    horizontal_sigma: float
+    freedom: int
+
+    def gamma(self, earth_vertical: float) -> Array:
+        """Γ, shape (3, 3), rad/s per g upon the downward vertical, for a known vertical part of the Earth's rate."""
+        matrix: Array = np.tensordot(self.g_sensitivity, _BASIS, 1) + (self.vertical - earth_vertical) * np.eye(3)
+        return matrix
+
+
+_FITS: WeakKeyDictionary[Evidence, RestFit | None] = WeakKeyDictionary()
+
+
+def rest_fit(evidence: Evidence) -> RestFit | None:
+    """Take the rates at rest apart; None where the windows are too few or too much alike for it."""
+    if evidence not in _FITS:
+        _FITS[evidence] = None if evidence.data is None else _fit(evidence, evidence.data)
+    return _FITS[evidence]
+
+
+def _fit(evidence: Evidence, data: PlaybackData) -> RestFit | None:
+    W = len(data.windows.duration_s)
+    chosen = np.unique(np.linspace(0, W - 1, min(W, _MOST_WINDOWS)).astype(int))
+    rate, force = data.windows.gyro_mean[chosen], data.windows.accel_mean[chosen]
+    poses = _poses(data)
+    known = poses is not None and evidence.gyro_fit.rank == 3
+    if known:
+        assert poses is not None
+        poses = poses[chosen]
+        turned = poses @ evidence.gyro_fit.matrix.T  # rows: base axes as the raw channels see them
+        down = poses[:, 2]
+    else:
+        # By hand: the vertical is measured, the Earth's rate is a part of the noise.
+        size = np.linalg.norm(force, axis=1, keepdims=True)
+        if np.any(size == 0.0):
+            return None
+        down = -force / size
+    start = data.recording.time[data.windows.samples[chosen, 0]]
+    end = start + data.windows.duration_s[chosen]
+    middle = 0.5 * (start + end)
+    span = float(middle.max() - middle.min())
+    columns = 17 if known else 15
+    freedom = rate.size - columns
+    if span == 0.0 or freedom < LEAST_FREEDOM:
+        return None
+    X = np.zeros((*rate.shape, columns))
+    X[:, :, _BIAS] = np.eye(3)
+    X[:, :, _DRIFT] = np.eye(3) * ((middle - 0.5 * (middle.max() + middle.min())) / span)[:, None, None]
+    X[:, :, _G] = np.einsum("nij,wj->win", _BASIS, down)
+    X[:, :, _V] = turned[:, 2] if known else down
+    if known:
+        X[:, :, _H] = np.swapaxes(turned[:, :2], 1, 2)
+    covariance = _covariance(data, start, end, known=known)
+    solved = _solve(X, rate, covariance)
+    if solved is None:
+        return None
+    value, P, chi_square = solved
+    instability = data.recording.noise.gyro_bias_instability
+    if instability is None:
+        # Not stated: as much flicker as brings the residuals down to where chance alone seldom has them.
+        solved = _with_flicker(X, rate, covariance, flicker_covariance(start, end), freedom)
+        value, P, chi_square = solved
+    sigma = np.sqrt(np.diag(P) * max(1.0, chi_square / freedom))
+    return RestFit(
+        value[_DRIFT],
+        sigma[_DRIFT],
+        value[_G],
+        sigma[_G],
+        float(value[_V]),
+        float(sigma[_V]),
+        value[_H] if known else None,
+        float(np.sqrt(np.mean(sigma[_H] ** 2))) if known else np.inf,
+        freedom,
+    )
+
+
+def _poses(data: PlaybackData) -> Array | None:
+    """Base axes in table-mounted axes at every window, C_T,base transposed: row i is base axis i, shape (W, 3, 3)."""
+    if data.recording.fixture is None or any(s is None for s in data.catalogue):
+        return None
+    out = np.empty((len(data.windows.duration_s), 3, 3))
+    for k, sequence in enumerate(data.catalogue):
+        assert sequence is not None
+        nominal = nominal_attitude(sequence)
+        out[data.start[k]], out[data.end[k]] = nominal, nominal @ end_attitude(sequence)
+    return out
+
+
+def _covariance(data: PlaybackData, start: Array, end: Array, *, known: bool) -> Array:
+    """Of the mean rates of the windows, by axis, shape (3, W, W), (rad/s)²."""
+    noise, T = data.noise, end - start
+    instability = data.recording.noise.gyro_bias_instability or 0.0
+    fixture = data.recording.fixture
+    # Every pose is turned a little from its nominal one, and the Earth's rate with it.
+    doubt = fixture.rotation_sigma_rad if known and fixture is not None else 1.0
+    white = noise.gyro_white[:, None] ** 2 / T + 2.0 * (noise.gyro_edge[:, None] / T) ** 2
+    white = white + (doubt * EARTH_RATE_RAD_S) ** 2
+    out: Array = instability**2 * flicker_covariance(start, end) + white[:, :, None] * np.eye(len(T))
+    return out
+
+
+def _solve(X: Array, rate: Array, covariance: Array) -> tuple[Array, Array, float] | None:
+    """Weighted least squares; values, their covariance and chi-square, or None where the poses leave some open.
+
+    A window far from all others, as after a knock, loses its weight.
+    """
+    W = len(X)
+    weak = np.zeros(W, dtype=np.bool_)
+    while True:
+        V = covariance.copy()
+        far = np.flatnonzero(weak)
+        V[:, far, far] *= 1e8
+        L = np.linalg.cholesky(V)
+        A = np.concatenate([solve_triangular(L[i], X[:, i], lower=True) for i in range(3)])
+        y = np.concatenate([solve_triangular(L[i], rate[:, i], lower=True) for i in range(3)])
+        scale = np.linalg.norm(A, axis=0)
+        if np.any(scale == 0.0):
+            return None
+        U, s, Vt = np.linalg.svd(A / scale, full_matrices=False)
+        if s[-1] < _RANK * s[0]:
+            return None
+        value = (Vt.T @ ((U.T @ y) / s)) / scale
+        left = y - A @ value
+        off = np.abs(left).reshape(3, W).max(axis=0)
+        outlier = ~weak & (off > _OUTLIER * np.median(off))
+        if weak.any() or not outlier.any() or outlier.sum() > _MOST_OUTLIERS * W:
+            root = (Vt.T / s) / scale[:, None]
+            return value, root @ root.T, float(left @ left)
+        weak |= outlier
+
+
+def _with_flicker(X: Array, rate: Array, covariance: Array, flicker: Array, freedom: int) -> tuple[Array, Array, float]:
+    """Solve with the flicker that explains the residuals, found by bisection of its logarithm."""
+    wanted = freedom * (1.0 - 2.0 * np.sqrt(2.0 / freedom)) if freedom > 18 else 0.5 * freedom
+    level = float(np.trace(covariance.mean(axis=0)) / np.trace(flicker))
+    low, high = level * 1e-4, level * 1e6
+    for _ in range(14):
+        middle = float(np.sqrt(low * high))
+        solved = _solve(X, rate, covariance + middle * flicker)
+        if solved is None or solved[2] < wanted:
+            high = middle
+        else:
+            low = middle
+    solved = _solve(X, rate, covariance + high * flicker)
+    assert solved is not None  # the rank does not depend on the weights
+    return solved

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import check, found
-from srt.diagnosis.scale_evidence import accel_scales, gyro_scales
+from srt.diagnosis.units import accel_scales, gyro_scales
 from srt.recording.timing import ROUNDING_FRACTION
 from srt.sequences.plausibility import LEGAL_RATIO, LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.figure_style import (
+from srt.planning.document import clock, timetable
+from srt.planning.stand import AXIS_NAMES
+from srt.reports.figures.style import (
     BLUE,
     FAINT,
     GREEN,
@@ -33,8 +35,6 @@ from srt.figure_style import (
     style,
     symbol,
 )
-from srt.planning.document import clock, timetable
-from srt.planning.stand import AXIS_NAMES
 from srt.sensor_errors import GROUP_SLICES, SYMBOLS
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def plan_figure(plan: Plan, *, title: str = "") -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Not known to pyplot; ``srt.figure_style.save_figure`` writes it.
+        Not known to pyplot; ``srt.reports.figures.style.save_figure`` writes it.
 
     Notes
     -----

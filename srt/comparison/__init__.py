@@ -1,0 +1,1 @@
+"""Several calibrations: estimators side by side, merged recordings, fleets and their outliers, parallel runs."""

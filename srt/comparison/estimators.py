@@ -1,0 +1,332 @@
+"""Estimators side by side on one recording, and whether they agree as far as they should.
+
+The statistics of a difference are those of :mod:`srt.comparison.pairs`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from functools import partial
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.comparison.pairs import FALSE_ALARM, Pair, finite, make_pair, ratio_of, some
+from srt.estimation.options import Options
+from srt.estimation.registry import automatic_estimator, find_estimator
+from srt.exceptions import DataError, InputError, SrtError
+from srt.recording.atomic import atomic_write_text
+from srt.sensor_errors import NAMES, SYMBOLS, UNITS
+from srt.sequences.recognition import label_sequences
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
+
+    Progress = Callable[[str, int, float], None]
+    from collections.abc import Callable, Iterable, Mapping
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+
+ESTIMATORS: Final = ("closed-form", "least-squares", "ekf", "graph")
+"""Those compared where none are named: the least efficient first."""
+
+
+def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Estimators of :data:`ESTIMATORS` that can run here and on this recording; the others with the reason.
+
+    Returns
+    -------
+    names : tuple of str
+    left_out : dict of str to str
+    """
+    recording, _ = label_sequences(recording)
+    names, left_out = [], {}
+    for name in ESTIMATORS:
+        try:
+            find_estimator(name)
+            if name == "closed-form" and automatic_estimator(recording) != name:
+                raise DataError(
+                    "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none."
+                )
+        except SrtError as error:
+            left_out[name] = str(error)
+        else:
+            names.append(name)
+    return tuple(names), left_out
+
+
+def run_estimators(
+    recording: Recording,
+    names: Sequence[str],
+    options: Options | None = None,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Calibration], dict[str, float], dict[str, str]]:
+    """Calibrate one recording with several estimators; one that fails does not stop the others.
+
+    Parameters
+    ----------
+    recording : Recording
+    names : sequence of str
+    options : Options, optional
+        The same for all.
+    progress : callable, optional
+        Called after every play-back with the estimator's name, its number and the largest correction.
+
+    Returns
+    -------
+    calibrations : dict of str to Calibration
+    seconds : dict of str to float
+        Of every estimator, without the import of its module.
+    failures : dict of str to str
+        Why an estimator gave no result.
+
+    Raises
+    ------
+    InputError
+        An estimator that is not registered, or whose packages are not installed.
+    """
+    options = Options() if options is None else options
+    recording, recognition = label_sequences(recording)
+    calibrations: dict[str, Calibration] = {}
+    seconds: dict[str, float] = {}
+    failures: dict[str, str] = {}
+    found = {name: find_estimator(name) for name in names}  # imported before any clock starts
+    for name, estimator in found.items():
+        started = perf_counter()
+        try:
+            result = estimator(recording, options, None if progress is None else partial(progress, name))
+            calibrations[name] = result if recognition is None else recognition.told_in(result)
+        except SrtError as error:
+            failures[name] = str(error)
+        seconds[name] = perf_counter() - started
+    return calibrations, seconds, failures
+
+
+FORMAT: Final = "srt-comparison"
+VERSION: Final = 1
+
+USABLE: Final = ("converged", "partial")
+"""Statuses whose values and sigmas mean what they say."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Calibrations of one recording side by side.
+
+    Attributes
+    ----------
+    calibrations : mapping of str to Calibration
+        By the estimator's name, whatever their status.
+    reference : str or None
+        The estimate taken as efficient; None if none is usable.
+    pairs : mapping of str to Pair
+        Of every other usable estimate with the reference.
+    seconds : mapping of str to float
+    failures, left_out : mapping of str to str
+        Estimators that ran without a result, and those that were not run, with the reason in a sentence.
+    truth : SensorErrors or None
+    notes : tuple of str
+    """
+
+    calibrations: Mapping[str, Calibration]
+    reference: str | None
+    pairs: Mapping[str, Pair]
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    failures: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    truth: SensorErrors | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def agree(self) -> bool:
+        """Whether there are two usable estimates at least, and all agree with the reference."""
+        return bool(self.pairs) and all(pair.agrees for pair in self.pairs.values())
+
+    @property
+    def complete(self) -> bool:
+        """Whether every estimator that ran ended with a usable result."""
+        return not self.failures and all(c.status in USABLE for c in self.calibrations.values())
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in a sentence."""
+        if self.reference is None:
+            return "There is nothing to compare: no estimator gave a usable result."
+        if not self.pairs:
+            return f"There is nothing to compare: only {self.reference} gave a usable result."
+        if not self.agree:
+            ordered = sorted(self.pairs.values(), key=lambda pair: pair.agrees)
+            return "; ".join(pair.sentence() for pair in ordered) + "."
+        worst = max(self.pairs.values(), key=lambda pair: float(np.nanmax(np.abs(pair.normalised))))
+        assert worst.largest is not None
+        return (
+            f"{_listing([self.reference, *self.pairs])} agree: largest difference "
+            f"{abs(worst.normalised[worst.largest]):.1f} expected spreads ({NAMES[worst.largest]} of "
+            f"{worst.estimator}; limit {worst.limit:.1f})."
+        )
+
+    def error_over_sigma(self, name: str) -> Array:
+        """Error of an estimate over its sigma, shape (27,); NaN where held, or without a truth."""
+        true = np.nan if self.truth is None else self.truth.vector
+        return ratio_of(self.calibrations[name].errors.vector - true, self.calibrations[name].sigma)
+
+    def rms_error(self, name: str) -> float:
+        """Root mean square of error over sigma of an estimate; NaN without a truth."""
+        ratio = self.error_over_sigma(name)
+        seen = ratio[np.isfinite(ratio)]
+        return float(np.sqrt(np.mean(seen**2))) if seen.size else math.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON form: SI, in the order of the parameters; None for what there is not, and no NaN."""
+        first = next(iter(self.calibrations.values()), None)
+        kept = ("data_sha256", "serial", "date", "software", "options")
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "verdict": self.verdict,
+            "agree": self.agree,
+            "reference": self.reference,
+            "false_alarm_probability": FALSE_ALARM,
+            "notes": list(self.notes),
+            "parameters": [{"name": n, "symbol": s, "unit": u} for n, s, u in zip(NAMES, SYMBOLS, UNITS, strict=True)],
+            "truth": None if self.truth is None else self.truth.vector.tolist(),
+            "estimators": [self._estimate_dict(name) for name in self.calibrations],
+            "failed": [{"name": name, "message": text} for name, text in self.failures.items()],
+            "left_out": [{"name": name, "message": text} for name, text in self.left_out.items()],
+            "provenance": {} if first is None else {k: v for k, v in first.provenance.items() if k in kept},
+        }
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
+        atomic_write_text(path, json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+    def _estimate_dict(self, name: str) -> dict[str, Any]:
+        calibration, pair = self.calibrations[name], self.pairs.get(name)
+        return {
+            "name": name,
+            "status": calibration.status,
+            "message": calibration.message,
+            "playbacks": len(calibration.corrections),
+            "seconds": self.seconds.get(name),
+            "observed": int(calibration.observed.sum()),
+            "value": calibration.errors.vector.tolist(),
+            "sigma": finite(calibration.sigma),
+            "held": dict(calibration.held),
+            "error_over_sigma": None if self.truth is None else finite(self.error_over_sigma(name)),
+            "comparison": None if pair is None else pair.as_dict(),
+        }
+
+
+def compare(
+    calibrations: Mapping[str, Calibration],
+    *,
+    reference: str | None = None,
+    seconds: Mapping[str, float] | None = None,
+    failures: Mapping[str, str] | None = None,
+    left_out: Mapping[str, str] | None = None,
+    truth: SensorErrors | None = None,
+) -> Comparison:
+    """Set calibrations of one recording against each other.
+
+    Parameters
+    ----------
+    calibrations : mapping of str to Calibration
+        By any names; they appear in that order.
+    reference : str, optional
+        Which one is taken as efficient. Default: graph, ekf, least-squares, closed-form, others in their order; the
+        first that is usable.
+    seconds : mapping of str to float, optional
+        How long each took.
+    failures, left_out : mapping of str to str, optional
+        Estimators without a result, and those not run, with the reason.
+    truth : SensorErrors, optional
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        A reference that is not among them, or calibrations of different recordings.
+    """
+    failures = dict(failures or {})
+    known = [*calibrations, *failures]
+    if reference is not None and reference not in known:
+        raise InputError(f"The reference {reference!r} is not among the estimators compared: {', '.join(known)}.")
+    if len({c.provenance.get("data_sha256") for c in calibrations.values()} - {None}) > 1:
+        raise InputError("The calibrations are of different recordings (data_sha256), and cannot be compared.")
+    usable = [name for name, c in calibrations.items() if c.status in USABLE]
+    chosen = reference if reference in usable else min(usable, key=_rank, default=None)
+    pairs: dict[str, Pair] = {}
+    if chosen is not None:
+        others = {name: calibrations[name] for name in usable if name != chosen}
+        shared = {name: _shared(c, calibrations[chosen]) for name, c in others.items()}
+        count = sum(int(mask.sum()) for mask in shared.values())
+        for name, other in others.items():
+            pairs[name] = make_pair(name, other, chosen, calibrations[chosen], shared[name], count, len(others))
+    return Comparison(
+        calibrations=dict(calibrations),
+        reference=chosen,
+        pairs=pairs,
+        seconds=dict(seconds or {}),
+        failures=failures,
+        left_out=dict(left_out or {}),
+        truth=truth,
+        notes=tuple(_notes(calibrations, reference, chosen, pairs)),
+    )
+
+
+def _listing(names: Iterable[str]) -> str:
+    """Join names as a sentence does: "a, b and c"."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _rank(name: str) -> int:
+    """Place in the order of efficiency, the most efficient first; strangers after those known."""
+    return -ESTIMATORS.index(name) if name in ESTIMATORS else 1
+
+
+def _shared(a: Calibration, b: Calibration) -> Mask:
+    """Parameters that two calibrations observed (a held one's sigma is NaN), with a sigma to judge them by."""
+    mask: Mask = (a.sigma > 0.0) & (b.sigma > 0.0)
+    return mask
+
+
+def _notes(
+    calibrations: Mapping[str, Calibration], wanted: str | None, chosen: str | None, pairs: Mapping[str, Pair]
+) -> Iterable[str]:
+    """What a reader of the verdict should know besides, in sentences."""
+    if wanted is not None and chosen not in (wanted, None):
+        yield f"The reference asked for, {wanted}, gave no usable result; it is {chosen} instead."
+    for name, calibration in calibrations.items():
+        if calibration.status not in USABLE:
+            status = calibration.status.replace("_", " ")
+            yield f"{name} is not compared, its status being {status}: {calibration.message}"
+    for name, pair in pairs.items():
+        if pair.smaller_sigma:
+            yield (
+                f"{name} states a smaller sigma than {pair.reference} for {some(pair.smaller_sigma)}: there "
+                f"{pair.reference} is not the efficient one, or has enlarged its sigmas for its residuals."
+            )
+    usable = [name for name in calibrations if name in pairs or name == chosen]
+    alone: dict[tuple[str, ...], list[str]] = {}
+    for parameter in NAMES:
+        holders = tuple(name for name in usable if parameter in calibrations[name].held)
+        if holders and holders != tuple(usable):
+            alone.setdefault(holders, []).append(parameter)
+    for holders, parameters in alone.items():
+        yield f"Held by {_listing(holders)} and not by the others: {some(parameters)}."

@@ -1,0 +1,305 @@
+"""A fleet calibrated: every unit on its own, on any number of processes, and each judged against the others.
+
+What fails is kept as a unit without a calibration, and stops no other.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetJudgement, judge_fleet
+from srt.exceptions import DataError, InputError, SrtError
+from srt.sensor_errors import N_PARAMETERS, NAMES, SYMBOLS, UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from os import PathLike
+
+    from srt.comparison.parallel import Engine
+    from srt.estimation.options import Options
+    from srt.result.calibration import Calibration
+
+FORMAT: Final = "srt-fleet"
+VERSION: Final = 1
+FAILED: Final = "failed"
+SOUND: Final = ("converged", "partial")
+"""Statuses of calibrations that count: those of others have no part in the fleet, and are not judged."""
+
+COLUMNS: Final = (
+    *("unit", "serial", "recording", "status", "message", "parameter", "unit_si", "value", "sigma"),
+    *("fleet_median", "fleet_scatter", "others_median", "others_scatter", "z", "limit", "flagged"),
+)
+"""Of the tidy table: one row per unit and parameter, SI; a unit without a calibration has one row, with its message."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitTask:
+    """One unit to calibrate: picklable, and all that a process needs to know."""
+
+    number: int
+    name: str
+    recording: str
+    estimator: str
+    options: Options
+    force: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unit:
+    """What came of one unit.
+
+    Attributes
+    ----------
+    name : str
+        In the fleet; no other has it.
+    recording : str
+        Its path.
+    serial : str or None
+    status : str
+        Of the calibration, or "failed".
+    message : str
+        One sentence.
+    exit_code : int
+        What the command line would exit with for this unit alone.
+    calibration : Calibration or None
+    """
+
+    name: str
+    recording: str
+    serial: str | None
+    status: str
+    message: str
+    exit_code: int
+    calibration: Calibration | None = None
+
+    @property
+    def sound(self) -> bool:
+        """Whether its values have a part in the fleet."""
+        return self.calibration is not None and self.status in SOUND
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fleet:
+    """All units in the order in which they were named, and how each stands to the others.
+
+    Attributes
+    ----------
+    units : tuple of Unit
+    judgement : FleetJudgement
+        One row per unit; NaN for those that are not sound.
+    """
+
+    units: tuple[Unit, ...]
+    judgement: FleetJudgement
+
+    def flagged(self, number: int) -> tuple[int, ...]:
+        """Places of the outlying parameters of a unit, the farthest off first."""
+        size = np.abs(self.judgement.z[number])
+        found = np.flatnonzero(self.judgement.flagged[number])
+        return tuple(found[np.argsort(-size[found], kind="stable")].tolist())
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Rows of the tidy table, :data:`COLUMNS`; None stands for what is not known."""
+        judged, flagged = self.judgement, self.judgement.flagged
+        for number, unit in enumerate(self.units):
+            about = {
+                "unit": unit.name,
+                "serial": unit.serial,
+                "recording": unit.recording,
+                "status": unit.status,
+                "message": unit.message,
+            }
+            if unit.calibration is None:
+                yield dict.fromkeys(COLUMNS) | about
+                continue
+            values, sigma = unit.calibration.errors.vector, unit.calibration.sigma
+            for i, name in enumerate(NAMES):
+                numbers = {
+                    "value": values[i],
+                    "sigma": sigma[i],
+                    "fleet_median": judged.median[i],
+                    "fleet_scatter": judged.scatter[i],
+                    "others_median": judged.others_median[number, i],
+                    "others_scatter": judged.others_scatter[number, i],
+                    "z": judged.z[number, i],
+                    "limit": judged.limit[i],
+                }
+                known = {key: _number(value) for key, value in numbers.items()}
+                mark = bool(flagged[number, i]) if known["z"] is not None else None
+                yield {**about, "parameter": name, "unit_si": UNITS[i], **known, "flagged": mark}
+
+    def to_csv(self) -> str:
+        """The tidy table as CSV; what is not known is an empty cell."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows())
+        return text.getvalue()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON form: units, parameters, and the tidy table; no NaN in it."""
+        judged = self.judgement
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "judgement": {
+                "method": "each unit against the median and the pairwise scatter of all the others",
+                "expected_false_flags": FALSE_ALARMS,
+                "minimum_units": MINIMUM_UNITS,
+            },
+            "units": [self._unit(number) for number in range(len(self.units))],
+            "parameters": [
+                {
+                    "name": name,
+                    "symbol": SYMBOLS[i],
+                    "unit": UNITS[i],
+                    "median": _number(judged.median[i]),
+                    "scatter": _number(judged.scatter[i]),
+                    "limit": _number(judged.limit[i]),
+                    "flagged": [unit.name for n, unit in enumerate(self.units) if judged.flagged[n, i]],
+                }
+                for i, name in enumerate(NAMES)
+            ],
+            "columns": list(COLUMNS),
+            "rows": [list(row.values()) for row in self.rows()],
+        }
+
+    def _unit(self, number: int) -> dict[str, Any]:
+        unit = self.units[number]
+        out: dict[str, Any] = {
+            "name": unit.name,
+            "serial": unit.serial,
+            "recording": unit.recording,
+            "status": unit.status,
+            "message": unit.message,
+            "exit_code": unit.exit_code,
+            "flagged": [NAMES[i] for i in self.flagged(number)],
+        }
+        if unit.calibration is not None:
+            verdict = unit.calibration.verdict
+            out |= {key: verdict.get(key) for key in ("chi_square", "degrees_of_freedom", "probability")}
+            out |= {"estimator": unit.calibration.estimator, "warnings": list(unit.calibration.warnings)}
+        return out
+
+
+def calibrate_fleet(
+    recordings: Sequence[str | PathLike[str]] | Mapping[str, str | PathLike[str]],
+    estimator: str = "auto",
+    *,
+    options: Options | None = None,
+    engine: Engine | None = None,
+    force: bool = False,
+    finished: Callable[[Unit], None] | None = None,
+) -> Fleet:
+    """Calibrate many units and judge each against all the others.
+
+    Parameters
+    ----------
+    recordings : sequence of path-like, or mapping of str to path-like
+        Folders, or their ``recording.toml``; as a mapping by the units' names, which otherwise are the paths.
+    estimator : str
+        As for :func:`srt.calibrate`.
+    options : Options, optional
+    engine : Engine, optional
+        Where they run; by default here, one after the other. The results do not depend on it.
+    force : bool
+        Calibrate whatever fault is found.
+    finished : callable, optional
+        Called with every unit as it is done, in no particular order. What it raises ends the run.
+
+    Returns
+    -------
+    Fleet
+        In the order of ``recordings``. Whatever went wrong with a unit is said there.
+
+    Raises
+    ------
+    InputError
+        A recording or a name given twice, or an engine that cannot start.
+    MissingExtraError
+        What the engine needs is not installed.
+    """
+    from srt.estimation.options import Options as _Options
+
+    if not isinstance(recordings, Mapping):
+        paths = [str(path) for path in recordings]
+        twice = next((path for n, path in enumerate(paths) if path in paths[:n]), None)
+        if twice is not None:
+            raise InputError(f"The recording {twice} is named twice, and one unit must not count twice.")
+        recordings = dict(zip(paths, paths, strict=True))
+    chosen = _Options() if options is None else options
+    tasks = [
+        UnitTask(n, name, str(path), estimator, chosen, force) for n, (name, path) in enumerate(recordings.items())
+    ]
+    done: dict[int, Unit] = {}
+    for number, unit in _run(tasks, engine):
+        done[number] = unit
+        if finished is not None:
+            finished(unit)
+    return assemble_fleet([done[n] for n in range(len(tasks))])
+
+
+def assemble_fleet(units: Sequence[Unit]) -> Fleet:
+    """Judge units that are calibrated already."""
+    values, sigmas = (np.full((len(units), N_PARAMETERS), np.nan) for _ in range(2))
+    for number, unit in enumerate(units):
+        if unit.calibration is not None and unit.sound:
+            values[number], sigmas[number] = unit.calibration.errors.vector, unit.calibration.sigma
+    return Fleet(tuple(units), judge_fleet(values, sigmas))
+
+
+def calibrate_unit(task: UnitTask) -> tuple[int, Unit]:
+    """Calibrate one unit; what goes wrong, and be it a defect of the program, becomes its message."""
+    from srt.procedure import calibrate_examined
+    from srt.recording.folder import load_recording
+
+    unit = partial(Unit, task.name, task.recording)
+    serial = None
+    try:
+        recording = load_recording(Path(task.recording))
+        serial = recording.serial
+        result = calibrate_examined(recording, task.estimator, options=task.options, force=task.force)
+    except SrtError as error:
+        return task.number, unit(serial, FAILED, str(error), error.exit_code)
+    except Exception as error:  # one unit must not stop the rest
+        text = " ".join(str(error).split())
+        return task.number, unit(
+            serial,
+            FAILED,
+            f"The program failed ({type(error).__name__}: {text}): calibrate this recording alone to see where, and "
+            "report it as a defect.",
+            DataError.exit_code,
+        )
+    code = 0 if result.status in SOUND else DataError.exit_code
+    return task.number, unit(serial, result.status, result.message, code, result)
+
+
+def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int, Unit]]:
+    """Run all tasks; what a dying worker left undone is run again, one by one, so that one unit harms no other."""
+    if engine is None:
+        yield from map(calibrate_unit, tasks)
+        return
+    left = {task.number: task for task in tasks}
+    try:
+        for number, unit in engine.run(calibrate_unit, tasks):
+            del left[number]
+            yield number, unit
+    except DataError:
+        pass  # said of the unit that it happens with again
+    for number, task in list(left.items()):
+        try:
+            yield next(iter(engine.run(calibrate_unit, [task])))
+        except DataError as error:
+            yield number, Unit(task.name, task.recording, None, FAILED, str(error), error.exit_code)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

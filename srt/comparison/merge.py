@@ -1,0 +1,268 @@
+"""Several recordings of one unit merged into one calibration, by the model of :mod:`srt.comparison.merge_model`."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.special import chdtrc
+
+from srt.comparison.merge_model import GROUP_OF, Stack, between_sigma, estimate, stack_of
+from srt.comparison.repeatability import repeatability
+from srt.estimation.assembly import software
+from srt.estimation.g_sensitivity import KEY
+from srt.estimation.leave_one_out import Evidence, against_others, verdict, without_groups
+from srt.exceptions import DataError, InputError
+from srt.model.rotations import rotation_vector
+from srt.result.calibration import Calibration
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+
+ESTIMATOR: Final = "merged"
+USABLE: Final = ("converged", "partial")
+UNLIKELY: Final = 1e-3
+
+
+def merge_calibrations(
+    calibrations: Sequence[Calibration], names: Sequence[str] | None = None, *, between: bool = True
+) -> Calibration:
+    """Merge the calibrations of several recordings of one unit.
+
+    Parameters
+    ----------
+    calibrations : sequence of Calibration
+        Two at least. Those that did not converge are left out, and the result says so.
+    names : sequence of str, optional
+        What the result calls the recordings; default their numbers.
+    between : bool
+        Whether values may differ from recording to recording by more than their sigmas; False takes the unit as it
+        stands to be the same in all of them.
+
+    Returns
+    -------
+    Calibration
+        Estimator "merged"; covariance of the unit's mean over the recordings, ``diagnostics["repeatability"]`` with the
+        values of each, ``verdict["sequences"]`` with the recordings in place of sequences. U is kept where all agree on
+        it, as the unit was on the fixture in one way, and None elsewhere.
+
+    Raises
+    ------
+    InputError
+        Fewer than two; different units; one recording twice; calibrations that rest on one prior or are merged already.
+    DataError
+        If none converged.
+    """
+    given = list(calibrations)
+    titles = [str(n + 1) for n in range(len(given))] if names is None else list(names)
+    _check(given, titles)
+    left_out = {t: c.status for t, c in zip(titles, given, strict=True) if c.status not in USABLE}
+    used = {t: c for t, c in zip(titles, given, strict=True) if t not in left_out}
+    if not used:
+        raise DataError(
+            "None of the calibrations can be merged: "
+            + ", ".join(f"{title} is {status.replace('_', ' ')}" for title, status in left_out.items())
+            + "."
+        )
+    members = list(used.values())
+    stack = stack_of(members)
+    sizes = between_sigma(stack) if between and len(members) > 1 else np.zeros(len(GROUP_SLICES))
+    return _merged(used, left_out, stack, sizes)
+
+
+def _merged(used: Mapping[str, Calibration], left_out: Mapping[str, str], stack: Stack, sizes: Array) -> Calibration:
+    members, titles = list(used.values()), list(used)
+    seen = np.flatnonzero(stack.design.any(axis=0))
+    X = stack.design[:, seen]
+    within = stack.covariance
+    scatter = np.diag(sizes[GROUP_OF[stack.parameter]] ** 2)
+    values, weights, _ = estimate(stack.y, X, within + scatter)
+    _, _, statistic = estimate(stack.y, X, within)
+    freedom = len(stack.y) - len(seen)
+    parts = {"recordings": stack.own, **stack.common, "between_recordings": scatter}
+    by_source = {source: weights @ part @ weights.T for source, part in parts.items() if part.any()}
+    covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    covariance[np.ix_(seen, seen)] = sum(by_source.values())
+    covariance = 0.5 * (covariance + covariance.T)
+    vector = members[0].errors.vector.copy()
+    vector[seen] = values
+    observed = np.zeros(N_PARAMETERS, dtype=np.bool_)
+    observed[seen] = True
+    held = {name: members[0].held[name] for i, name in enumerate(NAMES) if not observed[i]}
+    U, U_sigma, U_note = _mounting(members)
+    chance = float(chdtrc(freedom, statistic)) if freedom else None
+    message = f"Merged from {len(members)} recording{'s' if len(members) > 1 else ''}."
+    return Calibration(
+        estimator=ESTIMATOR,
+        status="partial" if held else "converged",
+        message=message + (f" Held, not observed: {', '.join(held)}." if held else ""),
+        errors=SensorErrors(vector),
+        covariance=covariance,
+        held=held,
+        contributions={source: _spread(np.sqrt(np.maximum(np.diag(P), 0.0)), seen) for source, P in by_source.items()},
+        U=U,
+        U_sigma_rad=U_sigma,
+        site=_shared([c.site for c in members]),
+        noise={"between_recordings": dict(zip(GROUP_SLICES, sizes.tolist(), strict=True))},
+        alignment=_shared([c.alignment for c in members]),
+        temperature=_temperature(members),
+        provenance=_provenance(members),
+        diagnostics={
+            "repeatability": repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, chance))
+        },
+        verdict=verdict(
+            _evidence(stack, within, within + scatter, titles, vector),
+            covariance,
+            observed,
+            statistic,
+            freedom,
+        ),
+        warnings=_warnings(used, left_out, sizes, chance, U_note),
+    )
+
+
+def _evidence(
+    stack: Stack, within: Array, total: Array, titles: Sequence[str], estimate_: Array
+) -> tuple[Evidence, ...]:
+    """Every recording against the others by the sigmas within, and the merged values without it by their weights."""
+    if len(titles) < 2:
+        return ()
+    groups = [stack.rows(r) for r in range(len(titles))]
+    left, X = stack.y - stack.design @ estimate_, stack.design
+    pairs = zip(
+        titles,
+        against_others(left, X, within, groups),
+        without_groups(left, X, total, groups),
+        strict=True,
+    )
+    return tuple(Evidence(title, 1, against, without) for title, against, without in pairs)
+
+
+def _spread(values: Array, at: Indices) -> Array:
+    out = np.zeros(N_PARAMETERS)
+    out[at] = values
+    return out
+
+
+def _check(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
+    """Refuse what is not several recordings of one unit, each of its own data."""
+    if len(calibrations) < 2:
+        raise InputError(f"Merging needs two recordings of a unit at least, and there is {len(calibrations)}.")
+    if len(set(titles)) != len(calibrations):
+        raise InputError(f"The recordings to merge need a name each: {', '.join(titles)}.")
+    serials = {t: c.provenance.get("serial") for t, c in zip(titles, calibrations, strict=True)}
+    first = next((t for t in titles if serials[t] is not None), titles[0])
+    for title, c in zip(titles, calibrations, strict=True):
+        if c.estimator == ESTIMATOR:
+            raise InputError(f"{title} is merged already: merge the recordings that it is made of.")
+        if (c.provenance.get("options") or {}).get("prior") is not None:
+            raise InputError(
+                f"{title} was calibrated with a prior, which would count with every recording: calibrate it without."
+            )
+        if serials[title] not in (None, serials[first]):
+            raise InputError(
+                f"These are different units: {first} has the serial {serials[first]}, {title} has {serials[title]}."
+            )
+    hashes: dict[str, str] = {}
+    for title, c in zip(titles, calibrations, strict=True):
+        data = c.provenance.get("data_sha256")
+        if data is not None and hashes.setdefault(data, title) != title:
+            raise InputError(f"{hashes[data]} and {title} hold the same samples, which must not count twice.")
+
+
+def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | None, str]:
+    """Mean of U where all recordings agree on it, with a note where they do not."""
+    found = [(c.U, c.U_sigma_rad) for c in members if c.U is not None and c.U_sigma_rad]
+    if len(found) < len(members):
+        note = "Not every recording has a table frame (U), and the merged calibration has none." if found else ""
+        return None, None, note
+    variance = np.array([sigma**2 for _, sigma in found if sigma is not None])
+    turns = np.stack([U for U, _ in found if U is not None])
+    left, _, right = np.linalg.svd(np.einsum("r,rab->ab", 1.0 / variance, turns))
+    mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    away = np.sum(rotation_vector(mean.T @ turns) ** 2, axis=1)
+    # Every recording has its levelling in U, beside its mounting.
+    chance = float(chdtrc(3 * (len(found) - 1), np.sum(away / (2.0 * variance)))) if len(found) > 1 else 1.0
+    if chance < UNLIKELY:
+        return (
+            None,
+            None,
+            (
+                "The recordings disagree on how the unit sat on the table (U, by up to "
+                f"{1e3 * float(np.sqrt(away.max())):.3g} mrad from their mean): the merged calibration has none."
+            ),
+        )
+    return mean, float(np.sqrt(variance.max())), ""
+
+
+def _shared(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Values that all have in common; None for those that differ."""
+    keys = dict.fromkeys(key for table in tables for key in table)
+    return {k: tables[0].get(k) if all(t.get(k) == tables[0].get(k) for t in tables) else None for k in keys}
+
+
+def _temperature(members: Sequence[Calibration]) -> dict[str, Any] | None:
+    """Mean over the recordings that know it, and the range that their means and ranges span."""
+    known = [c.temperature for c in members if c.temperature is not None]
+    if not known:
+        return None
+    means = np.array([t["mean_c"] for t in known])
+    half = 0.5 * np.array([t["range_c"] for t in known])
+    return {
+        "mean_c": float(means.mean()),
+        "range_c": float((means + half).max() - (means - half).min()),
+        "sequences": [],
+    }
+
+
+def _provenance(members: Sequence[Calibration]) -> dict[str, Any]:
+    hashes = [c.provenance.get("data_sha256") for c in members]
+    whole = None if None in hashes else hashlib.sha256("".join(map(str, hashes)).encode()).hexdigest()
+    dates = {c.provenance.get("date") for c in members}
+    return {
+        "data_sha256": whole,
+        "software": software(),
+        "serial": next((s for c in members if (s := c.provenance.get("serial")) is not None), None),
+        "date": dates.pop() if len(dates) == 1 else None,
+        "options": {},
+        "voided": {},
+        "recordings": [dict(c.provenance) for c in members],
+    }
+
+
+def _warnings(
+    used: Mapping[str, Calibration],
+    left_out: Mapping[str, str],
+    sizes: Array,
+    chance: float | None,
+    U_note: str,
+) -> tuple[str, ...]:
+    said = [
+        f"{title} is {status.replace('_', ' ')}, and was left out of the merged values."
+        for title, status in left_out.items()
+    ]
+    if len(used) == 1:
+        said.append("One recording alone is left: nothing is averaged, and nothing tells how repeatable it is.")
+    if chance is not None and chance < UNLIKELY:
+        groups = [name.replace("_", " ") for name, size in zip(GROUP_SLICES, sizes, strict=True) if size > 0.0]
+        said.append(
+            "The recordings differ by more than their sigmas explain"
+            + (f"; the scatter of {', '.join(groups)} from recording to recording is in the merged sigmas." if groups
+               else ", and the merged sigmas do not hold it.")
+        )  # fmt: skip
+    following = [title for title, c in used.items() if KEY in c.diagnostics]
+    if following:
+        said.append(f"What the gyros follow specific force by is not merged: {', '.join(following)} have it.")
+    nameless = [title for title, c in used.items() if c.provenance.get("serial") is None]
+    if nameless and len(used) > 1:
+        said.append(f"No serial is given with {', '.join(nameless)}: that they are of one unit is taken on trust.")
+    if len({c.site.get("gravity_m_s2") for c in used.values()}) > 1:
+        said.append("Gravity was stated differently: its errors are taken to be independent.")
+    return (*said, *([U_note] if U_note else []))

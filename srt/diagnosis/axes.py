@@ -1,0 +1,237 @@
+"""Axes and frames: signs and names of axes that are right angles off, from labels and from each other.
+
+Specific force at rest is fixed to the Earth, so in the body it turns against the body: ``df/dt = f × ω``. Over turns
+that gives ``K`` of ``df/dt = f × (K ω̃)`` whatever the labels say: the unit matrix for sound readings, the inverse of
+the gyros' factor for a wrong unit, and for axes ``f̃ = Pa f`` and ``ω̃ = Pg ω`` with signed permutations
+``K = det(Pa) Pa Pg⁻¹``. The sign of all accelerometers together does not show in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.diagnosis.findings import check, found
+from srt.model.table1 import AXES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+
+    Array = NDArray[np.float64]
+
+_EYE: Final = np.eye(3)
+
+
+@check(
+    "gyro_sign_convention",
+    "accel_sign_convention",
+    "gyro_axis_flipped",
+    "accel_axis_flipped",
+    "gyro_axes_swapped",
+    "accel_axes_swapped",
+    "left_handed",
+    "frame_turned",
+    "frames_disagree",
+)
+def axes(evidence: Evidence) -> Iterator[Finding]:
+    """Signed permutations of both triads against the labels, on which the turning of gravity must agree."""
+    gyro, accel = gyro_axes(evidence), accel_axes(evidence)
+    relation = None
+    if gyro is None or accel is None or not (_is(gyro, _EYE) and _is(accel, _EYE)):
+        relation = gravity_relation(evidence)
+        relation = None if relation is None else nearest_axes(relation)
+    if gyro is None or accel is None:
+        if relation is not None and not _is(relation, _EYE):
+            yield _between(relation)
+        return
+    if _is(gyro, _EYE) and _is(accel, _EYE):
+        return
+    if relation is not None and not _is(relation, np.linalg.det(accel) * accel @ gyro.T):
+        return  # the labels are wrong, not the axes
+    yield _named(gyro, accel)
+
+
+def _is(first: Array, second: Array) -> bool:
+    return bool(np.abs(first - second).max() < 0.5)
+
+
+def _between(relation: Array) -> Finding:
+    """Gyros against accelerometers where no label tells which of them is right: the simpler of two explanations."""
+    proper = np.linalg.det(relation) > 0.0
+    # An improper relation is one of improper gyros; of improper accelerometers it is proper, with the sign reversed.
+    if not proper or _is(relation, -_EYE):
+        return _named(relation.T, _EYE)
+    other = _one_sensor("accel", -relation)
+    return other if other is not None else _named(relation.T, _EYE)
+
+
+def _named(gyro: Array, accel: Array) -> Finding:
+    """The fault that these axes are."""
+    if _is(accel, _EYE) and (one := _one_sensor("gyro", gyro)) is not None:
+        return one
+    if _is(gyro, _EYE) and (one := _one_sensor("accel", accel)) is not None:
+        return one
+    maps = {"gyro_mapping": mapping(gyro), "accel_mapping": mapping(accel)}
+    if np.linalg.det(accel) < 0.0 and (_is(gyro, accel) or _is(gyro, -accel)):
+        return found("left_handed", **maps)
+    if _is(gyro, accel):
+        return found("frame_turned", mapping=maps["gyro_mapping"])
+    return found("frames_disagree", **maps)
+
+
+def _one_sensor(sensor: str, axes: Array) -> Finding | None:
+    """The fault of one triad alone, if it is one of those that have a name."""
+    undo = mapping(axes)
+    if _is(axes, -_EYE):
+        return found(f"{sensor}_sign_convention", mapping=undo)
+    wrong = np.flatnonzero(np.abs(np.diag(axes) - 1.0) > 0.5)
+    if len(wrong) == 1:
+        return found(f"{sensor}_axis_flipped", axis=AXES[wrong[0]], mapping=undo)
+    if len(wrong) == 2 and axes[wrong[0], wrong[1]] > 0.5 and axes[wrong[1], wrong[0]] > 0.5:
+        return found(f"{sensor}_axes_swapped", axes=f"{AXES[wrong[0]]} and {AXES[wrong[1]]}", mapping=undo)
+    return None
+
+
+_BLOCK_S: Final = 0.1
+"""Stretches over which gyro readings are summed and accelerometer readings averaged: long against the noise of a
+sample, short against a turn, as the axis is taken to stand still over two of them."""
+_SPANS: Final = 1e-3
+"""Smallest over largest eigenvalue of the normal equations, below which some axis was hardly turned."""
+_EXPLAINED: Final = 0.3
+"""Share of the power that may stay unexplained by labels: sound readings leave some hundredths, wrong labels most."""
+_BY_HAND: Final = 0.65
+_FEWEST_BLOCKS: Final = 50
+"""Likewise by gyros: a hand pushes the unit about as much as gravity turns in it. Nine coefficients explain 6 % of what
+is nothing but noise in so many blocks."""
+_NEAR: Final = 0.5
+"""Deviation of an element of a unit row that is still the same axis: half-way to another, 30°."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turns:
+    """Rests and the turns between them, labelled or found, as rates.
+
+    Attributes
+    ----------
+    rate, force : ndarray, shape (W, 3), rad/s and m/s²
+        Mean readings of the windows.
+    spans : ndarray of int, shape (K, 2)
+        First sample of each turn without a gap, and one past its last.
+    between : ndarray of int, shape (K, 2)
+        Windows before and after it.
+    """
+
+    rate: Array
+    force: Array
+    spans: NDArray[np.intp]
+    between: NDArray[np.intp]
+
+
+def turns_of(evidence: Evidence) -> Turns | None:
+    """Windows and turns of the labels, or all that were found in a recording without labels; None without any."""
+    if evidence.labelled:
+        data = evidence.data
+        if data is None:
+            return None
+        between = np.stack([data.start, data.end], axis=1)[evidence.whole]
+        return Turns(evidence.rest_rate, evidence.rest_force, data.rotation[evidence.whole], between)
+    if evidence.recognition is None:
+        return None
+    found = evidence.recognition
+    recording, rates = evidence.recording, evidence.per_rate
+    rate, force = (
+        np.array([table[a:b].mean(axis=0) for a, b in found.windows.tolist()]) * rates
+        for table in (recording.gyro, recording.accel)
+    )
+    spans = np.array([(turn.first, turn.last) for turn in found.turns], dtype=np.intp).reshape(-1, 2)
+    between = np.array([(turn.start_window, turn.end_window) for turn in found.turns], dtype=np.intp).reshape(-1, 2)
+    return Turns(rate, force, spans, between)
+
+
+def gravity_relation(evidence: Evidence) -> Array | None:
+    """K of ``df/dt = f × (K ω̃)`` over all turns, by least squares.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), or None
+        None if the turns do not cover all axes, or the readings do not obey any such relation.
+    """
+    turns = turns_of(evidence)
+    if turns is None:
+        return None
+    recording = evidence.recording
+    size = max(1, round(_BLOCK_S / evidence.dt))
+    seconds = evidence.dt * size
+    normal, right, seen, blocks = np.zeros((3, 3, 3, 3)), np.zeros((3, 3)), 0.0, 0
+    for (a, b), (before, after) in zip(turns.spans.tolist(), turns.between.tolist(), strict=True):
+        count = (b - a) // size
+        if count < 2:
+            continue
+        stop = a + count * size
+        rate = recording.gyro[a:stop].reshape(count, size, 3).mean(axis=1) * evidence.per_rate
+        angle = (rate - 0.5 * (turns.rate[before] + turns.rate[after])) * seconds
+        force = recording.accel[a:stop].reshape(count, size, 3).mean(axis=1)
+        turned, mean, change = 0.5 * (angle[1:] + angle[:-1]), 0.5 * (force[1:] + force[:-1]), np.diff(force, axis=0)
+        across = np.einsum("ni,ni->n", mean, mean)[:, None, None] * np.eye(3) - np.einsum("ni,nj->nij", mean, mean)
+        normal += np.einsum("nij,nk,nl->ikjl", across, turned, turned)
+        right += np.einsum("ni,nk->ik", np.cross(change, mean), turned)
+        seen += float(np.einsum("ni,ni->", change, change))
+        blocks += len(change)
+    matrix = normal.reshape(9, 9)
+    if blocks < _FEWEST_BLOCKS or seen == 0.0 or not np.all(np.isfinite(matrix)):
+        return None
+    values = np.linalg.eigvalsh(matrix)
+    if values[0] <= _SPANS * values[-1]:
+        return None
+    relation = np.asarray(np.linalg.solve(matrix, right.ravel()), dtype=np.float64).reshape(3, 3)
+    # The power that least squares explains is the solution times the right-hand side.
+    return relation if seen - float(np.sum(relation * right)) <= _BY_HAND * seen else None
+
+
+def nearest_axes(matrix: Array) -> Array | None:
+    """Signed permutation whose rows a matrix's rows lie nearest to, whatever their lengths; None if near none."""
+    length = np.linalg.norm(matrix, axis=1, keepdims=True)
+    if not (np.all(np.isfinite(length)) and np.all(length > 0.0)):
+        return None
+    rows = matrix / length
+    largest = np.argmax(np.abs(rows), axis=1)
+    if len(set(largest.tolist())) < 3:
+        return None
+    nearest = np.zeros((3, 3))
+    nearest[range(3), largest] = np.sign(rows[range(3), largest])
+    return nearest if np.abs(rows - nearest).max() < _NEAR else None
+
+
+def gyro_axes(evidence: Evidence) -> Array | None:
+    """Signed permutation Pg of the gyros by the turns stated; None where these do not tell."""
+    if evidence.data is None or evidence.gyro_fit.rank < 3:
+        return None
+    _, _, turned = evidence.legs
+    return nearest_axes(evidence.gyro_fit.matrix) if _fits(evidence.gyro_fit.residual, turned) else None
+
+
+def accel_axes(evidence: Evidence) -> Array | None:
+    """Signed permutation Pa of the accelerometers by the faces stated; None where these do not tell."""
+    if evidence.data is None or evidence.accel_fit.rank < 3:
+        return None
+    _, reading = evidence.poses
+    fit = evidence.accel_fit
+    return nearest_axes(fit.matrix) if _fits(fit.residual, reading - fit.offset) else None
+
+
+def _fits(residual: Array, reading: Array) -> bool:
+    return bool(np.sum(residual**2) <= _EXPLAINED * np.sum(reading**2))
+
+
+def mapping(axes: Array) -> str:
+    """What undoes a signed permutation, as ``srt convert --map-gyro`` takes it: "x,-y,z"."""
+    undo = axes.T
+    columns = np.argmax(np.abs(undo), axis=1)
+    return ",".join(("-" if undo[i, j] < 0.0 else "") + AXES[j] for i, j in enumerate(columns.tolist()))

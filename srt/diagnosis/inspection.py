@@ -1,0 +1,498 @@
+"""Inspection of a recording before calibration: stamps, rest, noise, manoeuvres and faults."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
+from srt.diagnosis import diagnose
+from srt.exceptions import DataError, MissingExtraError
+from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
+from srt.model.table1 import AXES
+from srt.noise.allan import CHANNELS, TERMS, AllanDeviation, allan_deviation
+from srt.noise.from_windows import noise_model
+from srt.recording.folder import TOML_NAME
+from srt.recording.recording import Recording
+from srt.recording.schema import IMU_KEYS, in_file_unit
+from srt.sequences.plausibility import check_interval
+from srt.sequences.recognition import recognise
+from srt.sequences.stationary_windows import blocks_of, find_rest, still_runs
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from srt.sequences.recognition import FoundTurn, Recognition
+
+    Array = NDArray[np.float64]
+    from srt.diagnosis import Diagnosis
+    from srt.noise.allan import AllanDeviation
+
+_ON_AXIS: Final = 0.94
+"""Cosine (20°) above which a turn is said to be about a sensor axis; uncalibrated axes lie within some degrees."""
+_ENOUGH: Final = 1 << 19
+"""Samples at rest that tell the noise to a percent; of more, some windows are left out."""
+_STEPS: Final = 256
+"""Small rotations that a turn is cut into to be summed up: angles to a degree need no more."""
+
+
+def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str, str] | None = None) -> Inspection:
+    """Look at a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    calibrating : bool
+        Whether faults are looked for that only a calibration shows, too.
+    units : dict, optional
+        As declared, see :func:`declared_units`.
+
+    Returns
+    -------
+    Inspection
+    """
+    recognition: Recognition | None
+    try:
+        check_interval(recording)
+        recognition = recognise(recording)
+        windows, summary = recognition.windows, _summary(recording, recognition)
+    except DataError as error:
+        recognition, summary = None, str(error)
+        windows = _only_rest(recording)
+    noise, allan = _noise(recording, windows)
+    turns = () if recognition is None else tuple(_turn(recording, turn) for turn in recognition.turns)
+    if recognition is not None and _is_free(recording, recognition):
+        turns = tuple(replace(turn, sequence=None, confidence=0.0, reason="") for turn in turns)
+    return Inspection(
+        kind=recording.kind,
+        units={} if units is None else units,
+        serial=recording.serial,
+        stamps=_stamps(recording),
+        stillness=_stillness(recording, windows),
+        noise=noise,
+        allan=allan,
+        turns=turns,
+        summary=summary,
+        temperature=_temperature(recording),
+        diagnosis=diagnose(recording, calibrating=calibrating, recognition=recognition),
+        calibrated=calibrating,
+    )
+
+
+def declared_units(path: str | PathLike[str]) -> dict[str, str]:
+    """Units as ``recording.toml`` declares them.
+
+    Parameters
+    ----------
+    path : path-like
+        A recording that could be read.
+
+    Returns
+    -------
+    dict
+        Of ``gyro``, ``accel`` and ``time``; empty where the path leads to no ``recording.toml``.
+    """
+    toml = Path(path)
+    toml = toml / TOML_NAME if toml.is_dir() else toml
+    if toml.suffix != ".toml" or not toml.is_file():
+        return {}
+    with toml.open("rb") as file:
+        main = tomllib.load(file).get("recording", {})
+    return {name: str(main[f"{name}_unit"]) for name in ("gyro", "accel", "time") if f"{name}_unit" in main}
+
+
+def _is_free(recording: Recording, recognition: Recognition) -> bool:
+    """Whether turns by hand are what it holds: without a fixture, a few may look like sequences by chance."""
+    named = sum(turn.sequence is not None for turn in recognition.turns)
+    return recording.fixture is None and 2 * named <= len(recognition.turns)
+
+
+def _summary(recording: Recording, recognition: Recognition) -> str:
+    if _is_free(recording, recognition):
+        turns, rests = len(recognition.turns), len(recognition.windows)
+        return f"{turns} free turns between {rests} rests: no fixture is stated."
+    if recording.fixture is None:
+        return f"{recognition.summary} No fixture is stated, without which they are taken as free turns."
+    return recognition.summary
+
+
+def _only_rest(recording: Recording) -> NDArray[np.intp]:
+    """Stillness where there is too little of it for a turn, as in a log of a unit on a shelf; shape (0 or 1, 2)."""
+    try:
+        check_interval(recording)
+        blocks = blocks_of(recording)
+    except DataError:
+        return np.zeros((0, 2), dtype=np.intp)
+    # The outermost blocks of a run may hold the end of a motion.
+    runs = [(a + 1, b - 1) for a, b in still_runs(find_rest(blocks).still, blocks) if b - a > 2]
+    longest = max(runs, key=lambda run: run[1] - run[0], default=None)
+    if longest is None:
+        return np.zeros((0, 2), dtype=np.intp)
+    first: NDArray[np.intp] = blocks.first[np.array([longest])]
+    return first
+
+
+def _stamps(recording: Recording) -> Stamps:
+    dt, time, gaps = recording.nominal_interval_s, recording.time, recording.gaps
+    steps = np.diff(time)
+    missing = steps[gaps - 1] - dt
+    longest = int(np.argmax(missing)) if gaps.size else None
+    steps[gaps - 1] = dt
+    deviation = steps - dt
+    return Stamps(
+        samples=len(time),
+        first_s=float(time[0]) - dt,
+        duration_s=float(time[-1] - time[0]) + dt,
+        rate_hz=1.0 / dt,
+        even=isinstance(recording.interval_s, float),
+        jitter=float(np.sqrt(deviation @ deviation / len(deviation))) / dt,
+        gaps=len(gaps),
+        missing_s=float(missing.sum()),
+        longest_gap_s=None if longest is None else float(missing[longest]),
+        longest_gap_at_s=None if longest is None else float(time[gaps[longest]]),
+    )
+
+
+def _stillness(recording: Recording, windows: NDArray[np.intp]) -> Stillness | None:
+    if len(windows) == 0:
+        return None
+    dt = recording.nominal_interval_s
+    per_rate = 1.0 if recording.kind == "rate" else 1.0 / dt
+    # Products with ones are sums, and much faster along short rows.
+    means = np.array(
+        [
+            [np.full(b - a, per_rate / (b - a)) @ table[a:b] for table in (recording.gyro, recording.accel)]
+            for a, b in windows.tolist()
+        ]
+    )
+    force = np.linalg.norm(means[:, 1], axis=1) / STANDARD_GRAVITY_M_S2
+    lengths = (windows[:, 1] - windows[:, 0]) * dt
+    rate = lengths @ means[:, 0] / lengths.sum() / DEG_PER_H
+    return Stillness(
+        windows_s=tuple((float(recording.time[a] - dt), float(recording.time[b - 1])) for a, b in windows.tolist()),
+        total_s=float(lengths.sum()),
+        force_g=(float(force.min()), float(np.median(force)), float(force.max())),
+        rate_deg_per_h=(float(rate[0]), float(rate[1]), float(rate[2])),
+    )
+
+
+def _noise(recording: Recording, windows: NDArray[np.intp]) -> tuple[Noise | None, AllanDeviation | None]:
+    if len(windows) == 0:
+        return None, None
+    stated = {
+        key.name: in_file_unit(float(value), key.factor)
+        for key in IMU_KEYS
+        if (value := getattr(recording.noise, str(key.attribute))) is not None
+    }
+    try:
+        allan = allan_deviation(recording, windows)
+    except (DataError, MissingExtraError) as error:
+        return Noise(_short_figures(recording, windows), stated, str(error)), None
+    return Noise(allan.figures(), stated, None), allan
+
+
+def _short_figures(recording: Recording, windows: NDArray[np.intp]) -> dict[str, dict[str, Any]]:
+    """Figures of windows too short for an Allan deviation, by channel and key."""
+    lengths = windows[:, 1] - windows[:, 0]
+    every = max(1, int(lengths.sum()) // _ENOUGH)
+    kept = np.concatenate([np.arange(a, b) for a, b in windows[::every].tolist()])
+    dt = recording.nominal_interval_s
+    time = np.arange(1.0, len(kept) + 1.0) * dt
+    rests = Recording(time, recording.gyro[kept], recording.accel[kept], recording.site, recording.kind)
+    ends = np.cumsum(lengths[::every])
+    model = noise_model(rests, np.stack([ends - lengths[::every], ends], axis=1))
+    pulses, walk = TERMS[0], TERMS[1]
+    out: dict[str, dict[str, Any]] = {}
+    for s, sensor in enumerate(("gyro", "accel")):
+        white, edge = getattr(model, f"{sensor}_white"), getattr(model, f"{sensor}_edge")
+        for axis, name in enumerate(AXES):
+            out[f"{sensor}_{name}"] = {walk.keys[s]: {"value": float(white[axis] / walk.scales[s])}}
+            if edge[axis] > 0.0:
+                pulse = float(edge[axis] * np.sqrt(12.0) / pulses.scales[s])
+                out[f"{sensor}_{name}"][pulses.keys[s]] = {"value": pulse}
+    return out
+
+
+def _turn(recording: Recording, turn: FoundTurn) -> TurnSeen:
+    dt = recording.nominal_interval_s
+    moving = recording.gyro[turn.first : turn.last]
+    fastest = float(np.sqrt(np.einsum("na,na->n", moving, moving).max(initial=0.0)))
+    per_rate, per_angle = (1.0, dt) if recording.kind == "rate" else (1.0 / dt, 1.0)
+    start, end = float(recording.time[turn.first] - dt), float(recording.time[turn.last - 1])
+    middle = 0.5 * (start + end)
+    around = (label for label in recording.sequences if label.start_static_s[0] < middle < label.end_static_s[1])
+    label = next(around, None)
+    return TurnSeen(
+        start_s=start,
+        end_s=end,
+        legs=tuple(_leg(leg) for leg in turn.legs),
+        net=_leg(_net(moving, per_angle)),
+        fastest_deg_s=fastest * per_rate / DEG,
+        sequence=turn.sequence,
+        confidence=float(turn.confidence),
+        reason=turn.reason,
+        labelled=None if label is None else label.id or "free turn",
+    )
+
+
+def _leg(vector: Array) -> Leg:
+    angle = float(np.linalg.norm(vector))
+    direction = vector / max(angle, 1e-12)
+    k = int(np.argmax(np.abs(direction)))
+    on_axis = bool(abs(direction[k]) >= _ON_AXIS)
+    sense = float(np.sign(direction[k])) if on_axis else 1.0
+    x, y, z = (direction * sense).tolist()
+    return Leg(AXES[k] if on_axis else None, (x, y, z), angle * sense / DEG)
+
+
+def _net(angles: Array, factor: float) -> Array:
+    """Rotation vector of small rotations one after another, shape (3,), rad; biases are not taken off."""
+    size = max(1, len(angles) // _STEPS)
+    whole = len(angles) // size
+    steps = np.einsum("nbc->cn", angles[: whole * size].reshape(whole, size, 3))
+    steps = np.concatenate([steps, angles[whole * size :].T], axis=1) * factor
+    product = prefix_product(from_rotation_vector(steps))[:, -1:]
+    vector: Array = rotation_vector(np.moveaxis(to_matrix(product), 2, 0))[0]
+    return vector
+
+
+def _temperature(recording: Recording) -> Temperature | None:
+    values = recording.temperature
+    if values is None:
+        return None
+    recorded = values.strides != (0,)
+    ends = (float(values[0]), float(values[-1]))
+    return Temperature(*ends, *((float(values.min()), float(values.max())) if recorded else ends), recorded)
+
+
+FORMAT: Final = "srt-inspection"
+VERSION: Final = 1
+
+_MOST_LEGS: Final = 8
+"""That a table shows of a turn; sequence 6 has as many."""
+_NEGLIGIBLE: Final = 0.03
+"""Share of a turn below which a leg is the wobble of a hand, or of axes that are not orthogonal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """Time stamps and what they say of the sampling.
+
+    Attributes
+    ----------
+    samples : int
+    first_s, duration_s : float
+        Start of the first sample, and from there to the last stamp.
+    rate_hz : float
+    even : bool
+        Whether the stamps lie on a straight line to within their rounding; if not, every sample has its own interval.
+    jitter : float
+        Rms deviation of a step from the interval, in intervals, gaps apart.
+    gaps : int
+    missing_s : float
+        All of them together.
+    longest_gap_s, longest_gap_at_s : float or None
+        The longest, and the time of the first sample after it.
+    """
+
+    samples: int
+    first_s: float
+    duration_s: float
+    rate_hz: float
+    even: bool
+    jitter: float
+    gaps: int
+    missing_s: float
+    longest_gap_s: float | None
+    longest_gap_at_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Stillness:
+    """The stationary windows, and what the sensors read in them.
+
+    Attributes
+    ----------
+    windows_s : tuple of (float, float)
+        From the start of the first sample to the stamp of the last.
+    total_s : float
+    force_g : (float, float, float)
+        Magnitude of the specific force by window: least, median, greatest.
+    rate_deg_per_h : (float, float, float)
+        Mean reading of gyro x, y, z over all windows.
+    """
+
+    windows_s: tuple[tuple[float, float], ...]
+    total_s: float
+    force_g: tuple[float, float, float]
+    rate_deg_per_h: tuple[float, float, float]
+
+    @property
+    def lengths_s(self) -> tuple[float, ...]:
+        """Duration of every window."""
+        return tuple(b - a for a, b in self.windows_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A stretch of a turn about one axis, as the gyros read it.
+
+    Attributes
+    ----------
+    axis : str or None
+        Sensor axis, None where none is near.
+    direction : (float, float, float)
+        Unit vector of the rotation, in sensor axes, along which the angle is positive.
+    angle_deg : float
+        Signed where the axis is named.
+    """
+
+    axis: str | None
+    direction: tuple[float, float, float]
+    angle_deg: float
+
+    def __str__(self) -> str:
+        axis = self.axis or f"({' '.join(f'{v:.2f}' for v in self.direction)})"
+        return f"{axis} {self.angle_deg:+.0f}°"
+
+
+@dataclass(frozen=True, slots=True)
+class TurnSeen:
+    """One turn between two rests.
+
+    Attributes
+    ----------
+    start_s, end_s : float
+    legs : tuple of Leg
+        Stretches about one sensor axis each; many small ones where a hand turned the unit.
+    net : Leg
+        The whole turn as one rotation from its start.
+    fastest_deg_s : float
+    sequence : str or None
+        Recognised as this one of Table 1.
+    confidence : float
+        0 to 1.
+    reason : str
+    labelled : str or None
+        What its label says, where the recording has labels: an id, or "free turn".
+    """
+
+    start_s: float
+    end_s: float
+    legs: tuple[Leg, ...]
+    net: Leg
+    fastest_deg_s: float
+    sequence: str | None
+    confidence: float
+    reason: str
+    labelled: str | None
+
+    @property
+    def parts(self) -> tuple[Leg, ...]:
+        """What tables show: the legs about sensor axes, or the net rotation alone where a hand made it of many."""
+        path = sum(abs(leg.angle_deg) for leg in self.legs)
+        legs = tuple(leg for leg in self.legs if abs(leg.angle_deg) > _NEGLIGIBLE * path)
+        few = len(legs) <= _MOST_LEGS and all(leg.axis for leg in legs)
+        return legs if self.sequence is not None or few else (self.net,)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise at rest by channel.
+
+    Attributes
+    ----------
+    figures : dict
+        By channel, then by key of the section [imu] of ``recording.toml``: ``value`` with ``low`` and ``high`` (95 %)
+        where an Allan deviation could be taken; ``below`` for a bias instability that was not reached.
+    stated : dict
+        What the recording states, by the same keys.
+    note : str or None
+        Why there is no Allan deviation.
+    """
+
+    figures: dict[str, dict[str, Any]]
+    stated: dict[str, float]
+    note: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Temperature:
+    """Temperature in °C; ``recorded`` is False where one value was stated for all samples."""
+
+    first_c: float
+    last_c: float
+    lowest_c: float
+    highest_c: float
+    recorded: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """All that ``srt inspect`` shows.
+
+    Attributes
+    ----------
+    kind : "rate" or "increment"
+    units : dict
+        Of ``gyro``, ``accel`` and ``time`` as the recording declares them; empty where that is not known.
+    serial : str or None
+    stamps : Stamps
+    stillness : Stillness or None
+        None: no rest was found.
+    noise : Noise or None
+    allan : AllanDeviation or None
+    turns : tuple of TurnSeen
+    summary : str
+        What the recording was recognised as, or why it was not, in a sentence.
+    temperature : Temperature or None
+    diagnosis : Diagnosis
+    calibrated : bool
+        Whether faults were looked for that only a calibration shows.
+    """
+
+    kind: str
+    units: dict[str, str]
+    serial: str | None
+    stamps: Stamps
+    stillness: Stillness | None
+    noise: Noise | None
+    allan: AllanDeviation | None
+    turns: tuple[TurnSeen, ...]
+    summary: str
+    temperature: Temperature | None
+    diagnosis: Diagnosis
+    calibrated: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        parts = ("stamps", "stillness", "noise", "temperature")
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "kind": self.kind,
+            "units": self.units,
+            "serial": self.serial,
+            **{name: None if getattr(self, name) is None else asdict(getattr(self, name)) for name in parts},
+            "allan": None if self.allan is None else _curves(self.allan),
+            "turns": [asdict(turn) for turn in self.turns],
+            "summary": self.summary,
+            "calibrated": self.calibrated,
+            "findings": self.diagnosis.as_dicts(),
+        }
+
+
+def _curves(allan: AllanDeviation) -> dict[str, Any]:
+    """Curves as JSON values, SI; None where a channel never changes."""
+    out: dict[str, Any] = {"tau_s": allan.tau_s.tolist(), "windows": allan.windows, "total_s": allan.total_s}
+    for name in ("deviation", "low", "high"):
+        rows = getattr(allan, name).tolist()
+        out[name] = {c: None if math.isnan(row[0]) else row for c, row in zip(CHANNELS, rows, strict=True)}
+    return out

@@ -1,0 +1,1 @@
+"""Mount alignment (Savage 2020, section 10): attitude of the sensor axes in the mount."""

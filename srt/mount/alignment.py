@@ -1,0 +1,482 @@
+"""Mount alignment (Savage 2020, section 10) from a level and a pitched static pose, and its file.
+
+Frames: B is MARS. M is the mount: z down when the mount is level, y along its lateral reference, x forward. ``C_bm``
+takes M- to B-components; an attitude output ``C_nb`` becomes that of the mount by ``C_nm = C_nb C_bm``.
+
+The mount sits on a fixture with one horizontal axis, nominally along y. At rest the sensed down ``b = -f/|f|`` is
+``b = C_bm d``, with ``d = e_z`` in the level stand and ``d = (-sin θ, 0, cos θ)`` after a turn of θ about y. With
+``m = Ĉᵀ b``, a correction ``Ĉ <- Ĉ exp(ν×)`` leaves to first order, and at its end exactly::
+
+    level     m_x = ν_y,   m_y = -ν_x
+    pitched   m_y = ν_z m_x - ν_x m_z
+
+The pitch θ stands in no equation: it is read off m, need not be 90°, and its error touches no angle. What the stand
+does to the result ``Ĉ = C exp(η×)``: levelling errors (ε_x, ε_y) come out as η_x = -ε_x, η_y = -ε_y and leave η_z
+alone; an axis that is not square to the mount's reference (by a about z) gives η_z = a; one that is tilted by h gives
+η_z = -h tan(θ/2), which is +h nose down and -h nose up and cancels over the pair of them.
+
+In the paper's small angles, with roll φ, pitch θ, yaw ψ of the sensor axes in the mount: level ``f_x = g θ``,
+``f_y = -g φ``; x down ``f_y = g ψ``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.special import chdtri
+
+from srt.exceptions import DataError, InputError
+from srt.model.rotations import rotation_matrix
+from srt.recording.atomic import atomic_write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from srt.result.calibration import Calibration
+
+    Array = NDArray[np.float64]
+
+ANGLES: Final = ("roll", "pitch", "yaw")
+WITHIN_RAD: Final = math.radians(30.0)
+"""Of level, or of a right angle, within which a stand counts as such: the sensor axes are not far from the mount's."""
+_UNLIKELY: Final = 1e-3
+_IMPOSSIBLE: Final = 1e-6
+_STEPS: Final = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountAlignment:
+    """How the sensor axes B stand in the mount M.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (3, 3)
+        C_bm, M- to B-components.
+    covariance : ndarray, shape (3, 3), rad²
+        Of ``angles_rad``.
+    sources : mapping of str to ndarray, shape (3,), rad
+        One sigma of the angles by source of error; their squares sum to the diagonal of ``covariance``.
+    method : str
+        "stands" or "play-back".
+    stands : tuple of mappings
+        The stands used: ``pose`` ("level", "nose_down", "nose_up"), ``pitch_deg``, ``residual_rad`` and, of a
+        recording, ``start_s`` and ``end_s``; JSON values.
+    warnings : tuple of str
+    provenance : mapping
+        JSON values.
+    """
+
+    matrix: Array
+    covariance: Array
+    sources: Mapping[str, Array] = field(default_factory=dict)
+    method: str = "stands"
+    stands: tuple[Mapping[str, Any], ...] = ()
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def angles_rad(self) -> Array:
+        """Roll, pitch and yaw of B in M, shape (3,): ``C_mb = R_z(yaw) R_y(pitch) R_x(roll)``."""
+        C = self.matrix.T
+        return np.array(
+            [
+                math.atan2(C[2, 1], C[2, 2]),
+                math.atan2(-C[2, 0], math.hypot(C[2, 1], C[2, 2])),
+                math.atan2(C[1, 0], C[0, 0]),
+            ]
+        )
+
+    @property
+    def sigma_rad(self) -> Array:
+        """One sigma of the angles, shape (3,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def rotation_covariance(self) -> Array:
+        """Covariance of the error as a small rotation η about the mount's axes, ``Ĉ_bm = C_bm exp(η×)``, rad²."""
+        E = np.linalg.inv(_to_angles(self.matrix))
+        return np.asarray(E @ self.covariance @ E.T)
+
+    def attitude(self, C_nb: ArrayLike) -> Array:
+        """Correct attitude output: from that of the sensor axes to that of the mount.
+
+        Parameters
+        ----------
+        C_nb : array_like, shape (..., 3, 3)
+            B- to navigation components.
+
+        Returns
+        -------
+        ndarray, shape (..., 3, 3)
+            C_nm, M- to navigation components.
+
+        Raises
+        ------
+        InputError
+            If the last two dimensions are not 3 by 3.
+        """
+        C = np.asarray(C_nb, dtype=np.float64)
+        if C.ndim < 2 or C.shape[-2:] != (3, 3):
+            raise InputError(f"Attitudes are matrices of shape (..., 3, 3), not {C.shape}.")
+        return np.asarray(C @ self.matrix)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
+        from srt.mount.alignment import write
+
+        write(self, path)
+
+
+def align_mount(
+    force: ArrayLike,
+    covariance: Mapping[str, Array],
+    *,
+    level_sigma_rad: float,
+    axis_sigma_rad: float,
+    titles: tuple[str, ...] | None = None,
+) -> MountAlignment:
+    """Estimate the mount angles from the stands of one mounting; any number of each kind is pooled.
+
+    Stands are weighted by their full covariance, that of the calibration and the tilt of the axis included: a pair
+    pitched nose down and nose up is free of the tilt and of the bias along y by the weights alone. In the weights, each
+    stand has an error of the size of the levelling of its own, too: without it, stands that repeat to their noise would
+    be believed to tell the tilt by their small differences, and those that do not repeat so well would spoil all.
+
+    Parameters
+    ----------
+    force : array_like, shape (s, 3), m/s²
+        Compensated mean specific force of each stand, in B.
+    covariance : mapping of str to ndarray, shape (3 s, 3 s), (m/s²)²
+        By source of error, stands one after the other; the sum must be positive definite.
+    level_sigma_rad : float
+        One sigma of the level mount about its x and its y axis; one draw for all stands.
+    axis_sigma_rad : float
+        One sigma of the fixture's axis: its tilt, and its squareness to the mount's lateral reference; one draw each.
+    titles : tuple of str, optional
+        What messages call the stands.
+
+    Returns
+    -------
+    MountAlignment
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, values that are not finite, sigmas that are not positive.
+    DataError
+        No stand near level, none near 90°, one that is neither, or stands that contradict one another.
+    """
+    f, R = _checked(force, covariance, (level_sigma_rad, axis_sigma_rad))
+    names = titles or tuple(f"stand {i + 1}" for i in range(len(f)))
+    kind = poses(f)
+    require_both(kind)
+    if np.isnan(kind).any():
+        raise DataError(
+            f"{_capital(names[int(np.argmax(np.isnan(kind)))])} is neither level nor pitched by about 90°: "
+            "leave it out."
+        )
+    size = np.linalg.norm(f, axis=1)
+    b = -f / size[:, None]
+    pitched = kind != 0.0
+    stand = np.concatenate([np.flatnonzero(~pitched), np.flatnonzero(~pitched), np.flatnonzero(pitched)])
+    axis = np.repeat([0, 1, 1], [len(f) - pitched.sum()] * 2 + [pitched.sum()])
+    tangent = -(np.eye(3) - b[:, :, None] * b[:, None, :]) / size[:, None, None]
+    C = _triad(b, kind)
+    for _ in range(_STEPS):
+        m = b @ C
+        H = _design(m, stand, axis, pitched)
+        # What the forces, and the tilt of the axis, do to the rows.
+        by_stand = np.zeros((len(stand), len(f), 3))
+        by_stand[np.arange(len(stand)), stand] = np.einsum("ra,rab->rb", C.T[axis], tangent[stand])
+        A = by_stand.reshape(len(stand), -1)
+        tilt = np.where(pitched[stand], 1.0 - m[stand, 2], 0.0) * axis_sigma_rad
+        rows = {name: A @ S @ A.T for name, S in R.items()} | {"axis_tilt": np.outer(tilt, tilt)}
+        errors = np.asarray(sum(rows.values()))
+        whiten = _whitener(errors + level_sigma_rad**2 * np.eye(len(stand)))
+        gain = np.linalg.pinv(whiten @ H) @ whiten
+        z = m[stand, axis]
+        nu = gain @ z
+        C = C @ rotation_matrix(nu)
+        if np.abs(nu).max() < 1e-15:
+            break
+    m = b @ C
+    left = m[stand, axis]
+    warnings = _repeats(left, whiten, _whitener(errors), [names[i] for i in stand])
+    eta = {name: gain @ S @ gain.T for name, S in rows.items()}
+    eta["levelling"] = np.diag([level_sigma_rad**2, level_sigma_rad**2, 0.0])
+    eta["squareness"] = np.diag([0.0, 0.0, axis_sigma_rad**2])
+    label = {0.0: "level", 1.0: "nose_down", -1.0: "nose_up"}
+    return assembled(
+        C,
+        eta,
+        stands=tuple(
+            {
+                "pose": label[float(k)],
+                "pitch_deg": math.degrees(math.atan2(-v[0], v[2])),
+                "residual_rad": float(np.abs(left[stand == i]).max()),
+            }
+            for i, (k, v) in enumerate(zip(kind, m, strict=True))
+        ),
+        warnings=warnings,
+    )
+
+
+def mount_from_calibration(calibration: Calibration) -> MountAlignment:
+    """Mount angles that the play-back of a test on the two-axis fixture has found: U of the calibration.
+
+    T is the frame of the unit's seat on the table: z along the inner axis, y along the outer one. The start attitudes
+    with y along the outer axis, z down and x down, are the level and the pitched stand of §10, with the outer axis for
+    the fixture's. U, T- to MARS components, is fitted to the measured verticals of all start attitudes and to the
+    axes of the turns: it is C_bm for a mount that is seated on the table as T is. That holds to the accuracy stated
+    of the fixture's alignment, which hides all others.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    MountAlignment
+
+    Raises
+    ------
+    InputError
+        A calibration that was made without a fixture.
+    """
+    U, sigma = calibration.U, calibration.U_sigma_rad
+    if U is None or not sigma:
+        raise InputError(
+            "This calibration knows no table frame (U), so it tells nothing of the mount: record a level stand and one "
+            "pitched by 90°, and align by that recording."
+        )
+    left, _, right = np.linalg.svd(U)
+    rotation = left @ right  # to rounding what it is: a file holds it in decimal digits
+    if np.linalg.det(rotation) < 0.0 or np.abs(rotation - U).max() > 1e-6:
+        raise InputError("U of this calibration is no rotation: the file was edited; calibrate again.")
+    provenance = {"serial": calibration.provenance.get("serial"), "estimator": calibration.estimator}
+    return assembled(rotation, {"fixture": sigma**2 * np.eye(3)}, method="play-back", provenance=provenance)
+
+
+def poses(force: Array) -> Array:
+    """Tell stands by the direction of gravity, shape (s,): 0 level, 1 nose down, -1 nose up, NaN neither.
+
+    Parameters
+    ----------
+    force : ndarray, shape (s, 3), m/s²
+        Compensated, in B.
+    """
+    down = -force / np.linalg.norm(force, axis=1, keepdims=True)
+    near = math.cos(WITHIN_RAD)
+    return np.select([down[:, 2] > near, down[:, 0] > near, down[:, 0] < -near], [0.0, 1.0, -1.0], np.nan)
+
+
+def require_both(kind: Array) -> None:
+    """Refuse stands that do not determine three angles. Raises DataError."""
+    for there, what, pose in (
+        (kind == 0.0, "level (z down)", "let the unit stand on the levelled mount"),
+        (np.abs(kind) == 1.0, "pitched by about 90° (x down or up)", "pitch the mount by 90° and let the unit stand"),
+    ):
+        if not there.any():
+            raise DataError(
+                f"None of the {len(kind)} stands is {what} within {math.degrees(WITHIN_RAD):.0f}° in sensor axes: "
+                f"{pose}, too, or correct the axes' names."
+            )
+
+
+def assembled(C: Array, eta: Mapping[str, Array], **rest: Any) -> MountAlignment:
+    """Put a result together.
+
+    Parameters
+    ----------
+    C : ndarray, shape (3, 3)
+        C_bm.
+    eta : mapping of str to ndarray, shape (3, 3), rad²
+        Covariance of the error as a rotation about the mount's axes, by source.
+    **rest
+        Other fields of :class:`MountAlignment`.
+    """
+    E = _to_angles(C)
+    by_source = {name: E @ S @ E.T for name, S in eta.items()}
+    total = np.asarray(sum(by_source.values()))
+    sources = {name: np.sqrt(np.maximum(np.diag(S), 0.0)) for name, S in by_source.items()}
+    return MountAlignment(C, 0.5 * (total + total.T), sources, **rest)
+
+
+def _checked(
+    force: ArrayLike, covariance: Mapping[str, Array], sigmas: tuple[float, float]
+) -> tuple[Array, dict[str, Array]]:
+    f = np.asarray(force, dtype=np.float64)
+    if f.ndim != 2 or f.shape[1] != 3 or len(f) == 0:
+        raise InputError(f"Forces of the stands have the shape (s, 3), not {f.shape}.")
+    if not np.all(np.isfinite(f)) or not np.all(np.linalg.norm(f, axis=1) > 0.0):
+        raise InputError("Forces of the stands must be finite and not zero.")
+    R = {name: np.asarray(S, dtype=np.float64) for name, S in covariance.items()}
+    wanted = (f.size, f.size)
+    for name, S in R.items():
+        if S.shape != wanted or not np.all(np.isfinite(S)):
+            raise InputError(f"The covariance {name!r} must be finite and of shape {wanted}; it has {S.shape}.")
+    if not all(math.isfinite(s) and s > 0.0 for s in sigmas):
+        raise InputError(
+            f"The sigmas of levelling and axis are {sigmas[0]:g} and {sigmas[1]:g} rad; both must be positive."
+        )
+    return f, R
+
+
+def _triad(b: Array, kind: Array) -> Array:
+    """C_bm from the mean of the level stands and one pitched stand: exact where the stands agree."""
+    z = b[kind == 0.0].sum(axis=0)
+    z /= np.linalg.norm(z)
+    first = int(np.flatnonzero(kind)[0])
+    y = kind[first] * np.cross(z, b[first])
+    y /= np.linalg.norm(y)
+    return np.stack([np.cross(y, z), y, z], axis=1)
+
+
+def _design(m: Array, stand: NDArray[np.intp], axis: NDArray[np.intp], pitched: NDArray[np.bool_]) -> Array:
+    """What the rows tell of the correction: z = H ν, shape (r, 3)."""
+    H = np.zeros((len(stand), 3))
+    level = ~pitched[stand]
+    H[level & (axis == 0), 1] = 1.0
+    H[level & (axis == 1), 0] = -1.0
+    H[~level, 0], H[~level, 2] = -m[stand[~level], 2], m[stand[~level], 0]
+    return H
+
+
+def _whitener(R: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(R), 1e-300))
+    try:
+        L = np.linalg.cholesky(R * np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        raise InputError("The covariance of the stands is not positive definite: every stand needs noise.") from None
+    return np.asarray(np.linalg.solve(L, np.diag(scale)))
+
+
+def _repeats(left: Array, with_levelling: Array, without: Array, names: list[str]) -> tuple[str, ...]:
+    """Refuse stands that contradict one another beyond what levelling explains; warn beyond noise and calibration."""
+    freedom = len(left) - 3
+    if freedom <= 0:
+        return ()
+    worst = int(np.argmax(np.abs(left)))
+    size = float(np.abs(left[worst]))
+    if np.sum((with_levelling @ left) ** 2) > chdtri(freedom, _IMPOSSIBLE):
+        raise DataError(
+            f"The stands contradict one another: {names[worst]} is {1e3 * size:.3g} mrad off their mean, more than the "
+            "sigma of the levelling explains; the unit moved on its mount, or the mount."
+        )
+    if np.sum((without @ left) ** 2) > chdtri(freedom, _UNLIKELY):
+        return (f"The stands repeat to {1e6 * size:.3g} µrad only, more than noise and calibration explain.",)
+    return ()
+
+
+def _to_angles(C: Array) -> Array:
+    """Derivative of roll, pitch and yaw to η, ``Ĉ_bm = C_bm exp(η×)``, shape (3, 3)."""
+    pitch, yaw = math.asin(-float(np.clip(C[0, 2], -1.0, 1.0))), math.atan2(C[0, 1], C[0, 0])
+    cp, sp, cy, sy = math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
+    # Rates of the angles turn B in M about these axes; η turns it the other way, as it stands behind C_bm.
+    rates = np.array([[cy * cp, -sy, 0.0], [sy * cp, cy, 0.0], [-sp, 0.0, 1.0]])
+    return np.asarray(-np.linalg.inv(rates))
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+FORMAT: Final = "srt-mount-alignment"
+VERSION: Final = 1
+FORMULA: Final = (
+    "C_nm = C_nb C_bm: attitude of the mount from that of the sensor axes (MARS), with C_bm = matrix, mount to sensor "
+    "components. The angles are those of the sensor axes in the mount: transpose(C_bm) = Rz(yaw) Ry(pitch) Rx(roll)."
+)
+_ROUNDING: Final = 1e-9
+
+
+def to_dict(mount: MountAlignment) -> dict[str, Any]:
+    """The JSON form as a dictionary; no NaN in it."""
+    angles = zip(ANGLES, mount.angles_rad.tolist(), mount.sigma_rad.tolist(), strict=True)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "method": mount.method,
+        "angles": [{"name": name, "value": value, "sigma": sigma, "unit": "rad"} for name, value, sigma in angles],
+        "matrix": mount.matrix.tolist(),
+        "covariance": mount.covariance.tolist(),
+        "sources": {name: sigma.tolist() for name, sigma in mount.sources.items()},
+        "formula": FORMULA,
+        "stands": [dict(stand) for stand in mount.stands],
+        "warnings": list(mount.warnings),
+        "provenance": dict(mount.provenance),
+    }
+
+
+def write(mount: MountAlignment, path: str | PathLike[str]) -> None:
+    """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
+    atomic_write_text(path, json.dumps(to_dict(mount), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def load_mount_alignment(path: str | PathLike[str]) -> MountAlignment:
+    """Read a mount alignment.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    MountAlignment
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is no mount alignment, is of another version, or is not consistent.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:  # noqa: PTH123 - any path-like is welcome
+            document = json.load(file)
+    except OSError as error:
+        raise InputError(f"The mount alignment {path} cannot be read: {error.strerror}.") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"The mount alignment {path} is not valid JSON ({error}): is it truncated?") from None
+    try:
+        return _from_dict(document)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{path} is not a complete mount alignment ({type(error).__name__}: {error}); it was edited or truncated."
+        ) from None
+
+
+def _from_dict(document: dict[str, Any]) -> MountAlignment:
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError(f'this is no mount alignment (its "format" is not "{FORMAT}").')
+    if document.get("version") != VERSION:
+        raise InputError(f"its version is {document.get('version')!r}, but this software reads version {VERSION}.")
+    C, P = (np.array(document[name], dtype=np.float64) for name in ("matrix", "covariance"))
+    if C.shape != (3, 3) or not np.allclose(C @ C.T, np.eye(3), rtol=0.0, atol=_ROUNDING) or np.linalg.det(C) < 0.0:
+        raise InputError("its matrix is no rotation of 3 by 3.")
+    if P.shape != (3, 3) or not np.all(np.isfinite(P)) or not np.array_equal(P, P.T) or not np.all(np.diag(P) >= 0.0):
+        raise InputError("its covariance is no symmetric matrix of 3 by 3 finite numbers.")
+    mount = MountAlignment(
+        C,
+        P,
+        {name: np.array(sigma, dtype=np.float64) for name, sigma in document["sources"].items()},
+        document["method"],
+        tuple(document["stands"]),
+        tuple(document["warnings"]),
+        document["provenance"],
+    )
+    if [angle["name"] for angle in document["angles"]] != list(ANGLES):
+        raise InputError(f"its angles are not {', '.join(ANGLES)}.")
+    for angle, value, sigma in zip(document["angles"], mount.angles_rad, mount.sigma_rad, strict=True):
+        if not math.isclose(angle["value"], value, rel_tol=0.0, abs_tol=_ROUNDING):
+            raise InputError(f"its {angle['name']} does not agree with the matrix.")
+        if not math.isclose(angle["sigma"], sigma, rel_tol=_ROUNDING, abs_tol=1e-300):
+            raise InputError(f"the sigma of its {angle['name']} does not agree with the covariance.")
+    return mount

@@ -1,0 +1,97 @@
+"""A unit against itself: what has changed since an earlier calibration, over what chance changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import ndtri
+
+from srt.exceptions import InputError, clipped
+from srt.sensor_errors import NAMES
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.reports.certificate.checked import Source
+
+    Array = NDArray[np.float64]
+
+FALSE_ALARM: Final = 0.01
+"""Chance that any parameter at all is flagged though none has changed, by Bonferroni's bound: it holds whatever the
+correlation between them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """New values less old ones.
+
+    Attributes
+    ----------
+    old : Source
+    difference, sigma : ndarray, shape (27,), SI
+        Change and its combined sigma, ``sqrt(sigma_new² + sigma_old²)``; NaN where one of the two did not measure it.
+    limit : float
+        Of the absolute change over sigma, beyond which it is flagged.
+    on_trust : bool
+        Whether a serial is missing, so that both being one unit is taken on trust.
+    """
+
+    old: Source
+    difference: Array
+    sigma: Array
+    limit: float
+    on_trust: bool
+
+    @property
+    def ratio(self) -> Array:
+        """Change over sigma, shape (27,)."""
+        return np.asarray(self.difference / self.sigma)
+
+    @property
+    def flagged(self) -> NDArray[np.bool_]:
+        """Which parameters changed by more than chance explains, shape (27,)."""
+        return np.asarray(np.abs(self.ratio) > self.limit)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that are flagged."""
+        return tuple(NAMES[i] for i in np.flatnonzero(self.flagged))
+
+
+def change_since(new: Source, old: Source) -> Change:
+    """Compare a unit's calibration with an earlier one.
+
+    Parameters
+    ----------
+    new, old : Source
+
+    Raises
+    ------
+    InputError
+        Another unit, an old calibration that did not converge, samples that both rest on, or nothing that both
+        measured.
+    """
+    if None not in (new.serial, old.serial) and new.serial != old.serial:
+        raise InputError(
+            f"{old.name} is of the unit {clipped(str(old.serial))}, but {new.name} of {clipped(str(new.serial))}: "
+            "give an earlier calibration of the same unit."
+        )
+    if old.calibration.status not in ("converged", "partial"):
+        raise InputError(
+            f"{old.name} has the status {old.calibration.status}: give an earlier calibration that converged."
+        )
+    if set(new.hashes) & set(old.hashes):
+        raise InputError(
+            f"{new.name} and {old.name} rest on the same samples, so that nothing can have changed between them: give "
+            "an earlier calibration, or compare estimators by 'srt compare'."
+        )
+    difference = new.calibration.errors.vector - old.calibration.errors.vector
+    sigma = np.hypot(new.calibration.sigma, old.calibration.sigma)
+    compared = ~np.isnan(sigma)
+    if not compared.any():
+        raise InputError(f"{new.name} and {old.name} have no measured parameter in common: nothing can be compared.")
+    limit = -float(ndtri(0.5 * FALSE_ALARM / int(compared.sum())))
+    difference = np.where(compared, difference, np.nan)
+    return Change(old, difference, sigma, limit, None in (new.serial, old.serial))

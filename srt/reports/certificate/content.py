@@ -1,0 +1,347 @@
+"""What a certificate says, as data: sentences, facts and tables. How it looks is left to the page and the PDF."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import DataError
+from srt.reports.certificate.change import FALSE_ALARM
+from srt.reports.certificate.facts import SERIAL_LENGTH, apply_section, facts, recordings_table, temperature, unseen
+from srt.reports.certificate.tables import Cell, Table, plain
+from srt.reports.text.leave_one_out import overall, probability
+from srt.reports.text.tables import decimals_for, fixed
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from srt.reports.certificate.change import Change
+    from srt.reports.certificate.checked import Source
+    from srt.reports.certificate.facts import Application
+    from srt.reports.certificate.limits import Limits
+    from srt.reports.certificate.replay import Course
+    from srt.result.calibration import Calibration, Residual
+
+_DIGITS: Final = 7
+_SOLVED: Final = 1e-3
+"""Share of sigma below which a residual was solved for, not left over."""
+_STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certificate:
+    """What the certificate of one unit says.
+
+    Attributes
+    ----------
+    unit : str
+        Serial of the unit.
+    outcome : str
+        "passed", "failed", or empty without limits.
+    summary : tuple of str
+        What matters most, in sentences.
+    facts : tuple of (str, str)
+        Which unit, when, where, of which data, by which software.
+    parameters : Table
+    held : tuple of str
+        What was not measured, and why.
+    residuals : Table or None
+        By sequence.
+    residual_notes : tuple of str
+    recordings : Table or None
+        Of a merged calibration.
+    changes : Table or None
+        Since an earlier calibration.
+    change_notes : tuple of str
+    application : Application
+        How to apply it.
+    unseen : tuple of str
+        What the test cannot see.
+    notes : tuple of str
+        Warnings of the calibration.
+    failed : tuple of str
+        Parameters that do not meet their limits.
+    source : Source
+    course : Course or None
+    change : Change or None
+    """
+
+    unit: str
+    outcome: str
+    summary: tuple[str, ...]
+    facts: tuple[tuple[str, str], ...]
+    parameters: Table
+    held: tuple[str, ...]
+    residuals: Table | None
+    residual_notes: tuple[str, ...]
+    recordings: Table | None
+    changes: Table | None
+    change_notes: tuple[str, ...]
+    application: Application
+    unseen: tuple[str, ...]
+    notes: tuple[str, ...]
+    failed: tuple[str, ...]
+    source: Source
+    course: Course | None
+    change: Change | None
+
+    @property
+    def title(self) -> str:
+        """Heading of the page and of the PDF."""
+        return f"Calibration certificate: {self.unit}"
+
+
+def make_certificate(
+    source: Source, *, course: Course | None = None, limits: Limits | None = None, change: Change | None = None
+) -> Certificate:
+    """Put together what a certificate says.
+
+    Parameters
+    ----------
+    source : Source
+    course : Course, optional
+        Of its recording.
+    limits : Limits, optional
+    change : Change, optional
+        Since an earlier calibration of the unit.
+
+    Returns
+    -------
+    Certificate
+
+    Raises
+    ------
+    DataError
+        If the calibration did not converge.
+    """
+    calibration = source.calibration
+    if calibration.status not in ("converged", "partial"):
+        raise DataError(
+            f"{source.name} has the status {calibration.status.replace('_', ' ')}, and nothing can be certified by it: "
+            "calibrate the unit again."
+        )
+    failed: tuple[str, ...] = ()
+    if limits is not None:
+        failed = tuple(NAMES[i] for i in np.flatnonzero(~limits.met(calibration)))
+    outcome = "" if limits is None else "failed" if failed else "passed"
+    return Certificate(
+        plain(source.serial, SERIAL_LENGTH) or "no serial",
+        outcome,
+        tuple(_summary(calibration, limits, failed, change)),
+        tuple(facts(source, course, limits)),
+        parameter_table(calibration, limits),
+        tuple(_held(calibration)),
+        residual_table(calibration),
+        tuple(_residual_notes(calibration)),
+        recordings_table(calibration),
+        None if change is None else change_table(source, change),
+        () if change is None else tuple(_change_notes(source, change)),
+        apply_section(calibration),
+        unseen(calibration, course),
+        tuple(plain(text) for text in calibration.warnings),
+        failed,
+        source,
+        course,
+        change,
+    )
+
+
+def parameter_table(calibration: Calibration, limits: Limits | None = None) -> Table:
+    """Set values and sigmas in the units people expect, and what became of the limits.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    limits : Limits, optional
+        Adds the limit and the result of every parameter that has one.
+    """
+    head = ("symbol", "parameter", "value", "sigma", "unit", *(("result", "limit") if limits is not None else ()))
+    met = None if limits is None else limits.met(calibration)
+    rows = []
+    for i, name in enumerate(NAMES):
+        held = name in calibration.held
+        value, sigma = float(calibration.errors.vector[i]), float(calibration.sigma[i])
+        row = [
+            Cell(SYMBOLS[i]),
+            Cell(name.replace("_", " ")),
+            Cell(*_value(i, value, sigma)),
+            Cell("held", mark="held") if held else Cell(*_value(i, sigma, sigma)),
+            Cell(DISPLAY_UNITS[i]),
+        ]
+        if limits is not None and met is not None:
+            result = "" if not limits.given[i] else "passed" if met[i] else "failed"
+            shown = "failed (not measured)" if result == "failed" and held else result
+            row += [Cell(shown, mark=result), Cell(_limit(limits, i))]
+        rows.append(tuple(row))
+    note = "" if limits is None else (
+        f"Limits: {plain(limits.name)}. A value meets its limit if it lies within, a sigma if it is not larger; no "
+        "sigma is added to a value."
+    )  # fmt: skip
+    return Table("Parameters", head, tuple(rows), "llrrl" + ("ll" if limits is not None else ""), note, _STARTS)
+
+
+def change_table(source: Source, change: Change) -> Table:
+    """Set the change of every parameter over its combined sigma.
+
+    Parameters
+    ----------
+    source : Source
+        The newer one.
+    change : Change
+    """
+    rows = []
+    for i, name in enumerate(NAMES):
+        new, old = (float(s.calibration.errors.vector[i]) for s in (source, change.old))
+        sigma, ratio = float(change.sigma[i]), float(change.ratio[i])
+        cells = [Cell(SYMBOLS[i]), Cell(name.replace("_", " "))]
+        if math.isnan(sigma):
+            nothing = Cell("-")
+            cells += [*[nothing] * 4, Cell(DISPLAY_UNITS[i]), nothing, Cell("not measured in both", mark="held")]
+        else:
+            values = ((old, sigma), (new, sigma), (new - old, sigma), (sigma, sigma))
+            cells += [Cell(*_value(i, value, size)) for value, size in values]
+            flagged = bool(change.flagged[i])
+            cells += [Cell(DISPLAY_UNITS[i]), Cell(_signed(ratio), ratio)]
+            cells.append(Cell("changed", mark="changed") if flagged else Cell(""))
+        rows.append(tuple(cells))
+    head = ("symbol", "parameter", "before", "now", "change", "sigma", "unit", "change / sigma", "")
+    compared = int(np.sum(~np.isnan(change.sigma)))
+    note = (
+        "sigma: of the change, the root of the sum of both squares. A change beyond "
+        f"{change.limit:.2f} sigma is marked: with {compared} parameters compared, chance alone marks any at all in at "
+        f"most {FALSE_ALARM:.0%} of comparisons."
+    )
+    return Table("Change since the last calibration", head, tuple(rows), "llrrrrlrl", note, _STARTS)
+
+
+def residual_table(calibration: Calibration) -> Table | None:
+    """Set what is left over of every sequence; None without residuals.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    """
+    if not calibration.residuals:
+        return None
+    judged = {(row["sequence"], row["occurrence"]): row for row in calibration.verdict.get("sequences", ())}
+    by_turn: dict[tuple[str, int], list[Residual]] = {}
+    for residual in calibration.residuals:
+        by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
+    against = ("chi-square / dof", "chance") if judged else ()
+    head = ("sequence", "residuals", "left over", "rms / sigma", "largest / sigma", "in", *against)
+    rows = []
+    for turn, residuals in by_turn.items():
+        left = _left(residuals)
+        ratios = [r.value / r.sigma for r in left]
+        cells = [Cell(plain(turn[0]) + (f" ({turn[1]})" if turn[1] > 1 else "")), Cell(str(len(residuals)))]
+        cells.append(Cell(str(len(left))))
+        if left:
+            worst = int(np.argmax(np.abs(ratios)))
+            rms = math.sqrt(sum(r * r for r in ratios) / len(ratios))
+            component = plain(left[worst].component.replace("_", " "))
+            cells += [Cell(f"{rms:.2f}", rms), Cell(_signed(ratios[worst]), ratios[worst]), Cell(component)]
+        else:
+            cells += [Cell("-"), Cell("-"), Cell("solved for")]
+        if judged:
+            row = judged.get(turn)
+            freedom = 0 if row is None else row["degrees_of_freedom"]
+            cells += [
+                Cell(f"{row['chi_square']:.1f} / {freedom}") if row and freedom else Cell("not checkable"),
+                Cell(probability(row["probability"]) or "-") if row else Cell("-"),
+            ]
+        rows.append(tuple(cells))
+    note = "left over: residuals that the parameters do not solve for exactly; about 1 sigma each is expected." + (
+        " chi-square: how far the sequence is from what all others predict; chance: of a larger one." * bool(judged)
+    )
+    return Table("Residuals by sequence", head, tuple(rows), "lrrrrl" + ("rr" if judged else ""), note)
+
+
+def _summary(
+    calibration: Calibration, limits: Limits | None, failed: tuple[str, ...], change: Change | None
+) -> Iterator[str]:
+    if limits is not None:
+        count = int(limits.given.sum())
+        yield (
+            f"{len(failed)} of {count} limited parameters failed: {_symbols(failed)}."
+            if failed
+            else f"All {count} limited parameters passed."
+        )
+    elif calibration.status == "converged":
+        yield "No limits were given: the values and their sigmas stand for themselves."
+    measured = int(calibration.observed.sum())
+    status = calibration.status.replace("_", " ")
+    yield f"{measured} of {len(NAMES)} parameters were measured (estimator {plain(calibration.estimator)}, {status})."
+    if calibration.verdict:
+        yield overall(calibration.verdict)
+    if change is not None:
+        names = change.names
+        yield (
+            f"Since {plain(change.old.name)}, {len(names)} parameters changed by more than chance explains: "
+            f"{_symbols(names)}."
+            if names
+            else f"Since {plain(change.old.name)}, no parameter changed by more than chance explains."
+        )
+
+
+def _symbols(names: Iterable[str]) -> str:
+    return " ".join(SYMBOLS[INDEX[name]] for name in names)
+
+
+def _held(calibration: Calibration) -> Iterator[str]:
+    reasons: dict[str, list[str]] = {}
+    for name, reason in calibration.held.items():
+        reasons.setdefault(reason, []).append(f"{SYMBOLS[INDEX[name]]} ({name.replace('_', ' ')})")
+    for reason, names in reasons.items():
+        yield f"{', '.join(names)}: {plain(reason, 400).rstrip('.')}."
+
+
+def _residual_notes(calibration: Calibration) -> Iterator[str]:
+    known = [r for r in calibration.residuals if r.sigma > 0.0]
+    left = _left(known)
+    if left:
+        rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
+        yield f"Root mean square of all {len(left)} residuals left over: {rms:.2f} sigma."
+    elif known:
+        yield f"All {len(known)} residuals are solved for exactly."
+    elif not calibration.residuals:
+        yield "The calibration holds no residuals of its own."
+
+
+def _left(residuals: Iterable[Residual]) -> list[Residual]:
+    return [r for r in residuals if r.sigma > 0.0 and abs(r.value) > _SOLVED * r.sigma]
+
+
+def _change_notes(source: Source, change: Change) -> Iterator[str]:
+    old = change.old
+    dates = [plain(s.calibration.provenance.get("date")) or "a date not stated" for s in (old, source)]
+    yield f"Before: {plain(old.name)}, of {dates[0]}, SHA-256 {old.sha256}; now of {dates[1]}."
+    temperatures = [temperature(s.calibration) for s in (old, source)]
+    yield f"Temperature before: {temperatures[0]}; now: {temperatures[1]}."
+    if change.on_trust:
+        yield "A serial is not stated: that both are of one unit is taken on trust."
+    yield (
+        "What both tests share, such as the gravity of the site, is taken as independent: the sigma of a change is "
+        "then rather too large than too small."
+    )
+
+
+def _value(i: int, value: float, sigma: float) -> tuple[str, float]:
+    """A parameter in its display unit, rounded as its sigma deserves, and its SI value."""
+    factor = DISPLAY_FACTORS[i]
+    decimals = 2 if math.isnan(sigma) else decimals_for(sigma * factor)
+    # A noise-free sigma asks for more digits of the value than anyone reads.
+    places = decimals if value == sigma else min(decimals, max(_DIGITS - len(f"{abs(value * factor):.0f}"), 0))
+    return fixed(value * factor, places), value
+
+
+def _limit(limits: Limits, i: int) -> str:
+    sizes = ((limits.value[i], "|value| ≤ {}"), (limits.sigma[i], "sigma ≤ {}"))
+    return ", ".join(words.format(f"{size * DISPLAY_FACTORS[i]:.6g}") for size, words in sizes if not math.isnan(size))
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}" if abs(value) < 1e4 else f"{value:+.2e}"

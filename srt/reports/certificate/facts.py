@@ -1,0 +1,260 @@
+"""Facts of a certificate: unit, site, data, versions; how to apply the calibration, and what the test cannot see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.estimation.assembly import software
+from srt.estimation.options import Options
+from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.reports.certificate.tables import Cell, Table, plain
+from srt.result.calibration import VERSION
+from srt.sensor_errors import GROUP_SLICES, NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.model.sensor_model import Triad
+    from srt.reports.certificate.checked import Source
+    from srt.reports.certificate.limits import Limits
+    from srt.reports.certificate.replay import Course
+    from srt.result.calibration import Calibration
+
+    Array = NDArray[np.float64]
+
+SERIAL_LENGTH: Final = 200
+"""Characters of a serial that are shown."""
+
+
+def facts(source: Source, course: Course | None, limits: Limits | None) -> Iterator[tuple[str, str]]:
+    """Give which unit, when, where, of which data, by which software, as labels and texts.
+
+    Parameters
+    ----------
+    source : Source
+    course : Course or None
+    limits : Limits or None
+    """
+    calibration = source.calibration
+    provenance, merged = calibration.provenance, calibration.provenance.get("recordings") or ()
+    yield "Serial", plain(source.serial, SERIAL_LENGTH) or "not stated"
+    several = any(member.get("date") for member in merged)
+    yield "Date of the test", plain(provenance.get("date")) or ("several, below" if several else "not stated")
+    yield "Site", _site(calibration)
+    yield "Fixture", _fixture(calibration, merged=bool(merged))
+    yield "Temperature", temperature(calibration)
+    yield "Estimator", plain(calibration.estimator)
+    if course is not None:
+        yield (
+            "Recording",
+            (
+                f"{course.count} samples, {course.duration_s:.1f} s at {course.rate_hz:.6g} Hz, "
+                f"turns of up to {course.turned_deg_s:.3g} °/s"
+            ),
+        )
+    yield "SHA-256 of the samples", provenance.get("data_sha256") or "not stated"
+    yield "SHA-256 of the calibration", source.sha256
+    yield "Calibration file", f"{plain(source.name)}, format version {VERSION}"
+    yield "Calibrated by", plain(provenance.get("software")) or "not stated"
+    yield "Certificate by", software()
+    if limits is not None:
+        yield "Limits", plain(limits.name)
+    usual = Options().as_dict()
+    special = {k: v for k, v in (provenance.get("options") or {}).items() if k not in usual or usual[k] != v}
+    if special:
+        yield "Options", plain(", ".join(f"{key} {_option(value)}" for key, value in special.items()), 600)
+    voided = provenance.get("voided") or {}
+    if voided:
+        yield "Left out of the test", plain("; ".join(f"{key}: {reason}" for key, reason in voided.items()), 600)
+
+
+def recordings_table(calibration: Calibration) -> Table | None:
+    """Set the recordings of a merged calibration; None for any other."""
+    members = calibration.provenance.get("recordings") or ()
+    if not members:
+        return None
+    rows = tuple(
+        (
+            Cell(str(k + 1)),
+            Cell(plain(member.get("serial")) or "-"),
+            Cell(plain(member.get("date")) or "-"),
+            Cell(member.get("data_sha256") or "-"),
+            Cell(plain(member.get("software")) or "-"),
+        )
+        for k, member in enumerate(members)
+    )
+    return Table("Recordings merged", ("", "serial", "date", "SHA-256 of the samples", "software"), rows, "rllll")
+
+
+def _site(calibration: Calibration) -> str:
+    site = calibration.site
+    latitude, gravity, sigma = (site.get(key) for key in ("latitude_deg", "gravity_m_s2", "gravity_sigma_m_s2"))
+    parts = ["latitude not stated" if latitude is None else f"latitude {latitude:.6g}°"]
+    if gravity is not None:
+        parts.append(f"gravity {gravity:.9g}" + (f" ± {sigma:.2g}" if sigma is not None else "") + " m/s²")
+    return ", ".join(parts)
+
+
+def _fixture(calibration: Calibration, *, merged: bool) -> str:
+    alignment = calibration.alignment
+    if not alignment.get("fixture"):
+        return (
+            "not the same in all recordings"
+            if merged and alignment.get("fixture", "") is None
+            else "none (turned freely)"
+        )
+    parts = []
+    for key, words, unit in (
+        ("heading_deg", "heading", "°"),
+        ("alignment_sigma_mrad", "alignment sigma", " mrad"),
+        ("rotation_sigma_mrad", "rotation sigma", " mrad"),
+        ("wobble_sigma_mrad", "wobble", " mrad"),
+    ):
+        if key == "wobble_sigma_mrad" and key not in alignment:  # seldom stated, and only two estimators rely on it
+            continue
+        value = alignment.get(key)
+        parts.append(f"{words} {f'{value:g}{unit}' if isinstance(value, int | float) else 'not stated'}")
+    return "two axes, " + ", ".join(parts)
+
+
+def temperature(calibration: Calibration) -> str:
+    """Say at which temperature the test was made."""
+    known = calibration.temperature
+    return "not recorded" if known is None else f"{known['mean_c']:.1f} °C, range {known['range_c']:.1f} °C"
+
+
+def _option(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def unseen(calibration: Calibration, course: Course | None) -> tuple[str, ...]:
+    """List what the test cannot see.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    course : Course or None
+        Names the fastest turn, if there is a recording.
+    """
+    return tuple(_sentences(calibration, course))
+
+
+def _sentences(calibration: Calibration, course: Course | None) -> Iterator[str]:
+    if calibration.held:
+        count = len(calibration.held)
+        yield f"{count} parameters were not measured: what stands in their place was there before the test."
+    if not {*NAMES[GROUP_SLICES["accel_asymmetry"]]} <= set(calibration.held):
+        yield (
+            "Accelerometers were seen at no more than 1 g. An asymmetry and a quadratic term look the same there, and "
+            "beyond 1 g the two part."
+        )
+    else:
+        yield "Accelerometers were seen at no more than 1 g: a quadratic term is not known, and grows beyond 1 g."
+    fastest = "" if course is None else f" (up to {course.turned_deg_s:.3g} °/s)"
+    yield (
+        f"Gyros were seen at the rates of the turns{fastest}: a scale factor that depends on the rate, near zero or "
+        "beyond, is not known."
+    )
+    known = calibration.temperature
+    yield (
+        "The temperature of the test was not recorded, and what changes with temperature is not known."
+        if known is None
+        else f"What changes with temperature: the test was made at {known['mean_c']:.1f} °C, within "
+        f"{known['range_c']:.1f} °C."
+    )
+    yield (
+        "Dependence of the gyros on acceleration, and of all sensors on vibration, pressure, supply and magnetic "
+        "field: no parameter stands for it, and part of it would be in the values."
+    )
+    yield (
+        "Delays and bandwidth of the sensors, and where in the unit the accelerometers sit: the unit stands still when "
+        "specific force is taken."
+    )
+    yield (
+        "What changes from one switching-on to the next, or with age, beyond what the sigmas of the biases hold."
+        if calibration.provenance.get("recordings")
+        else "What changes from one switching-on to the next, or with age: this is one test on one day."
+    )
+    yield (
+        "How the MARS axes lie in the unit's housing: "
+        + (
+            "U leads to the axes of the table only, as well as the unit was mounted on it."
+            if calibration.U is not None
+            else "there is no reference for it in this test."
+        )
+    )
+    if calibration.site.get("latitude_deg") is None:
+        yield "The Earth's rate: without a latitude it stays in the gyro biases, whose sigmas hold it."
+    yield ("Gravity is taken as stated: an error of it is an error of all accelerometer scale factors alike.")
+
+
+READING: Final = "y = M v + s ∘ |v| + b"
+CORRECTION: Final = "v = (M + diag(s ∘ sign v))⁻¹ (y − b)"
+MATHTEXT: Final = (
+    r"$y = M\,v + s \circ |v| + b$",
+    r"$v = \left(M + \mathrm{diag}(s \circ \mathrm{sign}\,v)\right)^{-1} (y - b)$",
+)
+"""The same two formulas as the PDF sets them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Application:
+    """How to apply a calibration.
+
+    Attributes
+    ----------
+    formulas : tuple of str
+        What a unit reads, and how to correct it.
+    sentences : tuple of str
+        What the symbols are.
+    tables : tuple of Table
+        M, s and b of gyros and accelerometers, and U where it is known.
+    """
+
+    formulas: tuple[str, ...]
+    sentences: tuple[str, ...]
+    tables: tuple[Table, ...]
+
+
+def apply_section(calibration: Calibration) -> Application:
+    """Say how to apply a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    """
+    sentences = [
+        "y: what the unit reads; v: the true value. Gyros in rad/s, accelerometers in m/s²; each has its own M, s and "
+        "b. ∘ multiplies element by element.",
+        "Take the signs of v from inverse(M) (y − b) first, then from v itself until they stay. Where s is zero, one "
+        "step is all.",
+        "Readings that are increments of a time step T: divide them by T, correct, multiply by T.",
+        "v is in MARS axes, those in which the matrix M of the gyros is symmetric.",
+    ]
+    tables = [
+        _triad("Gyros: M, s, b (rad/s)", gyro_triad(calibration.errors)),
+        _triad("Accelerometers: M, s, b (m/s²)", accel_triad(calibration.errors)),
+    ]
+    if calibration.U is not None:
+        sigma = calibration.U_sigma_rad
+        known = "" if sigma is None else f", known to {1e3 * sigma:.2g} mrad per axis"
+        sentences.append(f"transpose(U) v is in the axes of the table on which the unit was mounted{known}.")
+        rows = tuple(tuple(Cell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
+        tables.append(Table("U", ("", "", ""), rows, "rrr"))
+    sentences.append("'srt apply' does this to a recording, 'srt apply --c-header' writes it as C.")
+    return Application((READING, CORRECTION), tuple(sentences), tuple(tables))
+
+
+def _triad(title: str, triad: Triad) -> Table:
+    numbers = np.column_stack([triad.matrix, triad.asymmetry, triad.bias]).tolist()
+    rows = tuple(
+        tuple(Cell(f"{x:+.6e}" if column == 4 else f"{x:+.9f}", x) for column, x in enumerate(row)) for row in numbers
+    )
+    return Table(title, ("M, column 1", "column 2", "column 3", "s", "b"), rows, "rrrrr")

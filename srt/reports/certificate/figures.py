@@ -1,0 +1,258 @@
+"""The pictures of a certificate. Each draws into a figure or a part of one, so that page and PDF share them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.constants import MICRO_G, STANDARD_GRAVITY_M_S2
+from srt.model.table1 import AXES
+from srt.reports.certificate.tables import plain
+from srt.reports.figures.calibration import _convergence as draw_convergence
+from srt.reports.figures.calibration import _errors as draw_errors
+from srt.reports.figures.calibration import _values as draw_values
+from srt.reports.figures.inspection import envelope
+from srt.reports.figures.style import (
+    BLUE,
+    FAINT,
+    GREEN,
+    GREY,
+    INK,
+    PURPLE,
+    VERMILION,
+    Axes,
+    Figure,
+    Line2D,
+    MaxNLocator,
+    SubFigure,
+    style,
+)
+from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from srt.reports.certificate.content import Certificate
+
+_TEXT: Final = 8.5
+_COLOURS: Final = (BLUE, VERMILION, GREEN)
+_MARKERS: Final = ("o", "s", "^")
+_KINDS: Final = (
+    ("horizontal", "horizontal", BLUE, "o"),
+    ("down", "down", VERMILION, "s"),
+    ("force", "specific force", BLUE, "o"),
+    ("rate", "rate at rest", GREEN, "^"),
+    ("turn", "turn", PURPLE, "v"),
+)
+"""Word in a component's name, label, colour, marker."""
+_OTHER: Final = ("", "other", GREY, "D")
+_MOST_TICKS: Final = 24
+_IN_MINUTES: Final = 1200.0
+_GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))
+"""Units of the panels of parameters, by rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture of the certificate.
+
+    Attributes
+    ----------
+    name : str
+        A word, for identifiers.
+    title : str
+    caption : str
+        How to read it.
+    size_in : (float, float)
+        Width and height, inches.
+    draw : callable
+        Takes the certificate, and the figure or part of one to draw into.
+    """
+
+    name: str
+    title: str
+    caption: str
+    size_in: tuple[float, float]
+    draw: Callable[[Certificate, Figure | SubFigure], None]
+
+
+def pictures(certificate: Certificate) -> tuple[Picture, ...]:
+    """Choose the pictures that there is something to show in.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    """
+    calibration = certificate.source.calibration
+    shown = {
+        "parameters": True,
+        "residuals": any(r.sigma > 0.0 for r in calibration.residuals),
+        "test": certificate.course is not None,
+        "convergence": any(c > 0.0 for c in calibration.corrections),
+        "correlation": int(calibration.observed.sum()) > 1,
+    }
+    return tuple(p for p in _PICTURES if shown[p.name])
+
+
+def _parameters(certificate: Certificate, figure: Figure | SubFigure) -> None:
+    calibration = certificate.source.calibration
+    members = {unit: np.flatnonzero([u == unit for u in DISPLAY_UNITS]) for row in _GRID for unit in row}
+    parts = figure.subfigures(len(_GRID), 1, squeeze=False)[:, 0]
+    for part, units in zip(parts, _GRID, strict=True):
+        widths = [len(members[unit]) + 1.8 for unit in units]
+        grid = part.subplots(2, 2, sharex="col", width_ratios=widths, height_ratios=(1.25, 1.0))
+        for column, unit in enumerate(units):
+            draw_values(grid[0, column], calibration, None, members[unit], unit)
+            draw_errors(grid[1, column], calibration, None, members[unit], unit)
+            grid[1, column].set_title("±1 sigma", fontsize=_TEXT, color=INK, loc="left")
+            for axes in grid[:, column]:
+                _settle(axes)
+
+
+def _residuals(certificate: Certificate, figure: Figure | SubFigure) -> None:
+    axes = figure.subplots()
+    style(axes)
+    residuals = [r for r in certificate.source.calibration.residuals if r.sigma > 0.0]
+    turns = list(dict.fromkeys((r.sequence, r.occurrence) for r in certificate.source.calibration.residuals))
+    place = {turn: i for i, turn in enumerate(turns)}
+    points: dict[tuple[str, str, str, str], list[tuple[float, float]]] = {}
+    for r in residuals:
+        kind = next((k for k in _KINDS if k[0] in r.component), _OTHER)
+        # Side by side, so that equal values do not hide each other.
+        at = place[r.sequence, r.occurrence] + 0.16 * ([*_KINDS, _OTHER].index(kind) % 2 - 0.5) * 2.0
+        points.setdefault(kind, []).append((at, r.value / r.sigma))
+    for sigmas, line in ((-1.0, (0, (4, 4))), (0.0, "-"), (1.0, (0, (4, 4)))):
+        axes.axhline(sigmas, color=GREY, linewidth=0.8, linestyle=line)
+    for (_, label, colour, marker), pairs in points.items():
+        x, y = np.array(pairs).T
+        axes.plot(x, y, marker, color=colour, markersize=4.0, label=label)
+    every = -(-len(turns) // _MOST_TICKS)
+    names = [plain(name, 12).removeprefix("turn ") + (f"·{n}" if n > 1 else "") for name, n in turns]
+    # A name with two dollar signs would be taken for mathematics.
+    axes.set_xticks(range(0, len(turns), every), [name.replace("$", r"\$") for name in names[::every]])
+    axes.set_xlim(-0.7, len(turns) - 0.3)
+    axes.set_xlabel("sequence", fontsize=_TEXT, color=INK)
+    axes.set_ylabel("residual / sigma", fontsize=_TEXT, color=INK)
+    largest = max(1.5, *(abs(r.value / r.sigma) for r in residuals))
+    axes.set_ylim(-1.15 * largest, 1.15 * largest)
+    figure.legend(loc="outside upper left", ncols=4, fontsize=_TEXT, frameon=False, labelcolor=INK)
+    _settle(axes)
+
+
+def _test(certificate: Certificate, figure: Figure | SubFigure) -> None:
+    course = certificate.course
+    assert course is not None
+    scale, unit = (60.0, "min") if course.duration_s > _IN_MINUTES else (1.0, "s")
+    attitude, force, excess = figure.subplots(3, 1, sharex=True, height_ratios=(1.2, 1.2, 0.8))
+    at, drawn = envelope(course.samples, course.force / STANDARD_GRAVITY_M_S2, course.breaks)
+    middle = course.rest.mean(axis=1) / scale
+    for axis, colour in enumerate(_COLOURS):
+        attitude.plot(course.time / scale, course.down[:, axis], color=colour, linewidth=0.9)
+        attitude.plot(middle, course.rest_down[:, axis], _MARKERS[axis], color=colour, markersize=3.0)
+        force.plot(at / scale, drawn[:, axis], color=colour, linewidth=0.7, alpha=0.85)
+    excess.axhline(0.0, color=GREY, linewidth=0.8)
+    excess.plot(middle, course.excess / MICRO_G, "o", color=BLUE, markersize=3.0)
+    for axes, title in (
+        (attitude, "Attitude: down in IMU axes (lines: gyros, marks: accelerometers at rest)"),
+        (force, "Corrected specific force in IMU axes, g"),
+        (excess, "Specific force at rest less gravity, µg"),
+    ):
+        style(axes)
+        axes.set_title(title, fontsize=_TEXT, color=INK, loc="left")
+        axes.yaxis.set_major_locator(MaxNLocator(5))
+        _settle(axes)
+    excess.set_xlabel(f"time, {unit}", fontsize=_TEXT, color=INK)
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markersize=3.0, label=axis)
+        for axis, colour, marker in zip(AXES, _COLOURS, _MARKERS, strict=True)
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=3, fontsize=_TEXT, frameon=False, labelcolor=INK)
+
+
+def _convergence(certificate: Certificate, figure: Figure | SubFigure) -> None:
+    axes = figure.subplots()
+    draw_convergence(axes, certificate.source.calibration)
+    axes.set_title("", loc="left")
+    axes.set_xlabel("play-back", fontsize=_TEXT, color=INK)
+    axes.set_ylabel("largest correction", fontsize=_TEXT, color=INK)
+    _settle(axes)
+
+
+def _correlation(certificate: Certificate, figure: Figure | SubFigure) -> None:
+    calibration = certificate.source.calibration
+    seen = np.flatnonzero(calibration.observed)
+    sigma = calibration.sigma[seen]
+    C = calibration.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
+    # Size as opacity: no correlation is the paper itself, be it light or dark.
+    picture = np.empty((*C.shape, 4))
+    colours = np.array([[int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for colour in (BLUE, VERMILION)])
+    picture[..., :3] = colours[(C > 0.0).astype(int)]
+    picture[..., 3] = np.clip(np.abs(C), 0.0, 1.0)
+    axes = figure.subplots()
+    axes.imshow(picture, interpolation="nearest", aspect="equal")
+    labels = [SYMBOLS[i] for i in seen]
+    axes.set_xticks(range(len(seen)), labels, rotation=90, fontsize=_TEXT)
+    axes.set_yticks(range(len(seen)), labels, fontsize=_TEXT)
+    axes.tick_params(length=0.0, labelcolor=INK)
+    starts = {group.start for group in GROUP_SLICES.values()}
+    for n, i in enumerate(seen.tolist()):
+        if n and i in starts:
+            axes.axhline(n - 0.5, color=GREY, linewidth=0.6)
+            axes.axvline(n - 0.5, color=GREY, linewidth=0.6)
+    for spine in axes.spines.values():
+        spine.set_color(GREY)
+    handles = [
+        Line2D([], [], color=colour, marker="s", linestyle="none", markersize=7.0, label=label)
+        for label, colour in (("positive", VERMILION), ("negative", BLUE), ("none", FAINT))
+    ]
+    handles[-1].set_markerfacecolor("none")
+    figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=_TEXT, frameon=False, labelcolor=INK)
+
+
+def _settle(axes: Axes) -> None:
+    """Set all numbers of a panel in the letters of the page."""
+    axes.tick_params(labelsize=_TEXT)
+    axes.yaxis.get_offset_text().set_fontsize(_TEXT)
+
+
+_PICTURES: Final = (
+    Picture(
+        "parameters",
+        "Parameters with their error bars",
+        "Values, and below them their bars of one sigma on a scale of their own. A cross marks what was held.",
+        (7.0, 7.2),
+        _parameters,
+    ),
+    Picture(
+        "residuals",
+        "Residuals of the sequences",
+        "What the estimate leaves unexplained, over the sigma that it should have: two in three between the dashes.",
+        (7.0, 2.7),
+        _residuals,
+    ),
+    Picture(
+        "test",
+        "Attitude and acceleration over the test",
+        "Lines of the gyros that end on the marks of the accelerometers, and a specific force at rest that is gravity, "
+        "show that the corrected unit is right.",
+        (7.0, 6.0),
+        _test,
+    ),
+    Picture(
+        "convergence",
+        "Convergence of the play-backs",
+        "Largest correction of any parameter (accelerometer bias in g) in each pass through the recording.",
+        (7.0, 2.3),
+        _convergence,
+    ),
+    Picture(
+        "correlation",
+        "Correlation of the errors",
+        "Errors of two parameters that go together; the fuller the colour, the more. Use the covariance in the "
+        "calibration file where several parameters are combined.",
+        (6.4, 6.4),
+        _correlation,
+    ),
+)

@@ -1,0 +1,225 @@
+"""A calibration as a figure. Needs matplotlib; its global state (pyplot, rcParams) is left alone.
+
+Values and their errors differ by orders of magnitude, so each unit has two panels: the values above, and
+below them the ±1 sigma bars on a scale of their own, at estimate minus truth where that is known.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.reports.figures.style import (
+    BLUE,
+    DPI,
+    FAINT,
+    GREEN,
+    GREY,
+    INK,
+    LARGE,
+    MEDIUM,
+    PURPLE,
+    SMALL,
+    SYMBOL,
+    VERMILION,
+    Axes,
+    ConstrainedLayoutEngine,
+    Figure,
+    Line2D,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+    SubFigure,
+    save_figure,
+    style,
+    symbol,
+)
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.result.calibration import Calibration, Residual
+    from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
+
+__all__ = ["calibration_figure", "save_figure"]
+
+_SIZE_INCHES: Final = (12.0, 9.5)
+_MOST_TICKS: Final = 24
+_COMPONENTS = (
+    ("1st horizontal axis", BLUE, "o"),
+    ("2nd", VERMILION, "s"),
+    ("down at start", GREEN, "^"),
+    ("at end", PURPLE, "v"),
+)
+_TITLES = {
+    "ppm": "scale factor and asymmetry, ppm",
+    "µrad": "orthogonality and misalignment, µrad",
+    "µg": "accel. bias, µg",
+    "°/h": "gyro bias, °/h",
+}
+
+
+def calibration_figure(
+    calibration: Calibration, *, truth: SensorErrors | None = None, title: str | None = None
+) -> Figure:
+    """Draw the parameters by unit, the convergence of the play-backs, and the residuals of the sequences.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    truth : SensorErrors, optional
+        Marked beside the values; the error bars then stand at estimate minus truth.
+    title : str, optional
+        Of the recording.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not known to pyplot; :func:`save_figure` writes it.
+    """
+    layout = ConstrainedLayoutEngine(h_pad=0.07, w_pad=0.05, hspace=0.03, wspace=0.02)
+    figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
+    units = list(dict.fromkeys(DISPLAY_UNITS))
+    members = [np.flatnonzero([u == unit for u in DISPLAY_UNITS]) for unit in units]
+    strips = figure.subfigures(3, 1, squeeze=False, height_ratios=(0.11, 2.0, 1.15))
+    header, parameters, course = strips[:, 0]
+    _header(header, calibration, truth, title)
+    grid = parameters.subplots(
+        2,
+        len(units),
+        squeeze=False,
+        sharex="col",
+        width_ratios=[1.15 * len(m) + 2.2 for m in members],
+        height_ratios=(1.0, 1.0),
+    )
+    for column, (unit, which) in enumerate(zip(units, members, strict=True)):
+        _values(grid[0, column], calibration, truth, which, unit)
+        _errors(grid[1, column], calibration, truth, which, unit)
+    grid[0, 0].set_ylabel("estimate", fontsize=MEDIUM)
+    grid[1, 0].set_ylabel("estimate − truth, ±1σ" if truth is not None else "±1σ", fontsize=MEDIUM)
+    convergence, residuals = course.subplots(1, 2, width_ratios=(1.0, 2.6))
+    _convergence(convergence, calibration)
+    _residuals(residuals, calibration.residuals)
+    return figure
+
+
+def _scaled(which: NDArray[np.intp], vector: Array) -> Array:
+    return np.asarray(vector[which] * np.array(DISPLAY_FACTORS)[which])
+
+
+def _values(
+    axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: NDArray[np.intp], unit: str
+) -> None:
+    style(axes)
+    at = np.arange(len(which))
+    seen = calibration.observed[which]
+    values = _scaled(which, calibration.errors.vector)
+    sigma = _scaled(which, calibration.sigma)
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    if truth is not None:
+        axes.plot(
+            at,
+            _scaled(which, truth.vector),
+            "D",
+            markersize=9.0,
+            markerfacecolor="none",
+            markeredgecolor=VERMILION,
+        )
+    axes.errorbar(at[seen], values[seen], sigma[seen], fmt="o", color=BLUE, markersize=4.5, capsize=3.0)
+    axes.plot(at[~seen], values[~seen], "x", color=GREY, markersize=6.0)
+    axes.set_title(_TITLES.get(unit, unit), fontsize=MEDIUM, color=INK, loc="left")
+    axes.margins(y=0.1)
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+    _separate_groups(axes, which)
+
+
+def _errors(
+    axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: NDArray[np.intp], unit: str
+) -> None:
+    style(axes)
+    at = np.arange(len(which))
+    seen = calibration.observed[which]
+    sigma = _scaled(which, calibration.sigma)[seen]
+    error = np.zeros(len(which))
+    if truth is not None:
+        error = _scaled(which, calibration.errors.vector - truth.vector)
+    axes.axhline(0.0, color=VERMILION if truth is not None else GREY, linewidth=0.8)
+    axes.errorbar(at[seen], error[seen], sigma, fmt="o" if truth is not None else "none", color=BLUE,
+                  ecolor=BLUE, markersize=4.5, capsize=3.0)  # fmt: skip
+    axes.set_title(unit, fontsize=MEDIUM, color=INK, loc="left")
+    axes.set_xticks(at, [symbol(SYMBOLS[i]) for i in which], fontsize=SYMBOL)
+    axes.set_xlim(-0.7, len(which) - 0.3)
+    _separate_groups(axes, which)
+    axes.yaxis.set_major_locator(MaxNLocator(5, symmetric=truth is None))
+
+
+def _separate_groups(axes: Axes, which: NDArray[np.intp]) -> None:
+    starts = {group.start for group in GROUP_SLICES.values()}
+    for at, parameter in enumerate(which.tolist()):
+        if at and parameter in starts:
+            axes.axvline(at - 0.5, color=FAINT, linewidth=0.7)
+
+
+def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | None, title: str | None) -> None:
+    text = f"{calibration.estimator}, {calibration.status.replace('_', ' ')}"
+    figure.text(0.008, 0.5, f"{title}: {text}" if title else text, fontsize=LARGE, color=INK, va="center")
+    handles = [Line2D([], [], color=BLUE, marker="o", markersize=4.5, label="estimate, ±1σ")]
+    if truth is not None:
+        hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}
+        handles.append(Line2D([], [], color=VERMILION, linewidth=0.8, label="truth", **hollow))  # type: ignore[arg-type]
+    if calibration.held:
+        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label="held, not observed"))
+    figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=SMALL, frameon=False)
+
+
+def _convergence(axes: Axes, calibration: Calibration) -> None:
+    style(axes)
+    axes.set_title("Largest correction of each play-back", fontsize=MEDIUM, color=INK, loc="left")
+    steps = np.array(calibration.corrections)
+    number = np.arange(1, len(steps) + 1)
+    shown = steps > 0.0  # a correction of nothing has no place on a logarithmic axis
+    if shown.any():
+        axes.semilogy(number[shown], steps[shown], "o-", color=BLUE, markersize=5.0)
+        axes.yaxis.set_major_locator(LogLocator(numticks=7))
+        axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("play-back", fontsize=MEDIUM)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.margins(x=0.08, y=0.12)
+
+
+def _residuals(axes: Axes, residuals: tuple[Residual, ...]) -> None:
+    style(axes)
+    axes.set_title("Residuals over sigma", fontsize=MEDIUM, color=INK, loc="left")
+    turns = list(dict.fromkeys((r.sequence, r.occurrence) for r in residuals))
+    place = {turn: i for i, turn in enumerate(turns)}
+    points: list[tuple[list[float], list[float]]] = [([], []) for _ in _COMPONENTS]
+    met: dict[tuple[str, int], int] = {}
+    for r in residuals:
+        turn = (r.sequence, r.occurrence)
+        kind = ("start_down", "end_down").index(r.component) + 2 if r.component.endswith("down") else met.get(turn, 0)
+        if kind < 2:
+            met[turn] = kind + 1
+        if r.sigma > 0.0:
+            # Side by side, so that equal values do not hide each other.
+            points[kind][0].append(place[turn] + 0.15 * (kind - 1.5))
+            points[kind][1].append(r.value / r.sigma)
+    for sigmas in (-1.0, 1.0):
+        axes.axhline(sigmas, color=GREY, linewidth=0.8, linestyle=(0, (4, 4)))
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    for (label, colour, marker), (x, y) in zip(_COMPONENTS, points, strict=True):
+        axes.plot(x, y, marker, color=colour, markersize=5.0, label=label)
+    names = [name.removeprefix("turn ") + (f"·{n}" if n > 1 else "") for name, n in turns]
+    every = -(-len(turns) // _MOST_TICKS) if turns else 1
+    axes.set_xticks(range(0, len(turns), every), names[::every])
+    axes.set_xlim(-0.7, max(len(turns), 1) - 0.3)
+    axes.set_xlabel("sequence", fontsize=MEDIUM)
+    axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+    largest = max((abs(y) for _, ys in points for y in ys), default=1.0)
+    axes.set_ylim(-1.15 * max(largest, 1.5), 1.15 * max(largest, 1.5))
+    if residuals:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize=SMALL, frameon=False,
+                    handletextpad=0.2, columnspacing=1.2, borderaxespad=0.1)  # fmt: skip

@@ -1,0 +1,191 @@
+"""A comparison of calibrations as a figure. Needs matplotlib; its global state (pyplot, rcParams) is left alone.
+
+Everything is in units of the reference's sigma, so that parameters of all units stand on one axis.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.reports.figures.style import (
+    DPI,
+    GREY,
+    INK,
+    LARGE,
+    MEDIUM,
+    SYMBOL,
+    Axes,
+    ConstrainedLayoutEngine,
+    Figure,
+    FuncFormatter,
+    Line2D,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+    Patch,
+    estimator_styles,
+    style,
+    symbol,
+)
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from srt.comparison.estimators import Comparison
+
+    Array = NDArray[np.float64]
+
+_SIZE_INCHES: Final = (14.0, 8.5)
+_HEADING_WIDTH: Final = 140
+_LINEAR_TO: Final = 12.0
+"""Sigmas up to which the axis of differences is linear throughout; larger ones shall not flatten all others."""
+
+_ROOM: Final = 0.72
+"""Share of a parameter's column that the estimators' marks take up."""
+
+_PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+
+
+def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Figure:
+    """Draw differences from the reference with the spreads expected of them, and the ratios of sigmas.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    title : str, optional
+        Of the recording.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not known to pyplot; :func:`srt.reports.figures.style.save_figure` writes it.
+
+    Raises
+    ------
+    InputError
+        If there is no usable estimate.
+    """
+    if comparison.reference is None:
+        raise InputError("There is nothing to draw: no estimator gave a usable result.")
+    layout = ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.06, hspace=0.04)
+    figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
+    differences, ratios = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    names = [comparison.reference, *comparison.pairs]
+    styles = estimator_styles(names)
+    width = _ROOM / len(names)
+    first = np.arange(N_PARAMETERS, dtype=np.float64) - 0.5 * width * (len(names) - 1)
+    places: dict[str, Array] = {name: first + width * k for k, name in enumerate(names)}
+    for axes in (differences, ratios):
+        _frame(axes)
+    for name in names:
+        _differences(differences, comparison, name, places[name], width, styles[name])
+        _ratios(ratios, comparison, name, places[name], styles[name])
+    _finish_differences(differences, comparison)
+    _finish_ratios(ratios)
+    heading = textwrap.fill(f"{title}: {comparison.verdict}" if title else comparison.verdict, _HEADING_WIDTH)
+    figure.suptitle(heading, fontsize=LARGE, color=INK, x=0.01, ha="left")
+    figure.legend(
+        handles=_handles(comparison, names, styles),
+        loc="outside lower center",
+        ncols=6,
+        fontsize=MEDIUM,
+        frameon=False,
+    )
+    return figure
+
+
+def _frame(axes: Axes) -> None:
+    style(axes)
+    for group in GROUP_SLICES.values():
+        if group.start:
+            axes.axvline(group.start - 0.5, color=GREY, linewidth=0.7)
+
+
+def _differences(
+    axes: Axes, comparison: Comparison, name: str, at: Array, width: float, style: tuple[str, str]
+) -> None:
+    """Draw one estimate less the reference, with its own sigma, on the band of one expected spread."""
+    colour, marker = style
+    assert comparison.reference is not None
+    reference = comparison.calibrations[comparison.reference]
+    calibration = comparison.calibrations[name]
+    unit, pair = reference.sigma, comparison.pairs.get(name)
+    seen = np.isfinite(unit) if pair is None else pair.compared
+    value = np.zeros(N_PARAMETERS) if pair is None else pair.difference / unit
+    if pair is not None:
+        spread = pair.spread / unit
+        axes.bar(at[seen], 2.0 * spread[seen], 0.95 * width, bottom=-spread[seen], color=colour, alpha=0.25)
+        wrong = pair.differing
+        axes.plot(at[wrong], value[wrong], "o", markersize=13.0, markerfacecolor="none", markeredgecolor=INK)
+    sigma = (calibration.sigma / unit)[seen]
+    bars: dict[str, Any] = {"fmt": marker, "color": colour, "markersize": 5.0, "elinewidth": 1.1, "capsize": 2.0}
+    axes.errorbar(at[seen], value[seen], sigma, **bars)
+
+
+def _ratios(axes: Axes, comparison: Comparison, name: str, at: Array, style: tuple[str, str]) -> None:
+    pair = comparison.pairs.get(name)
+    if pair is None:
+        axes.axhline(1.0, color=style[0], linewidth=1.2)
+    else:
+        axes.plot(at[pair.compared], pair.sigma_ratio[pair.compared], style[1], color=style[0], markersize=5.0)
+
+
+def _finish_differences(axes: Axes, comparison: Comparison) -> None:
+    assert comparison.reference is not None
+    unit = comparison.calibrations[comparison.reference].sigma
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    if comparison.truth is not None:
+        error = (comparison.truth.vector - comparison.calibrations[comparison.reference].errors.vector) / unit
+        axes.hlines(error, np.arange(N_PARAMETERS) - 0.45, np.arange(N_PARAMETERS) + 0.45, color=INK, linewidth=1.3)
+    held = np.flatnonzero(~np.isfinite(unit))
+    axes.plot(held, np.zeros(len(held)), "x", color=GREY, markersize=6.0)
+    axes.set_ylabel(f"estimate − {comparison.reference},\nsigmas of {comparison.reference}", fontsize=MEDIUM)
+    largest = max(map(abs, axes.get_ylim()))
+    if largest > _LINEAR_TO:
+        axes.set_yscale("symlog", linthresh=3.0, linscale=1.5)
+        axes.set_ylim(-2.0 * largest, 2.0 * largest)
+        axes.yaxis.set_major_formatter(_PLAIN)
+    else:
+        axes.yaxis.set_major_locator(MaxNLocator(10, integer=True))
+    for name, group in GROUP_SLICES.items():
+        words = name.replace("_", "\n")
+        middle = 0.5 * (group.start + group.stop - 1)
+        axes.text(middle, 1.0, words, transform=axes.get_xaxis_transform(), ha="center", va="bottom",
+                  fontsize=MEDIUM, color=INK)  # fmt: skip
+
+
+def _finish_ratios(axes: Axes) -> None:
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.8), max(high, 2.2))
+    # A few ticks within the one octave that is usual, decades where there are many.
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high < 20.0 * low else (1.0,)))
+    axes.yaxis.set_major_formatter(_PLAIN)
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_ylabel("ratio of sigmas", fontsize=MEDIUM)
+    axes.set_xlim(-0.6, N_PARAMETERS - 0.4)
+    axes.set_xticks(range(N_PARAMETERS), [symbol(name) for name in SYMBOLS], fontsize=SYMBOL)
+
+
+def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[str, str]]) -> list[Any]:
+    """What the legend explains."""
+    handles: list[Any] = []
+    for name in names:
+        colour, marker = styles[name]
+        label = f"{name} ±1σ" + (" (reference)" if name == comparison.reference else "")
+        handles.append(Line2D([], [], color=colour, marker=marker, markersize=5.0, label=label))
+    if comparison.pairs:
+        handles.append(Patch(color=GREY, alpha=0.25, label="expected spread of a difference, ±1σ"))
+    if any(pair.differing.any() for pair in comparison.pairs.values()):
+        ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": INK}
+        handles.append(Line2D([], [], linestyle="none", label="beyond the limit", **ring))  # type: ignore[arg-type]
+    if comparison.calibrations[names[0]].held:
+        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label=f"held by {names[0]}"))
+    if comparison.truth is not None:
+        handles.append(Line2D([], [], color=INK, linewidth=1.3, label="truth"))
+    return handles

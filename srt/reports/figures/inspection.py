@@ -1,0 +1,255 @@
+"""An inspection as a figure: readings over time with rests and turns, and the Allan deviation beside them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.constants import DEG, DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
+from srt.model.table1 import AXES
+from srt.noise.allan import TERMS
+from srt.reports.figures.style import (
+    BLUE,
+    DPI,
+    GREEN,
+    GREY,
+    INK,
+    LARGE,
+    MEDIUM,
+    SKY,
+    SMALL,
+    VERMILION,
+    Axes,
+    ConstrainedLayoutEngine,
+    Figure,
+    FuncFormatter,
+    Line2D,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+    Patch,
+    save_figure,
+    style,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.diagnosis.inspection import Inspection, TurnSeen
+    from srt.noise.allan import AllanDeviation
+    from srt.recording.recording import Recording
+
+    Array = NDArray[np.float64]
+
+__all__ = ["envelope", "inspection_figure", "save_figure"]
+
+_SIZE_INCHES: Final = (15.0, 8.5)
+_COLOURS: Final = (BLUE, VERMILION, GREEN)
+_MARKERS: Final = ("o", "s", "^")
+_COLUMNS: Final = 1500
+"""Places in time at which a long recording is drawn, each with its least and greatest reading: about one a pixel."""
+_ALPHA: Final = 0.8
+"""Noise of one axis shall not hide that of the others."""
+_VISIBLE_GAP: Final = 1e-3
+"""Share of the duration above which a gap shows."""
+_IN_MINUTES: Final = 1200.0
+_ROOM: Final = 0.011
+"""Share of the width that a turn's label takes."""
+_FEW_DECADES: Final = 300.0
+_PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+_STEEP: Final[dict[str, Any]] = {
+    "quantization": ":",
+    "random_walk": "--",
+    "bias_instability": "-.",
+    "bias_random_walk": (0, (1, 4)),
+}
+
+
+def inspection_figure(recording: Recording, inspection: Inspection, *, title: str | None = None) -> Figure:
+    """Draw a recording and what was seen in it.
+
+    Parameters
+    ----------
+    recording : Recording
+    inspection : Inspection
+        Of this recording.
+    title : str, optional
+        Of the recording.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not known to pyplot; :func:`save_figure` writes it.
+    """
+    layout = ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06, hspace=0.03, wspace=0.03)
+    figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
+    allan = inspection.allan
+    ratios = (1.0,) if allan is None else (2.1, 1.0)
+    grid = figure.subplots(2, len(ratios), squeeze=False, sharex="col", width_ratios=ratios)
+    scale, unit = (60.0, "min") if inspection.stamps.duration_s > _IN_MINUTES else (1.0, "s")
+    per_rate = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    time = recording.time
+    panels = ((recording.gyro, DEG, "gyros, °/s"), (recording.accel, STANDARD_GRAVITY_M_S2, "specific force, g"))
+    for axes, (values, si, label) in zip(grid[:, 0], panels, strict=True):
+        style(axes)
+        _rests(axes, inspection, scale)
+        at, drawn = envelope(time, values, _visible_gaps(recording))
+        for axis, colour in enumerate(_COLOURS):
+            axes.plot(at / scale, drawn[:, axis] * (per_rate / si), color=colour, linewidth=0.8, alpha=_ALPHA)
+        axes.set_ylabel(label, fontsize=MEDIUM, color=INK)
+        axes.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
+    grid[0, 0].set_xlim(inspection.stamps.first_s / scale, time[-1] / scale)
+    grid[1, 0].set_xlabel(f"time, {unit}", fontsize=MEDIUM, color=INK)
+    _name_turns(grid[0, 0], inspection, scale)
+    if allan is not None:
+        for sensor, (axes, si, label) in enumerate(zip(grid[:, 1], (DEG_PER_H, MICRO_G), ("°/h", "µg"), strict=True)):
+            _allan(axes, allan, sensor, si, label)
+        grid[0, 1].set_title("Allan deviation at rest", fontsize=MEDIUM, color=INK, loc="left")
+        grid[1, 1].set_xlabel("averaged over, s", fontsize=MEDIUM, color=INK)
+    heading = inspection.summary if title is None else f"{title}: {inspection.summary}"
+    figure.suptitle(_shortened(heading), fontsize=LARGE, color=INK, x=0.01, ha="left")
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=colour, marker=marker if allan is not None else "", markersize=4.0, label=axis)
+        for axis, colour, marker in zip(AXES, _COLOURS, _MARKERS, strict=True)
+    ]
+    handles.append(Patch(color=SKY, alpha=0.25, label="at rest"))
+    figure.legend(handles=handles, loc="outside lower left", ncols=4, fontsize=SMALL, frameon=False)
+    return figure
+
+
+def envelope(time: Array, values: Array, breaks: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Thin out a long table to the least and the greatest of every stretch, which looks the same.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+    values : ndarray, shape (n, c)
+    breaks : ndarray of int
+        First samples of new pieces; lines are not drawn across.
+
+    Returns
+    -------
+    time : ndarray, shape (m,)
+    values : ndarray, shape (m, c)
+        NaN between pieces.
+    """
+    size = max(1, len(time) // _COLUMNS)
+    edges = [0, *breaks.tolist(), len(time)]
+    times, tables = [], []
+    for a, b in pairwise(edges):
+        starts = np.arange(a, b, size)
+        if size <= 2:
+            times.append(time[a:b])
+            tables.append(values[a:b])
+        else:
+            lows, highs = _extremes(values, a, b, size)
+            times.append(np.repeat(time[starts], 2))
+            tables.append(np.stack([lows, highs], axis=1).reshape(2 * len(starts), -1))
+        times.append(time[b - 1 : b])
+        tables.append(np.full((1, values.shape[1]), np.nan))
+    return np.concatenate(times[:-1]), np.concatenate(tables[:-1])
+
+
+def _extremes(values: Array, a: int, b: int, size: int) -> tuple[Array, Array]:
+    """Least and greatest of consecutive stretches of a table, each of shape (k, c); the last may be shorter."""
+    whole = (b - a) // size
+    width = values.shape[1]
+    # Column by column: comparing short rows is slow.
+    rows = values[a : a + whole * size].reshape(whole, size * width)
+    lows, highs = (np.stack([f(rows[:, c::width], axis=1) for c in range(width)], axis=1) for f in (np.min, np.max))
+    rest = values[a + whole * size : b]
+    if len(rest):
+        lows = np.concatenate([lows, rest.min(axis=0, keepdims=True)])
+        highs = np.concatenate([highs, rest.max(axis=0, keepdims=True)])
+    return lows, highs
+
+
+def _visible_gaps(recording: Recording) -> NDArray[np.intp]:
+    gaps, time = recording.gaps, recording.time
+    wide = time[gaps] - time[gaps - 1] > _VISIBLE_GAP * (time[-1] - time[0])
+    out: NDArray[np.intp] = gaps[wide]
+    return out
+
+
+def _rests(axes: Axes, inspection: Inspection, scale: float) -> None:
+    if inspection.stillness is None:
+        return
+    spans = [(a / scale, (b - a) / scale) for a, b in inspection.stillness.windows_s]
+    axes.broken_barh(
+        spans, (0.0, 1.0), transform=axes.get_xaxis_transform(), facecolor=SKY, alpha=0.25, linewidth=0.0, zorder=0.5
+    )
+
+
+def _name_turns(axes: Axes, inspection: Inspection, scale: float) -> None:
+    """Write above the turns what they were recognised as, or their angle, as far as there is room."""
+    room = _ROOM * inspection.stamps.duration_s * (1.6 if inspection.allan is not None else 1.0)
+    taken = -np.inf
+    for middle, text, colour in _turn_texts(inspection.turns):
+        if middle - taken < room:
+            continue
+        taken = middle
+        axes.text(middle / scale, 1.01, text, transform=axes.get_xaxis_transform(), ha="center", va="bottom",
+                  rotation=90.0 if text.endswith("°") else 0.0, fontsize=SMALL, color=colour)  # fmt: skip
+
+
+def _turn_texts(turns: tuple[TurnSeen, ...]) -> Iterator[tuple[float, str, str]]:
+    """Middle, text and colour of turns; where sequences were recognised, they alone."""
+    named = any(turn.sequence for turn in turns)
+    for turn in turns:
+        middle = 0.5 * (turn.start_s + turn.end_s)
+        if turn.sequence is not None:
+            yield middle, turn.sequence, INK
+        elif not named:
+            leg = turn.parts[0] if len(turn.parts) == 1 else turn.net
+            yield middle, f"{abs(leg.angle_deg):.0f}°", GREY
+
+
+def _allan(axes: Axes, allan: AllanDeviation, sensor: int, si: float, unit: str) -> None:
+    style(axes, grid="both")
+    tau = allan.tau_s
+    fine = np.geomspace(tau[0], tau[-1], 100)
+    fitted = allan.fitted(fine) / si
+    for axis, (colour, marker) in enumerate(zip(_COLOURS, _MARKERS, strict=True)):
+        c = 3 * sensor + axis
+        if not np.isfinite(allan.deviation[c]).any():
+            continue
+        axes.fill_between(tau, allan.low[c] / si, allan.high[c] / si, color=colour, alpha=0.15, linewidth=0.0)
+        axes.plot(fine, fitted[c], color=colour, linewidth=1.2)
+        axes.plot(tau, allan.deviation[c] / si, marker, color=colour, markersize=4.0)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_ylabel(f"{('gyros', 'accelerometers')[sensor]}, {unit}", fontsize=MEDIUM, color=INK)
+    limits = axes.get_ylim()
+    _slopes(axes, allan, sensor, fine, si)
+    axes.set_ylim(limits)
+    for which in (axes.xaxis, axes.yaxis):
+        low, high = which.get_view_interval()
+        # A few ticks within the decade or two that are usual, decades where there are many.
+        which.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,), numticks=12))
+        which.set_major_formatter(_PLAIN)
+        which.set_minor_locator(NullLocator())
+
+
+def _slopes(axes: Axes, allan: AllanDeviation, sensor: int, tau: Array, si: float) -> None:
+    """Draw the slope of every term that was identified, by the median of the axes that show it."""
+    coefficients = allan.value[3 * sensor : 3 * sensor + 3]
+    handles = []
+    for t, term in enumerate(TERMS):
+        seen = coefficients[np.isfinite(coefficients[:, t]), t]
+        if seen.size == 0:
+            continue
+        typical = float(np.median(seen))
+        slope = typical * np.sqrt(term.factor * tau**term.exponent) / si
+        axes.plot(tau, slope, linestyle=_STEEP[term.name], color=GREY, linewidth=1.0, zorder=1.5)
+        figure = f"{term.title} {typical / term.scales[sensor]:.3g} {term.units[sensor]}"
+        handles.append(Line2D([], [], color=GREY, linestyle=_STEEP[term.name], linewidth=1.0, label=figure))
+    if handles:
+        axes.legend(handles=handles, loc="upper right", fontsize=SMALL, frameon=False)
+
+
+def _shortened(text: str, width: int = 150) -> str:
+    return text if len(text) <= width else text[: width - 2].rsplit(" ", 1)[0] + " …"

@@ -1,0 +1,1 @@
+"""Tables and sentences of results as plain text."""

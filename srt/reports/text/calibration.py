@@ -1,0 +1,305 @@
+"""A calibration as text: values with their sigmas in the units people expect, and what to think of them."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import TYPE_CHECKING, Final
+
+from srt.constants import DEG_PER_H
+from srt.reports.text.leave_one_out import verdict_text
+from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from srt.result.calibration import Calibration
+    from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
+
+SOURCE_LABELS: Final = {
+    "gyro_noise": "gyro noise",
+    "gyro_quantization": "gyro quant.",
+    "gyro_bias_instability": "gyro drift",
+    "accel_noise": "acc. noise",
+    "accel_quantization": "acc. quant.",
+    "accel_bias_instability": "acc. drift",
+    "earth_rate_alignment": "Earth rate",
+    "gravity": "gravity",
+    "prior": "prior",
+    "held_values": "held values",
+    "recordings": "recordings",
+    "between_recordings": "betw. rec.",
+}
+"""Short names of the sources of error; one that is not here is called by its own."""
+
+_LARGEST: Final = 3
+_DIGITS: Final = 7
+_SOLVED: Final = 1e-3
+"""Share of sigma below which a residual was solved for, not left over."""
+
+
+def report(
+    calibration: Calibration,
+    *,
+    title: str,
+    truth: SensorErrors | None = None,
+    budget: bool = False,
+    verdict: bool = False,
+) -> str:
+    """Write the whole report.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    title : str
+        Of the recording.
+    truth : SensorErrors, optional
+        Adds columns of the truth, the error, and the error over sigma.
+    budget : bool
+        All sources of error as columns instead of the three largest.
+    verdict : bool
+        The verdict by parameter, too.
+
+    Returns
+    -------
+    str
+        Lines of at most 80 characters, without a line feed at the end.
+    """
+    parts = [
+        "\n".join(_heading(calibration, title)),
+        parameter_table(calibration, truth),
+        "\n".join(_held(calibration)),
+        g_sensitivity_table(calibration),
+        budget_table(calibration) if budget else contribution_table(calibration),
+        verdict_text(calibration, parameters=verdict),
+        "\n".join(_judgement(calibration)),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def parameter_table(calibration: Calibration, truth: SensorErrors | None = None) -> str:
+    """Set the 27 values, each rounded as its sigma deserves.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    truth : SensorErrors, optional
+    """
+    headers, alignment = ["symbol", "parameter", "value", "sigma", "unit"], "llrrl"
+    if truth is not None:
+        headers, alignment = (
+            ["", "parameter", "value", "sigma", "unit", "truth", "error", "error/\nsigma"],
+            "llrrlrrr",
+        )
+    values, sigmas = calibration.errors.vector, calibration.sigma
+    rows: list[list[str] | None] = []
+    for i, name in enumerate(NAMES):
+        if any(i == group.start for group in GROUP_SLICES.values()) and i > 0:
+            rows.append(None)
+        factor = DISPLAY_FACTORS[i]
+        value, sigma = float(values[i]) * factor, float(sigmas[i]) * factor
+        held = name in calibration.held
+        decimals = 2 if held else decimals_for(sigma)
+        # A noise-free sigma asks for more digits of the value than a line has room for; its error keeps them.
+        places = min(decimals, max(_DIGITS - len(f"{abs(value):.0f}"), 0))
+        row = [
+            SYMBOLS[i],
+            name,
+            fixed(value, places),
+            "held" if held else fixed(sigma, decimals),
+            DISPLAY_UNITS[i],
+        ]
+        if truth is not None:
+            true = truth[name] * factor
+            over = math.nan if held or sigma == 0.0 else (value - true) / sigma
+            row += [fixed(true, places), fixed(value - true, decimals), fixed(over, 2)]
+        rows.append(row)
+    return text_table(headers, rows, alignment, gap=1 if truth is not None else 2)
+
+
+def g_sensitivity_table(calibration: Calibration) -> str:
+    """Set what the gyros follow specific force by, and what the rates at rest are without; empty if not estimated."""
+    found = calibration.diagnostics.get("g_sensitivity")
+    if not found:
+        return ""
+    matrix, sigma = found["matrix_deg_per_h_per_g"], found["sigma_deg_per_h_per_g"]
+    scatter = found["rest_rate_scatter_rad_s"]
+    decimals = decimals_for(min(max(row) for row in sigma))
+    rows = []
+    for i, axis in enumerate("xyz"):
+        elements = [f"{fixed(v, decimals)} ± {fixed(s, decimals)}" for v, s in zip(matrix[i], sigma[i], strict=True)]
+        rates = [fixed(scatter[when][i] / DEG_PER_H, 2) for when in ("before", "after", "expected")]
+        rows.append([f"gyro {axis}", *elements, *rates])
+    heads = ["°/h per g", *(f"along {axis}" for axis in "xyz"), "at rest\n°/h", "\nleft", "\nexpected"]
+    table = text_table(heads, rows, "lrrrrrr", gap=1)
+    return f"Gyros follow specific force; scatter of the rates at rest with that and without\n{table}"
+
+
+def contribution_table(calibration: Calibration) -> str:
+    """Set the largest sources of error of every observed parameter; empty if none are known."""
+    if not calibration.contributions:
+        return ""
+    rows = []
+    for i in _observed(calibration):
+        factor = DISPLAY_FACTORS[i]
+        decimals = decimals_for(float(calibration.sigma[i]) * factor)
+        sizes = {source: float(sigmas[i]) * factor for source, sigmas in calibration.contributions.items()}
+        largest = sorted(sizes, key=lambda source: -sizes[source])[:_LARGEST]
+        shown = [(source_label(source), fixed(sizes[source], decimals)) for source in largest]
+        shown = [(label, size) for label, size in shown if float(size) > 0.0]
+        shown += [("", "")] * (_LARGEST - len(shown))
+        rows.append([SYMBOLS[i], DISPLAY_UNITS[i], *(cell for pair in shown for cell in pair)])
+    if not rows:
+        return ""
+    headers = ["", "unit", "largest", "sigma", "second", "sigma", "third", "sigma"]
+    return f"Where sigma comes from (--budget shows all sources)\n{text_table(headers, rows, 'lllrlrlr')}"
+
+
+def budget_table(calibration: Calibration) -> str:
+    """Set all sources of error as columns; empty if none are known."""
+    observed = _observed(calibration)
+    sources = {s: sizes for s, sizes in calibration.contributions.items() if any(sizes[i] > 0.0 for i in observed)}
+    if not sources:
+        return ""
+    text = ["Sources of sigma, one sigma each; their squares add up"]
+    text.append(sources_table(sources, calibration.sigma, observed))
+    silent = [source_label(source) for source in calibration.contributions if source not in sources]
+    if silent:
+        text += wrap(f"Nothing comes from: {', '.join(silent)}.")
+    return "\n".join(text)
+
+
+def sources_table(sources: Mapping[str, Array], total: Array | None, parameters: Sequence[int]) -> str:
+    """Set sizes by source as columns, below each other where they do not fit side by side.
+
+    Parameters
+    ----------
+    sources : mapping of str to ndarray, shape (27,)
+        SI.
+    total : ndarray, shape (27,), or None
+        Shown before the sources; it sets the decimals, without it the largest source does.
+    parameters : sequence of int
+        Rows.
+
+    Returns
+    -------
+    str
+    """
+    left: list[list[str]] = []
+    columns: list[list[str]] = [[] for _ in sources]
+    for i in parameters:
+        factor = DISPLAY_FACTORS[i]
+        size = max(float(sizes[i]) for sizes in sources.values()) if total is None else float(total[i])
+        decimals = decimals_for(size * factor)
+        left.append([SYMBOLS[i], DISPLAY_UNITS[i]] + ([] if total is None else [fixed(size * factor, decimals)]))
+        for column, sizes in zip(columns, sources.values(), strict=True):
+            column.append(fixed(float(sizes[i]) * factor, decimals))
+    first = ["", "unit"] + ([] if total is None else ["sigma"])
+    heads = [source_label(source).replace(" ", "\n") for source in sources]
+    text = []
+    while columns:
+        count = _columns_that_fit(left, first, heads, columns)
+        rows = [[*cells, *sizes] for cells, *sizes in zip(left, *columns[:count], strict=True)]
+        text.append(text_table([*first, *heads[:count]], rows, "llr"[: len(first)] + "r" * count, gap=1))
+        heads, columns = heads[count:], columns[count:]
+    return "\n".join(text)
+
+
+def _columns_that_fit(left: list[list[str]], first: list[str], heads: list[str], columns: list[list[str]]) -> int:
+    """How many columns find room beside the first ones; at least one."""
+    used = sum(max(map(len, cells)) + 1 for cells in zip(*left, first, strict=True))
+    for count, (head, column) in enumerate(zip(heads, columns, strict=True)):
+        used += 1 + max(map(len, [*head.split("\n"), *column]))
+        if used > WIDTH + 1:
+            return max(count, 1)
+    return len(columns)
+
+
+def residual_summary(calibration: Calibration) -> str:
+    """Say in a sentence or two what the last play-back left over; empty without residuals."""
+    known = [r for r in calibration.residuals if r.sigma > 0.0]
+    left = [r for r in known if abs(r.value) > _SOLVED * r.sigma]
+    if not left:
+        return f"Residuals: all {len(known)} components are solved for exactly." if known else ""
+    rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
+    worst = max(left, key=lambda r: abs(r.value / r.sigma))
+    again = f" (occurrence {worst.occurrence})" if worst.occurrence > 1 else ""
+    text = (
+        f"Residuals over sigma: rms {rms:.2g} of {len(left)} components, largest "
+        f"{abs(worst.value / worst.sigma):.2g} in sequence {worst.sequence}{again}, {worst.component}."
+    )
+    solved = len(known) - len(left)
+    if solved:
+        text += f" {solved} more are solved for exactly; the errors of those solutions add to these."
+    return text
+
+
+def held_summary(calibration: Calibration) -> str:
+    """Name what is held and why, as one clause per reason; empty if nothing is."""
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in _reasons(calibration).items())
+
+
+def wrap(text: str, indent: str = "") -> list[str]:
+    """Break a text into lines that fit; the second and later ones are set in."""
+    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False)
+
+
+def _reasons(calibration: Calibration) -> dict[str, list[str]]:
+    """Held parameters by the reason why."""
+    reasons: dict[str, list[str]] = {}
+    for name, reason in calibration.held.items():
+        reasons.setdefault(reason, []).append(name)
+    return reasons
+
+
+def _observed(calibration: Calibration) -> list[int]:
+    return [i for i, name in enumerate(NAMES) if name not in calibration.held]
+
+
+def source_label(source: str) -> str:
+    """Short name of a source of error."""
+    return SOURCE_LABELS.get(source, source.replace("_", " "))
+
+
+def _heading(calibration: Calibration, title: str) -> Iterable[str]:
+    serial = calibration.provenance.get("serial")
+    yield from wrap(f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}")
+    # Only the first sentence: what is held follows the table, with the reasons.
+    message = calibration.message.split(" Held, not observed:")[0]
+    steps = ", ".join(f"{c:.1e}" for c in calibration.corrections)
+    status = "" if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: "
+    yield from wrap(f"{status}{message}")
+    if steps:
+        yield from wrap(f"Largest correction of each play-back: {steps}.")
+    temperature = calibration.temperature
+    if temperature is not None:
+        yield f"Temperature {temperature['mean_c']:.1f} °C, range {temperature['range_c']:.1f} °C."
+
+
+def _held(calibration: Calibration) -> Iterable[str]:
+    reasons = _reasons(calibration)
+    if reasons:
+        yield "Held, not observed"
+    for reason, names in reasons.items():
+        yield from wrap(f"{', '.join(names)}: {reason}", indent=" ")
+
+
+def _judgement(calibration: Calibration) -> Iterable[str]:
+    targets = calibration.diagnostics.get("targets")
+    if targets:
+        met = targets["met_after"]
+        name, short = targets["limiting"], targets["shortfall"]
+        yield from wrap(
+            f"All targets are met after sequence {met}; {name} is nearest to its own, at {short:.2g} of it."
+            if met is not None
+            else f"The targets are not met: {name} has {short:.2g} times the sigma wanted."
+        )
+    yield from wrap(residual_summary(calibration))
+    for sentence in calibration.warnings:
+        yield from wrap(f"Note: {sentence}")

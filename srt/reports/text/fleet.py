@@ -1,0 +1,151 @@
+"""A fleet as text: one row per unit, and every value that stands out from the others."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS
+from srt.reports.text.calibration import wrap
+from srt.reports.text.leave_one_out import probability
+from srt.reports.text.tables import decimals_for, fixed, text_table
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, NAMES, SYMBOLS
+
+if TYPE_CHECKING:
+    from srt.comparison.fleet import Fleet, Unit
+
+_STATUS: Final = {"not_converged": "not conv.", "outside_model": "outside"}
+_HEADS: Final = (
+    *("gyro\nscale", "gyro\nasym.", "gyro\north.", "acc.\nbias"),
+    *("acc.\nscale", "acc.\nasym.", "acc.\nmisal.", "gyro\nbias"),
+)
+"""Of the groups, in state order."""
+
+_SYMBOLS_SHOWN: Final = 3
+_DIGITS: Final = 4
+
+
+def fleet_text(fleet: Fleet) -> str:
+    """Write the whole report of a fleet.
+
+    Parameters
+    ----------
+    fleet : Fleet
+
+    Returns
+    -------
+    str
+        Lines of at most 80 characters, unless names of units are long; without a line feed at the end.
+    """
+    parts = [
+        f"Fleet of {len(fleet.units)} unit{'s' if len(fleet.units) != 1 else ''}\n{state_table(fleet)}",
+        size_table(fleet),
+        outlying_table(fleet),
+        "\n".join(wrap(judging(fleet))),
+        _failures(fleet),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def state_table(fleet: Fleet) -> str:
+    """Set how every unit came out: status, agreement of its measurements, warnings, and what is outlying."""
+    rows = []
+    for number, unit in enumerate(fleet.units):
+        cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), "", "", "", ""]
+        if unit.calibration is not None:
+            verdict = unit.calibration.verdict
+            freedom = verdict.get("degrees_of_freedom")
+            cells[3:6] = [
+                fixed(verdict["chi_square"] / freedom, 2) if freedom else "-",
+                probability(verdict.get("probability")) or "-",
+                str(len(unit.calibration.warnings)),
+            ]
+            cells[6] = _outlying(fleet, number) if unit.sound else "not judged"
+        rows.append(cells)
+    return text_table(["unit", "serial", "status", "chi2/\ndof", "chance", "notes", "outlying"], rows, "lllrrrl")
+
+
+def size_table(fleet: Fleet) -> str:
+    """Set the largest error of every group; empty if no unit has a calibration."""
+    rows = [
+        [unit.name, *(_largest(fleet, number, unit, group.name) for group in GROUPS)]
+        for number, unit in enumerate(fleet.units)
+        if unit.calibration is not None
+    ]
+    if not rows:
+        return ""
+    heads = [f"{head}\n{group.display_unit}" for head, group in zip(_HEADS, GROUPS, strict=True)]
+    text = text_table(["unit", *heads], rows, "l" + "r" * len(heads), gap=1)
+    return f"The largest error of each kind (* one of the kind is outlying)\n{text}"
+
+
+def outlying_table(fleet: Fleet) -> str:
+    """Set every outlying value beside what the other units say; empty if there is none."""
+    judged = fleet.judgement
+    rows = []
+    for number, unit in enumerate(fleet.units):
+        for i in fleet.flagged(number):
+            assert unit.calibration is not None
+            factor = DISPLAY_FACTORS[i]
+            sizes = [
+                unit.calibration.errors.vector[i],
+                unit.calibration.sigma[i],
+                judged.others_median[number, i],
+                judged.others_scatter[number, i],
+            ]
+            scale = np.hypot(sizes[1], sizes[3]) * factor
+            shown = [fixed(float(size) * factor, decimals_for(scale)) for size in sizes]
+            rows.append([unit.name, NAMES[i], *shown, DISPLAY_UNITS[i], f"{judged.z[number, i]:+.3g}"])
+    if not rows:
+        return ""
+    headers = ["unit", "parameter", "value", "sigma", "others'\nmedian", "others'\nscatter", "unit", "z"]
+    return f"Outlying\n{text_table(headers, rows, 'llrrrrlr', gap=1)}"
+
+
+def judging(fleet: Fleet) -> str:
+    """Say in a sentence or two by what the units were judged."""
+    sound = sum(unit.sound for unit in fleet.units)
+    limit = fleet.judgement.limit[np.isfinite(fleet.judgement.limit)]
+    if not len(limit):
+        return (
+            f"No unit is judged against the fleet: that takes {MINIMUM_UNITS} converged units with a parameter in "
+            f"common, and there {'is' if sound == 1 else 'are'} {sound}."
+        )
+    low, high = f"{limit.min():.3g}", f"{limit.max():.3g}"
+    reach = low if low == high else f"{low} to {high}, by how many units have the parameter"
+    few = int(np.sum(np.isnan(fleet.judgement.limit)))
+    return (
+        f"Each unit is judged by all the others; outlying is a z beyond {reach}. In a sound fleet of {sound} that "
+        f"flags anything at all with a chance of {100.0 * FALSE_ALARMS:.0f} % at most."
+        + (f" Not judged, for fewer than {MINIMUM_UNITS} units have them: {few} parameters." if few else "")
+    )
+
+
+def _outlying(fleet: Fleet, number: int) -> str:
+    found = fleet.flagged(number)
+    more = [f"+{len(found) - _SYMBOLS_SHOWN}"] if len(found) > _SYMBOLS_SHOWN else []
+    if not np.any(np.isfinite(fleet.judgement.z[number])):
+        return "not judged"
+    return " ".join([*(SYMBOLS[i] for i in found[:_SYMBOLS_SHOWN]), *more]) or "no"
+
+
+def _largest(fleet: Fleet, number: int, unit: Unit, group: str) -> str:
+    """Largest value of a group, no finer than its sigma and no longer than a column bears."""
+    assert unit.calibration is not None
+    where = np.arange(len(NAMES))[GROUP_SLICES[group]]
+    where = where[unit.calibration.observed[where]]
+    if not len(where):
+        return "held"
+    values = unit.calibration.errors.vector[where]
+    i = int(where[np.argmax(np.abs(values))])
+    value = float(unit.calibration.errors.vector[i]) * DISPLAY_FACTORS[i]
+    decimals = decimals_for(float(unit.calibration.sigma[i]) * DISPLAY_FACTORS[i])
+    text = fixed(value, min(decimals, max(_DIGITS - len(f"{abs(value):.0f}"), 0)))
+    return text + ("*" if fleet.judgement.flagged[number, where].any() else "")
+
+
+def _failures(fleet: Fleet) -> str:
+    """Say of every unit that failed why it did."""
+    lines = [line for unit in fleet.units if unit.exit_code for line in wrap(f"{unit.name}: {unit.message}", " ")]
+    return "\n".join(["Failed", *lines]) if lines else ""

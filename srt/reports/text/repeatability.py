@@ -1,0 +1,147 @@
+"""Repeatability over recordings as text."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any, Final
+
+from srt.reports.text.leave_one_out import probability
+from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, SYMBOLS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from srt.result.calibration import Calibration
+
+_DIGITS: Final = 7
+
+
+def repeatability_text(calibration: Calibration) -> str:
+    """Set the repeatability of a merged calibration.
+
+    Returns
+    -------
+    str
+        Lines of at most 80 characters, as far as the recordings' names allow; empty if it was not merged.
+    """
+    table = calibration.diagnostics.get("repeatability")
+    if not table:
+        return ""
+    parts = [f"Recordings\n{_recordings(table)}", f"Values by recording\n{_values(table)}"]
+    if table["degrees_of_freedom"]:
+        parts.append(f"Repeatability\n{_scatter(table)}")
+        parts.append("\n".join(_wrap(line) for line in _groups(table)))
+    return "\n\n".join(parts)
+
+
+def _recordings(table: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            row["name"],
+            row["estimator"],
+            row["status"].replace("_", " "),
+            row["date"] or "-",
+            "-" if row["temperature_c"] is None else f"{row['temperature_c']:.1f}",
+        ]
+        for row in table["recordings"]
+    ]
+    rows += [[row["name"], "", f"{row['status'].replace('_', ' ')}, left out", "", ""] for row in table["left_out"]]
+    return text_table(["name", "estimator", "status", "date", "°C"], rows, "llllr")
+
+
+def _values(table: Mapping[str, Any]) -> str:
+    """Set value and sigma in every recording, as many recordings beside each other as find room."""
+    names = [row["name"] for row in table["recordings"]]
+    left: list[list[str]] = []
+    columns: list[list[tuple[str, str]]] = [[] for _ in names]
+    for row in table["parameters"]:
+        i = INDEX[row["name"]]
+        left.append([SYMBOLS[i], DISPLAY_UNITS[i]])
+        for column, value, sigma in zip(columns, row["values"], row["sigmas"], strict=True):
+            column.append(("held", "") if value is None else _rounded(value, sigma, DISPLAY_FACTORS[i]))
+    text, first = [], 0
+    while first < len(names):
+        used = 2 + max(len(cells[0]) for cells in left) + 1 + max(len(cells[1]) for cells in left)
+        last = first
+        while last < len(names):
+            width = max(len(names[last]), *(len(value) for value, _ in columns[last])) + 1
+            width += max(len("sigma"), *(len(sigma) for _, sigma in columns[last])) + 1
+            if used + width > WIDTH and last > first:
+                break
+            used, last = used + width, last + 1
+        headers = ["", "unit", *(cell for name in names[first:last] for cell in (name, "sigma"))]
+        rows = [
+            [*cells, *(part for column in columns[first:last] for part in column[n])] for n, cells in enumerate(left)
+        ]
+        text.append(text_table(headers, rows, "ll" + "rr" * (last - first), gap=1))
+        first = last
+    return "\n\n".join(text)
+
+
+def _scatter(table: Mapping[str, Any]) -> str:
+    rows: list[list[str] | None] = []
+    for row in table["parameters"]:
+        freedom = row["degrees_of_freedom"]
+        if not freedom:
+            continue
+        i = INDEX[row["name"]]
+        factor, sigma = DISPLAY_FACTORS[i], min(s for s in row["sigmas"] if s is not None)
+        decimals = decimals_for(sigma * factor)
+        away = row["largest_deviation"]
+        rows.append(
+            [
+                SYMBOLS[i],
+                DISPLAY_UNITS[i],
+                _rounded(row["weighted_mean"], sigma, factor)[0],
+                fixed(row["spread"] * factor, decimals),
+                fixed(sigma * factor, decimals),
+                f"{row['chi_square']:.1f} / {freedom}",
+                probability(row["probability"]),
+                f"{away['sigmas']:+.1f} {away['recording']}",
+            ]
+        )
+    headers = ["", "unit", "mean", "scatter", "least\nsigma", "chi2 / dof", "chance", "farthest"]
+    notes = [
+        "scatter: standard deviation of the recordings' values; about as large as their sigma is right.",
+        "chi2 / dof: squares of the values' distances from their mean over sigma, and their number; errors that all "
+        "recordings share, as gravity, are apart.",
+        "chance: of a larger chi2 if nothing but noise differs.",
+        "farthest: the recording farthest from the mean, in the sigma that the distance should have.",
+    ]
+    return "\n".join([text_table(headers, rows, "llrrrrrl", gap=1), *(_wrap(note, " ") for note in notes)])
+
+
+def _groups(table: Mapping[str, Any]) -> list[str]:
+    """Say what differs from recording to recording beyond noise, and that the sigmas hold it."""
+    found = []
+    for row in table["groups"]:
+        if row["between_sigma"] > 0.0:
+            i = GROUP_SLICES[row["group"]].start
+            size = row["between_sigma"] * DISPLAY_FACTORS[i]
+            words = f"{row['group'].replace('_', ' ')} {fixed(size, decimals_for(size))} {DISPLAY_UNITS[i]}"
+            found.append(f"{words} (chance without it {probability(row['probability'])})")
+    whole = (
+        f"All parameters together: chi-square {table['chi_square']:.4g} for {table['degrees_of_freedom']} degrees of "
+        f"freedom, chance {probability(table['probability'])}."
+    )
+    if not found:
+        return [whole, "Noise explains all differences between the recordings."]
+    return [
+        whole,
+        f"One sigma from recording to recording beyond noise, which the merged sigmas hold: {'; '.join(found)}. "
+        "Another recording will differ from the merged value by as much again.",
+    ]
+
+
+def _rounded(value: float, sigma: float, factor: float) -> tuple[str, str]:
+    decimals = decimals_for(sigma * factor)
+    places = min(decimals, max(_DIGITS - len(f"{abs(value * factor):.0f}"), 0))
+    return fixed(value * factor, places), fixed(sigma * factor, decimals)
+
+
+def _wrap(text: str, indent: str = "") -> str:
+    lines: Sequence[str] = textwrap.wrap(
+        text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False
+    )
+    return "\n".join(lines)
