@@ -11,8 +11,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sims import campaigns
-from sims.campaigns import GRADES, Trial, normalised, run
+from sims.accuracy import campaigns
+from sims.accuracy.campaigns import GRADES, Trial, normalised, run
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.sensor_errors import GROUP_SLICES, GROUPS, NAMES
 

@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sims import campaigns
+from sims.accuracy import campaigns
 from srt.sensor_errors import GROUP_SLICES
 
 ALTERNATIVES = (

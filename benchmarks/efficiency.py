@@ -22,11 +22,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sims import efficiency
-from sims.campaigns import GRADES, IN_G, SITE, run
-from sims.efficiency import ESTIMATORS, STANDARD_ERRORS, Criterion, Efficiency, Unit
-from sims.imu import read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import efficiency
+from sims.accuracy.campaigns import GRADES, IN_G, SITE, run
+from sims.accuracy.efficiency import ESTIMATORS, STANDARD_ERRORS, Criterion, Efficiency, Unit
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
 from srt.estimation.closed_form_solver import ClosedFormSolver
 from srt.estimation.initial_estimates import first_estimate
 from srt.estimation.iteration import iterate

@@ -22,9 +22,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from sims.fault_study import Report, Study
-from sims.fault_table import cell, markdown, missed_targets
-from sims.faults import GRADES
+from sims.faults.injection import GRADES
+from sims.faults.study import Report, Study
+from sims.faults.table import cell, markdown, missed_targets
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
 from srt.recording.atomic import atomic_write_text

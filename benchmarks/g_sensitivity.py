@@ -5,7 +5,7 @@
 
 import argparse
 
-from sims.g_sensitivity_study import MODES, mems_scenario, study
+from sims.accuracy.g_sensitivity import MODES, mems_scenario, study
 from srt.constants import DEG_PER_H
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, NAMES, SYMBOLS
 

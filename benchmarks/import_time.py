@@ -17,8 +17,8 @@ OTHERS = ("numpy", "scipy")
 STATEMENTS = {
     "import srt": "import srt",
     "load and apply": "import srt; srt.load_calibration, srt.Applier",
-    "load and calibrate": "import srt; srt.load_recording, srt.calibrate; from srt.estimation.registry import find_estimator; "
-    "find_estimator('closed-form')",
+    "load and calibrate": "import srt; srt.load_recording, srt.calibrate; "
+    "from srt.estimation.registry import find_estimator; find_estimator('closed-form')",
 }
 LINE = re.compile(r"import time: +(\d+) \| +\d+ \| ( *)(\S+)")
 

@@ -23,8 +23,8 @@ from rich.table import Table
 
 import sims
 import srt
-from sims.library import names
-from sims.plan_file import PlanFile, load_plan_file
+from sims.scenarios.library import names
+from sims.scenarios.plan_file import PlanFile, load_plan_file
 from srt.planning.plan import Plan, make_plan, table_1_plan
 from srt.sensor_errors import NAMES
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import rq
 
 import srt
-from sims import recorded
+from sims.accuracy import recorded_sets
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 
@@ -31,18 +31,18 @@ def xsens(recording: srt.Recording, estimator: str, gyro_bias: str) -> None:
     started = time.perf_counter()
     result = srt.calibrate(recording, estimator, hold=("gyro_asymmetry", "accel_asymmetry"), gyro_bias=gyro_bias)
     seconds = time.perf_counter() - started
-    upper, turn = rq(recorded.XSENS_ACCEL_PER_M_S2 * accel_triad(result.errors).matrix)
+    upper, turn = rq(recorded_sets.XSENS_ACCEL_PER_M_S2 * accel_triad(result.errors).matrix)
     signs = np.diag(np.sign(np.diag(upper)))
-    gyro = recorded.XSENS_GYRO_PER_RAD_S * gyro_triad(result.errors).matrix @ (signs @ turn).T
-    offset = recorded.XSENS_ACCEL_OFFSET + recorded.XSENS_ACCEL_PER_M_S2 * result.errors.group("accel_bias")
+    gyro = recorded_sets.XSENS_GYRO_PER_RAD_S * gyro_triad(result.errors).matrix @ (signs @ turn).T
+    offset = recorded_sets.XSENS_ACCEL_OFFSET + recorded_sets.XSENS_ACCEL_PER_M_S2 * result.errors.group("accel_bias")
     found = (np.diag(upper @ signs), offset, 1.0 / np.diag(np.linalg.inv(gyro)))
     sigma = (
-        recorded.XSENS_ACCEL_PER_M_S2 * result.sigma[GROUP_SLICES["accel_scale"]],
-        recorded.XSENS_ACCEL_PER_M_S2 * result.sigma[GROUP_SLICES["accel_bias"]],
-        recorded.XSENS_GYRO_PER_RAD_S * result.sigma[GROUP_SLICES["gyro_scale"]],
+        recorded_sets.XSENS_ACCEL_PER_M_S2 * result.sigma[GROUP_SLICES["accel_scale"]],
+        recorded_sets.XSENS_ACCEL_PER_M_S2 * result.sigma[GROUP_SLICES["accel_bias"]],
+        recorded_sets.XSENS_GYRO_PER_RAD_S * result.sigma[GROUP_SLICES["gyro_scale"]],
     )
     print(
-        f"xsens_mti, {estimator}, latitude {recorded.XSENS_LATITUDE_DEG}° assumed, gyro bias {gyro_bias}: "
+        f"xsens_mti, {estimator}, latitude {recorded_sets.XSENS_LATITUDE_DEG}° assumed, gyro bias {gyro_bias}: "
         f"{result.status}, {len(result.corrections)} play-backs, {seconds:.2f} s"
     )
     for (name, published), values, sigmas in zip(IMU_TK.items(), found, sigma, strict=True):
@@ -55,7 +55,7 @@ def xsens(recording: srt.Recording, estimator: str, gyro_bias: str) -> None:
 def before_and_after(name: str, recording: srt.Recording, estimator: str) -> None:
     result = srt.calibrate(recording, estimator)
     labelled = recording.with_sequences(srt.find_turns(recording))
-    before, after = (recorded.residuals(labelled, errors) for errors in (None, result.errors))
+    before, after = (recorded_sets.residuals(labelled, errors) for errors in (None, result.errors))
     print(
         f"{name}, {estimator}: {len(labelled.sequences)} turns, "
         f"gravity {before['gravity_m_s2']:.4f} -> {after['gravity_m_s2']:.4f} m/s², "
@@ -64,15 +64,15 @@ def before_and_after(name: str, recording: srt.Recording, estimator: str) -> Non
 
 
 def main() -> None:
-    folder = recorded.data_folder()
+    folder = recorded_sets.data_folder()
     if folder is None:
-        raise SystemExit(f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder")
+        raise SystemExit(f"recorded sets not found; set {recorded_sets.DATA_VARIABLE} to their folder")
     for estimator in sys.argv[1:] or ("least-squares", "ekf", "graph"):
         for gyro_bias in ("auto", "pooled"):  # imu_tk has one bias for the whole recording
-            xsens(recorded.xsens_mti(folder), estimator, gyro_bias)
-        before_and_after("xsens_mti", recorded.xsens_mti(folder), estimator)
+            xsens(recorded_sets.xsens_mti(folder), estimator, gyro_bias)
+        before_and_after("xsens_mti", recorded_sets.xsens_mti(folder), estimator)
         for unit in (0, 1):
-            before_and_after(f"mpu9150 unit {unit}", recorded.mpu9150(folder, unit), estimator)
+            before_and_after(f"mpu9150 unit {unit}", recorded_sets.mpu9150(folder, unit), estimator)
 
 
 if __name__ == "__main__":

@@ -30,8 +30,8 @@ from rich.console import Console
 from rich.table import Table
 
 import srt
-from sims.campaigns import GRADES, SITE, fixture_errors, normal_errors
-from sims.ferraris import (
+from sims.accuracy.campaigns import GRADES, SITE, fixture_errors, normal_errors
+from sims.accuracy.ferraris import (
     TABLE_1_FACES,
     TABLE_1_TURN_RAD,
     TABLE_1_TURNS,
@@ -44,9 +44,9 @@ from sims.ferraris import (
     non_orthogonality,
     signal_regions,
 )
-from sims.imu import accel_matrix, read_out
-from sims.motion import RateProfile
-from sims.table_motion import table1_motion
+from sims.physics.imu import accel_matrix, read_out
+from sims.physics.motion import RateProfile
+from sims.physics.table_motion import table1_motion
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.exceptions import SrtError
 from srt.recording.atomic import atomic_write_text
@@ -330,7 +330,8 @@ The same for units with an asymmetry of 1e-3, which imucal does not know:
 
 ## Set-up
 
-- **Units**: grade `{grade}` of `sims/campaigns.py` (gyros {gyro_noise:.4f} °/√h, accelerometers {accel_noise:.0f}
+- **Units**: grade `{grade}` of `sims/accuracy/campaigns.py` (gyros {gyro_noise:.4f} °/√h, accelerometers
+{accel_noise:.0f}
   µg/√Hz, white noise alone), every error drawn with a sigma of 1e-3 (accelerometer biases 1 mg), gyro biases within
   ±10 °/h; {rate:g} Hz. Each unit comes with and without its asymmetry, with the same noise.
 - **Fixture**: two axes, square to each other; errors of one sigma in levelling, north, mounting and every rotation
@@ -348,8 +349,8 @@ The same for units with an asymmetry of 1e-3, which imucal does not know:
   samples too.
 
 imucal's result has the fixture's axes. It is taken to MARS axes, in which the gyro matrix is symmetric, by its own
-polar decomposition (`sims/ferraris.py`), so that a turn of the whole unit on the fixture costs it nothing. The rows
-of orthogonality depend on no frame. On a perfect fixture, without noise and on an Earth at rest, its result equals
+polar decomposition (`sims/accuracy/ferraris.py`), so that a turn of the whole unit on the fixture costs it nothing. The
+rows of orthogonality depend on no frame. On a perfect fixture, without noise and on an Earth at rest, its result equals
 the truth to rounding (`tests/test_rivals.py`).
 
 ## Fairness

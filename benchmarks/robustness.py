@@ -24,7 +24,7 @@ import srt
 from sims.robustness.config import Campaign, EstimatorChoice, load_campaign
 from sims.robustness.run import run_campaign
 from sims.robustness.trial import run_trial
-from sims.simulation import simulate
+from sims.scenarios.simulation import simulate
 from srt.comparison.parallel import Engine
 from srt.estimation.options import Options
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 import srt
-from sims import campaigns, recorded
+from sims.accuracy import campaigns, recorded_sets
 from srt.comparison.estimators import default_estimators, run_estimators
 from srt.model.analytic_platform import gyro_stream, integrate
 from srt.model.sensor_model import gyro_triad
@@ -76,11 +76,11 @@ def play_back() -> None:
 
 
 def free_recording() -> None:
-    folder = recorded.data_folder()
+    folder = recorded_sets.data_folder()
     if folder is None:
         print("recorded sets not found: xsens_mti not timed")
         return
-    recording = recorded.xsens_mti(folder)
+    recording = recorded_sets.xsens_mti(folder)
     arrays = recording.time, recording.gyro, recording.accel
 
     def whole() -> object:

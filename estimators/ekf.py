@@ -6,7 +6,7 @@ turn hands on to the next, and the draws of a stated drift up to the present seq
 prior: only the point of linearisation is kept, or the data would count twice.
 
 The filter's coordinates are those in which the prior is white, and it is a square-root filter
-(:mod:`estimators.root_ekf`).
+(:mod:`estimators.square_root_filter`).
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
-from estimators.driver import Solved, Step, corrected, default_prior, run
-from estimators.problem import open_problem
-from estimators.root_ekf import RootExtendedKalmanFilter
-from estimators.sequential import blocks, global_columns
-from estimators.system import N_ERRORS, attitude_columns, linearise
-from estimators.targets import PARAMETER_UNITS, targets_met
+from estimators.accuracy_targets import PARAMETER_UNITS, targets_met
+from estimators.iteration import Solved, Step, corrected, default_prior, run
+from estimators.joint_problem import open_problem
+from estimators.linear_system import N_ERRORS, attitude_columns, linearise
+from estimators.sequence_blocks import blocks, global_columns
+from estimators.square_root_filter import RootExtendedKalmanFilter
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from estimators.point import Point
-    from estimators.problem import Problem
-    from estimators.sequential import Block
-    from estimators.system import System
+    from estimators.joint_problem import Problem
+    from estimators.linear_system import System
+    from estimators.linearisation_point import Point
+    from estimators.sequence_blocks import Block
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.model.prior import Prior
@@ -283,7 +283,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     step = EkfStep(options.prior or default_prior())
     if not options.live:
         return run(open_problem(recording, options), step, options, progress)
-    from estimators.live import LiveFilter, run_live
+    from estimators.live_filter import LiveFilter, run_live
 
     live = LiveFilter(options)
     reports = []

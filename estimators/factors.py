@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import gtsam
 import numpy as np
 
-from estimators.system import whiten
+from estimators.linear_system import whiten
 from srt.model import measurement_model as model
 
 if TYPE_CHECKING:

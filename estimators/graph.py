@@ -16,9 +16,9 @@ from gtsam.symbol_shorthand import A, D, F, G, Q, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
-from estimators.driver import Solved, Step, default_prior, run
 from estimators.graph_builder import GraphBuilder
-from estimators.problem import open_problem
+from estimators.iteration import Solved, Step, default_prior, run
+from estimators.joint_problem import open_problem
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from estimators.point import Point
-    from estimators.problem import Problem
-    from estimators.system import System
+    from estimators.joint_problem import Problem
+    from estimators.linear_system import System
+    from estimators.linearisation_point import Point
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.model.prior import Prior

@@ -17,7 +17,7 @@ import numpy as np
 from gtsam.symbol_shorthand import A, B, D, E, F, G, Q, U, X
 
 from estimators import factors
-from estimators.system import N_ERRORS, edge_numbers, fixed_headings, fixture_starts, total
+from estimators.linear_system import N_ERRORS, edge_numbers, fixed_headings, fixture_starts, total
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from estimators.point import Played, Point
-    from estimators.problem import Problem
+    from estimators.joint_problem import Problem
+    from estimators.linearisation_point import Played, Point
     from srt.model.prior import Prior
 
     Array = NDArray[np.float64]

@@ -36,7 +36,7 @@ from trajectories import START_LLA, VEHICLES, Motion, course_of, motion_of, pyin
 
 import sims
 import srt
-from sims.true_motion import TrueMotion
+from sims.physics.true_motion import TrueMotion
 from srt.recording.atomic import atomic_write_text
 
 if TYPE_CHECKING:

@@ -19,27 +19,27 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sims.fixture import FixtureDraw, draw_fixture, rotation
-from sims.free_motion import free_motion, random_attitude, random_turns
-from sims.imu import ImuModel, read_out
-from sims.library import configs_path
-from sims.motion import RateProfile
-from sims.sequences import TABLE_1, TurnSequence, table_sequences
-from sims.table_motion import Schedule, run_schedule, table1_motion
-from sims.true_motion import TrueMotion
+from sims.physics.fixture import FixtureDraw, draw_fixture, rotation
+from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.motion import RateProfile
+from sims.physics.sequences import TABLE_1, TurnSequence, table_sequences
+from sims.physics.table_motion import Schedule, run_schedule, table1_motion
+from sims.physics.true_motion import TrueMotion
+from sims.scenarios.library import configs_path
 from srt.exceptions import MissingExtraError
 
 if TYPE_CHECKING:
-    from sims.scenario import Scenario, load_scenario, scenario_from_dict
-    from sims.simulation import Simulation, draw_errors, simulate
+    from sims.scenarios.scenario import Scenario, load_scenario, scenario_from_dict
+    from sims.scenarios.simulation import Simulation, draw_errors, simulate
 
 _NEEDS_PYDANTIC = {
-    "Scenario": "scenario",
-    "load_scenario": "scenario",
-    "scenario_from_dict": "scenario",
-    "Simulation": "simulation",
-    "draw_errors": "simulation",
-    "simulate": "simulation",
+    "Scenario": "scenarios.scenario",
+    "load_scenario": "scenarios.scenario",
+    "scenario_from_dict": "scenarios.scenario",
+    "Simulation": "scenarios.simulation",
+    "draw_errors": "scenarios.simulation",
+    "simulate": "scenarios.simulation",
 }
 """Names loaded on first use: the physics works without the extra 'sims'."""
 

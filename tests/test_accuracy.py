@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns
-from sims.imu import read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 ERRORS = slice(0, 24)  # gyro bias is a nuisance

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 import sims
 import srt
-from sims import campaigns
+from sims.accuracy import campaigns
 from srt.noise import allan
 from srt.noise.allan import CHANNELS, TERMS, allan_deviation, interval
 

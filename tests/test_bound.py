@@ -11,11 +11,19 @@ from scipy.spatial.transform import Rotation
 
 import sims
 import srt
-from sims.bound import END_ACCEL, FIXTURE_SIGMAS, ROTATION, START_ACCEL, bayesian_bound, linearise, scenario_bound
-from sims.campaigns import GRADES, SITE, noisy_recording, normal_errors
-from sims.imu import ImuModel, exact_increments, gyro_matrix
-from sims.motion import RateProfile
-from sims.simulation import schedule_of
+from sims.accuracy.bound import (
+    END_ACCEL,
+    FIXTURE_SIGMAS,
+    ROTATION,
+    START_ACCEL,
+    bayesian_bound,
+    linearise,
+    scenario_bound,
+)
+from sims.accuracy.campaigns import GRADES, SITE, noisy_recording, normal_errors
+from sims.physics.imu import ImuModel, exact_increments, gyro_matrix
+from sims.physics.motion import RateProfile
+from sims.scenarios.simulation import schedule_of
 from srt.constants import ARCSEC, DEG_PER_SQRT_H
 from srt.exceptions import DataError, InputError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS, SensorErrors

@@ -8,8 +8,8 @@ import pytest
 
 import sims
 import srt
-from sims.budget import FIXTURE, G_SENSITIVITY, NOT_COUNTED, budget
-from sims.simulation import simulate
+from sims.accuracy.budget import FIXTURE, G_SENSITIVITY, NOT_COUNTED, budget
+from sims.scenarios.simulation import simulate
 from srt.cli import main
 from srt.exceptions import InputError
 from srt.sensor_errors import NAMES

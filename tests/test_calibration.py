@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns
-from sims.imu import read_out
-from sims.sequences import TABLE_1
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
+from sims.physics.sequences import TABLE_1
+from sims.physics.table_motion import table1_motion
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 

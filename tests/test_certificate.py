@@ -14,10 +14,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import srt
-from sims import campaigns
-from sims.free_motion import free_motion, random_attitude, random_turns
-from sims.imu import read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
 from srt.reports.certificate import facts, load_limits, load_source, make_certificate, page, pdf

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import srt
-from sims.imu import ImuModel, read_out
-from sims.mount_stand import stand_motion
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.mount_stand import stand_motion
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.model.rotations import rotation_matrix

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import srt
-from sims import recorded
+from sims.accuracy import recorded_sets
 from srt.cli import main
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2, normal_gravity_m_s2
 
@@ -182,9 +182,9 @@ def test_formats_are_listed(capsys):
 
 # The recorded sets, by the commands that a user would give.
 
-FOLDER = recorded.data_folder()
+FOLDER = recorded_sets.data_folder()
 needs_sets = pytest.mark.skipif(
-    FOLDER is None, reason=f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder"
+    FOLDER is None, reason=f"recorded sets not found; set {recorded_sets.DATA_VARIABLE} to their folder"
 )
 
 
@@ -207,7 +207,7 @@ def test_xsens_set(tmp_path):
     ]
     assert convert(*arguments) == 0
     # A product with a rounded 1/x differs from the quotient by the roundings of both, half an ulp each.
-    assert_same(srt.load_recording(tmp_path / "rec"), recorded.xsens_mti(FOLDER), rtol=2.0 * np.finfo(float).eps)
+    assert_same(srt.load_recording(tmp_path / "rec"), recorded_sets.xsens_mti(FOLDER), rtol=2.0 * np.finfo(float).eps)
 
 
 @needs_sets
@@ -219,7 +219,7 @@ def test_mpu9150_set(tmp_path, unit):
         *("--gravity-m-s2", "9.81", "--gravity-sigma-m-s2", "5e-3"),
     ]
     assert convert(*arguments) == 0
-    expected = recorded.mpu9150(FOLDER, unit)
+    expected = recorded_sets.mpu9150(FOLDER, unit)
     loaded = srt.load_recording(tmp_path / "rec")
     # k/100 and k times 0.01 differ by the roundings of both, half an ulp each and one of 0.01.
     np.testing.assert_allclose(loaded.time, expected.time, rtol=2.0 * np.finfo(float).eps)
@@ -236,7 +236,7 @@ def test_ferraris_set(tmp_path):
         *("--gravity-m-s2", "9.81", "--gravity-sigma-m-s2", "5e-3"),
     ]
     assert convert(*arguments) == 0
-    assert_same(srt.load_recording(tmp_path / "rec"), recorded.ferraris(FOLDER))
+    assert_same(srt.load_recording(tmp_path / "rec"), recorded_sets.ferraris(FOLDER))
 
 
 @needs_sets

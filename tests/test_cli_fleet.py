@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns
-from sims.imu import read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
 from srt.cli import main
 from srt.cli.recordings import find_recordings, unit_names
 from srt.recording.recording import Fixture

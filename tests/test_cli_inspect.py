@@ -13,7 +13,7 @@ import pytest
 
 import sims
 import srt
-from sims import campaigns
+from sims.accuracy import campaigns
 from srt.cli import main
 from srt.model.table1 import SEQUENCES
 from srt.reports.text.inspection import significant

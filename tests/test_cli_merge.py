@@ -10,9 +10,9 @@ import pytest
 
 import srt
 import srt.estimation.registry
-from sims import campaigns
-from sims.imu import read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
 from srt.cli import main
 from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture

@@ -156,7 +156,7 @@ def test_mistakes(tmp_path, monkeypatch, capsys, changes, arguments, code, said)
 )
 def test_what_a_sequence_shows_is_table_2(tmp_path, sequence, component, terms):
     """Savage 2020, Table 2, over g; gyro biases apart, which eqs. 20-22 have."""
-    from sims.plan_file import load_plan_file
+    from sims.scenarios.plan_file import load_plan_file
     from srt.planning.signature import parse_sequence, signature
 
     file = load_plan_file(write(tmp_path / "lab.toml"))
@@ -176,8 +176,8 @@ def test_a_sequence_is_shown(capsys):
 
 
 def test_shipped_plans_are_read():
-    from sims.library import names
-    from sims.plan_file import load_plan_file
+    from sims.scenarios.library import names
+    from sims.scenarios.plan_file import load_plan_file
 
     assert len(names("plan")) == 6
     for name in names("plan"):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import sims
-from sims.imu import exact_increments
+from sims.physics.imu import exact_increments
 from srt.exceptions import DataError
 from srt.model.analytic_platform import gyro_stream, integrate
 from srt.model.sensor_model import (

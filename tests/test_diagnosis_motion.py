@@ -14,12 +14,12 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-import sims.fault_motion  # noqa: F401 - registers its injections
+import sims.faults.motion  # noqa: F401 - registers its injections
 import srt.diagnosis.sequences
 import srt.diagnosis.windows  # noqa: F401 - registers its checks
-from sims import recorded
-from sims.faults import GRADES, INJECTIONS, Case
-from sims.sequences import TABLE_1
+from sims.accuracy import recorded_sets
+from sims.faults.injection import GRADES, INJECTIONS, Case
+from sims.physics.sequences import TABLE_1
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of, in_order
 from srt.diagnosis.motion import offset
@@ -47,7 +47,7 @@ FAULTS = (
 )
 IDS = tuple(TABLE_1)
 SEED = 320_000
-FOLDER = recorded.data_folder()
+FOLDER = recorded_sets.data_folder()
 
 
 class Labelled(Evidence):
@@ -252,7 +252,7 @@ def test_a_noisy_window_is_told_with_its_factor():
 def test_a_real_bump_is_seen_by_both_units_that_were_turned_together():
     told = []
     for unit in (0, 1):
-        recording = recorded.mpu9150(FOLDER, unit)
+        recording = recorded_sets.mpu9150(FOLDER, unit)
         found = findings(recording.with_sequences(find_turns(recording)))
         told.append(next(f.details for f in found if f.fault == "bump"))
     # Started by hand within a fraction of a second of one another; scale factors agree to a few per cent.

@@ -14,14 +14,14 @@ from diagnosing import WithoutRecognition, examine_stages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.fault_samples  # noqa: F401 - registers its injections
+import sims.faults.samples  # noqa: F401 - registers its injections
 import srt.diagnosis.axes
 import srt.diagnosis.clipping
 import srt.diagnosis.timing
 import srt.diagnosis.units  # noqa: F401 - register their checks
-from sims.disturbances import tilt_step
-from sims.faults import GRADES, INJECTIONS, Case
-from sims.imu import read_out
+from sims.faults.injection import GRADES, INJECTIONS, Case
+from sims.physics.disturbances import tilt_step
+from sims.physics.imu import read_out
 from srt.diagnosis.channels import CHANNELS
 from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.repeat_evidence import stuck_runs

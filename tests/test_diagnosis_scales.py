@@ -14,11 +14,11 @@ from diagnosing import WithoutRecognition, examine_stages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.fault_scales  # noqa: F401 - registers its injections
+import sims.faults.scales  # noqa: F401 - registers its injections
 import srt.diagnosis.axes
 import srt.diagnosis.clipping
 import srt.diagnosis.units  # noqa: F401 - register their checks
-from sims.faults import GRADES, INJECTIONS, Case
+from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
 from srt.diagnosis.axes import gravity_relation, mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.fault_statements  # registers its injections
-from sims.faults import GRADES, INJECTIONS, Case
-from sims.imu import ImuModel
+import sims.faults.statements  # registers its injections
+from sims.faults.injection import GRADES, INJECTIONS, Case
+from sims.physics.imu import ImuModel
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.fault_statements  # noqa: F401 - registers its injections
-from sims.faults import GRADES, INJECTIONS, Case
+import sims.faults.statements  # noqa: F401 - registers its injections
+from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import checks_of

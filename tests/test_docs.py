@@ -24,7 +24,7 @@ from test_errata_papers import BIAS_EFFECTS
 
 import sims
 import srt
-from sims import plan_file
+from sims.scenarios import plan_file
 from srt.cli import main
 from srt.cli.app import app
 from srt.mount.alignment import mount_from_calibration

@@ -20,7 +20,7 @@ import pytest
 from conftest import RATE_RAD_S, WINDOW_S, G, Simulated
 from scipy.spatial.transform import Rotation
 
-from sims.fixture import FixtureDraw, FixtureGeometry, rotation
+from sims.physics.fixture import FixtureDraw, FixtureGeometry, rotation
 from srt.model import closed_form, measurement_model, rotation_integrals
 from srt.model.rotations import cross_matrix
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad

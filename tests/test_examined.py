@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import srt
-from sims.faults import Case
+from sims.faults.injection import Case
 from srt.constants import DEG
 from srt.estimation.options import Options
 from srt.procedure import calibrate_examined
@@ -48,8 +48,8 @@ def test_a_fault_that_is_told_stands_with_the_result(recording):
 
 def test_what_only_a_calibration_shows_is_looked_for(recording):
     truth = srt.SensorErrors.from_dict({"gyro_asymmetry_x": 2e-3})
-    from sims.campaigns import GRADES
-    from sims.imu import read_out
+    from sims.accuracy.campaigns import GRADES
+    from sims.physics.imu import read_out
 
     case = Case("tactical-fog", 901)
     asymmetric = read_out(case.simulation.motion, truth, GRADES["tactical"], np.random.default_rng(1))

@@ -12,7 +12,7 @@ import pytest
 
 import sims
 import srt
-from sims.imu import exact_increments
+from sims.physics.imu import exact_increments
 from srt.sensor_errors import N_PARAMETERS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -14,10 +14,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sims import fault_study
-from sims.fault_study import ALL_OR_NOTHING, CLEAN, FACTORS, LEAST_ONE, SHARES, Row, Study, severity_at, trial
-from sims.fault_table import markdown, missed_targets
-from sims.faults import GRADES, Injection, load_injections
+from sims.faults import study as fault_study
+from sims.faults.injection import GRADES, Injection
+from sims.faults.study import (
+    ALL_OR_NOTHING,
+    CLEAN,
+    FACTORS,
+    LEAST_ONE,
+    SHARES,
+    Row,
+    Study,
+    all_injections,
+    severity_at,
+    trial,
+)
+from sims.faults.table import markdown, missed_targets
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
 
@@ -46,13 +57,13 @@ def trials(monkeypatch):
             if fault == CLEAN:
                 rows.append(Row(CLEAN, grade, seed, 0, 0.0, "spikes" if (grade, seed) == (FIRST, 1) else None))
                 continue
-            severity = severity_at(fault_study.load_injections()[fault], grade, rung)
+            severity = severity_at(fault_study.all_injections()[fault], grade, rung)
             # Below the smallest one a unit here and there is named all the same.
             named = fault if severity >= smallest[fault, grade] or seed % 7 == 0 else "creep"
             rows.append(Row(fault, grade, seed, rung, severity, named))
         return rows
 
-    monkeypatch.setattr(fault_study, "load_injections", lambda: catalogue)
+    monkeypatch.setattr(fault_study, "all_injections", lambda: catalogue)
     monkeypatch.setattr(fault_study, "trial", stand_in)
     return ran
 
@@ -76,7 +87,7 @@ def test_smallest_severity_and_counts(tmp_path, trials):
     assert run.alarms(FIRST) == (3, {"spikes": 1})
     assert run.alarms(SECOND) == (3, {})
     # A rung that is not seen is given up after its first few units.
-    assert len([1 for _, _, fault, rung in trials if (fault, rung) == ("north", 1)]) < fault_study.LADDER_UNITS
+    assert len([1 for _, _, fault, rung in trials if (fault, rung) == ("north", 1)]) < study.LADDER_UNITS
 
 
 def test_every_recording_is_asked_once_and_what_is_done_is_not_done_again(tmp_path, trials):
@@ -109,8 +120,8 @@ def test_an_interrupted_study_goes_on(tmp_path, trials):
 def test_a_severity_that_is_stated_anew_is_run_anew(tmp_path, trials, monkeypatch):
     path = tmp_path / "results"
     study(path).run()
-    catalogue = fault_study.load_injections() | {"bump": injection("bump", {FIRST: 4.0, SECOND: 20.0})}
-    monkeypatch.setattr(fault_study, "load_injections", lambda: catalogue)
+    catalogue = fault_study.all_injections() | {"bump": injection("bump", {FIRST: 4.0, SECOND: 20.0})}
+    monkeypatch.setattr(fault_study, "all_injections", lambda: catalogue)
     run = study(path)
     assert [pair.of for pair in run.pairs()] == [0, 0, 50, 0]
     trials.clear()
@@ -121,7 +132,7 @@ def test_a_severity_that_is_stated_anew_is_run_anew(tmp_path, trials, monkeypatc
 
 def test_the_file_of_something_else_is_refused(tmp_path, trials):
     path = tmp_path / "results"
-    for content in ("not JSON\n", '{"format": 2}\n', json.dumps(fault_study.FORMAT) + '\n{"fault": 1}\n'):
+    for content in ("not JSON\n", '{"format": 2}\n', json.dumps(study.FORMAT) + '\n{"fault": 1}\n'):
         path.write_text(content, encoding="utf-8")
         with pytest.raises(InputError, match="holds no results of this study"):
             study(path)
@@ -185,15 +196,15 @@ def test_real_trials():
     """What the injections name: a refusal on reading, a warning, and nothing where there is nothing."""
     rows = trial("tactical-fog", 320_000, [(CLEAN, 0), ("gravity", 0), ("not_finite", 0), ("temperature_drift", 1)])
     assert [row.named for row in rows] == [None, "gravity", "not_finite", "temperature_drift"]
-    stated = load_injections()["temperature_drift"].severity["tactical-fog"]
+    stated = all_injections()["temperature_drift"].severity["tactical-fog"]
     assert [row.severity for row in rows[1:]][2] == 0.5 * stated
     assert trial("tactical-fog", 320_000, [("gravity", 0)]) == rows[1:2]
 
 
 def test_every_fault_is_injected_or_said_to_be_unseen():
-    injections = load_injections()
-    assert set(injections) == set(FAULTS)
-    for fault, made in injections.items():
+    catalogue = all_injections()
+    assert set(catalogue) == set(FAULTS)
+    for fault, made in catalogue.items():
         assert {*made.severity, *made.unseen} == set(GRADES), fault
         assert all(len(reason) > 20 for reason in made.unseen.values()), fault
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
 import sims
-from sims.imu import CORRELATION_TIMES_S as SIMULATED_TIMES_S
-from sims.imu import drift
+from sims.physics.imu import CORRELATION_TIMES_S as SIMULATED_TIMES_S
+from sims.physics.imu import drift
 from srt.model.rotation_integrals import equal_parts
 from srt.noise.bias_instability import (
     CORRELATION_TIMES_S,

@@ -12,11 +12,11 @@ from scipy.stats import binom, chi2
 
 import sims
 import srt
-from sims import campaigns
-from sims.budget import G_SENSITIVITY
-from sims.g_sensitivity_study import BIAS_DEG_PER_S, MODES, mems_scenario, study
-from sims.imu import ImuModel, read_out
-from sims.simulation import draw_errors
+from sims.accuracy import campaigns
+from sims.accuracy.budget import G_SENSITIVITY
+from sims.accuracy.g_sensitivity import BIAS_DEG_PER_S, MODES, mems_scenario, study
+from sims.physics.imu import ImuModel, read_out
+from sims.scenarios.simulation import draw_errors
 from srt import exporters
 from srt.cli import main
 from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G, STANDARD_GRAVITY_M_S2

@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 
 import sims
 import srt
-from sims import campaigns, recorded
+from sims.accuracy import campaigns, recorded_sets
 from srt.diagnosis.inspection import declared_units, inspect
 from srt.model.table1 import SEQUENCES
 from srt.reports.figures.inspection import envelope, inspection_figure, save_figure
 
-FOLDER = recorded.data_folder()
+FOLDER = recorded_sets.data_folder()
 RATE = 100.0
 
 
@@ -316,14 +316,16 @@ def test_the_picture_leaves_matplotlib_alone(tmp_path, rested, inspected_rests):
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.skipif(FOLDER is None, reason=f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder")
+@pytest.mark.skipif(
+    FOLDER is None, reason=f"recorded sets not found; set {recorded_sets.DATA_VARIABLE} to their folder"
+)
 def test_recorded_sets():
     """As their authors describe them: 37 turns of the MTi, 21 of the MPU-9150; six faces and three full turns."""
     turns = {}
     for name, recording in (
-        ("xsens", recorded.xsens_mti(FOLDER)),
-        ("mpu9150", recorded.mpu9150(FOLDER, 0)),
-        ("ferraris", recorded.ferraris(FOLDER)),
+        ("xsens", recorded_sets.xsens_mti(FOLDER)),
+        ("mpu9150", recorded_sets.mpu9150(FOLDER, 0)),
+        ("ferraris", recorded_sets.ferraris(FOLDER)),
     ):
         found = inspect(recording)
         assert found.diagnosis.refusal is None, name

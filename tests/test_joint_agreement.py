@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 import sims
-from sims.campaigns import noisy_recording
+from sims.accuracy.campaigns import noisy_recording
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import iteration
 from srt.estimation.closed_form_solver import ClosedFormSolver
@@ -40,12 +40,12 @@ pytest.importorskip("gtsam")
 
 from threadpoolctl import threadpool_limits
 
-from estimators.batch import solve
-from estimators.driver import Solved, State, Step, iterate
+from estimators.dense_solution import solve
 from estimators.ekf import EkfStep, default_prior, run_filter
 from estimators.graph import GraphStep
-from estimators.problem import Problem, open_problem
-from estimators.system import linearise
+from estimators.iteration import Solved, State, Step, iterate
+from estimators.joint_problem import Problem, open_problem
+from estimators.linear_system import linearise
 
 EPS = np.finfo(float).eps
 G = 9.80665

@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns, disturbances
-from sims.imu import read_out
-from sims.sequences import TABLE_1
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics import disturbances
+from sims.physics.imu import read_out
+from sims.physics.sequences import TABLE_1
+from sims.physics.table_motion import table1_motion
 from srt.constants import DEG_PER_H
 from srt.recording.recording import Fixture
 from srt.sensor_errors import NAMES

@@ -1,7 +1,8 @@
 """Factor graph and Kalman filter against the Cramér-Rao bound: nearly efficient, with honest sigmas and innovations.
 
 300 units over the three grades here, 2,000 with ``-m slow``; ``benchmarks/efficiency.py`` runs 2,000 of each grade.
-Claims and their statistical bounds are those of :mod:`sims.efficiency`: limit plus 3.5 standard errors at this size.
+Claims and their statistical bounds are those of :mod:`sims.accuracy.efficiency`: limit plus 3.5 standard errors at this
+size.
 """
 
 import math
@@ -11,9 +12,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from sims import efficiency
-from sims.campaigns import GRADES, Trial, run
-from sims.efficiency import LIMITS, Criterion, Unit, bound_sigma, criteria, innovation_criteria, summarise
+from sims.accuracy import efficiency
+from sims.accuracy.campaigns import GRADES, Trial, run
+from sims.accuracy.efficiency import LIMITS, Criterion, Unit, bound_sigma, criteria, innovation_criteria, summarise
 from srt.sensor_errors import N_PARAMETERS
 
 pytest.importorskip("gtsam")

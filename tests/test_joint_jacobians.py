@@ -19,8 +19,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 import sims
-from sims.campaigns import large_errors
-from sims.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
+from sims.accuracy.campaigns import large_errors
+from sims.physics.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
 from srt.estimation.options import Options
 from srt.model import measurement_model as model
 from srt.model import rotation_integrals, rotations
@@ -34,12 +34,12 @@ pytest.importorskip("gtsam")
 
 import gtsam
 
-from estimators.batch import solve
-from estimators.driver import corrected
+from estimators.dense_solution import solve
 from estimators.graph import solve_linear
 from estimators.graph_builder import GraphBuilder
-from estimators.problem import Problem, open_problem
-from estimators.system import N_ERRORS, edge_numbers, linearise
+from estimators.iteration import corrected
+from estimators.joint_problem import Problem, open_problem
+from estimators.linear_system import N_ERRORS, edge_numbers, linearise
 
 EPS = np.finfo(float).eps
 G = 9.80665
@@ -378,7 +378,7 @@ def motions():
         stated_fixture=Fixture(HEADING, 5e-3, 5e-3),
     )
     rng = np.random.default_rng(6)
-    free = sims.free_motion(
+    free = sims.physics.free_motion(
         sims.random_turns(rng, 4),
         site=SITE,
         attitude=sims.random_attitude(rng),

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns
-from sims.imu import read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
 from srt.exceptions import InputError
 from srt.recording.recording import Fixture
 from srt.sensor_errors import NAMES
 
 pytest.importorskip("filterpy")
-live = pytest.importorskip("estimators.live")
+live = pytest.importorskip("estimators.live_filter")
 
 TARGETS = {"gyro_scale": 1e-6, "accel_scale": 2e-6}
 

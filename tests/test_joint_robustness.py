@@ -12,11 +12,11 @@ import pytest
 from scipy.linalg import rq
 
 import srt
-from sims import campaigns, recorded
-from sims.fixture import rotation
-from sims.free_motion import free_motion, random_attitude, random_turns
-from sims.imu import ImuModel, read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns, recorded_sets
+from sims.physics.fixture import rotation
+from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.table_motion import table1_motion
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.estimation.registry import find_estimator
 from srt.model.sensor_model import accel_triad, gyro_triad
@@ -372,9 +372,9 @@ def test_a_fixture_that_wobbles(estimator, count):
 
 # Recorded data
 
-FOLDER = recorded.data_folder()
+FOLDER = recorded_sets.data_folder()
 needs_data = pytest.mark.skipif(
-    FOLDER is None, reason=f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder"
+    FOLDER is None, reason=f"recorded sets not found; set {recorded_sets.DATA_VARIABLE} to their folder"
 )
 IMU_TK = {
     "accel_gain": (414.46, 412.01, 414.65),
@@ -388,22 +388,22 @@ GROUP = {"accel_gain": "accel_scale", "gyro_gain": "gyro_scale", "accel_offset":
 
 def in_counts(calibration):
     """Gains and offsets in imu_tk's frame: the accelerometer matrix upper triangular."""
-    accel = recorded.XSENS_ACCEL_PER_M_S2 * accel_triad(calibration.errors).matrix
+    accel = recorded_sets.XSENS_ACCEL_PER_M_S2 * accel_triad(calibration.errors).matrix
     upper, turn = rq(accel)
     signs = np.diag(np.sign(np.diag(upper)))
-    gyro = recorded.XSENS_GYRO_PER_RAD_S * gyro_triad(calibration.errors).matrix @ (signs @ turn).T
+    gyro = recorded_sets.XSENS_GYRO_PER_RAD_S * gyro_triad(calibration.errors).matrix @ (signs @ turn).T
     bias = calibration.errors.group("accel_bias")
     return {
         "accel_gain": np.diag(upper @ signs),
         "gyro_gain": 1.0 / np.diag(np.linalg.inv(gyro)),
-        "accel_offset": recorded.XSENS_ACCEL_OFFSET + recorded.XSENS_ACCEL_PER_M_S2 * bias,
+        "accel_offset": recorded_sets.XSENS_ACCEL_OFFSET + recorded_sets.XSENS_ACCEL_PER_M_S2 * bias,
     }
 
 
 @cache
 def xsens(estimator, gyro_bias):
     held = ("gyro_asymmetry", "accel_asymmetry")  # imu_tk models no asymmetry of either kind
-    return srt.calibrate(recorded.xsens_mti(FOLDER), estimator, hold=held, gyro_bias=gyro_bias)
+    return srt.calibrate(recorded_sets.xsens_mti(FOLDER), estimator, hold=held, gyro_bias=gyro_bias)
 
 
 @needs_data
@@ -415,7 +415,7 @@ def test_xsens_agrees_with_imu_tk(estimator, gyro_bias):
     assert calibration.status == "partial"
     found, sigma = in_counts(calibration), calibration.sigma
     for name, published in IMU_TK.items():
-        scale = recorded.XSENS_ACCEL_PER_M_S2 if name == "accel_offset" else np.array(published)
+        scale = recorded_sets.XSENS_ACCEL_PER_M_S2 if name == "accel_offset" else np.array(published)
         difference = np.abs(found[name] - published) / scale
         assert np.all(difference <= FAIR[name] + 2.0 * sigma[GROUP_SLICES[GROUP[name]]]), (name, difference)
 
@@ -444,12 +444,12 @@ def test_xsens_filter_agrees_with_graph():
 @pytest.mark.parametrize("estimator", JOINT)
 def test_mpu9150_is_calibrated(estimator, unit):
     """Gravity and turns close far better than before, about as well as after least squares."""
-    recording = recorded.mpu9150(FOLDER, unit)
+    recording = recorded_sets.mpu9150(FOLDER, unit)
     labelled = recording.with_sequences(srt.find_turns(recording))
-    least = recorded.residuals(labelled, srt.calibrate(recording).errors)
+    least = recorded_sets.residuals(labelled, srt.calibrate(recording).errors)
     calibration = srt.calibrate(recording, estimator)
     assert calibration.status in ("converged", "partial")
-    before, after = (recorded.residuals(labelled, errors) for errors in (None, calibration.errors))
+    before, after = (recorded_sets.residuals(labelled, errors) for errors in (None, calibration.errors))
     assert after["gravity_m_s2"] < before["gravity_m_s2"] / 20.0
     assert after["turn_deg"] < before["turn_deg"] / 3.0
     # 21 turns: their rms is known to 1 part in 6, so that a quarter more is no worse.

@@ -12,7 +12,7 @@ pytest.importorskip("filterpy")
 from filterpy.kalman import ExtendedKalmanFilter
 from threadpoolctl import threadpool_limits
 
-from estimators.root_ekf import RootExtendedKalmanFilter
+from estimators.square_root_filter import RootExtendedKalmanFilter
 
 EPS = np.finfo(float).eps
 SEEDS = range(10)

@@ -12,9 +12,9 @@ from scipy.special import chdtri
 from scipy.stats import kstest
 
 import srt
-from sims import campaigns
-from sims.imu import read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
 from srt.comparison.merge_model import between_sigma, stack_of
 from srt.constants import DEG_PER_H

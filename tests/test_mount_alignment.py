@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns
-from sims.imu import ImuModel, read_out
-from sims.mount_stand import LEVEL_AND_NOSE_DOWN_RAD, StandDraw, draw_stand, mount_matrix, stand_motion
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.mount_stand import LEVEL_AND_NOSE_DOWN_RAD, StandDraw, draw_stand, mount_matrix, stand_motion
+from sims.physics.table_motion import table1_motion
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad

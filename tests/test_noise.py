@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns
+from sims.accuracy import campaigns
 from srt.noise.from_windows import ACCEL_FLOOR, GYRO_FLOOR, _fit_one, flicker_spread, noise_model
 from srt.noise.variance_components import restricted_likelihood
 

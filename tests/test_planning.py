@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import sims
 import srt
-from sims.library import names
-from sims.plan_file import load_plan_file
+from sims.scenarios.library import names
+from sims.scenarios.plan_file import load_plan_file
 from srt.exceptions import DataError, InputError
 from srt.model.table1 import SEQUENCES
 from srt.planning.candidates import from_catalogue

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sims.fixture import FixtureGeometry
-from sims.motion import RateProfile
-from sims.sequences import TABLE_1, TurnSequence
+from sims.physics.fixture import FixtureGeometry
+from sims.physics.motion import RateProfile
+from sims.physics.sequences import TABLE_1, TurnSequence
 from srt.exceptions import InputError
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import SEQUENCES, Sequence

@@ -131,7 +131,8 @@ def test_global_state_is_left_alone():
 def test_an_absent_matplotlib_says_what_to_install():
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
-        "import srt\ntry:\n    import srt.reports.figures.calibration\nexcept srt.MissingExtraError as error:\n    print(error)"
+        "import srt\ntry:\n    import srt.reports.figures.calibration\n"
+        "except srt.MissingExtraError as error:\n    print(error)"
     )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, check=True, capture_output=True, text=True)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import srt
-from sims import recognition_study as study
-from sims.faults import GRADES, Case
+from sims.accuracy import recognition as study
+from sims.faults.injection import GRADES, Case
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sequences.manoeuvres import face_vector, quarter_turn
 from srt.sequences.recognition import label_sequences, recognise
@@ -98,8 +98,8 @@ def test_a_recording_without_a_fixture_is_not_labelled():
 
 
 def test_a_free_recording_holds_none():
-    from sims.free_motion import free_motion, random_attitude, random_turns
-    from sims.imu import ImuModel, read_out
+    from sims.physics.free_motion import free_motion, random_attitude, random_turns
+    from sims.physics.imu import ImuModel, read_out
 
     rng = np.random.default_rng(12)
     turns = random_turns(rng, 20, smallest_rad=0.8, largest_rad=2.5)
@@ -112,14 +112,14 @@ def test_a_free_recording_holds_none():
 
 
 def test_a_sequence_turned_the_other_way_is_said_to_be():
-    from sims.sequences import TABLE_1, table_sequences
-    from sims.table_motion import Schedule, run_schedule
+    from sims.physics.sequences import TABLE_1, table_sequences
+    from sims.physics.table_motion import Schedule, run_schedule
 
     recording = Case("tactical-fog", 5).recording
     reversed_8 = replace(table_sequences(("8",))[0], rotations=(("x", -180.0),), id="8-reversed", in_table_1=False)
     order = [reversed_8 if name == "8" else table_sequences((name,))[0] for name in TABLE_1]
     motion = run_schedule(Schedule(tuple(order)), site=recording.site, sample_rate_hz=100.0)
-    from sims.imu import ImuModel, read_out
+    from sims.physics.imu import ImuModel, read_out
 
     noisy = read_out(motion, srt.SensorErrors(), ImuModel(gyro_noise=1e-5, accel_noise=1e-4), np.random.default_rng(1))
     found = recognise(noisy.with_sequences(()))

@@ -5,34 +5,34 @@ import pytest
 from scipy.linalg import rq
 
 import srt
-from sims import recorded
+from sims.accuracy import recorded_sets
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.stationary_windows import find_windows
 
-FOLDER = recorded.data_folder()
+FOLDER = recorded_sets.data_folder()
 pytestmark = pytest.mark.skipif(
-    FOLDER is None, reason=f"recorded sets not found; set {recorded.DATA_VARIABLE} to their folder"
+    FOLDER is None, reason=f"recorded sets not found; set {recorded_sets.DATA_VARIABLE} to their folder"
 )
 
 
 @pytest.fixture(scope="module")
 def xsens():
     # imu_tk models no asymmetry of either kind.
-    return srt.calibrate(recorded.xsens_mti(FOLDER), hold=("gyro_asymmetry", "accel_asymmetry"))
+    return srt.calibrate(recorded_sets.xsens_mti(FOLDER), hold=("gyro_asymmetry", "accel_asymmetry"))
 
 
 def in_accelerometer_gauge(calibration):
     """Gains and offsets in counts, in imu_tk's frame: the accelerometer matrix upper triangular."""
-    accel = recorded.XSENS_ACCEL_PER_M_S2 * accel_triad(calibration.errors).matrix
+    accel = recorded_sets.XSENS_ACCEL_PER_M_S2 * accel_triad(calibration.errors).matrix
     upper, turn = rq(accel)
     signs = np.diag(np.sign(np.diag(upper)))
-    gyro = recorded.XSENS_GYRO_PER_RAD_S * gyro_triad(calibration.errors).matrix @ (signs @ turn).T
+    gyro = recorded_sets.XSENS_GYRO_PER_RAD_S * gyro_triad(calibration.errors).matrix @ (signs @ turn).T
     return {
         "accel_gain": np.diag(upper @ signs),
         "gyro_gain": 1.0 / np.diag(np.linalg.inv(gyro)),
-        "accel_offset": recorded.XSENS_ACCEL_OFFSET
-        + recorded.XSENS_ACCEL_PER_M_S2 * calibration.errors.group("accel_bias"),
+        "accel_offset": recorded_sets.XSENS_ACCEL_OFFSET
+        + recorded_sets.XSENS_ACCEL_PER_M_S2 * calibration.errors.group("accel_bias"),
         "accel_rows": accel,
         "gyro_rows": gyro,
     }
@@ -57,14 +57,16 @@ def test_xsens_agrees_with_imu_tk(xsens):
         "accel_offset": 2.0 * sigma[GROUP_SLICES["accel_bias"]],
     }
     for name, published in IMU_TK.items():
-        scale = recorded.XSENS_ACCEL_PER_M_S2 if name == "accel_offset" else np.array(published)
+        scale = recorded_sets.XSENS_ACCEL_PER_M_S2 if name == "accel_offset" else np.array(published)
         difference = np.abs(found[name] - published) / scale
         assert np.all(difference <= FAIR[name] + two_sigma[name]), (name, difference)
 
 
 def test_xsens_gyro_gains_agree_like_for_like():
     """With one gyro bias for the whole recording, as imu_tk has it, gains are within the fair amount unwidened."""
-    result = srt.calibrate(recorded.xsens_mti(FOLDER), hold=("gyro_asymmetry", "accel_asymmetry"), gyro_bias="pooled")
+    result = srt.calibrate(
+        recorded_sets.xsens_mti(FOLDER), hold=("gyro_asymmetry", "accel_asymmetry"), gyro_bias="pooled"
+    )
     np.testing.assert_allclose(in_accelerometer_gauge(result)["gyro_gain"], IMU_TK["gyro_gain"], rtol=FAIR["gyro_gain"])
 
 
@@ -77,29 +79,29 @@ def test_xsens_agrees_with_the_factory_certificate(xsens):
         # imu_tk itself is 0.24 % (accelerometers) and 0.16 % (gyros) off the certificate.
         np.testing.assert_allclose(norms, certified, rtol=3e-3)
     offsets = np.array([33123.0, 33276.0, 32360.0])
-    np.testing.assert_allclose(found["accel_offset"], offsets, atol=0.015 * recorded.XSENS_ACCEL_PER_M_S2)
+    np.testing.assert_allclose(found["accel_offset"], offsets, atol=0.015 * recorded_sets.XSENS_ACCEL_PER_M_S2)
 
 
 def test_xsens_poses_and_turns():
-    assert len(find_windows(recorded.xsens_mti(FOLDER))) in range(38, 43)
+    assert len(find_windows(recorded_sets.xsens_mti(FOLDER))) in range(38, 43)
 
 
 @pytest.mark.parametrize("unit", [0, 1])
 def test_mpu9150_is_calibrated(unit):
     """22 poses and 21 turns in hand; gravity and turns close far better than before."""
-    recording = recorded.mpu9150(FOLDER, unit)
+    recording = recorded_sets.mpu9150(FOLDER, unit)
     labelled = recording.with_sequences(srt.find_turns(recording))
     assert len(labelled.sequences) == 21
     calibration = srt.calibrate(recording)
     assert calibration.status in ("converged", "partial")
-    before, after = (recorded.residuals(labelled, errors) for errors in (None, calibration.errors))
+    before, after = (recorded_sets.residuals(labelled, errors) for errors in (None, calibration.errors))
     assert after["gravity_m_s2"] < before["gravity_m_s2"] / 20.0
     assert after["turn_deg"] < before["turn_deg"] / 3.0
 
 
 def test_ferraris_session_is_calibrated():
     """Six faces and three turns: imucal's scale factors and biases within our sigmas and its trust in hand turns."""
-    calibration = srt.calibrate(recorded.ferraris(FOLDER), hold=("gyro_asymmetry", "accel_asymmetry"))
+    calibration = srt.calibrate(recorded_sets.ferraris(FOLDER), hold=("gyro_asymmetry", "accel_asymmetry"))
     assert calibration.status in ("converged", "partial")
     found = 1.0 + calibration.errors.group("accel_scale")
     np.testing.assert_allclose(found, (0.996746, 1.002438, 1.023395), atol=5e-3)

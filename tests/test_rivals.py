@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sims.campaigns import SITE, normal_errors
-from sims.ferraris import (
+from sims.accuracy.campaigns import SITE, normal_errors
+from sims.accuracy.ferraris import (
     TABLE_1_FACES,
     TABLE_1_TURN_RAD,
     TABLE_1_TURNS,
@@ -25,10 +25,10 @@ from sims.ferraris import (
     non_orthogonality,
     signal_regions,
 )
-from sims.fixture import FixtureDraw, earth_rate_ned, rotation
-from sims.imu import read_out
-from sims.motion import RateProfile
-from sims.table_motion import Schedule, run_schedule, table1_motion
+from sims.physics.fixture import FixtureDraw, earth_rate_ned, rotation
+from sims.physics.imu import read_out
+from sims.physics.motion import RateProfile
+from sims.physics.table_motion import Schedule, run_schedule, table1_motion
 from srt.exceptions import DataError, InputError, MissingExtraError
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 

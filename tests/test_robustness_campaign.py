@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import srt
-from sims.imu import accel_matrix, gyro_matrix, is_imu
+from sims.physics.imu import accel_matrix, gyro_matrix, is_imu
+from sims.physics.sequences import TABLE_1
 from sims.robustness.config import AXES, load_campaign
 from sims.robustness.run import run_campaign
 from sims.robustness.store import Store, schema
 from sims.robustness.trial import OUTCOMES, run_trial
-from sims.scenario import load_scenario
-from sims.sequences import TABLE_1
-from sims.simulation import simulate
+from sims.scenarios.scenario import load_scenario
+from sims.scenarios.simulation import simulate
 from srt.comparison.parallel import Engine
 from srt.constants import DEG
 from srt.exceptions import DataError, InputError

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import srt
-from sims import campaigns
-from sims.free_motion import free_motion, random_attitude, random_turns
-from sims.imu import ImuModel, read_out
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.table_motion import table1_motion
 from srt.constants import DEG, DEG_PER_SQRT_H, MICRO_G
 from srt.sensor_errors import SensorErrors
 from srt.sequences.stationary_windows import find_turns, find_windows

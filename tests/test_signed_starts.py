@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 import sims
 import srt
-from sims import campaigns
-from sims.imu import read_out
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
 from srt.model.table1 import SIGNED_AXES, Sequence, axis_vector
 from srt.recording.folder import load_recording, write_recording
 from srt.sensor_errors import SensorErrors

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sims
-from sims.imu import ALLAN_FLOOR, CORRELATION_TIMES_S, ImuModel, drift, read_out
-from sims.true_motion import TrueMotion
+from sims.physics.imu import ALLAN_FLOOR, CORRELATION_TIMES_S, ImuModel, drift, read_out
+from sims.physics.true_motion import TrueMotion
 from srt.exceptions import InputError
 from srt.recording.recording import ImuNoise, Site
 from srt.sensor_errors import SensorErrors

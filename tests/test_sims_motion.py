@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sims
-from sims.integrals import node_count
-from sims.motion import angle_profile
+from sims.physics.integrals import node_count
+from sims.physics.motion import angle_profile
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import InputError
 from srt.recording.recording import Site
@@ -267,8 +267,8 @@ def test_quadrature_is_at_its_limit(monkeypatch):
         return sims.run_schedule(schedule, site=SITE, sample_rate_hz=50.0, fixture_draw=draw)
 
     coarse = run()
-    monkeypatch.setattr("sims.integrals._MAX_PHASE", 0.03)
-    monkeypatch.setattr("sims.integrals.node_count", lambda _: 12)
+    monkeypatch.setattr("sims.physics.integrals._MAX_PHASE", 0.03)
+    monkeypatch.setattr("sims.physics.integrals.node_count", lambda _: 12)
     fine = run()
     np.testing.assert_allclose(coarse.angle, fine.angle, atol=2e-15)
     np.testing.assert_allclose(coarse.velocity, fine.velocity, atol=2e-15)
@@ -394,7 +394,9 @@ def test_free_turns_compose_to_the_attitudes():
     assert math.pi / 3 <= sizes.min() <= sizes.max() <= math.pi
     start = sims.random_attitude(rng)
     np.testing.assert_allclose(start @ start.T, np.eye(3), atol=1e-15)
-    motion = sims.free_motion(turns, site=SITE, attitude=start, sample_rate_hz=50.0, dwell_s=1.0, earth_rate=False)
+    motion = sims.physics.free_motion(
+        turns, site=SITE, attitude=start, sample_rate_hz=50.0, dwell_s=1.0, earth_rate=False
+    )
     assert motion.fixture is None
     assert motion.labels == ()
     turned = start
@@ -412,7 +414,7 @@ def test_free_turns_compose_to_the_attitudes():
 
 def test_free_poses_sense_the_earth_and_gravity():
     rng = np.random.default_rng(17)
-    motion = sims.free_motion(sims.random_turns(rng, 3), site=SITE, sample_rate_hz=50.0, dwell_s=1.0)
+    motion = sims.physics.free_motion(sims.random_turns(rng, 3), site=SITE, sample_rate_hz=50.0, dwell_s=1.0)
     for windows, attitudes in zip(motion.windows, motion.attitudes, strict=True):
         for window, ned_from_body in zip(windows, attitudes, strict=True):
             rows = rows_in(motion, *window)
@@ -423,7 +425,7 @@ def test_free_poses_sense_the_earth_and_gravity():
 
 def test_free_sums_do_not_depend_on_the_sample_rate():
     turns = sims.random_turns(np.random.default_rng(18), 2)
-    motions = [sims.free_motion(turns, site=SITE, sample_rate_hz=hz, dwell_s=1.0) for hz in (20.0, 1000.0)]
+    motions = [sims.physics.free_motion(turns, site=SITE, sample_rate_hz=hz, dwell_s=1.0) for hz in (20.0, 1000.0)]
     for field in ("angle", "angle_abs", "velocity", "velocity_abs"):
         sums = [total(getattr(m, field)[rows_in(m, 0.0, 3.0)]) for m in motions]
         np.testing.assert_allclose(sums[0], sums[1], rtol=1e-14, atol=1e-14)
@@ -450,7 +452,7 @@ def test_free_sums_do_not_depend_on_the_sample_rate():
         (lambda: sims.table1_motion(site=SITE, U=-np.eye(3)), "proper rotation"),
         (lambda: sims.table1_motion(site=SITE, sample_rate_hz=0.0), "sample rate"),
         (lambda: sims.table1_motion(site=Site(9.8), sequences=("1",)), "latitude"),
-        (lambda: sims.free_motion(np.zeros(3), site=SITE), "shape"),
+        (lambda: sims.physics.free_motion(np.zeros(3), site=SITE), "shape"),
         (
             lambda: sims.table1_motion(
                 site=SITE, sequences=("1",), fixture_draw=imperfect(np.random.default_rng(0), ("1", "2"))

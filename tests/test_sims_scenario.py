@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import sims
-from sims import library
-from sims.simulation import schedule_of
+from sims.scenarios import library
+from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.exceptions import InputError
 from srt.recording.folder import load_recording, write_recording

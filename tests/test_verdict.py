@@ -14,10 +14,10 @@ import pytest
 from scipy.special import chdtri
 
 import srt
-from sims import campaigns
-from sims.imu import read_out
-from sims.sequences import TABLE_1
-from sims.table_motion import table1_motion
+from sims.accuracy import campaigns
+from sims.physics.imu import read_out
+from sims.physics.sequences import TABLE_1
+from sims.physics.table_motion import table1_motion
 from srt.estimation.iteration import CONVERGED_SIGMAS
 from srt.estimation.leave_one_out import Evidence, against_others, suspect, verdict, without_groups
 from srt.reports.text.calibration import report
@@ -253,7 +253,7 @@ def test_turns_that_share_windows():
 
     At the pole, as elsewhere a gap in the chain costs knowledge of where north is, which the verdict leaves as it was.
     """
-    from sims.free_motion import free_motion, random_attitude, random_turns
+    from sims.physics.free_motion import free_motion, random_attitude, random_turns
 
     rng = np.random.default_rng(15)
     truth = campaigns.normal_errors(rng, 1e-3)

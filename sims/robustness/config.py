@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sims import library
-from sims.scenario import Finite, Flag, Scenario, scenario_from_dict, validation_sentence
-from sims.sequences import TABLE_1
+from sims.physics.sequences import TABLE_1
+from sims.scenarios import library
+from sims.scenarios.scenario import Finite, Flag, Scenario, scenario_from_dict, validation_sentence
 from srt.estimation.options import Options
 from srt.estimation.registry import find_estimator
 from srt.exceptions import InputError, did_you_mean

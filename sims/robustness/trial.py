@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 import srt
-from sims.imu import is_imu
-from sims.simulation import simulate
+from sims.physics.imu import is_imu
+from sims.scenarios.simulation import simulate
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import SrtError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from sims.robustness.config import Campaign, EstimatorChoice
-    from sims.simulation import Simulation
+    from sims.scenarios.simulation import Simulation
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 

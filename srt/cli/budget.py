@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from srt.cli.calibrate import CHOICES, PLOT_SUFFIXES, RESULT_SUFFIXES
-from srt.cli.output import check_file
+from srt.cli.output import check_file, require_matplotlib
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from sims.budget import Budget
-    from sims.scenario import Scenario
+    from sims.accuracy.budget import Budget
+    from sims.scenarios.scenario import Scenario
     from srt.estimation.options import GyroBias
 
 
@@ -73,11 +73,11 @@ def budget(
         if paper:
             raise InputError("--paper makes a table, and no plot: leave one of the two options out.")
         check_file(plot, PLOT_SUFFIXES, "The plot")
-        import sims.budget_plot  # whether it can be
+        require_matplotlib()
     chosen = sims.load_scenario(scenario)
     if paper:
         return paper_mode(chosen, output, quiet=quiet)
-    from sims.budget import budget as predict
+    from sims.accuracy.budget import budget as predict
     from srt.recording.atomic import atomic_write_text
 
     names = estimators or default_estimators(gyro_bias)
@@ -87,7 +87,7 @@ def budget(
         document = {"scenario": chosen.model_dump(mode="json"), "budgets": [b.as_dict() for b in found]}
         atomic_write_text(output, json.dumps(document, indent=2, allow_nan=False) + "\n")
     if plot is not None:
-        from sims.budget_plot import budget_figure
+        from sims.accuracy.budget_figure import budget_figure
         from srt.reports.figures.style import save_figure
 
         for b in found:
@@ -110,7 +110,7 @@ def tables(found: Budget) -> str:
     """Sources that matter as columns, and what is told beside them."""
     import numpy as np
 
-    from sims.budget import NOT_COUNTED
+    from sims.accuracy.budget import NOT_COUNTED
     from srt.reports.text.calibration import sources_table, wrap
 
     seen = np.flatnonzero(np.isfinite(found.total)).tolist()

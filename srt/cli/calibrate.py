@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from srt.cli.fleet import FLEET_FROM, plan_fleet, run_fleet
-from srt.cli.output import check_directory, check_file, make_directory, recording_folder, say, warn
+from srt.cli.output import check_directory, check_file, make_directory, recording_folder, require_matplotlib, say, warn
 from srt.cli.recordings import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
 
@@ -201,7 +201,7 @@ def calibrate(
     if estimator != "auto":
         find_estimator(estimator)
     if plot is not None:
-        import srt.reports.figures.calibration  # noqa: F401 - whether it can be
+        require_matplotlib()
     true_errors = None
     if truth is not None:
         from srt.cli.truth import load_truth

@@ -11,7 +11,7 @@ import click
 
 from srt.cli.calibrate import PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.calibrate import calibrate as calibrate_command
-from srt.cli.output import check_file, recording_folder, say, warn
+from srt.cli.output import check_file, recording_folder, require_matplotlib, say, warn
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def compare(
     check_names(names, ESTIMATORS, reference)
     options = Options(asymmetry=not no_asymmetry, **choices)
     if plot is not None:
-        import srt.reports.figures.comparison  # noqa: F401 - whether it can be
+        require_matplotlib()
     comparison = run(recording, names, reference, truth, options, quiet=quiet)
     folder = recording_folder(recording)
     if output is not None:

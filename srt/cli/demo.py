@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from srt.cli.calibrate import Display, Job, judge, run_job
-from srt.cli.output import check_directory, make_directory, warn
+from srt.cli.output import check_directory, make_directory, require_matplotlib, warn
 from srt.cli.simulate import check_target, run_scenario, summary, write_simulation
 from srt.exceptions import MissingExtraError
 
@@ -47,7 +47,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     check_target(folder, overwrite=(folder / NAME).is_file())
     plot: Path | None = output / "calibration.png"
     try:
-        import srt.reports.figures.calibration  # noqa: F401 - whether it can be
+        require_matplotlib()
     except MissingExtraError as error:
         plot = None
         warn(f"No plot will be made: {error}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from srt.cli.output import check_file, recording_folder, say
+from srt.cli.output import check_file, recording_folder, require_matplotlib, say
 from srt.exceptions import DataError
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
@@ -33,7 +33,7 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
         check_file(json_file, JSON_SUFFIXES, "The inspection")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
-        import srt.reports.figures.inspection  # whether it can be
+        require_matplotlib()
     import srt
     from srt.diagnosis import inspection
     from srt.recording.atomic import atomic_write_text

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tempfile
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import click
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, MissingExtraError
 from srt.recording.atomic import unwritable
 
 if TYPE_CHECKING:
@@ -23,6 +24,12 @@ def say(sentence: str) -> None:
 def warn(sentence: str) -> None:
     """Tell the user of something that did not stop the work, on standard error."""
     say(f"warning: {sentence}")
+
+
+def require_matplotlib() -> None:
+    """Raise MissingExtraError where matplotlib is missing, before the work whose result is to be drawn."""
+    if find_spec("matplotlib") is None:
+        raise MissingExtraError("matplotlib", "plot", "A plot")
 
 
 def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:

@@ -7,21 +7,20 @@ import math
 import sys
 import textwrap
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
 from srt.cli.calibrate import PLOT_SUFFIXES, RESULT_SUFFIXES
-from srt.cli.output import check_file, say
+from srt.cli.output import check_file, require_matplotlib, say
 from srt.comparison.parallel import one_thread
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from sims.plan_file import PlanFile
+    from sims.scenarios.plan_file import PlanFile
     from srt.planning.plan import Plan
 
 _SHEET_SUFFIXES: Final = (".md",)
@@ -68,7 +67,7 @@ def plan(
 
     Exit codes: 0 all targets are met; 1 some are not, or cannot be; 2 wrong usage or unreadable input.
     """
-    import sims.plan_file as files
+    import sims.scenarios.plan_file as files
 
     for path, suffixes, what in (
         (output, _SCENARIO_SUFFIXES, "The schedule"),
@@ -93,7 +92,7 @@ def plan(
         with one_thread("sims"):
             return propose(chosen, after, quiet=quiet)
     if plot is not None:
-        import_module("srt.planning.figure")  # whether it can be
+        require_matplotlib()
     with one_thread("sims"):
         return make(chosen, output, sheet, document, plot, table_1=table_1, quiet=quiet)
 
@@ -109,7 +108,7 @@ def make(
     quiet: bool,
 ) -> int:
     """Make a plan, write what is asked for, and show it."""
-    from sims.plan_file import scenario_toml
+    from sims.scenarios.plan_file import scenario_toml
     from srt.planning.document import operator_sheet, plan_document
     from srt.planning.plan import make_plan, table_1_plan
     from srt.recording.atomic import atomic_write_text

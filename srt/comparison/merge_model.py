@@ -8,8 +8,8 @@ can be compared whatever the mounting::
 e_r is the recording's own error. c_r is common to recordings: gravity where the same value was stated, and values held
 because no recording showed them; the mean of many recordings has it as much as one. b_r is what differs from recording
 to recording, as bias from turn-on to turn-on: one variance per group of parameters, by restricted maximum likelihood
-(:mod:`srt.noise.variance_components`). From few recordings that variance is uncertain itself: from n of them, for a group of
-three parameters, to √(2 / 3(n − 1)) of it, 58 % from three.
+(:mod:`srt.noise.variance_components`). From few recordings that variance is uncertain itself: from n of them, for a
+group of three parameters, to √(2 / 3(n − 1)) of it, 58 % from three.
 """
 
 from __future__ import annotations

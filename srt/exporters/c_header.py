@@ -1,4 +1,4 @@
-"""A calibration as a C99 header without dependencies: the arithmetic of :mod:`srt.result.applier`, operation by operation."""
+"""C99 header of a calibration, without dependencies: the arithmetic of :mod:`srt.result.applier`, in its order."""
 
 from __future__ import annotations
 
@@ -138,8 +138,8 @@ def c99_header(calibration: Calibration, name: str = "imu") -> str:
     Notes
     -----
     Constants have 17 significant digits, which give back the same doubles. With contraction of products and sums off
-    (-ffp-contract=off) results are those of :class:`srt.result.applier.Applier` to the last bit on machines that compute in
-    double. Readings that are not finite are not refused but come out as NaN or infinite.
+    (-ffp-contract=off) results are those of :class:`srt.result.applier.Applier` to the last bit on machines that
+    compute in double. Readings that are not finite are not refused but come out as NaN or infinite.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InputError(

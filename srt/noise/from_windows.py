@@ -49,7 +49,8 @@ class NoiseModel:
     accel_wander : ndarray, shape (3,), m/s²
         Likewise of a window.
     gyro_flicker : ndarray, shape (3,), rad/s, or None
-        Allan floor of the bias instability, from which :mod:`srt.noise.bias_instability` makes the drift; None: not stated.
+        Allan floor of the bias instability, from which :mod:`srt.noise.bias_instability` makes the drift; None: not
+        stated.
     accel_flicker : ndarray, shape (3,), m/s²
         Likewise; zero where it is not stated.
     estimated, floored : tuple of str

@@ -4,8 +4,8 @@ A reading is ``y = M v + s ∘ |v| + b``. Within one octant of ``v`` it is linea
 ``(M + diag(s ∘ sign v))⁻¹``, hold all there is to know; what is left per sample is to find the octant that the solution
 itself lies in. For increments the same holds with ``b dt`` in place of ``b``, as ``|v| dt = |v dt|``.
 
-Arrays, single samples and the generated C header (:mod:`srt.exporters.c_header`) do the same operations in the same order: their
-results agree to the last bit where the compiler does not contract products and sums.
+Arrays, single samples and the generated C header (:mod:`srt.exporters.c_header`) do the same operations in the same
+order: their results agree to the last bit where the compiler does not contract products and sums.
 
 Rectified noise. Asymmetry s multiplies |v|, and the mean of |v + noise| is not |mean|: in a channel at rest a mean of
 about ``-0.8 s σ`` is left, with σ the one-sigma noise of a sample and 0.8 for √(2/π) (1 % of asymmetry and 1.7e-3

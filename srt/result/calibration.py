@@ -89,7 +89,8 @@ class Calibration:
     diagnostics : dict
         What else the estimator reports, such as the innovations of every sequence; JSON values.
     verdict : dict
-        What the measurements say of the result, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty where nothing is known.
+        What the measurements say of the result, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty where
+        nothing is known.
     warnings : tuple of str
     """
 
@@ -162,8 +163,8 @@ class Calibration:
 
         Notes
         -----
-        In a loop, make an :class:`srt.result.applier.Applier` once and use that: it is this method without its preparations,
-        and corrects single samples in microseconds.
+        In a loop, make an :class:`srt.result.applier.Applier` once and use that: it is this method without its
+        preparations, and corrects single samples in microseconds.
 
         The noise of a channel near zero is rectified by its asymmetry s: a bias of about 0.8 s times the one-sigma
         noise of a sample stays in the mean.

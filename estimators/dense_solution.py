@@ -1,0 +1,85 @@
+"""The linearised problem solved at once: correction, covariance by source of error, reweighting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from estimators.linear_system import System
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BatchSolution:
+    """The system solved at once.
+
+    Attributes
+    ----------
+    delta : ndarray, shape (n,)
+        Correction; zero in columns that are not active.
+    root : ndarray, shape (n, number of active columns)
+        S with the covariance of all columns S Sᵀ.
+    """
+
+    delta: Array
+    root: Array
+
+
+def solve(system: System) -> BatchSolution:
+    """Solve the system by QR.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the active columns are not independent.
+    """
+    A = system.A[:, system.active]
+    scale = np.linalg.norm(A, axis=0)
+    if np.any(scale == 0.0):
+        raise np.linalg.LinAlgError("a column without any measurement")
+    Q, R = np.linalg.qr(A / scale)
+    if np.abs(np.diag(R)).min() < 1e-13:
+        raise np.linalg.LinAlgError("dependent columns")
+    delta, root = np.zeros(len(scale_all := system.active)), np.zeros((len(scale_all), len(scale)))
+    delta[system.active] = -solve_triangular(R, Q.T @ system.b) / scale
+    root[system.active] = solve_triangular(R, np.eye(len(scale))) / scale[:, None]
+    return BatchSolution(delta, root)
+
+
+def by_source(system: System, solution: BatchSolution) -> dict[str, Array]:
+    """Covariance of the reported parameters by source of error, shape (27, 27) each."""
+    E = system.parameter_map()
+    P = (E @ solution.root) @ solution.root.T
+    out: dict[str, Array] = {}
+    for rows in system.rows:
+        G = np.einsum("pn,rdn->rpd", P, system.A[rows.index])
+        for source, share in rows.sources.items():
+            part = np.einsum("rpd,rde,rqe->pq", G, share, G)
+            out[source] = out.get(source, 0.0) + part
+    return out
+
+
+def weighted(system: System, weights: dict[tuple[str, int], float]) -> System:
+    """Scale rows by the square roots of their weights.
+
+    Parameters
+    ----------
+    system : System
+    weights : dict of (str, int) to float
+        By kind and number: "window" (force and rate), "turn", and "start" by window, in the order of the rows.
+    """
+    factor = np.ones(len(system.b))
+    for group in {kind for kind, _ in weights}:
+        numbers = [n for kind, n in weights if kind == group]
+        root = np.sqrt([weights[group, n] for n in numbers])[:, None]
+        for kind in ("force", "rate") if group == "window" else (group,):
+            rows = system.rows_of(kind).index
+            factor[rows if group == "start" else rows[numbers]] = root
+    return replace(system, A=system.A * factor[:, None], b=system.b * factor)

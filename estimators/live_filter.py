@@ -1,0 +1,289 @@
+"""The Kalman filter as the test runs: sequences arrive one by one, and after each the unit is known as well as can be.
+
+Far from the truth a filter must not be linearised at its own guess. Every new sequence therefore first enters a coarse,
+linear filter as what the fixture says of it: summed raw angles of its legs against their nominal rotations, mean raw
+specific force of its poses against the nominal vertical, with the fixture's sigma. That filter's matrices are the new
+point of linearisation, at which all sequences so far are replayed from the original prior.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.special import chdtrc
+from threadpoolctl import threadpool_limits
+
+from estimators.accuracy_targets import judge_targets
+from estimators.dense_solution import solve
+from estimators.ekf import EkfStep
+from estimators.iteration import State, default_prior, iterate
+from estimators.joint_problem import Problem
+from estimators.result import with_prior
+from estimators.square_root_filter import RootExtendedKalmanFilter
+from srt.estimation.initial_estimates import first_estimate, split_legs
+from srt.exceptions import DataError, InputError
+from srt.model.analytic_platform import gyro_stream
+from srt.model.sensor_model import Triad, to_mars
+from srt.sensor_errors import GROUP_SLICES, NAMES
+from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.preparation import open_session
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from srt.estimation.options import Options
+    from srt.model.prior import Prior
+    from srt.recording.recording import Recording, SequenceLabel
+    from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PlaybackData
+
+    Array = NDArray[np.float64]
+
+_MAX_STEP: Final = 0.1
+"""Longest step while much is known by the prior alone."""
+_N: Final = 24
+"""Unknowns of the coarse filter: gyro matrix (9), accelerometer matrix (9), accelerometer bias (3), gyro bias (3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveReport:
+    """What is known after a sequence.
+
+    Attributes
+    ----------
+    sequence : str
+    occurrence : int
+    status : str
+        Of the replay: "converged", "not_converged" or "outside_model".
+    errors : SensorErrors
+    sigma : ndarray, shape (27,)
+    nis : float
+        Normalised innovation squared of this sequence, all those before it being known.
+    freedom : int
+    innovations : ndarray, shape (freedom,)
+    promised : bool
+        Whether every sigma is below 5 %, so that the sigmas hold.
+    met : bool
+        Whether all targets are met, and promised.
+    limiting : str or None
+        Parameter farthest from its target; None without targets.
+    """
+
+    sequence: str
+    occurrence: int
+    status: str
+    errors: SensorErrors
+    sigma: Array
+    nis: float
+    freedom: int
+    innovations: Array
+    promised: bool
+    met: bool
+    limiting: str | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return {
+            "sequence": self.sequence,
+            "occurrence": self.occurrence,
+            "status": self.status,
+            "values": self.errors.vector.tolist(),
+            "sigma": self.sigma.tolist(),
+            "nis": self.nis,
+            "degrees_of_freedom": self.freedom,
+            "probability": float(chdtrc(self.freedom, self.nis)),
+            "innovations": self.innovations.tolist(),
+            "promised": self.promised,
+            "targets_met": self.met,
+            "limiting": self.limiting,
+        }
+
+
+class LiveFilter:
+    """Takes sequences as they arrive.
+
+    Parameters
+    ----------
+    options : Options
+        With the targets.
+
+    Raises
+    ------
+    InputError
+        If a recording has no fixture, or a label is not a sequence that the fixture can execute.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self.options = options
+        self.prior = options.prior or default_prior()
+        self.labels: list[SequenceLabel] = []
+        self.coarse = CoarseFilter(self.prior)
+        self.state: State | None = None
+        self.problem: Problem | None = None
+        self.step = EkfStep(self.prior)
+
+    def add(self, recording: Recording, label: SequenceLabel) -> LiveReport:
+        """Take one more sequence.
+
+        Parameters
+        ----------
+        recording : Recording
+            All samples so far, those of the new sequence and of all before it.
+        label : SequenceLabel
+            The new one, later than all before it.
+
+        Raises
+        ------
+        DataError
+            If the sequence cannot be used, or the triads come out left-handed.
+        """
+        if recording.fixture is None or label.id is None:
+            raise InputError("Live calibration needs labelled sequences on a fixture: give the whole recording.")
+        if self.labels and label.start_static_s[0] < self.labels[-1].start_static_s[0]:
+            raise InputError(f"{label.title} is earlier than the sequence before it: add sequences in their order.")
+        alone = open_session(recording.with_sequences((label,)), (label,), self.options)
+        self.coarse.add(alone)
+        self.labels.append(label)
+        so_far = tuple(self.labels)
+        data = open_session(recording.with_sequences(so_far), so_far, self.options)
+        # While much is known by the prior alone there are several places to come to rest: the likelier one counts.
+        starts = (self.coarse.estimate(), first_estimate(data, self.options))
+        self.problem, self.step, self.state = min((self._replay(data, start) for start in starts), key=_unlikely)
+        return self._report(data)
+
+    def _replay(self, data: PlaybackData, start: tuple[SensorErrors, Array]) -> tuple[Problem, EkfStep, State]:
+        """All sequences so far, from the original prior, linearised from a start on."""
+        problem, step = Problem(data, self.options, start), EkfStep(self.prior)
+        requested = np.array([name in self.options.held_names for name in NAMES])
+        state = State(problem.start, ~requested)
+        with threadpool_limits(limits=1, user_api="blas"):
+            return problem, step, iterate(problem, step, state, requested=requested, max_step=_MAX_STEP)
+
+    def _report(self, data: PlaybackData) -> LiveReport:
+        assert self.state is not None
+        found = self.step.last
+        if found is None or self.state.covariance is None:
+            raise DataError(f"After {data.labels[-1].title} the filter could not go on: {self.state.message}")
+        sigma = np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
+        promised, met, limiting = judge_targets(sigma, self.options.targets)
+        return LiveReport(
+            data.ids[-1],
+            data.occurrences[-1],
+            self.state.status,
+            self.state.point.errors,
+            sigma,
+            float(found.nis[-1]),
+            len(found.innovations[-1]),
+            found.innovations[-1],
+            promised,
+            met and self.state.status == "converged",
+            limiting,
+        )
+
+
+def _unlikely(replay: tuple[Problem, EkfStep, State]) -> tuple[bool, float]:
+    """Order of replays: those that came to rest first, then by the squares of residuals and prior."""
+    problem, step, state = replay
+    if state.system is None or state.status == "outside_model":
+        return True, math.inf
+    system = with_prior(problem, step, state)
+    left = system.b + system.A @ solve(system).delta
+    return state.status != "converged", float(left @ left)
+
+
+def run_live(recording: Recording, live: LiveFilter) -> Iterator[LiveReport]:
+    """Feed a filter with a whole recording as if its sequences arrived one by one."""
+    for label in sorted(recording.sequences, key=lambda s: s.start_static_s[0]):
+        yield live.add(recording, label)
+
+
+class CoarseFilter:
+    """Linear filter of the triads' matrices from what the fixture says of every sequence.
+
+    Parameters
+    ----------
+    prior : Prior
+        Its sigmas become those of the matrix entries and biases.
+    """
+
+    def __init__(self, prior: Prior) -> None:
+        self.prior = prior
+        sigma = np.sqrt(np.diag(prior.covariance))
+        spread = np.concatenate(
+            [
+                np.full(9, _largest(sigma, "gyro_scale", "gyro_orthogonality")),
+                np.full(9, _largest(sigma, "accel_scale", "accel_misalignment")),
+                sigma[GROUP_SLICES["accel_bias"]],
+                sigma[GROUP_SLICES["gyro_bias"]],
+            ]
+        )
+        self.gyro_asymmetry, self.accel_asymmetry = (
+            _largest(sigma, "gyro_asymmetry"),
+            _largest(sigma, "accel_asymmetry"),
+        )
+        mean = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), np.zeros(6)])
+        self.filter = RootExtendedKalmanFilter(mean, np.diag(spread))
+
+    def add(self, data: PlaybackData) -> None:
+        """Take the sequences of a session."""
+        fixture = data.recording.fixture
+        assert fixture is not None
+        off = math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
+        stream = gyro_stream(
+            data.recording.gyro, data.recording.interval_s, data.rotation, data.rotation,
+            rates=data.recording.kind == "rate",
+        )  # fmt: skip
+        nominal = data.nominal
+        assert nominal is not None
+        rest, force = data.windows.gyro_mean, data.windows.accel_mean
+        earth = data.earth_rate_base()
+        for k, sequence in enumerate(data.catalogue):
+            assert sequence is not None
+            start, end = data.start[k], data.end[k]
+            legs = split_legs(stream, k, sequence, 0.5 * (rest[start] + rest[end]))
+            if legs is not None:
+                for turned, axis, angle in zip(legs, sequence.axes, sequence.angles_rad, strict=True):
+                    error = math.hypot(off, self.gyro_asymmetry) * abs(angle) + fixture.rotation_sigma_rad
+                    self._take(turned, _matrix_rows(axis * angle, 0), error)
+            down = nominal[k][2]
+            for which, vertical in ((start, down), (end, end_attitude(sequence).T @ down)):
+                H = _matrix_rows(-data.gravity * vertical, 9)
+                H[:, 18:21] = np.eye(3)
+                self._take(force[which], H, data.gravity * math.hypot(off, self.accel_asymmetry))
+            H = _matrix_rows(nominal[k].T @ earth, 0)
+            H[:, 21:] = np.eye(3)
+            noise = data.noise.gyro_white.max() / math.sqrt(float(data.windows.duration_s[start]))
+            self._take(rest[start], H, math.hypot(float(np.linalg.norm(earth)) * off, noise))
+
+    def _take(self, z: Array, H: Array, sigma: float) -> None:
+        self.filter.update(z, lambda _: H, lambda x: H @ x, R=sigma**2 * np.eye(3))
+
+    def estimate(self) -> tuple[SensorErrors, Array]:
+        """Sensor errors and U at the present estimate.
+
+        Raises
+        ------
+        DataError
+            If the gyro triad comes out left-handed.
+        """
+        x = self.filter.x
+        gyro = Triad(x[:9].reshape(3, 3), np.zeros(3), x[21:])
+        errors, U = to_mars(gyro, Triad(x[9:18].reshape(3, 3), np.zeros(3), x[18:21]))
+        return errors, U
+
+
+def _matrix_rows(v: Array, first: int) -> Array:
+    """Derivative of M v with respect to the entries of M, which begin at ``first``, shape (3, 24)."""
+    H = np.zeros((3, _N))
+    for row in range(3):
+        H[row, first + 3 * row : first + 3 * row + 3] = v
+    return H
+
+
+def _largest(sigma: Array, *groups: str) -> float:
+    return max(float(sigma[GROUP_SLICES[group]].max()) for group in groups)

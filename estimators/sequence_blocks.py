@@ -1,0 +1,125 @@
+"""The linearised problem sequence by sequence: what each adds for a filter, its own unknowns eliminated.
+
+The rows of one sequence are turned (QR) so that the first ones hold all its own unknowns, attitudes and edge readings.
+The rest are white measurements of what the filter carries. An attitude that the next sequence starts from is handed on:
+its rows become the transition of the filter's pose states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from estimators.joint_problem import Problem
+    from estimators.linear_system import System
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """One sequence for the filter, everything whitened to unit noise.
+
+    Attributes
+    ----------
+    sequence : int
+    H : ndarray, shape (m, n)
+        Measurements of the global columns: ``0 = b + H g + H_pose p + noise``.
+    H_pose : ndarray, shape (m, 3)
+        Of the attitude handed on by the sequence before; zero where there is none.
+    b : ndarray, shape (m,)
+    pose : tuple of ndarray, or None
+        R (p, p), G (p, n), G_pose (p, 3), c (p) of the attitude handed on to the next:
+        ``0 = c + R p' + G g + G_pose p + noise``; None if none is.
+    pose_columns : ndarray of int, shape (p,)
+        Columns of the system that the new pose stands for.
+    pose_active : ndarray of bool, shape (3,)
+        Directions of the new pose that are estimated.
+    local : tuple of ndarray
+        Columns of the sequence's own unknowns (l), R (l, l), S (l, p), G (l, n), G_pose (l, 3), c (l):
+        ``0 = c + R y + S p' + G g + G_pose p + noise``.
+    """
+
+    sequence: int
+    H: Array
+    H_pose: Array
+    b: Array
+    pose: tuple[Array, Array, Array, Array] | None
+    pose_columns: NDArray[np.intp]
+    pose_active: NDArray[np.bool_]
+    local: tuple[NDArray[np.intp], Array, Array, Array, Array, Array]
+
+    def own_unknowns(self, g: Array, pose: Array) -> tuple[Array, Array]:
+        """Own unknowns (l) and the attitude handed on (3) that go with global columns and the attitude handed in."""
+        _, R, S, G, G_pose, c = self.local
+        new: Array = np.zeros(len(self.pose_columns))
+        if self.pose is not None:
+            R_new, G_new, P_new, c_new = self.pose
+            new = -np.asarray(np.linalg.solve(R_new, G_new @ g + P_new @ pose + c_new), dtype=np.float64)
+        handed_on = np.zeros(3)
+        handed_on[self.pose_active] = new
+        own: Array = -np.asarray(np.linalg.solve(R, S @ new + G @ g + G_pose @ pose + c), dtype=np.float64)
+        return own, handed_on
+
+
+def global_columns(system: System) -> NDArray[np.intp]:
+    """Columns that sequences share, in the filter's order: those that are estimated; of the biases the first.
+
+    The draws of the drift come last, in the order of the sequences that need them first.
+    """
+    names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "drift")
+    kept = [system.of(name)[:3] if name == "bias" else system.of(name) for name in names]
+    columns = np.concatenate(kept)
+    return columns[system.active[columns]]
+
+
+def blocks(problem: Problem, system: System) -> list[Block]:
+    """Split a system into its sequences, in time order."""
+    shared = global_columns(system)
+    bias = system.columns["bias"]
+    data = problem.data
+    rows_of: list[list[NDArray[np.intp]]] = [[] for _ in range(data.K)]
+    edges = next((r.index for r in system.rows if r.kind == "edge"), np.empty((0, 3), dtype=np.intp))
+    for rows in system.rows:
+        if rows.kind == "edge":
+            continue
+        for member, owner in zip(rows.index, rows.owner.tolist(), strict=True):
+            if owner >= 0:
+                rows_of[owner].append(member)
+    attitude = system.of("attitude").reshape(-1, 3)
+    later = {int(data.start[k]): i for i, k in enumerate(problem.order.tolist())}
+    out = []
+    carried = -1
+    for i, k in enumerate(problem.order.tolist()):
+        at = np.concatenate(rows_of[k])
+        # Readings at the edges of its windows, by their own priors; one that the next turn shares counts there anew.
+        used = system.A[np.ix_(at, system.of("edge"))].any(axis=0).reshape(-1, 3).any(axis=1)
+        at = np.concatenate([at, edges[used].ravel()])
+        A, b = system.A[at], system.b[at]
+        end = int(data.end[k])
+        onward = end if later.get(end, -1) > i else -1
+        own = np.flatnonzero(A.any(axis=0) & system.active)
+        own = own[own >= system.columns["attitude"].start]
+        handed_in = attitude[carried] if carried >= 0 else np.empty(0, dtype=np.intp)
+        handed_on = attitude[onward][system.active[attitude[onward]]] if onward >= 0 else np.empty(0, dtype=np.intp)
+        local = own[~np.isin(own, np.concatenate([handed_in, handed_on]))]
+        mine = shared.copy()
+        if bias.stop - bias.start > 3:
+            of_bias = (shared >= bias.start) & (shared < bias.stop)
+            mine[of_bias] += 3 * k
+        G = A[:, mine]
+        P = A[:, handed_in] if carried >= 0 else np.zeros((len(at), 3))
+        Q, R = np.linalg.qr(A[:, np.concatenate([local, handed_on])], mode="complete")
+        G, P, c = Q.T @ G, Q.T @ P, Q.T @ b
+        n, p = len(local), len(handed_on)
+        pose = (R[n : n + p, n:], G[n : n + p], P[n : n + p], c[n : n + p]) if p else None
+        active = np.isin(attitude[onward], handed_on) if onward >= 0 else np.zeros(3, dtype=np.bool_)
+        own_rows = (local, R[:n, :n], R[:n, n:], G[:n], P[:n], c[:n])
+        out.append(Block(k, G[n + p :], P[n + p :], c[n + p :], pose, handed_on, active, own_rows))
+        carried = onward
+    return out

@@ -1,0 +1,353 @@
+"""Bayesian Cramér-Rao bound of the rotation test on the two-axis fixture: what no estimator can do better than.
+
+The test is nearly linear, its noise and priors are Gaussian, so that the bound is the covariance of its best estimator.
+It is reached by a way of its own, to judge estimators by: every derivative is a central difference of the simulator's
+noise-free output, about the sensor errors given and a faultless fixture.
+
+*Measurements* of a sequence: the mean readings of gyros and accelerometers in both still windows, and the rotation that
+the gyros integrate from the end of the first to the start of the second, as a small rotation vector in B at its start.
+
+*Unknowns*: the 27 sensor errors, without a prior; base, mounting and non-orthogonality of the fixture, gravity, and the
+start angles of each sequence, with the sigmas that the simulator draws from; the attitude in each end window, of which
+nothing is known but what the gyros measured; where the gyro bias walks, its step from each sequence to the next.
+
+*Noise*: white noise N gives a mean over T the variance N²/T. Each reading of the running integral is rounded to a pulse
+independently, sigma quantum/√12: a mean carries the errors at its window's edges, the rotation those at the two edges
+that it shares with the windows.
+
+Not in the bound: bias instability, g-sensitivity, saturation, rounding of the output word, an unknown latitude, and
+what pulses add within a turn (up to 5 % of their variance at 200 Hz and 1 rad/s). Each could only raise it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sims.physics.fixture import FixtureDraw, rotation
+from sims.physics.imu import exact_increments
+from sims.physics.motion import RateProfile
+from sims.physics.table_motion import Schedule, constants_of_site, run_schedule
+from srt.exceptions import DataError, InputError
+from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from sims.physics.imu import ImuModel
+    from sims.physics.true_motion import TrueMotion
+    from sims.scenarios.scenario import Scenario
+    from srt.recording.recording import Site
+
+    Array = NDArray[np.float64]
+
+START_GYRO, START_ACCEL, END_GYRO, END_ACCEL, ROTATION = (slice(row, row + 3) for row in range(0, 15, 3))
+"""Rows of a sequence's measurements: window means in rad/s and m/s², the integrated rotation in rad."""
+
+FIXTURE_SIGMAS = tuple(
+    f"{of}_sigma_rad" for of in ("level", "north", "mounting", "non_orthogonality", "rotation", "wobble")
+)
+"""Keys of ``fixture_sigma``: the keyword arguments of :func:`sims.physics.fixture.draw_fixture`."""
+
+# Of the unknowns in Linearisation.fixture.
+_MOUNTING, _SKEW, _GRAVITY, _STARTS = slice(3, 6), 6, 7, slice(8, 10)
+# A pose reads the same however it was reached, so that poses are run through fast, with windows of one sample.
+_POSE_RATE_HZ, _POSE_PROFILE = 10.0, RateProfile(20.0, 200.0)
+# What is rounding: a derivative, over the largest of its measurement; a singular value, columns equilibrated, over the
+# largest; the share of a sensor error in a direction of which nothing is known.
+_NO_DERIVATIVE, _SINGULAR, _NO_SHARE = 1e-10, 1e-11, 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bound:
+    """The least covariance that an estimate of the sensor errors can have; ``bound[name]`` is one sigma.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (27, 27), SI
+        In the order of :data:`srt.sensor_errors.NAMES`. A gyro bias that walks is its mean over the sequences.
+    """
+
+    covariance: Array
+
+    @property
+    def sigma(self) -> Array:
+        """One sigma of each sensor error, shape (27,), SI."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.sigma[INDEX[name]])
+
+
+def bayesian_bound(
+    schedule: Schedule,
+    *,
+    site: Site,
+    imu: ImuModel,
+    fixture_sigma: Mapping[str, float],
+    errors: SensorErrors | None = None,
+    heading_rad: float = 0.0,
+    U: Array | None = None,
+    sample_rate_hz: float = 200.0,
+    gyro_bias_walk_rad_s: float = 0.0,
+    earth_rate: bool = True,
+) -> Bound:
+    """Least covariance that any estimate of the sensor errors from one recording can have.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    site : Site
+        Its gravity sigma is a prior; the latitude is known exactly.
+    imu : ImuModel
+        White noise and pulses of both triads, of each not both zero; its other figures are not used.
+    fixture_sigma : mapping
+        By the keys :data:`FIXTURE_SIGMAS`, rad. Absent or zero: known exactly. North may be infinite: unknown.
+    errors : SensorErrors, optional
+        Where the bound is evaluated; default none.
+    heading_rad, U, sample_rate_hz, earth_rate
+        See :func:`sims.physics.table_motion.run_schedule`; 100 Hz or more.
+    gyro_bias_walk_rad_s : float
+        One sigma of the gyro bias's step from each sequence to the next; default 0, one bias for all.
+
+    Raises
+    ------
+    InputError
+        If a sigma is negative or unknown, or a triad has no noise.
+    DataError
+        If the sequences do not determine all sensor errors; the message names those in question.
+    """
+    where: dict[str, Any] = {"heading_rad": heading_rad, "U": U, "earth_rate": earth_rate}
+    linear = linearise(schedule, site=site, imu=imu, errors=errors, sample_rate_hz=sample_rate_hz, **where)
+    return linear.bound(fixture_sigma, site.gravity_sigma_m_s2, gyro_bias_walk_rad_s)
+
+
+def scenario_bound(scenario: Scenario, errors: SensorErrors | None = None) -> Bound:
+    """Bound of a scenario on the fixture; see :func:`bayesian_bound`."""
+    from sims.scenarios.simulation import imu_model, schedule_of  # needs the extra 'sims'
+
+    if scenario.schedule is None or scenario.fixture is None:
+        raise InputError("The scenario is a free recording, but the bound is of a run on the fixture: describe one.")
+    sigma = scenario.fixture.draw_sizes()
+    # A random turn of B from its mount is one more error of the mounting.
+    sigma["mounting_sigma_rad"] = math.hypot(sigma["mounting_sigma_rad"], 1e-3 * scenario.imu.frame_turn_sigma_mrad)
+    if not scenario.fixture.state_heading:
+        sigma["north_sigma_rad"] = math.inf
+    return bayesian_bound(
+        schedule_of(scenario.schedule),
+        site=scenario.site.site(),
+        imu=imu_model(scenario, np.random.default_rng(0)),  # draws the g-sensitivity only, which is not used
+        fixture_sigma=sigma,
+        errors=errors,
+        heading_rad=math.radians(scenario.fixture.heading_deg),
+        U=rotation(1e-3 * np.array(scenario.imu.frame_turn_mrad)).T,
+        sample_rate_hz=min(max(scenario.recording.sample_rate_hz, 100.0), 400.0),  # more only takes longer
+        earth_rate=scenario.site.earth_rate,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearisation:
+    """Derivatives and noise of the measurements of K sequences.
+
+    Attributes
+    ----------
+    errors : ndarray, shape (K, 15, 27)
+        By the sensor errors, SI.
+    fixture : ndarray, shape (K, 15, 10)
+        By base (3), mounting (3), non-orthogonality, gravity, own inner and outer start angle; rad, m/s² for gravity.
+    end : ndarray, shape (K, 15, 3)
+        By a small rotation vector of B in the end window, in B, rad.
+    noise : ndarray, shape (K, 15, 15)
+        Covariance.
+    turn : ndarray, shape (K, 3, 3)
+        From B in the end window to B in the start window, relative to inertial space.
+    """
+
+    errors: Array
+    fixture: Array
+    end: Array
+    noise: Array
+    turn: Array
+
+    def bound(
+        self, fixture_sigma: Mapping[str, float], gravity_sigma_m_s2: float, gyro_bias_walk_rad_s: float = 0.0
+    ) -> Bound:
+        """Combine the measurements with priors; see :func:`bayesian_bound`."""
+        for name, value in fixture_sigma.items():
+            if name not in FIXTURE_SIGMAS:
+                raise InputError(f"There is no fixture sigma {name!r}: the names are {', '.join(FIXTURE_SIGMAS)}.")
+            if not (0.0 <= value < math.inf or (name == "north_sigma_rad" and value == math.inf)):
+                raise InputError(f"{name} is {value!r} rad: it must be zero or a positive number.")
+        if not 0.0 <= gyro_bias_walk_rad_s < math.inf:
+            raise InputError(f"gyro_bias_walk_rad_s is {gyro_bias_walk_rad_s!r}: it must be zero or a positive number.")
+        level, north, mounting, skew, start, wobble = (float(fixture_sigma.get(name, 0.0)) for name in FIXTURE_SIGMAS)
+        prior = [level, level, north, mounting, mounting, mounting, skew, gravity_sigma_m_s2]
+        count = len(self.errors)
+        # The bias of each sequence by the steps between them, less its mean: that stays among the 27.
+        walked = np.tri(count, count - 1, -1)
+        walked -= walked.mean(axis=0)
+        bias = self.errors[:, :, GROUP_SLICES["gyro_bias"]]
+        steps = (walked[:, np.newaxis, :, np.newaxis] * bias[:, :, np.newaxis, :]).reshape(count, 15, -1)
+        sigma = np.array([np.inf] * N_PARAMETERS + prior + [gyro_bias_walk_rad_s] * steps.shape[2])
+        common = np.concatenate([self.errors, self.fixture[:, :, : _STARTS.start], steps], axis=2)[:, :, sigma > 0.0]
+        leaning = self.fixture[:, :, [_SKEW]]
+        own = np.concatenate([self.end, self.fixture[:, :, _STARTS] * start, leaning * wobble], axis=2)
+        root = np.linalg.cholesky(self.noise)
+        common, own = np.linalg.solve(root, common), np.linalg.solve(root, own)
+        known = np.diag(1.0 / sigma[sigma > 0.0])
+        scale = np.linalg.norm(np.vstack([*common, known]), axis=0)
+        # Of a sequence there counts what its own unknowns cannot explain; its start is known in its sigmas.
+        own = np.concatenate([own, np.tile(np.eye(3, 6, 3), (count, 1, 1))], axis=1)
+        unexplained = np.linalg.qr(own, mode="complete").Q[:, :15, 6:].transpose(0, 2, 1)
+        return Bound(_covariance(np.vstack([*(unexplained @ common), known]), scale))
+
+
+def linearise(
+    schedule: Schedule,
+    *,
+    site: Site,
+    imu: ImuModel,
+    errors: SensorErrors | None = None,
+    sample_rate_hz: float = 200.0,
+    step: float = 1e-4,
+    **where: Any,
+) -> Linearisation:
+    """Derivatives of the measurements about a faultless fixture, by central differences of half width ``step`` (SI).
+
+    ``where`` is handed to :func:`sims.physics.table_motion.run_schedule`; for the rest see :func:`bayesian_bound`.
+    """
+    for triad in ("gyro", "accel"):
+        if not (getattr(imu, f"{triad}_noise") > 0.0 or getattr(imu, f"{triad}_quantization") > 0.0):
+            raise InputError(f"The IMU model has no {triad} noise, so that nothing bounds the accuracy: state it.")
+    about = errors or SensorErrors()
+    motion = run_schedule(replace(schedule, moves="skipped"), site=site, sample_rate_hz=sample_rate_hz, **where)
+    windows = np.array(motion.windows)
+    poses = Schedule(schedule.sequences, _POSE_PROFILE, dwell_s=1.0 / _POSE_RATE_HZ, pause_s=0.0)
+
+    def pose_run(unknowns: Array) -> TrueMotion:
+        # Sequences know nothing of each other: one run perturbs the start angles of all.
+        starts = np.tile(unknowns[_STARTS], (len(poses.sequences), 1))
+        draw = FixtureDraw(unknowns[:3], unknowns[_MOUNTING], float(unknowns[_SKEW]), starts)
+        there = replace(site, gravity_m_s2=site.gravity_m_s2 + float(unknowns[_GRAVITY]))
+        return run_schedule(poses, site=there, sample_rate_hz=_POSE_RATE_HZ, fixture_draw=draw, **where)
+
+    by_errors, by_unknowns, turned = _in_windows(pose_run, about, step)
+    turning = windows[:, [0, 1], [1, 0]]
+    edges = np.searchsorted(motion.time, turning + 0.5 * motion.interval, side="right")
+    turns = [_in_turn(motion, slice(start, stop), about, step) for start, stop in edges]
+    by_errors_in_turn, spread, first, last = (np.array(column) for column in zip(*turns, strict=True))
+    # Each attitude is against NED, which turns with the Earth from the one to the other.
+    earth = constants_of_site(site, earth_rate=where.get("earth_rate", True))[0] * np.diff(turning)
+    turn = motion.attitudes[:, 0].transpose(0, 2, 1) @ rotation(earth) @ motion.attitudes[:, 1]
+
+    # The end attitude is an unknown of its own: gravity is seen there, the fixture is not.
+    by_attitude = by_unknowns[:, 1, :, _MOUNTING] @ np.linalg.inv(turned[:, 1, :, _MOUNTING])
+    by_unknowns[:, 1, :, np.arange(10) != _GRAVITY] = 0.0
+    by_errors = np.concatenate([by_errors[:, 0], by_errors[:, 1], by_errors_in_turn], axis=1)
+    # An axis at right angles to gravity senses cos 90° of it, which is 6e-17.
+    by_errors[np.abs(by_errors) < _NO_DERIVATIVE * np.abs(by_errors).max(axis=2, keepdims=True)] = 0.0
+    return Linearisation(
+        by_errors,
+        np.concatenate([by_unknowns[:, 0], by_unknowns[:, 1], -turned[:, 0]], axis=1),
+        np.concatenate([np.zeros_like(by_attitude), by_attitude, turn], axis=1),
+        _noise(windows, imu, spread, first, turn @ last),
+        turn,
+    )
+
+
+def _central(function: Callable[[Array], Array], count: int, step: float) -> Array:
+    """Derivatives of a function of ``count`` numbers about zero, on a new last axis."""
+    return np.stack([function(c) - function(-c) for c in step * np.eye(count)], axis=-1) / (2.0 * step)
+
+
+def _in_windows(run: Callable[[Array], TrueMotion], about: SensorErrors, step: float) -> tuple[Array, Array, Array]:
+    """Derivatives in both windows of K sequences.
+
+    Those of gyro and accelerometer readings by the errors, shape (K, 2, 6, 27), and by the unknowns, (K, 2, 6, 10),
+    and of the attitude by the unknowns as a small rotation vector in B, (K, 2, 3, 10).
+    """
+
+    def readings(motion: TrueMotion, errors: SensorErrors) -> Array:
+        only = np.searchsorted(motion.time, np.array(motion.windows)[:, :, 1] - 0.5 * motion.interval)
+        return np.hstack(exact_increments(motion, errors))[only] / motion.interval
+
+    def readings_and_attitudes(unknowns: Array) -> Array:
+        motion = run(unknowns)
+        return np.concatenate([readings(motion, about), motion.attitudes.reshape(-1, 2, 9)], axis=2)
+
+    still = run(np.zeros(10))
+    by_errors = _central(lambda change: readings(still, about.plus(change)), N_PARAMETERS, step)
+    both = _central(readings_and_attitudes, 10, step)
+    cross = np.einsum("kwba,kwbcp->kwacp", still.attitudes, both[:, :, 6:].reshape(-1, 2, 3, 3, 10))
+    turned = 0.5 * np.stack([cross[:, :, j, i] - cross[:, :, i, j] for i, j in ((1, 2), (2, 0), (0, 1))], axis=2)
+    return by_errors, both[:, :, :6], turned
+
+
+def _in_turn(motion: TrueMotion, samples: slice, about: SensorErrors, step: float) -> tuple[Array, ...]:
+    """How errors of the readings in a turn act on the rotation that is integrated from them.
+
+    A reading that is off by dy is taken for a rotation that is off by D dy, D the inverse of the reading's derivative
+    by the true rotation; the attitude C, from B in the sample to B in the start window, brings it to the start.
+
+    Gives Σ C D ∂y, shape (3, 27), ∂y the derivative of a reading by the sensor errors; Σ C D Dᵀ Cᵀ dt, shape (3, 3),
+    the covariance per squared white noise, s; and D of the first and of the last sample, each of shape (3, 3).
+    """
+    parts = ("angle", "angle_abs", "velocity", "velocity_abs")  # all that is read out
+    turn = replace(motion, **{name: getattr(motion, name)[samples] for name in parts})
+
+    def turned_more(change: Array) -> Array:
+        more = turn.angle_abs + np.sign(turn.angle) * change  # no rate changes its sign by it
+        return exact_increments(replace(turn, angle=turn.angle + change, angle_abs=more), about)[0]
+
+    D = np.linalg.inv(_central(turned_more, 3, step * turn.interval))
+    # In the middle of a sample, where its rotation acts to second order in its length.
+    half = Rotation.from_rotvec(0.5 * turn.angle).as_matrix()
+    C, reach = half @ half, 1
+    while reach < len(C):  # products of all before, in as many rounds as their number has binary digits
+        C[reach:] = C[:-reach] @ C[reach:]
+        reach *= 2
+    CD = C @ half.transpose(0, 2, 1) @ D
+    dy = _central(lambda change: exact_increments(turn, about.plus(change))[0], N_PARAMETERS, step)
+    return np.einsum("nab,nbp->ap", CD, dy), np.einsum("nab,ncb->ac", CD, CD) * turn.interval, D[0], D[-1]
+
+
+def _noise(windows: Array, imu: ImuModel, spread: Array, first: Array, last: Array) -> Array:
+    """Covariance of the measurements of each sequence, shape (K, 15, 15).
+
+    ``spread`` is the rotation's per squared white noise; ``first`` and ``last`` say what an error of the running
+    integral at the turn's first edge (less) and at its last (more) makes of the rotation; each of shape (K, 3, 3).
+    """
+    noise = np.zeros((len(windows), 15, 15))
+    noise[:, ROTATION, ROTATION] = imu.gyro_noise**2 * spread
+    # Columns: errors of the running integrals at the four edges of the windows, in the order of time.
+    gyro, accel = np.zeros((len(windows), 15, 12)), np.zeros((len(windows), 15, 12))
+    gyro[:, ROTATION, 3:9] = np.concatenate([-first, last], axis=2)
+    for window, (of_gyro, of_accel) in enumerate(((START_GYRO, START_ACCEL), (END_GYRO, END_ACCEL))):
+        per_s = np.eye(3) / np.diff(windows[:, window])[:, :, np.newaxis]
+        noise[:, of_gyro, of_gyro] = imu.gyro_noise**2 * per_s
+        noise[:, of_accel, of_accel] = imu.accel_noise**2 * per_s
+        edges = slice(6 * window, 6 * window + 6)
+        gyro[:, of_gyro, edges] = accel[:, of_accel, edges] = np.concatenate([-per_s, per_s], axis=2)
+    pulses = (gyro * imu.gyro_quantization, accel * imu.accel_quantization)
+    return np.asarray(noise + sum(p @ p.transpose(0, 2, 1) for p in pulses) / 12.0)
+
+
+def _covariance(rows: Array, scale: Array) -> Array:
+    """Covariance of the 27 errors, the first unknowns, from whitened measurements and priors of all, shape (m, n)."""
+    scale[scale == 0.0] = 1.0
+    _, singular, directions = np.linalg.svd(np.linalg.qr(rows / scale, mode="r"))
+    rank = int(np.sum(singular > _SINGULAR * singular[0]))
+    # A fixture error that nothing sees does no harm, unless a sensor error looks like it.
+    blind = np.abs(directions[rank:, :N_PARAMETERS]).max(axis=0, initial=0.0)
+    if blind.max() > _NO_SHARE:
+        names = ", ".join(name for name, share in zip(NAMES, blind, strict=True) if share > 0.01 * blind.max())
+        raise DataError(f"These sequences do not determine {names}: add sequences of Table 1, which as a whole does.")
+    root = directions[:rank].T / singular[:rank] / scale[:, np.newaxis]
+    return np.asarray(root[:N_PARAMETERS] @ root[:N_PARAMETERS].T)

@@ -1,0 +1,247 @@
+"""What limits a calibration, before it is made: the sigma of every parameter, source by source, for a scenario.
+
+Noise, quantisation, bias instability, the fixture's alignment times the Earth's rate and gravity are what the estimator
+itself accounts for: its covariance, by source, on a recording of the scenario. What it does not model is found by
+letting it act alone on recordings without noise: g-sensitivity one element at a time, and the fixture's errors by
+draws, of which what the alignment explains is taken off. Some effects are told and not counted: those that the first
+iteration removes, and what the gyro bias would do if it were not measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+import srt
+from sims.physics.imu import ImuModel, read_out
+from sims.scenarios.simulation import simulate
+from srt.exceptions import DataError, InputError
+from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from sims.scenarios.scenario import Scenario
+    from sims.scenarios.simulation import Simulation
+    from srt.estimation.options import GyroBias
+    from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
+
+    Array = NDArray[np.float64]
+    Progress = Callable[[int, int], None]
+
+G_SENSITIVITY: Final = "g_sensitivity"
+FIXTURE: Final = "fixture"
+NOT_COUNTED: Final = {
+    "earth_rate_before_iteration": "Earth rate times sensor errors, before the first iteration",
+    "second_order_before_iteration": "products of errors, fixture's and unit's, before it",
+    "gyro_bias_if_not_measured": "the unit's gyro bias, were it not measured in the windows",
+}
+"""Effects that are told and are no part of the total, with what they are."""
+_PERFECT: Final = {
+    f"{name}_sigma_mrad": 0.0 for name in ("level", "north", "mounting", "non_orthogonality", "rotation", "wobble")
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Budget:
+    """Accuracy that a scenario allows.
+
+    Attributes
+    ----------
+    estimator : str
+    sources : dict of str to ndarray, shape (27,)
+        One sigma of every parameter by source, SI; NaN where the parameter is not estimated.
+    not_counted : dict of str to ndarray, shape (27,)
+        Size of the effects in :data:`NOT_COUNTED`.
+    """
+
+    estimator: str
+    sources: dict[str, Array]
+    not_counted: dict[str, Array]
+
+    @property
+    def total(self) -> Array:
+        """One sigma of every parameter, all sources together, shape (27,), SI."""
+        return np.asarray(np.sqrt(np.sum([s**2 for s in self.sources.values()], axis=0)))
+
+    @property
+    def limiting(self) -> tuple[str | None, ...]:
+        """Largest source of every parameter; None where it is not estimated."""
+        names, sizes = list(self.sources), np.array(list(self.sources.values()))
+        largest = np.argmax(np.nan_to_num(sizes), axis=0)
+        seen = np.isfinite(self.total)
+        return tuple(names[k] if known else None for k, known in zip(largest.tolist(), seen.tolist(), strict=True))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, ready for JSON: SI units, null where a parameter is not estimated."""
+
+        def plain(values: Array) -> dict[str, float | None]:
+            return {n: None if np.isnan(v) else float(v) for n, v in zip(NAMES, values, strict=True)}
+
+        return {
+            "format": "srt-budget",
+            "version": 1,
+            "estimator": self.estimator,
+            "sources": {name: plain(values) for name, values in self.sources.items()},
+            "total": plain(self.total),
+            "not_counted": {name: plain(values) for name, values in self.not_counted.items()},
+        }
+
+
+def budget(
+    scenario: Scenario,
+    estimators: Sequence[str] = ("closed-form",),
+    *,
+    draws: int = 30,
+    gyro_bias: GyroBias = "auto",
+    progress: Progress | None = None,
+) -> tuple[Budget, ...]:
+    """Predict the accuracy of a scenario on the fixture.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its seed draws the unit's errors, and the fixture's draws.
+    estimators : sequence of str
+        Of the registry.
+    draws : int
+        Of the fixture's errors; their rms is known to 1 / √(2 draws).
+    gyro_bias : str
+        How all calibrations take the gyro bias, as in :class:`srt.Options`.
+    progress : callable, optional
+        Called with the numbers of finished and of all calibrations.
+
+    Returns
+    -------
+    tuple of Budget
+        One for each estimator.
+
+    Raises
+    ------
+    InputError
+        A free scenario: without a fixture nothing is known of the motion beforehand.
+    DataError
+        A calibration that does not converge even without noise.
+    """
+    if scenario.schedule is None or scenario.fixture is None:
+        raise InputError("A budget needs a scenario with a [fixture] and a [schedule]: a free recording has no plan.")
+    count = _Counted(progress, len(estimators) * (2 * draws + 15), gyro_bias)
+    rig = _Rig(scenario, draws)
+    return tuple(_budget(name, rig, count) for name in estimators)
+
+
+class _Counted:
+    """Calibrates, and tells how far all is."""
+
+    def __init__(self, progress: Progress | None, size: int, gyro_bias: GyroBias) -> None:
+        self._progress, self._size, self._done, self._gyro_bias = progress, size, 0, gyro_bias
+
+    def __call__(self, recording: Recording, estimator: str, **choices: Any) -> Calibration:
+        found = srt.calibrate(recording, estimator, gyro_bias=self._gyro_bias, **choices)
+        if "max_playbacks" not in choices and found.status not in ("converged", "partial"):
+            raise DataError(f"A recording of the scenario does not calibrate: {found.message}")
+        self.step()
+        return found
+
+    def step(self, number: int = 1) -> None:
+        self._done += number
+        if self._progress is not None:
+            self._progress(min(self._done, self._size), self._size)
+
+
+class _Rig:
+    """Recordings of a scenario: with all its noise, and without any on a fixture of which less is wrong."""
+
+    def __init__(self, scenario: Scenario, draws: int) -> None:
+        self.scenario, self.draws = scenario, draws
+        assert scenario.fixture is not None
+        quiet = scenario.recording.model_copy(update={"noise": False, "label_sequences": True})
+        figures: dict[str, Any] = scenario.imu.noise.si()
+        self.model = ImuModel(**figures)
+        self._quiet = scenario.model_copy(update={"recording": quiet})
+        perfect = scenario.fixture.model_copy(update=_PERFECT)
+        labelled = scenario.recording.model_copy(update={"label_sequences": True})
+        whole = scenario.model_copy(update={"recording": labelled})
+        self.noisy = simulate(whole).recording
+        noise = scenario.imu.noise.model_copy(update={"gyro_g_sensitivity_deg_per_h_per_g": 0.0})
+        imu = scenario.imu.model_copy(update={"noise": noise})
+        self.insensitive = simulate(whole.model_copy(update={"imu": imu})).recording
+        self._still_earth = scenario.site.model_copy(update={"earth_rate": False, "state_latitude": False})
+        # The gravity of the site is that of the recording: its uncertainty is a source of its own.
+        self.still = simulate(self._quiet.model_copy(update={"fixture": perfect}))
+
+    def sensed(self, simulation: Simulation, imu: ImuModel | None = None) -> Recording:
+        """Noise-free readings that state the scenario's noise."""
+        recording = read_out(simulation.motion, simulation.truth, imu, kind=self.scenario.recording.kind)
+        return replace(recording, noise=self.model.stated(), site=simulation.recording.site)
+
+    def fixtures(self, *, earth: bool) -> list[Simulation]:
+        """The unit on fixtures drawn anew; without ``earth`` on one that stands still, and is said to."""
+        site = self.scenario.site if earth else self._still_earth
+        out = []
+        for k in range(self.draws):
+            # The unit is the scenario's own; only the fixture is another one.
+            drawn = self._quiet.model_copy(update={"seed": self.scenario.seed + 1 + k, "site": site})
+            values = self.still.truth.as_dict()
+            errors = self.scenario.errors.model_copy(update={"draw": "none", "values": values})
+            out.append(simulate(drawn.model_copy(update={"errors": errors})))
+        return out
+
+    def standing(self) -> Simulation:
+        """The unit on a perfect fixture on an Earth that stands still."""
+        return simulate(self.still.scenario.model_copy(update={"site": self._still_earth}))
+
+
+def _budget(estimator: str, rig: _Rig, calibrate: _Counted) -> Budget:
+    truth = rig.still.truth.vector
+    noisy = calibrate(rig.noisy, estimator)
+    seen = noisy.observed
+
+    def shown(values: Array) -> Array:
+        return np.where(seen, values, np.nan)
+
+    contributions = dict(noisy.contributions)
+    # A bias that changes with the pose makes the estimator take each sequence's own, which lets more noise in; but the
+    # scatter that it sees is no bias instability, and g-sensitivity has a row of its own.
+    drifting = calibrate(rig.insensitive, estimator).contributions
+    contributions |= {name: sizes for name, sizes in drifting.items() if name == "gyro_bias_instability"}
+    sources = {name: shown(sizes) for name, sizes in contributions.items() if np.any(sizes > 0.0)}
+    plain = calibrate(rig.sensed(rig.still), estimator)
+    size = rig.scenario.imu.noise.g_sensitivity_sigma
+    if size > 0.0 and rig.scenario.recording.noise:
+        squares = np.zeros(N_PARAMETERS)
+        for element in np.ndindex(3, 3):
+            G = np.zeros((3, 3))
+            G[element] = size
+            found = calibrate(rig.sensed(rig.still, ImuModel(gyro_g_sensitivity=G)), estimator)
+            squares += (found.errors.vector - plain.errors.vector) ** 2
+        sources[G_SENSITIVITY] = shown(np.sqrt(squares))
+    else:
+        calibrate.step(9)
+    after, before = np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS)
+    once = {"max_playbacks": 1, "start": SensorErrors(), "step": "coefficients"}
+    for simulation in rig.fixtures(earth=True):
+        after += (calibrate(rig.sensed(simulation), estimator).errors.vector - plain.errors.vector) ** 2
+    for simulation in rig.fixtures(earth=False):
+        before += (calibrate(rig.sensed(simulation), "closed-form", **once).errors.vector - truth) ** 2
+    explained = noisy.contributions.get("earth_rate_alignment", np.zeros(N_PARAMETERS)) ** 2
+    sources[FIXTURE] = shown(np.sqrt(np.maximum(after / rig.draws - explained, 0.0)))
+    first = calibrate(rig.sensed(rig.still), "closed-form", **once).errors.vector
+    alone = calibrate(rig.sensed(rig.standing()), "closed-form", **once).errors.vector
+    # Held at zero; how well the iteration then ends is no matter.
+    held = {"hold": ("gyro_bias",), "start": SensorErrors(), "max_playbacks": 20}
+    unmeasured = calibrate(rig.sensed(rig.still), estimator, **held).errors.vector
+    return Budget(
+        estimator,
+        sources,
+        {
+            "earth_rate_before_iteration": shown(np.abs(first - alone)),
+            "second_order_before_iteration": shown(np.sqrt(before / rig.draws)),
+            "gyro_bias_if_not_measured": shown(np.abs(unmeasured - plain.errors.vector)),
+        },
+    )

@@ -1,0 +1,291 @@
+"""Accuracy campaigns: many simulated units through one estimator, and what is claimed of them.
+
+A trial is a function of its seed; :func:`run` maps trials over seeds, in as many processes as asked for, with the same
+numbers whatever their count. Estimators are reached through the registry (:func:`srt.calibrate`) alone.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+import srt
+from sims.physics.fixture import FixtureDraw, draw_fixture, rotation
+from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.imu import ImuModel, is_imu, read_out
+from sims.physics.sequences import TABLE_1, table_sequences
+from sims.physics.table_motion import table1_motion
+from srt.constants import ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G, STANDARD_GRAVITY_M_S2
+from srt.recording.recording import Fixture, Site
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from srt.recording.recording import Kind, Recording
+    from srt.result.calibration import Calibration
+
+    Array = NDArray[np.float64]
+
+SITE: Final = Site(STANDARD_GRAVITY_M_S2, 5e-6, 45.0 * DEG)
+IN_G: Final = np.ones(N_PARAMETERS)
+"""Divides the 27 errors into the units that accuracy is quoted in: accelerometer bias in g, all else SI."""
+IN_G[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
+
+GRADES: Final = {
+    "navigation": ImuModel(
+        gyro_noise=0.002 * DEG_PER_SQRT_H,
+        accel_noise=5.0 * MICRO_G,
+        gyro_quantization=0.5 * ARCSEC,
+        accel_quantization=1e-5,
+    ),
+    "tactical": ImuModel(gyro_noise=0.0667 * DEG_PER_SQRT_H, accel_noise=60.0 * MICRO_G),
+    "industrial": ImuModel(gyro_noise=0.15 * DEG_PER_SQRT_H, accel_noise=102.0 * MICRO_G),
+}
+"""White noise and quantisation of three grades (configs/imu), bias instability apart."""
+INSTABILITY: Final = {
+    "navigation": (0.001 * DEG_PER_H, 1.0 * MICRO_G),
+    "tactical": (1.0 * DEG_PER_H, 50.0 * MICRO_G),
+    "industrial": (0.5 * DEG_PER_H, 50.0 * MICRO_G),
+}
+
+
+def run(trial: Callable[[int], Any], seeds: Iterable[int], *, workers: int = 1) -> list[Any]:
+    """Results of ``trial(seed)`` in the order of the seeds."""
+    if workers <= 1:
+        return [trial(seed) for seed in seeds]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(trial, seeds, chunksize=4))
+
+
+def normal_errors(rng: np.random.Generator, sigma: float = 1e-3, gyro_bias: float = 0.0) -> SensorErrors:
+    """Draw all errors with one sigma (biases of accelerometers in g), gyro bias uniform up to ``gyro_bias`` rad/s."""
+    vector = rng.standard_normal(N_PARAMETERS) * sigma * IN_G
+    vector[GROUP_SLICES["gyro_bias"]] = rng.uniform(-1.0, 1.0, 3) * gyro_bias
+    return SensorErrors(vector)
+
+
+_LARGE: Final = {
+    "gyro_scale": 0.5,
+    "gyro_asymmetry": 0.01,
+    "gyro_orthogonality": 0.3,
+    "accel_bias": 1.0,
+    "accel_scale": 0.5,
+    "accel_asymmetry": 0.01,
+    "accel_misalignment": 0.3,
+    "gyro_bias": 1.0 * DEG,
+}
+
+
+def large_errors(rng: np.random.Generator) -> tuple[SensorErrors, int]:
+    """Draw uniform errors of ±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 m/s² and ±1 °/s; what is no IMU is redrawn.
+
+    Returns
+    -------
+    errors : SensorErrors
+    redrawn : int
+        How many draws had a matrix with det ≤ 0, gyros not positive definite, or a singular value below 0.15.
+    """
+    redrawn = 0
+    while True:
+        vector = np.zeros(N_PARAMETERS)
+        for group, bound in _LARGE.items():
+            part = GROUP_SLICES[group]
+            vector[part] = rng.uniform(-bound, bound, part.stop - part.start)
+        if is_imu(SensorErrors(vector)):
+            return SensorErrors(vector), redrawn
+        redrawn += 1
+
+
+def fixture_errors(rng: np.random.Generator, sigma_rad: float, stretch_rad: float = 0.0) -> FixtureDraw:
+    """Draw levelling, north, mounting and rotation errors of one sigma; half turns off by ``stretch_rad`` besides."""
+    draw = draw_fixture(
+        rng,
+        table_sequences(tuple(TABLE_1)),
+        level_sigma_rad=sigma_rad,
+        north_sigma_rad=sigma_rad,
+        mounting_sigma_rad=sigma_rad,
+        rotation_sigma_rad=sigma_rad,
+    )
+    if stretch_rad and draw.legs is not None:
+        # Only the half turns: full turns stay full, or their signature would be another.
+        legs = tuple(
+            leg
+            + np.array([abs(angle) == 180.0 for _, angle in s.rotations])
+            * rng.uniform(-stretch_rad, stretch_rad, len(leg))
+            for leg, s in zip(draw.legs, table_sequences(tuple(TABLE_1)), strict=True)
+        )
+        draw = replace(draw, legs=legs)
+    return draw
+
+
+def error_in_quoted_units(calibration: Calibration, truth: SensorErrors) -> Array:
+    """Estimate less truth, shape (27,), accelerometer bias in g."""
+    return np.asarray((calibration.errors.vector - truth.vector) / IN_G)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Outcome of one trial.
+
+    Attributes
+    ----------
+    error : ndarray, shape (27,)
+        Estimate less truth; accelerometer bias in g, else SI.
+    sigma : ndarray, shape (27,)
+        Reported, in the same units.
+    nees : float
+        Normalised estimation error squared of the observed parameters, divided by their number.
+    status : str
+    playbacks : int
+    distance : float
+        Largest difference from the fixed point reached from the truth, over max(1e-8, 0.01 sigma); NaN if not asked.
+    redrawn : int
+    """
+
+    error: Array
+    sigma: Array
+    nees: float
+    status: str
+    playbacks: int
+    distance: float = float("nan")
+    redrawn: int = 0
+
+
+def score(calibration: Calibration, truth: SensorErrors) -> Trial:
+    """Compare a calibration with the truth."""
+    d, sigma = calibration.errors.vector - truth.vector, calibration.sigma
+    seen = calibration.observed
+    scaled = d[seen] / sigma[seen]
+    correlation = calibration.covariance[np.ix_(seen, seen)] / np.outer(sigma[seen], sigma[seen])
+    nees = float(scaled @ np.linalg.solve(correlation, scaled)) / int(seen.sum()) if seen.any() else float("nan")
+    return Trial(d / IN_G, sigma / IN_G, nees, calibration.status, len(calibration.corrections))
+
+
+def exact_trial(
+    seed: int,
+    *,
+    sample_rate_hz: float = 200.0,
+    kind: Kind = "rate",
+    turned_rad: float = 0.0,
+    sigma: float = 1e-3,
+    earth_rate: bool = True,
+    **options: Any,
+) -> Trial:
+    """Noise-free, perfect fixture; MARS turned from the mount by ``turned_rad`` about a random axis."""
+    rng = np.random.default_rng(seed)
+    truth = normal_errors(rng, sigma, 1.0 * DEG)
+    axis = rng.standard_normal(3)
+    U = rotation(turned_rad * axis / np.linalg.norm(axis))
+    motion = table1_motion(site=SITE, sample_rate_hz=sample_rate_hz, U=U, earth_rate=earth_rate)
+    return score(srt.calibrate(read_out(motion, truth, kind=kind), "closed-form", **options), truth)
+
+
+def fixture_trial(
+    seed: int,
+    *,
+    sigma_rad: float = 1e-3,
+    stretch_rad: float = 0.0,
+    earth_rate: bool = True,
+    sample_rate_hz: float = 100.0,
+    **options: Any,
+) -> Trial:
+    """Noise-free on a fixture with errors."""
+    rng = np.random.default_rng(seed)
+    truth = normal_errors(rng, 1e-3, 1.0 * DEG)
+    motion = table1_motion(
+        site=SITE if earth_rate else replace(SITE, latitude_rad=None),
+        sample_rate_hz=sample_rate_hz,
+        fixture_draw=fixture_errors(rng, sigma_rad, stretch_rad),
+        stated_fixture=Fixture(0.0, max(sigma_rad, 1e-9), max(sigma_rad, 1e-9)),
+        earth_rate=earth_rate,
+    )
+    return score(srt.calibrate(read_out(motion, truth), "closed-form", **options), truth)
+
+
+def large_trial(seed: int, *, sigma_rad: float = 5e-3, sample_rate_hz: float = 100.0, **options: Any) -> Trial:
+    """Large pre-calibration errors, noise-free, on a 5 mrad fixture; also from the truth, for the fixed point."""
+    rng = np.random.default_rng(seed)
+    truth, redrawn = large_errors(rng)
+    motion = table1_motion(
+        site=SITE,
+        sample_rate_hz=sample_rate_hz,
+        fixture_draw=fixture_errors(rng, sigma_rad),
+        stated_fixture=Fixture(0.0, sigma_rad, sigma_rad, wobble_sigma_rad=0.0),
+    )
+    recording = read_out(motion, truth)
+    found = srt.calibrate(recording, "closed-form", **options)
+    reference = srt.calibrate(recording, "closed-form", **{**options, "start": truth})
+    difference = np.abs(found.errors.vector - reference.errors.vector) / IN_G
+    distance = float(np.max(difference / np.maximum(1e-8, 0.01 * found.sigma / IN_G)))
+    return replace(score(found, truth), distance=distance, redrawn=redrawn)
+
+
+def noisy_recording(
+    seed: int,
+    grade: str,
+    *,
+    instability: bool = False,
+    g_sensitivity: float = 0.0,
+    state_noise: bool = True,
+    sigma_rad: float = 1e-3,
+    sample_rate_hz: float = 100.0,
+) -> tuple[Recording, SensorErrors]:
+    """One noisy unit on a 1 mrad fixture: random walks, quantisation, constant bias, gravity known to its sigma.
+
+    ``instability`` and ``g_sensitivity`` (rad/s per m/s², one sigma of each matrix element) are off by default.
+    """
+    rng = np.random.default_rng(seed)
+    truth = normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+    true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
+    motion = table1_motion(
+        site=true_site,
+        sample_rate_hz=sample_rate_hz,
+        fixture_draw=fixture_errors(rng, sigma_rad),
+        stated_fixture=Fixture(0.0, sigma_rad, sigma_rad, wobble_sigma_rad=0.0),
+    )
+    imu = replace(GRADES[grade], gyro_g_sensitivity=rng.standard_normal((3, 3)) * g_sensitivity)
+    if instability:
+        gyro, accel = INSTABILITY[grade]
+        imu = replace(imu, gyro_bias_instability=gyro, accel_bias_instability=accel)
+    return read_out(motion.stated_as(site=SITE), truth, imu, rng, state_noise=state_noise), truth
+
+
+def noisy_trial(
+    seed: int, *, grade: str, estimator: str = "closed-form", calibration: Any = None, **unit: Any
+) -> Trial:
+    """Calibrate one noisy unit; ``calibration`` holds options of the estimator, the rest describes the unit."""
+    recording, truth = noisy_recording(seed, grade, **unit)
+    return score(srt.calibrate(recording, estimator, **(calibration or {})), truth)
+
+
+def free_trial(seed: int, *, turns: int = 36, sample_rate_hz: float = 100.0) -> Trial:
+    """A consumer MEMS unit turned by hand: no fixture, no labels, noise estimated."""
+    rng = np.random.default_rng(seed)
+    sizes = {"gyro_scale": 0.01, "gyro_asymmetry": 1e-3, "gyro_orthogonality": 0.01, "accel_bias": 0.2}
+    sizes |= {"accel_scale": 0.01, "accel_asymmetry": 1e-3, "accel_misalignment": 0.01, "gyro_bias": 0.01}
+    vector = np.concatenate(
+        [rng.standard_normal(GROUP_SLICES[g].stop - GROUP_SLICES[g].start) * s for g, s in sizes.items()]
+    )
+    truth = SensorErrors(vector)
+    true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
+    motion = free_motion(
+        random_turns(rng, turns, smallest_rad=0.8, largest_rad=3.0),
+        site=true_site,
+        attitude=random_attitude(rng),
+        sample_rate_hz=sample_rate_hz,
+    )
+    imu = ImuModel(gyro_noise=0.3 * DEG_PER_SQRT_H, accel_noise=200.0 * MICRO_G)
+    recording = read_out(motion.stated_as(site=SITE), truth, imu, rng, state_noise=False)
+    return score(srt.calibrate(recording), truth)
+
+
+def normalised(trials: Iterable[Trial]) -> Array:
+    """Errors over their reported sigma, shape (trials, 27)."""
+    return np.array([t.error / t.sigma for t in trials])

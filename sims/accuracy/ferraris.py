@@ -1,0 +1,280 @@
+"""Ferraris' calibration on the two-axis fixture, and what imucal makes of it in the words of this project.
+
+Six faces stand still, each axis up and down; then every axis is turned by full turns. The method takes the fixture for
+the truth: vertical is exactly along an axis in every face, every turn is exactly about an axis, by exactly the angle
+asked for. What it finds (Ferraris, Grimaldi and Parvis 1995, as the package imucal computes it) corrects readings by::
+
+    f = R_a⁻¹ K_a⁻¹ (f̃ − b_a),      ω = R_g⁻¹ K_g⁻¹ (ω̃ − K_ga f − b_g)
+
+in the fixture's axes F: K diagonal, rows of R of unit length. The reading model of this project has ω̃ = Mg ω + κ_Bias
+in MARS axes B, in which Mg is symmetric. So K_g R_g = Mg C_BF and K_a R_a = Ma C_BF: the polar decomposition of the
+first gives Mg and C_BF, and with that the second gives Ma. A turn that all of F has in common, as by the mounting,
+drops out. K_ga has no place in the reading model; besides g-sensitivity it takes up the vertical part of the Earth's
+rate.
+
+The turns about x and y are made about the outer axis. With the heading 0 that points east, so that no Earth rate lies
+along it; the six faces come in pairs half a turn about east apart, in whose mean the Earth's rate cancels.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import polar
+
+from sims.physics.fixture import FixtureDraw, draw_fixture
+from sims.physics.motion import RateProfile
+from sims.physics.sequences import TABLE_1, TurnSequence
+from sims.physics.table_motion import Schedule, run_schedule
+from srt.constants import DEG
+from srt.exceptions import DataError, InputError, MissingExtraError
+from srt.sensor_errors import SensorErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from sims.physics.true_motion import TrueMotion
+    from srt.recording.recording import Recording, Site
+
+    Array = NDArray[np.float64]
+    Picks = Mapping[str, tuple[tuple[int, int], ...]]
+
+TURNS_PER_AXIS: Final = 3
+TURN_RAD: Final = TURNS_PER_AXIS * 2.0 * math.pi
+TURN_WAIT_S: Final = 1.0
+"""Stillness before and after a turn that serves for nothing else."""
+
+# The two faces of z are seen at two headings half a turn apart. Then the Earth's horizontal rate does not end in K_ga,
+# which would take it for a g-sensitivity and subtract it from the turns about z, whose axis is vertical.
+FACE_SEQUENCES: Final = (
+    TurnSequence("faces x", "x", "y", (("y", 180.0),)),
+    TurnSequence("faces y", "y", "x", (("x", 180.0),)),
+    TurnSequence("face -z", "z", "y", (("z", 180.0),)),
+    TurnSequence("face +z", "z", "y", (("y", 180.0),)),
+    TurnSequence("face +z turned", "z", "y", (("z", 180.0), ("y", 180.0))),
+)
+FACES: Final[Picks] = {
+    "x_a": ((0, 0),),
+    "x_p": ((0, 1),),
+    "y_a": ((1, 0),),
+    "y_p": ((1, 1),),
+    "z_a": ((2, 0), (2, 1)),
+    "z_p": ((3, 1), (4, 1)),
+}
+"""Where each face is seen: sequence, and window (0 before its rotations, 1 after). ``x_p`` has x up, ``x_a`` down."""
+
+TURN_SEQUENCES: Final = (
+    TurnSequence("turns x", "y", "x", (("x", 360.0 * TURNS_PER_AXIS),)),
+    TurnSequence("turns y", "x", "y", (("y", 360.0 * TURNS_PER_AXIS),)),
+    TurnSequence("turns z", "z", "y", (("z", 360.0 * TURNS_PER_AXIS),)),
+)
+TURNS: Final = (0, 1, 2)
+"""Sequences that turn x, y and z."""
+
+_IDS = tuple(TABLE_1)
+TABLE_1_FACES: Final[Picks] = {
+    f"{axis}_{face}": tuple((_IDS.index(name), window) for name in names)
+    for axis, names in {"x": ("9", "12"), "y": ("7", "10"), "z": ("8", "11")}.items()
+    for window, face in enumerate("ap")
+}
+"""Windows of Table 1 that serve as faces: those before and after half turns that turn an axis over."""
+
+TABLE_1_TURNS: Final = tuple(_IDS.index(name) for name in ("2", "1", "3"))
+TABLE_1_TURN_RAD: Final = 2.0 * math.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Take:
+    """A recording, and the still windows that were before and after each of its turns, s."""
+
+    recording: Recording
+    windows: tuple[tuple[tuple[float, float], tuple[float, float]], ...]
+
+    def still(self, picks: tuple[tuple[int, int], ...], seconds: float) -> tuple[Array, Array]:
+        """Samples of a face, as long as asked for and equally from each window: gyro, accel, shape (n, 3)."""
+        rate = self._sample_rate_hz()
+        count = round(seconds * rate / len(picks))
+        parts = []
+        for sequence, window in picks:
+            inside = np.flatnonzero(self._between(*self.windows[sequence][window]))
+            if len(inside) < count:
+                raise DataError(
+                    f"A still window has {len(inside)} samples, but {count} of it are to be used: ask for at most "
+                    f"{len(inside) * len(picks) / rate:g} s of a face."
+                )
+            parts.append(inside[:count])
+        samples = np.concatenate(parts)
+        return self.recording.gyro[samples], self.recording.accel[samples]
+
+    def turning(self, sequence: int) -> tuple[Array, Array]:
+        """Samples between the two windows of a sequence: gyro, accel, shape (n, 3)."""
+        (_, begin), (end, _) = self.windows[sequence]
+        samples = self._between(begin, end)
+        return self.recording.gyro[samples], self.recording.accel[samples]
+
+    def _between(self, begin: float, end: float) -> NDArray[np.bool_]:
+        half = 0.5 / self._sample_rate_hz()
+        inside: NDArray[np.bool_] = (self.recording.time > begin + half) & (self.recording.time <= end + half)
+        return inside
+
+    def _sample_rate_hz(self) -> float:
+        return 1.0 / float(np.median(np.diff(self.recording.time)))
+
+
+def face_seconds(total_s: float, profile: RateProfile) -> float:
+    """How long each of the six faces may last if all faces and turns together are to take that long, s."""
+    legs = [angle for s in (*FACE_SEQUENCES[:3], *TURN_SEQUENCES) for _, angle in s.fixture_legs()]
+    return (total_s - sum(profile.duration_s(angle) for angle in legs)) / len(FACES)
+
+
+def ferraris_motions(
+    *,
+    site: Site,
+    face_s: float,
+    profile: RateProfile | None = None,
+    sample_rate_hz: float = 100.0,
+    fixture_draw: FixtureDraw | None = None,
+    rotation_sigma_rad: float = 0.0,
+    rng: np.random.Generator | None = None,
+    U: Array | None = None,
+    earth_rate: bool = True,
+) -> tuple[TrueMotion, TrueMotion]:
+    """Execute Ferraris' faces and turns on the fixture.
+
+    Parameters
+    ----------
+    site : Site
+    face_s : float
+        How long each face is to last at least, s.
+    profile : RateProfile, optional
+    sample_rate_hz : float
+    fixture_draw : FixtureDraw, optional
+        Base, mounting and axes are taken from it; starts and rotations, which are other ones here, are drawn.
+    rotation_sigma_rad : float
+        One sigma of each executed rotation and of each axis at the start, rad.
+    rng : numpy.random.Generator, optional
+        For these; needed with a ``rotation_sigma_rad`` that is not zero.
+    U : ndarray, shape (3, 3), optional
+        Rotation from table-mounted components to B; default identity.
+    earth_rate : bool
+
+    Returns
+    -------
+    faces, turns : TrueMotion
+        Of :data:`FACE_SEQUENCES` and :data:`TURN_SEQUENCES`.
+
+    Raises
+    ------
+    InputError
+        If rotation errors are to be drawn without a generator.
+    """
+    generator = np.random.default_rng(0) if rng is None else rng  # without one, sigma zero leaves nothing of it
+    if rng is None and rotation_sigma_rad != 0.0:
+        raise InputError("Rotation errors are to be drawn: pass a numpy.random.Generator.")
+    motions = []
+    for sequences, dwell_s in ((FACE_SEQUENCES, face_s), (TURN_SEQUENCES, TURN_WAIT_S)):
+        executed = draw_fixture(generator, sequences, rotation_sigma_rad=rotation_sigma_rad)
+        draw = replace(fixture_draw or FixtureDraw(), starts=executed.starts, legs=executed.legs)
+        motion = run_schedule(
+            Schedule(sequences, profile or RateProfile(), dwell_s=dwell_s),
+            site=site,
+            sample_rate_hz=sample_rate_hz,
+            fixture_draw=draw,
+            U=U,
+            earth_rate=earth_rate,
+        )
+        motions.append(motion)
+    return motions[0], motions[1]
+
+
+def signal_regions(
+    faces: Take, turns: Take, *, face_s: float, face_picks: Picks = FACES, turn_picks: tuple[int, ...] = TURNS
+) -> dict[str, Array]:
+    """Arrays by the names of imucal's ``FerrarisSignalRegions``, each of shape (n, 3): deg/s and m/s²."""
+    regions = {}
+    for face, picks in face_picks.items():
+        regions[f"gyr_{face}"], regions[f"acc_{face}"] = faces.still(picks, face_s)
+    for axis, sequence in zip("xyz", turn_picks, strict=True):
+        regions[f"gyr_{axis}_rot"], regions[f"acc_{axis}_rot"] = turns.turning(sequence)
+    return {name: samples / DEG if name.startswith("gyr") else samples for name, samples in regions.items()}
+
+
+def imucal_errors(
+    regions: Mapping[str, Array], *, sample_rate_hz: float, gravity_m_s2: float, turn_rad: float = TURN_RAD
+) -> SensorErrors:
+    """Calibrate by imucal.
+
+    Parameters
+    ----------
+    regions : mapping
+        As :func:`signal_regions` gives them.
+    sample_rate_hz : float
+    gravity_m_s2 : float
+    turn_rad : float
+        Angle turned about each axis, rad; positive by the right hand.
+
+    Returns
+    -------
+    SensorErrors
+        In MARS axes; asymmetries, which imucal does not know, are zero.
+
+    Raises
+    ------
+    MissingExtraError
+        If imucal is not installed.
+    DataError
+        If the gyro matrix found is no right-handed one.
+    """
+    try:
+        imucal = importlib.import_module("imucal")
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(str(error.name), "benchmark", "The comparison with imucal") from None
+    method = imucal.FerrarisCalibration(grav=gravity_m_s2, expected_angle=turn_rad / DEG)
+    found = method.compute(imucal.FerrarisSignalRegions(**regions), sample_rate_hz, "m/s^2", "deg/s")
+    return mars_errors(found.K_g @ found.R_g, found.K_a @ found.R_a, found.b_g * DEG, found.b_a)
+
+
+def mars_errors(gyro_matrix: Array, accel_matrix: Array, gyro_bias: Array, accel_bias: Array) -> SensorErrors:
+    """Sensor errors, in MARS axes, of triads whose readings are ``M v + bias`` for v in any common orthogonal axes.
+
+    Parameters
+    ----------
+    gyro_matrix, accel_matrix : ndarray, shape (3, 3)
+    gyro_bias, accel_bias : ndarray, shape (3,), rad/s and m/s²
+
+    Raises
+    ------
+    DataError
+        If the gyro matrix has no positive determinant.
+    """
+    if not np.linalg.det(gyro_matrix) > 0.0:
+        raise DataError(
+            "The gyro matrix found has no positive determinant, so there is no frame in which it is symmetric and "
+            "positive: look for a flipped axis or a turn of the wrong sign."
+        )
+    turn, Mg = polar(gyro_matrix, side="left")  # gyro_matrix = Mg @ turn
+    Ma = accel_matrix @ turn.T
+    values = {f"gyro_orthogonality_{'xyz'[i]}{'xyz'[j]}": 2.0 * Mg[i, j] for i, j in ((0, 1), (1, 2), (2, 0))}
+    for i, a in enumerate("xyz"):
+        values |= {f"gyro_scale_{a}": Mg[i, i] - 1.0, f"accel_scale_{a}": Ma[i, i] - 1.0}
+        values |= {f"gyro_bias_{a}": gyro_bias[i], f"accel_bias_{a}": accel_bias[i]}
+        values |= {f"accel_misalignment_{a}{b}": Ma[i, j] for j, b in enumerate("xyz") if i != j}
+    return SensorErrors.from_dict({name: float(value) for name, value in values.items()})
+
+
+def non_orthogonality(matrix: Array) -> Array:
+    """Cosines of the angles between the axes xy, yz and zx of a triad, shape (3,): the same in whatever frame.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+        Row i is axis i, of any length.
+    """
+    rows = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+    return np.array([rows[0] @ rows[1], rows[1] @ rows[2], rows[2] @ rows[0]])

@@ -1,0 +1,168 @@
+"""Recordings to be recognised: random orders, repeats, rates, dwells, moves and joins, on good and bad units.
+
+What a trial compares is the recording calibrated without its labels with the same recording calibrated with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import srt
+from sims.faults.injection import GRADES, Case
+from sims.physics.sequences import TABLE_1
+from srt.constants import DEG
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from srt.recording.recording import Recording
+    from srt.sensor_errors import SensorErrors
+
+    Array = NDArray[np.float64]
+
+_LARGE = {
+    "gyro_scale": 0.3,
+    "gyro_orthogonality": 0.1,
+    "accel_bias": 0.5,
+    "accel_scale": 0.3,
+    "accel_misalignment": 0.1,
+    "gyro_bias": 1.0 * DEG,
+}
+"""Largest errors of a unit before calibration that a sequence is recognised through, SI."""
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """One test and what was run.
+
+    Attributes
+    ----------
+    recording : Recording
+        Labelled.
+    order : tuple of str
+        Ids in the order run.
+    truth : SensorErrors
+    joined : bool
+        Whether it was put end to end from one recording per sequence, without a gap in the time stamps.
+    """
+
+    recording: Recording
+    order: tuple[str, ...]
+    truth: SensorErrors
+    joined: bool
+
+
+def random_order(rng: np.random.Generator, repeats: int = 3) -> tuple[str, ...]:
+    """All sequences of Table 1 in random order, up to so many of them once more at the end."""
+    ids = np.array(list(TABLE_1))
+    again = rng.choice(ids, int(rng.integers(0, repeats + 1)))
+    return tuple(str(name) for name in np.concatenate([rng.permutation(ids), again]))
+
+
+def hard_test(seed: int) -> Test:
+    """Draw a test of a unit off by up to 30 % and 1 °/s, at 0.1 to 2 rad/s, dwells and stops between legs drawn too.
+
+    Moves between sequences are recorded, or left out with a gap, or left out without one.
+    """
+    rng = np.random.default_rng(seed)
+    order = random_order(rng)
+    schedule: dict[str, Any] = {
+        "sequences": list(order),
+        "rate_rad_s": float(np.exp(rng.uniform(np.log(0.1), np.log(2.0)))),
+        "dwell_s": float(rng.uniform(5.0, 15.0)),
+        "leg_dwell_s": float(rng.choice([0.0, 0.0, 0.5, 2.0])),
+        "moves": str(rng.choice(["recorded", "skipped"])),
+    }
+    bound = np.zeros(N_PARAMETERS)
+    for group, size in _LARGE.items():
+        bound[GROUP_SLICES[group]] = size
+    values = dict(zip(NAMES, (rng.uniform(-1.0, 1.0, N_PARAMETERS) * bound).tolist(), strict=True))
+    case = Case(
+        GRADES[seed % len(GRADES)],
+        seed,
+        {"schedule": schedule, "errors": {"draw": "none", "values": values}, "imu": {"frame_turn_sigma_mrad": 0.0}},
+    )
+    return _test(case, order, joined=schedule["moves"] == "skipped" and bool(rng.integers(2)))
+
+
+def fair_test(seed: int, grade: str, *, noise: bool = True) -> Test:
+    """Draw a test whose labels are just the stillness there is, of a unit with the errors that the sigmas speak of.
+
+    That is random walks and quantisation; bias instability and g-sensitivity are left out. Every other seed has its
+    moves recorded; the others are put end to end.
+    """
+    rng = np.random.default_rng(seed)
+    order = random_order(rng)
+    joined = bool(seed % 2)
+    none = {"gyro_g_sensitivity_deg_per_h_per_g": 0.0, "gyro_bias_instability_deg_per_h": 0.0}
+    changes: dict[str, Mapping[str, Any]] = {
+        "imu": {"from": grade, "noise": {**none, "accel_bias_instability_ug": 0.0}},
+        "schedule": {
+            "sequences": list(order),
+            "rate_rad_s": float(rng.uniform(0.3, 2.0)),
+            "settle_s": 0.0,
+            "pause_s": 0.0,
+            "moves": "skipped" if joined else "recorded",
+        },
+        "recording": {"noise": noise},
+    }
+    if not noise:
+        changes["fixture"] = {"from": "perfect"}
+    return _test(Case(grade, seed, changes), order, joined=joined)
+
+
+def _test(case: Case, order: tuple[str, ...], *, joined: bool) -> Test:
+    recording = case.recording
+    return Test(end_to_end(recording) if joined else recording, order, case.simulation.truth, joined)
+
+
+def end_to_end(recording: Recording) -> Recording:
+    """Close all gaps: stamps go on evenly, labels go with their samples."""
+    dt = recording.nominal_interval_s
+
+    def moved(window: tuple[float, float]) -> tuple[float, float]:
+        samples = recording.window_indices(*window)
+        return samples.start * dt, samples.stop * dt
+
+    labels = tuple(
+        replace(label, start_static_s=moved(label.start_static_s), end_static_s=moved(label.end_static_s))
+        for label in recording.sequences
+    )
+    time: Array = np.arange(1, len(recording.time) + 1, dtype=np.float64) * dt
+    return replace(recording, time=time, sequences=labels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """Without labels against with them.
+
+    Attributes
+    ----------
+    difference : ndarray, shape (27,), SI
+        Unlabelled less labelled.
+    sigma : ndarray, shape (27,), SI
+        Of the labelled calibration.
+    nees : float
+        Of the unlabelled calibration, per parameter.
+    """
+
+    difference: Array
+    sigma: Array
+    nees: float
+
+
+def pair(test: Test) -> Pair:
+    """Calibrate a test with its labels and without, by the estimator that is chosen for it."""
+    labelled = srt.calibrate(test.recording)
+    found = srt.calibrate(test.recording.with_sequences(()))
+    error = found.errors.vector - test.truth.vector
+    scaled = error / found.sigma
+    correlation = found.covariance / np.outer(found.sigma, found.sigma)
+    nees = float(scaled @ np.linalg.solve(correlation, scaled)) / N_PARAMETERS
+    return Pair(found.errors.vector - labelled.errors.vector, labelled.sigma, nees)

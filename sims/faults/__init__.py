@@ -1,0 +1,1 @@
+"""Faults injected into simulated recordings, and the study of how surely they are named."""

@@ -1,0 +1,139 @@
+"""Faults put into simulated recordings, one at a time and at a stated severity, to see whether they are named.
+
+What a fault does to a recording is written here from what goes wrong on a bench; how it is told is no matter of this
+module. Injections register themselves in the modules ``sims.faults.samples``, ``sims.faults.motion`` and
+``sims.faults.statements``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sims.scenarios.scenario import scenario_from_dict
+from sims.scenarios.simulation import simulate
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from sims.scenarios.scenario import Scenario
+    from sims.scenarios.simulation import Simulation
+    from srt.estimation.options import Options
+    from srt.recording.recording import Recording
+
+GRADES: Final = ("navigation-rlg", "tactical-fog", "industrial-mems", "consumer-mems")
+"""Configurations of units, best first."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One unit on the 1 mrad fixture, run through the 17 sequences; the recording is made when first asked for.
+
+    Attributes
+    ----------
+    grade : str
+    seed : int
+    changes : mapping
+        Keys of the scenario's sections that differ from the standard test, as ``{"schedule": {"dwell_s": 5.0}}``.
+    """
+
+    grade: str
+    seed: int
+    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """Labelled, 100 Hz, dwells of 10 s, 1 rad/s, increments for the grades that deliver them."""
+        increments = self.grade in ("navigation-rlg", "tactical-fog")
+        values: dict[str, dict[str, Any]] = {
+            "imu": {"from": self.grade},
+            "fixture": {"from": "lab-1mrad"},
+            "site": {"from": "latitude-45"},
+            "schedule": {"dwell_s": 10.0, "rate_rad_s": 1.0, "acceleration_rad_s2": 10.0, "settle_s": 0.2},
+            "recording": {"sample_rate_hz": 100.0, "kind": "increment" if increments else "rate"},
+        }
+        for section, keys in self.changes.items():
+            values[section] = {**values.get(section, {}), **keys}
+        return scenario_from_dict({"seed": self.seed, **values})
+
+    @cached_property
+    def simulation(self) -> Simulation:
+        """The run, its truth and its motion."""
+        return simulate(self.scenario)
+
+    @property
+    def recording(self) -> Recording:
+        """The recording without the fault."""
+        return self.simulation.recording
+
+    def changed(self, **sections: Mapping[str, Any]) -> Case:
+        """Give the same unit in another test."""
+        merged = {name: dict(keys) for name, keys in self.changes.items()}
+        for name, keys in sections.items():
+            merged[name] = {**merged.get(name, {}), **keys}
+        return Case(self.grade, self.seed, merged)
+
+
+Apply = Callable[[Case, float, np.random.Generator], "Recording"]
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """How one fault is made.
+
+    Attributes
+    ----------
+    fault : str
+        Its name in the catalogue of faults.
+    apply : callable
+        Gives the recording with the fault from a case, a severity and a generator; may raise InputError where
+        building the recording is what names the fault.
+    severity : mapping of str to float
+        Stated severity by grade; a grade that is left out cannot show the fault.
+    unit : str
+        Of the severity.
+    options : Options or None
+        Of the calibration, where the fault lies in them.
+    unseen : mapping of str to str
+        Why a grade cannot show it.
+    """
+
+    fault: str
+    apply: Apply
+    severity: Mapping[str, float]
+    unit: str
+    options: Options | None = None
+    unseen: Mapping[str, str] = field(default_factory=dict)
+
+    def recording(self, case: Case, severity: float | None = None) -> Recording:
+        """Put the fault into a case; its generator is a child of the case's seed."""
+        rng = np.random.default_rng([case.seed, *self.fault.encode()])
+        return self.apply(case, self.severity[case.grade] if severity is None else severity, rng)
+
+
+INJECTIONS: Final[dict[str, Injection]] = {}
+
+
+def injection(
+    fault: str,
+    severity: float | Mapping[str, float],
+    unit: str,
+    *,
+    options: Options | None = None,
+    unseen: Mapping[str, str] | None = None,
+) -> Callable[[Apply], Apply]:
+    """Register how a fault is made; one severity stands for all grades that can show it."""
+    missing = dict(unseen or {})
+    by_grade = severity if isinstance(severity, Mapping) else dict.fromkeys(GRADES, severity)
+    by_grade = {grade: by_grade[grade] for grade in GRADES if grade in by_grade and grade not in missing}
+
+    def register(apply: Apply) -> Apply:
+        if fault in INJECTIONS:
+            raise InputError(f"The fault {fault!r} is injected in two ways: keep one.")
+        INJECTIONS[fault] = Injection(fault, apply, by_grade, unit, options, missing)
+        return apply
+
+    return register

@@ -1,0 +1,312 @@
+"""Faults of a run: labels, sequences, stillness and turns.
+
+What goes wrong here goes wrong on the table or in the logger before anybody looks at a sample: sequences run in
+another order than they are listed, a stop that is out of place, a unit that slips in its clamp, two sensors that are
+not read at the same moment.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sims.faults.injection import injection
+from sims.physics import disturbances
+from sims.physics.fixture import rotation
+from sims.physics.imu import read_out
+from sims.physics.sequences import TABLE_1
+from sims.physics.table_motion import run_schedule
+from sims.scenarios.simulation import schedule_of
+from srt.constants import DEG
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from sims.faults.injection import Case
+    from sims.physics.true_motion import TrueMotion
+    from srt.recording.recording import Recording, SequenceLabel
+
+    Array = NDArray[np.float64]
+
+_IDS: Final = tuple(TABLE_1)
+
+
+# --- sequences and labels --------------------------------------------------------------------------------------------
+
+
+@injection("labels_shifted", 2.0, "s")
+def labels_shifted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Labels written by another clock than the samples, which is off by ``severity``; the moves are recorded.
+
+    No label can lie outside the samples: at the ends of the recording windows are cut.
+    """
+    recording = case.changed(schedule={"moves": "recorded"}).recording
+    shift = float(rng.choice([-1.0, 1.0])) * severity
+    low = float(recording.time[0]) - recording.nominal_interval_s
+    high = float(recording.time[-1])
+
+    def moved(label: SequenceLabel) -> SequenceLabel:
+        limits = ((low, high), (low, high))
+        first, second = (
+            (max(a + shift, at[0]), min(b + shift, at[1]))
+            for (a, b), at in zip((label.start_static_s, label.end_static_s), limits, strict=True)
+        )
+        return replace(label, start_static_s=first, end_static_s=second)
+
+    return recording.with_sequences(tuple(moved(label) for label in recording.sequences))
+
+
+@injection("labels_exchanged", 2.0, "sequences")
+def labels_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Some sequences change places in the run, but the list that labels it is the planned one."""
+    count = max(2, round(severity))
+    places = rng.choice(len(_IDS), count, replace=False)
+    order = list(_IDS)
+    for here, there in zip(places.tolist(), np.roll(places, 1).tolist(), strict=True):
+        order[here] = _IDS[there]
+    return _labelled(case.changed(schedule={"sequences": tuple(order)}).recording, _IDS)
+
+
+@injection("wrong_direction", 1.0, "sequences")
+def wrong_direction(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Every turn of a sequence is made the other way round."""
+    turned = rng.choice(_IDS, max(1, round(severity)), replace=False).tolist()
+    custom = [
+        {
+            "id": f"{name} reversed",
+            "down": TABLE_1[name].down,
+            "along_outer": TABLE_1[name].along_outer,
+            "rotations": tuple((axis, -angle) for axis, angle in TABLE_1[name].rotations),
+        }
+        for name in turned
+    ]
+    order = tuple(f"{name} reversed" if name in turned else name for name in _IDS)
+    return _labelled(case.changed(schedule={"sequences": order, "custom": tuple(custom)}).recording, _IDS)
+
+
+@injection("wrong_angle", 2.0, "°")
+def wrong_angle(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One turn of one sequence ends at a stop that is out of place, or a tooth too far."""
+    run = case.simulation
+    assert run.fixture_draw is not None
+    number = int(rng.integers(len(_IDS)))
+    leg = int(rng.integers(len(TABLE_1[_IDS[number]].rotations)))
+    error = float(rng.choice([-1.0, 1.0])) * severity * DEG
+    draw = disturbances.wrong_angle(run.fixture_draw, number, leg, error)
+    config, scenario = run.scenario.schedule, run.scenario
+    assert config is not None
+    motion = run_schedule(
+        schedule_of(config),
+        site=run.motion.site,
+        sample_rate_hz=scenario.recording.sample_rate_hz,
+        heading_rad=0.0 if scenario.fixture is None else scenario.fixture.heading_deg * DEG,
+        fixture_draw=draw,
+        U=run.U,
+        stated_fixture=run.motion.fixture,
+        earth_rate=scenario.site.earth_rate,
+        start_time_s=scenario.recording.start_time_s,
+    )
+    return _read(case, motion, rng)
+
+
+@injection("sequence_missing", 1.0, "sequences")
+def sequence_missing(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Sequences are forgotten."""
+    left_out = rng.choice(_IDS, max(1, round(severity)), replace=False).tolist()
+    return case.changed(schedule={"sequences": tuple(name for name in _IDS if name not in left_out)}).recording
+
+
+@injection("sequence_repeated", 1.0, "sequences")
+def sequence_repeated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Sequences are run once more, at once or at the end of the day."""
+    order = list(_IDS)
+    for name in rng.choice(_IDS, max(1, round(severity)), replace=False).tolist():
+        order.insert(order.index(name) if rng.random() < 0.5 else len(order), name)
+    return case.changed(schedule={"sequences": tuple(order)}).recording
+
+
+@injection("window_short", 0.2, "of the planned length")
+def window_short(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The turn is begun too early, or the recording stopped too soon: one stillness is only a part as long."""
+    recording = case.recording
+    number, at_end = int(rng.integers(len(_IDS))), bool(rng.integers(2))
+    label = recording.sequences[number]
+    a, b = label.end_static_s if at_end else label.start_static_s
+    kept = (a, a + severity * (b - a)) if at_end else (b - severity * (b - a), b)
+    lost = recording.window_indices(kept[1], b) if at_end else recording.window_indices(a, kept[0])
+    keep = np.ones(len(recording.time), dtype=np.bool_)
+    keep[lost] = False
+    changed = replace(label, end_static_s=kept) if at_end else replace(label, start_static_s=kept)
+    return replace(
+        recording,
+        time=recording.time[keep],
+        gyro=recording.gyro[keep],
+        accel=recording.accel[keep],
+        sequences=(*recording.sequences[:number], changed, *recording.sequences[number + 1 :]),
+        data_sha256=None,
+    )
+
+
+def _labelled(recording: Recording, ids: tuple[str, ...]) -> Recording:
+    """The same windows by the names of a list."""
+    return recording.with_sequences(
+        tuple(
+            replace(label, id=name, down=None, along_outer=None, rotations=())
+            for label, name in zip(recording.sequences, ids, strict=True)
+        )
+    )
+
+
+# --- stillness -------------------------------------------------------------------------------------------------------
+
+
+@injection("unsettled", 0.5, "mrad")
+def unsettled(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A soft fixture rings after every turn and is given 0.2 s to settle."""
+    ringing = {
+        "settling_amplitude_mrad": severity,
+        "settling_frequency_hz": float(rng.uniform(4.0, 12.0)),
+        "settling_decay_s": float(rng.uniform(0.2, 0.6)),
+    }
+    return case.changed(schedule=ringing).recording
+
+
+@injection("bump", 1.0, "mrad")
+def bump(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Somebody knocks against the unit, which slips in its clamp within 0.1 to 0.3 s."""
+    motion = case.simulation.motion
+    (a, b), _ = _window(motion, rng)
+    duration = float(rng.uniform(0.1, 0.3))
+    start = a + float(rng.uniform(0.15, 0.85)) * (b - a - duration)
+    vector = rng.standard_normal(3)
+    return _read(case, _slip(motion, start, duration, severity * 1e-3 * vector / np.linalg.norm(vector)), rng)
+
+
+@injection(
+    "creep",
+    {"navigation-rlg": 20.0, "tactical-fog": 200.0, "industrial-mems": 200.0, "consumer-mems": 600.0},
+    "µrad/s",
+)
+def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A loose clamp gives way to gravity: the unit tilts at a steady rate as long as one window lasts."""
+    motion = case.simulation.motion
+    (a, b), force = _window(motion, rng)
+    axis = np.cross(force, rng.standard_normal(3))
+    vector = severity * 1e-6 * (b - a) * axis / np.linalg.norm(axis)
+    return _read(case, _slip(motion, a, b - a, vector, steady=True), rng)
+
+
+@injection("noisy_window", 3.0, "times the noise")
+def noisy_window(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A fan or a lorry shakes the bench in one window."""
+    run = case.simulation
+    window, _ = _window(run.motion, rng)
+    return disturbances.noisier_window(run.recording, window, severity, run.imu.gyro_noise, run.imu.accel_noise, rng)
+
+
+def _window(motion: TrueMotion, rng: np.random.Generator) -> tuple[tuple[float, float], Array]:
+    """One of the still windows, and the specific force in it (m/s², B)."""
+    windows = [window for pair in motion.windows for window in pair]
+    a, b = windows[int(rng.integers(len(windows)))]
+    rows = (motion.time > a + 0.5 * motion.interval) & (motion.time < b + 0.5 * motion.interval)
+    return (a, b), motion.velocity[rows].mean(axis=0) / motion.interval
+
+
+def _slip(motion: TrueMotion, start_s: float, duration_s: float, vector: Array, *, steady: bool = False) -> TrueMotion:
+    """Let the body turn by a rotation vector within a time, smoothly or at a steady rate, and stay so.
+
+    Its undisturbed attitude C becomes C·Exp(s v), s from 0 to 1: to the rate comes v·ds/dt, vectors turn by Exp(-s v).
+    It lasts to the end of the gapless piece, as the unit is clamped anew between sequences.
+    """
+    dt = motion.interval
+    first = int(np.searchsorted(motion.time, start_s + 0.5 * dt))
+    after = motion.piece_starts[motion.piece_starts > first]
+    rows = slice(first, int(after[0]) if after.size else len(motion.time))
+    ends = motion.time[rows]
+    x = np.clip((np.stack([ends - dt, ends]) - start_s) / duration_s, 0.0, 1.0)
+    share = x if steady else x - np.sin(2.0 * math.pi * x) / (2.0 * math.pi)
+    turn = rotation(np.multiply.outer(share.mean(axis=0), vector))
+
+    def turned(old: Array, old_absolute: Array, added: Array | float) -> tuple[Array, Array]:
+        new, absolute = old.copy(), old_absolute.copy()
+        new[rows] = np.einsum("ni,nij->nj", old[rows], turn) + added
+        absolute[rows] = np.abs(new[rows]) + np.maximum(old_absolute[rows] - np.abs(old[rows]), 0.0)
+        return new, absolute
+
+    angle, angle_abs = turned(motion.angle, motion.angle_abs, np.multiply.outer(share[1] - share[0], vector))
+    velocity, velocity_abs = turned(motion.velocity, motion.velocity_abs, 0.0)
+    return replace(motion, angle=angle, angle_abs=angle_abs, velocity=velocity, velocity_abs=velocity_abs)
+
+
+# --- turns -----------------------------------------------------------------------------------------------------------
+
+
+@injection("sensor_time_offset", 5.0, "ms")
+def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The accelerometers are read or filtered later than the gyros, or earlier, but get the same stamps."""
+    motion = case.simulation.motion
+    late = float(rng.choice([-1.0, 1.0])) * severity * 1e-3
+
+    def delayed(increments: Array) -> Array:
+        out = increments.copy()
+        for piece in np.split(np.arange(len(increments)), motion.piece_starts[1:]):
+            edges = np.arange(len(piece) + 1) * motion.interval
+            at = np.clip(edges - late, 0.0, edges[-1])
+            for axis in range(3):
+                sums = np.concatenate([[0.0], np.cumsum(increments[piece, axis])])
+                out[piece, axis] = np.diff(np.interp(at, edges, sums))
+            # At rest before and after: what lies outside the piece was like its ends.
+            outside = np.diff(at) < (1.0 - 1e-9) * motion.interval
+            ends = np.where(np.arange(len(piece)) < len(piece) // 2, piece[0], piece[-1])
+            out[piece[outside]] = increments[ends[outside]]
+        return out
+
+    shifted = replace(motion, velocity=delayed(motion.velocity), velocity_abs=delayed(motion.velocity_abs))
+    return _read(case, shifted, rng)
+
+
+@injection("samples_lost", 0.05, "s")
+def samples_lost(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The logger drops samples in a turn and counts its stamps on as if nothing were missing.
+
+    The stamps of the rest of the sequence come early, and its end window is labelled by them. The turn is one about a
+    horizontal axis: about the vertical the loss leaves no trace in the specific force, and cannot be told from a turn
+    by another angle.
+    """
+    run = case.simulation
+    recording, dt = run.recording, run.motion.interval
+    lost = max(1, round(severity / dt))
+    number = int(rng.integers(len(_IDS)))
+    label = recording.sequences[number]
+    first = recording.window_indices(label.start_static_s[1], label.end_static_s[0])
+    force, angle = run.motion.velocity[first] / dt, run.motion.angle[first] / dt
+    gravity_turns = np.linalg.norm(np.cross(angle, force), axis=1) > 0.5 * run.motion.site.gravity_m_s2
+    at = first.start + int(rng.choice(np.flatnonzero(gravity_turns[:-lost])))
+    after = recording.gaps[recording.gaps > at]
+    stop = int(after[0]) if after.size else len(recording.time)
+    keep = np.ones(len(recording.time), dtype=np.bool_)
+    keep[at : at + lost] = False
+    time = recording.time.copy()
+    time[at + lost : stop] -= lost * dt
+    a, b = label.end_static_s
+    changed = replace(label, end_static_s=(a - lost * dt, b - lost * dt))
+    return replace(
+        recording,
+        time=time[keep],
+        gyro=recording.gyro[keep],
+        accel=recording.accel[keep],
+        sequences=(*recording.sequences[:number], changed, *recording.sequences[number + 1 :]),
+        data_sha256=None,
+    )
+
+
+def _read(case: Case, motion: TrueMotion, rng: np.random.Generator) -> Recording:
+    """Read another motion out with the unit of a case."""
+    run = case.simulation
+    stated: dict[str, Any] = {name: getattr(run.scenario.recording, name) for name in ("kind", "state_noise", "serial")}
+    recording = read_out(motion, run.truth, run.imu, rng, **stated)
+    labels = motion.labels if run.scenario.recording.label_sequences else ()
+    return replace(recording, sequences=labels, site=run.recording.site)

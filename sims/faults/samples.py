@@ -1,0 +1,227 @@
+"""Faults of a logger: what goes wrong between the sensors and the file.
+
+Stamps that stall, jump or carry another unit, columns that are dead, taken twice or exchanged, readings that stick or
+jump out, and sensors that reach the end of their range. Scales and axes are in ``sims.faults.scales``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+import sims.faults.scales  # noqa: F401 - its injections belong to those of this module
+from sims.faults.injection import GRADES, injection
+from sims.physics.imu import read_out
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from sims.faults.injection import Case
+    from srt.recording.recording import Recording, SequenceLabel
+
+    Array = NDArray[np.float64]
+
+_EDGE: Final = 5
+"""Samples at the ends of a sequence that a disturbance keeps away from."""
+
+
+# --- helpers ---------------------------------------------------------------------------------------------------------
+
+
+def _somewhere(recording: Recording, rng: np.random.Generator, count: int) -> slice:
+    """A run of samples in a sequence drawn at random: in its windows or in its turn."""
+    label = recording.sequences[int(rng.integers(len(recording.sequences)))]
+    first = recording.window_indices(*label.start_static_s).start + _EDGE
+    last = recording.window_indices(*label.end_static_s).stop - _EDGE
+    count = min(count, last - first)
+    start = int(rng.integers(first, last - count + 1))
+    return slice(start, start + count)
+
+
+def _samples(recording: Recording, seconds: float) -> int:
+    return int(seconds / recording.nominal_interval_s + 1e-6)
+
+
+def _with(recording: Recording, sensor: str, values: Array) -> Recording:
+    return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
+
+
+def _restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
+    """Samples and labels by another clock."""
+
+    def moved(label: SequenceLabel) -> SequenceLabel:
+        first, second = clock(np.array(label.start_static_s)), clock(np.array(label.end_static_s))
+        return replace(
+            label,
+            start_static_s=(float(first[0]), float(first[1])),
+            end_static_s=(float(second[0]), float(second[1])),
+        )
+
+    labels = tuple(moved(label) for label in recording.sequences)
+    return replace(recording, time=clock(recording.time), sequences=labels)
+
+
+# --- what reading refuses --------------------------------------------------------------------------------------------
+
+
+@injection("not_finite", 1.0, "samples")
+def not_finite(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Readings that a parser could not read become NaN, or a division by zero made them infinite."""
+    recording = case.recording
+    sensor = str(rng.choice(["gyro", "accel"]))
+    values = getattr(recording, sensor).copy()
+    where = rng.integers(len(values), size=max(1, round(severity)))
+    values[where, rng.integers(3)] = rng.choice([math.nan, math.inf, -math.inf])
+    return _with(recording, sensor, values)
+
+
+@injection("time_backwards", 1.0, "s")
+def time_backwards(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The clock is set back by ``severity`` while the logger runs."""
+    recording = case.recording
+    time = recording.time.copy()
+    time[_somewhere(recording, rng, 1).start :] -= severity
+    return replace(recording, time=time)
+
+
+@injection("time_repeats", 1.0, "samples")
+def time_repeats(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Samples that follow get the stamp of the one before."""
+    recording = case.recording
+    time = recording.time.copy()
+    rows = _somewhere(recording, rng, max(1, round(severity)))
+    time[rows] = time[rows.start - 1]
+    return replace(recording, time=time)
+
+
+@injection("rate_contradicts_stamps", 2.0, "times")
+def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A sample rate is stated that is ``severity`` times the logged one, or the logged one so many times it."""
+    recording = case.recording
+    return replace(recording, sample_rate_hz=severity ** rng.choice([-1.0, 1.0]) / recording.nominal_interval_s)
+
+
+# --- time stamps -----------------------------------------------------------------------------------------------------
+
+
+@injection("time_unit", 1e3, "times")
+def time_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Stamps in a unit ``severity`` times smaller or larger than declared; labels were read off the same clock."""
+    factor = severity ** float(rng.choice([-1.0, 1.0]))
+    return _restamped(case.recording, lambda time: factor * time)
+
+
+@injection("stamp_jitter", 0.1, "intervals (rms)")
+def stamp_jitter(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The host stamps every sample when it comes to it."""
+    recording = case.recording
+    late = np.clip(severity * rng.standard_normal(len(recording.time)), -0.49, 0.49)
+    return replace(recording, time=recording.time + recording.nominal_interval_s * late)
+
+
+@injection("gap_in_sequence", 0.2, "s")
+def gap_in_sequence(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A run of samples is missing, stamps and all."""
+    recording = case.recording
+    keep = np.ones(len(recording.time), dtype=bool)
+    keep[_somewhere(recording, rng, _samples(recording, severity))] = False
+    return replace(recording, time=recording.time[keep], gyro=recording.gyro[keep], accel=recording.accel[keep])
+
+
+# --- channels --------------------------------------------------------------------------------------------------------
+
+
+def _dead(sensor: str) -> None:
+    @injection(f"{sensor}_channel_dead", 1.0, "columns")
+    def dead(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """Columns hold zero, or the last value before a plug came loose, throughout."""
+        recording = case.recording
+        values = getattr(recording, sensor).copy()
+        for axis in rng.choice(3, max(1, min(3, round(severity))), replace=False):
+            values[:, axis] = values[0, axis] if rng.random() < 0.5 else 0.0
+        return _with(recording, sensor, values)
+
+
+_dead("gyro")
+_dead("accel")
+
+
+@injection("columns_repeat", 1.0, "")
+def columns_repeat(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """A column is named twice in the mapping, in one sensor or across both."""
+    recording = case.recording
+    columns = np.hstack([recording.gyro, recording.accel])
+    source, target = rng.choice(6, 2, replace=False)
+    columns[:, target] = columns[:, source]
+    return replace(recording, gyro=columns[:, :3], accel=columns[:, 3:])
+
+
+@injection("sensors_exchanged", 1.0, "")
+def sensors_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Gyro columns are read as accelerometers and the other way round."""
+    recording = case.recording
+    return replace(recording, gyro=recording.accel, accel=recording.gyro)
+
+
+def _stuck(fault: str, sensors: tuple[str, ...], severity: float | dict[str, float]) -> None:
+    @injection(fault, severity, "s")
+    def stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """Readings hold their last value for a time, and go on as if nothing had been."""
+        recording = case.recording
+        rows = _somewhere(recording, rng, _samples(recording, severity))
+        for sensor in sensors:
+            values = getattr(recording, sensor).copy()
+            values[rows] = values[rows.start - 1]
+            recording = _with(recording, sensor, values)
+        return recording
+
+
+_stuck("samples_stuck", ("gyro", "accel"), 0.5)
+# Laser gyros send so few pulses at rest, and so even ones in a turn, that their readings repeat by nature.
+_stuck("gyro_stuck", ("gyro",), dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=True)))
+_stuck("accel_stuck", ("accel",), 0.5)
+
+
+@injection("spikes", 0.05, "of the range")
+def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One to three readings of a channel are hit by a transmission error of a share ``severity`` of its range."""
+    recording, imu = case.recording, case.simulation.imu
+    sensor = str(rng.choice(["gyro", "accel"]))
+    limit = imu.gyro_range if sensor == "gyro" else imu.accel_range
+    size = severity * limit * (recording.nominal_interval_s if recording.kind == "increment" else 1.0)
+    values, axis = getattr(recording, sensor).copy(), int(rng.integers(3))
+    for _ in range(int(rng.integers(1, 4))):
+        values[_somewhere(recording, rng, 1), axis] += size * rng.choice([-1.0, 1.0])
+    return _with(recording, sensor, values)
+
+
+# --- ranges ----------------------------------------------------------------------------------------------------------
+
+
+@injection("gyro_clipped", 1.2, "times")
+def gyro_clipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The table turns at ``severity`` times the gyros' range."""
+    simulation = case.simulation
+    schedule = simulation.scenario.schedule
+    assert schedule is not None
+    limited = replace(simulation.imu, gyro_range=schedule.rate_rad_s / severity)
+    return read_out(simulation.motion, simulation.truth, limited, rng, kind=case.recording.kind)
+
+
+@injection("accel_clipped", 1.5, "times")
+def accel_clipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The bench is knocked: half a sine of 60 ms along one axis, to ``severity`` times the accelerometers' range."""
+    simulation = case.simulation
+    motion, limit = simulation.motion, simulation.imu.accel_range
+    rows = _somewhere(case.recording, rng, _samples(case.recording, 0.06))
+    phase = np.pi * (np.arange(rows.stop - rows.start) + 0.5) / (rows.stop - rows.start)
+    velocity = motion.velocity.copy()
+    velocity[rows, rng.integers(3)] += rng.choice([-1.0, 1.0]) * severity * limit * motion.interval * np.sin(phase)
+    velocity_abs = np.maximum(motion.velocity_abs, np.abs(velocity))
+    shaken = replace(motion, velocity=velocity, velocity_abs=velocity_abs)
+    return read_out(shaken, simulation.truth, simulation.imu, rng, kind=case.recording.kind)

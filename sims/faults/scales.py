@@ -1,0 +1,223 @@
+"""Faults of a file's description: units, kinds, values of a count and sample rates, and the names of axes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sims.faults.injection import GRADES, injection
+from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from sims.faults.injection import Case
+    from srt.recording.recording import Recording
+
+    Array = NDArray[np.float64]
+
+_G: Final = STANDARD_GRAVITY_M_S2
+
+
+def _with(recording: Recording, sensor: str, values: Array) -> Recording:
+    return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
+
+
+def _as_rates(case: Case) -> Recording:
+    """The unit read in rates, whatever its grade delivers: some units belong to rates alone."""
+    return case.recording if case.recording.kind == "rate" else case.changed(recording={"kind": "rate"}).recording
+
+
+def _at_rate(case: Case, rate_hz: float) -> Recording:
+    """The unit sampled at another rate."""
+    sampled = round(1.0 / case.recording.nominal_interval_s, 6)
+    return case.recording if rate_hz == sampled else case.changed(recording={"sample_rate_hz": rate_hz}).recording
+
+
+# --- kinds and units -------------------------------------------------------------------------------------------------
+
+
+@injection("increments_as_rates", 100.0, "Hz")
+def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """A unit that delivers increments at a rate ``severity`` is declared to deliver rates."""
+    recording = _at_rate(case, severity)
+    per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
+    return replace(recording, kind="rate", gyro=recording.gyro * per_sample, accel=recording.accel * per_sample)
+
+
+@injection("rates_as_increments", 100.0, "Hz")
+def rates_as_increments(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """A unit that delivers rates, ``severity`` times a second, is declared to deliver increments."""
+    recording = _at_rate(case, severity)
+    per_sample = 1.0 if recording.kind == "rate" else recording.nominal_interval_s
+    return replace(recording, kind="increment", gyro=recording.gyro / per_sample, accel=recording.accel / per_sample)
+
+
+def _wrong_unit(fault: str, sensor: str, factors: tuple[float, ...], *, rates: bool) -> None:
+    """Readings in a unit that is not the declared one; ``rates`` where one of the two is a unit of rates alone."""
+
+    @injection(fault, 1.0, "")
+    def wrong_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+        recording = _as_rates(case) if rates else case.recording
+        return _with(recording, sensor, getattr(recording, sensor) * float(rng.choice(factors)))
+
+
+_wrong_unit("gyro_degrees", "gyro", (1.0 / DEG,), rates=False)
+_wrong_unit("gyro_radians", "gyro", (DEG,), rates=False)
+_wrong_unit("gyro_per_hour", "gyro", (1.0 / DEG_PER_H, DEG / DEG_PER_H), rates=True)
+_wrong_unit("accel_g", "accel", (1.0 / _G, 1e-3), rates=True)
+_wrong_unit("accel_mg", "accel", (1e3 / _G, 1e3), rates=True)
+_wrong_unit("accel_m_s2", "accel", (_G, 1e-3 * _G), rates=True)
+
+
+def _counts(fault: str, sensor: str, per_unit: Mapping[str, float], declared: tuple[float, ...]) -> None:
+    """Raw counts, of which a grade has so many per SI unit of its readings, declared as one of some units."""
+
+    @injection(fault, per_unit, "counts per SI unit")
+    def counts(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        recording = case.recording
+        units = declared if recording.kind == "rate" else declared[:1]
+        values = np.round(getattr(recording, sensor) * severity) * float(rng.choice(units))
+        return _with(recording, sensor, values)
+
+
+# Pulses of 0.5" and 10 µm/s; 24 bits over the range of increments in 10 ms; 16 bits over the range; the chip's own.
+_counts(
+    "gyro_counts",
+    "gyro",
+    dict(zip(GRADES, (7200.0 / DEG, 2.0**23 / (375.0 * DEG * 0.01), 2.0**15 / (400.0 * DEG), 65.5 / DEG), strict=True)),
+    (1.0, DEG),
+)
+_counts(
+    "accel_counts",
+    "accel",
+    dict(zip(GRADES, (1e5, 2.0**23 / (10.0 * _G * 0.01), 2.0**15 / (10.0 * _G), 8192.0 / _G), strict=True)),
+    (1.0, _G),
+)
+
+
+def _wrong_count(fault: str, sensor: str) -> None:
+    """Give a count the value of another range of the unit."""
+
+    @injection(fault, 2.0, "times")
+    def wrong_count(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        factor = severity ** float(rng.choice([-1.0, 1.0]))
+        return _with(case.recording, sensor, getattr(case.recording, sensor) * factor)
+
+
+_wrong_count("gyro_lsb", "gyro")
+_wrong_count("accel_lsb", "accel")
+
+
+@injection("sample_rate", dict(zip(GRADES, (1.1, 1.1, 1.1, 1.4), strict=True)), "times")
+def sample_rate(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Stamps and labels are counted from samples, at a rate that is ``severity`` times the true one or the inverse."""
+    recording = case.recording
+    factor = severity ** float(rng.choice([-1.0, 1.0]))
+    labels = tuple(
+        replace(
+            label,
+            start_static_s=(label.start_static_s[0] / factor, label.start_static_s[1] / factor),
+            end_static_s=(label.end_static_s[0] / factor, label.end_static_s[1] / factor),
+        )
+        for label in recording.sequences
+    )
+    return replace(recording, time=recording.time / factor, sequences=labels)
+
+
+# --- axes ------------------------------------------------------------------------------------------------------------
+
+
+def _flip(rng: np.random.Generator) -> Array:
+    signs = np.ones(3)
+    signs[rng.integers(3)] = -1.0
+    return np.diag(signs)
+
+
+def _swap(rng: np.random.Generator) -> Array:
+    i, j = rng.choice(3, 2, replace=False)
+    axes = np.eye(3)
+    axes[[i, j]] = axes[[j, i]]
+    return axes
+
+
+def _any(rng: np.random.Generator, handed: float) -> Array:
+    """Axes renamed at random, right-handed (1) or left-handed (-1), never as they were."""
+    while True:
+        axes: Array = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)[:, np.newaxis]
+        simple = np.array_equal(axes, np.eye(3))
+        if not simple and np.linalg.det(axes) * handed > 0.0:
+            return axes
+
+
+def _renamed(recording: Recording, gyro: Array | None, accel: Array | None) -> Recording:
+    return replace(
+        recording,
+        gyro=recording.gyro if gyro is None else recording.gyro @ gyro.T,
+        accel=recording.accel if accel is None else recording.accel @ accel.T,
+    )
+
+
+@injection("gyro_sign_convention", 1.0, "")
+def gyro_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Rates of the world against the unit in place of the unit against the world."""
+    return _renamed(case.recording, -np.eye(3), None)
+
+
+@injection("accel_sign_convention", 1.0, "")
+def accel_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Gravity in place of specific force."""
+    return _renamed(case.recording, None, -np.eye(3))
+
+
+@injection("gyro_axis_flipped", 1.0, "")
+def gyro_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """One gyro is built in upside down."""
+    return _renamed(case.recording, _flip(rng), None)
+
+
+@injection("accel_axis_flipped", 1.0, "")
+def accel_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """One accelerometer is built in upside down."""
+    return _renamed(case.recording, None, _flip(rng))
+
+
+@injection("gyro_axes_swapped", 1.0, "")
+def gyro_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Two gyro columns change places."""
+    return _renamed(case.recording, _swap(rng), None)
+
+
+@injection("accel_axes_swapped", 1.0, "")
+def accel_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Two accelerometer columns change places."""
+    return _renamed(case.recording, None, _swap(rng))
+
+
+@injection("left_handed", 1.0, "")
+def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Both sensors in a left-handed frame; turns by the right or by the left hand.
+
+    Both reversed along all axes, with turns by the left hand, is gravity in place of specific force.
+    """
+    axes = _any(rng, -1.0)
+    by_left_hand = rng.random() < 0.5 and not np.array_equal(axes, -np.eye(3))
+    return _renamed(case.recording, -axes if by_left_hand else axes, axes)
+
+
+@injection("frame_turned", 1.0, "")
+def frame_turned(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """The unit is mounted with other axes up and forward than the sequences have it."""
+    axes = _any(rng, 1.0)
+    return _renamed(case.recording, axes, axes)
+
+
+@injection("frames_disagree", 1.0, "")
+def frames_disagree(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Gyro and accelerometer chips sit on the board turned against each other by right angles."""
+    axes = _any(rng, 1.0)
+    return _renamed(case.recording, axes, None) if rng.random() < 0.5 else _renamed(case.recording, None, axes)

@@ -1,0 +1,168 @@
+"""Faults of what is stated of place and unit, of its temperature and of its steadiness."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sims.faults.injection import injection
+from sims.physics.imu import read_out
+from srt.constants import DEG, DEG_PER_H, normal_gravity_m_s2
+from srt.estimation.options import Options
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from sims.faults.injection import Case
+    from sims.physics.imu import ImuModel
+    from sims.physics.true_motion import TrueMotion
+    from srt.recording.recording import Recording
+
+    Array = NDArray[np.float64]
+
+_ANOMALY_M_S2: Final = 5e-4
+_HEIGHT_M: Final = 200.0
+
+_NO_LATITUDE = (
+    "A g-sensitivity of 180 °/h/g hides the vertical part of the Earth's rate, and the flicker of the bias (20 °/h) "
+    "leaves ±6 °/h on the horizontal part, which is 0 to 15 °/h whatever the latitude."
+)
+_NO_NORTH = (
+    "The flicker of the bias (20 °/h) leaves ±6 °/h on the horizontal part of the Earth's rate: even south taken for "
+    "north changes it by 21 °/h, which is 3.3 sigma of the 7 that it takes."
+)
+
+
+@injection("gravity", 0.025, "m/s²")
+def gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Gravity of another place, or with a digit mistyped."""
+    site = case.recording.site
+    stated = site.gravity_m_s2 + severity * _sign(rng)
+    return replace(case.recording, site=replace(site, gravity_m_s2=stated))
+
+
+@injection(
+    "latitude",
+    {"navigation-rlg": 2.0, "tactical-fog": 45.0, "industrial-mems": 45.0},
+    "°",
+    unseen={"consumer-mems": _NO_LATITUDE},
+)
+def latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The latitude of another place, with the gravity that tables have for that one."""
+    true = case.scenario.site.latitude_deg
+    stated = true + severity * _sign(rng)
+    if abs(stated) > 90.0:
+        stated = true - math.copysign(severity, stated)
+    gravity_m_s2 = normal_gravity_m_s2(stated * DEG, rng.uniform(0.0, _HEIGHT_M))
+    site = replace(
+        case.recording.site, latitude_rad=stated * DEG, gravity_m_s2=gravity_m_s2, gravity_sigma_m_s2=_ANOMALY_M_S2
+    )
+    return replace(case.recording, site=site)
+
+
+@injection(
+    "north",
+    {"navigation-rlg": 2.0, "tactical-fog": 90.0, "industrial-mems": 90.0},
+    "°",
+    unseen={"consumer-mems": _NO_NORTH},
+)
+def north(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The heading by a compass, or of the wrong axis of the table."""
+    fixture = case.recording.fixture
+    assert fixture is not None
+    assert fixture.heading_rad is not None
+    off = severity * DEG * _sign(rng)
+    return replace(case.recording, fixture=replace(fixture, heading_rad=fixture.heading_rad + off))
+
+
+def _temperatures(case: Case, start_c: float, rise_c: float, rng: np.random.Generator) -> Array:
+    """A sensor on the board, which nears its final temperature; a sixteenth of a degree, as such sensors have it."""
+    time = case.recording.time - case.recording.time[0]
+    slowness = rng.uniform(0.3, 1.5) * time[-1]
+    shape = np.expm1(-time / slowness) / np.expm1(-time[-1] / slowness)
+    noise = 0.05 * rng.standard_normal(time.size)
+    out: Array = np.round((start_c + rise_c * shape + noise) * 16.0) / 16.0
+    return out
+
+
+@injection("temperature_unit", 45.0, "°C, in K or °F")
+def temperature_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The temperature of a unit of so many °C in another unit."""
+    celsius = _temperatures(case, severity, rng.uniform(-1.0, 1.0), rng)
+    other = (celsius + 273.15, 1.8 * celsius + 32.0)[int(rng.integers(2))]
+    return replace(case.recording, temperature=other)
+
+
+@injection("temperature_drift", 6.0, "°C")
+def temperature_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A unit that warms up, or cools down after a chamber."""
+    start = rng.uniform(15.0, 40.0)
+    return replace(case.recording, temperature=_temperatures(case, start, severity * _sign(rng), rng))
+
+
+@injection(
+    "gyro_bias_drift",
+    {"navigation-rlg": 0.3, "tactical-fog": 30.0, "industrial-mems": 30.0, "consumer-mems": 600.0},
+    "°/h",
+)
+def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One gyro's bias runs in after switching on, evenly or ever more slowly."""
+    motion = case.simulation.motion
+    time = motion.time - motion.time[0]
+    share = time / time[-1]
+    if rng.random() < 0.5:
+        slowness = rng.uniform(0.4, 1.5)
+        share = np.expm1(-share / slowness) / np.expm1(-1.0 / slowness)
+    angle = motion.angle.copy()
+    angle[:, int(rng.integers(3))] += _sign(rng) * severity * DEG_PER_H * motion.interval * share
+    return _again(case, replace(motion, angle=angle), case.simulation.imu, rng)
+
+
+@injection(
+    "gyro_noise",
+    {"navigation-rlg": 3.0, "tactical-fog": 2.0, "industrial-mems": 2.0, "consumer-mems": 2.0},
+    "times",
+)
+def gyro_noise(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Worn gyros, noisier than their data sheet, or the figure of a worse unit stated."""
+    return _noise(case, "gyro_noise", severity, rng)
+
+
+@injection("accel_noise", 2.0, "times")
+def accel_noise(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Accelerometers noisier than their data sheet, or the figure of worse ones stated."""
+    return _noise(case, "accel_noise", severity, rng)
+
+
+def _noise(case: Case, name: str, factor: float, rng: np.random.Generator) -> Recording:
+    imu, recording = case.simulation.imu, case.recording
+    larger = factor * getattr(imu, name)
+    if rng.random() < 0.5:
+        return _again(case, case.simulation.motion, replace(imu, **{name: larger}), rng)
+    return replace(recording, noise=replace(recording.noise, **{name: larger}))
+
+
+@injection(
+    "asymmetry_omitted",
+    {"navigation-rlg": 10.0, "tactical-fog": 300.0, "industrial-mems": 200.0, "consumer-mems": 1500.0},
+    "ppm",
+    options=Options(asymmetry=False),
+)
+def asymmetry_omitted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One gyro with an asymmetry that is large for its grade, the others without."""
+    values = dict.fromkeys(("gyro_asymmetry_x", "gyro_asymmetry_y", "gyro_asymmetry_z"), 0.0)
+    values[f"gyro_asymmetry_{'xyz'[int(rng.integers(3))]}"] = 1e-6 * severity * _sign(rng)
+    return case.changed(errors={"values": values}).recording
+
+
+def _again(case: Case, motion: TrueMotion, imu: ImuModel, rng: np.random.Generator) -> Recording:
+    """Read the run out once more, with other noise; what is stated of it stays."""
+    again = read_out(motion, case.simulation.truth, imu, rng, kind=case.recording.kind)
+    return replace(case.recording, gyro=again.gyro, accel=again.accel)
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return float(rng.choice((-1.0, 1.0)))

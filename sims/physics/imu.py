@@ -1,0 +1,301 @@
+"""What an IMU with errors reports of a true motion.
+
+Per sample of length dt, with the true integrals of :class:`sims.physics.true_motion.TrueMotion` (all in B)::
+
+    gyro  = Mg ∫ω dt + κasym ∘ ∫|ω| dt + κbias dt + G ∫f dt + drift dt + N √dt · white
+    accel = Ma ∫f dt + λasym ∘ ∫|f| dt + λbias dt           + drift dt + N √dt · white
+
+then, in the order of a real signal chain: saturation of the mean over the sample, pulse quantisation of the
+running integral with the remainder carried, and rounding of the output word. Integrals are exact, so a
+recording at 50 Hz is the sum of the same recording at 1000 Hz. The matrices are built here from the 27
+numbers by name.
+
+*Bias instability* is a flicker approximated by a sum of first-order Gauss-Markov processes, equal in
+variance, with correlation times a decade apart from 1 s to 1000 s. A flicker of coefficient B has the
+(one-sided) spectrum B²/(πf) and the Allan floor B √(2 ln 2 / π) = 0.664 B; processes with times spaced by
+the factor r give σ²/(f ln r) between their corner frequencies, hence σ² = B² ln r / π. The figure asked for
+is the Allan floor, which is what data sheets quote. Drift is held over a sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.recording.recording import ImuNoise, Kind, Recording
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from sims.physics.true_motion import TrueMotion
+    from srt.sensor_errors import SensorErrors
+
+CORRELATION_TIMES_S: Final = (1.0, 10.0, 100.0, 1000.0)
+"""Correlation times of the processes whose sum is the bias instability."""
+SMALLEST_SINGULAR_VALUE: Final = 0.15
+"""Of a matrix that a unit may have: below it a channel shows next to nothing of its axis."""
+ALLAN_FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)
+"""Allan deviation of a unit flicker at its floor, 0.664."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuModel:
+    """Everything of an IMU beyond its 27 sensor errors; zero or infinite means absent.
+
+    Attributes
+    ----------
+    gyro_noise, accel_noise : float
+        Angle random walk, rad/√s; velocity random walk, m/s/√s.
+    gyro_bias_instability, accel_bias_instability : float
+        Allan floor, rad/s and m/s².
+    gyro_quantization, accel_quantization : float
+        Pulse, rad and m/s.
+    gyro_resolution, accel_resolution : float
+        Least significant bit of the output as a rate, rad/s and m/s²; rounded without a remainder.
+    gyro_range, accel_range : float
+        Saturation, rad/s and m/s².
+    gyro_g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
+        Row: gyro; column: axis of B of the specific force.
+    """
+
+    gyro_noise: float = 0.0
+    accel_noise: float = 0.0
+    gyro_bias_instability: float = 0.0
+    accel_bias_instability: float = 0.0
+    gyro_quantization: float = 0.0
+    accel_quantization: float = 0.0
+    gyro_resolution: float = 0.0
+    accel_resolution: float = 0.0
+    gyro_range: float = math.inf
+    accel_range: float = math.inf
+    gyro_g_sensitivity: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def is_random(self) -> bool:
+        """Whether a read-out needs random numbers."""
+        return any(
+            getattr(self, f"{sensor}_{what}") > 0.0
+            for sensor in ("gyro", "accel")
+            for what in ("noise", "bias_instability", "quantization")
+        )
+
+    def stated(self) -> ImuNoise:
+        """Give the noise as a recording states it; what is absent is not stated."""
+
+        def figure(value: float) -> float | None:
+            return value if 0.0 < value < math.inf else None
+
+        return ImuNoise(
+            figure(self.gyro_noise),
+            figure(self.accel_noise),
+            figure(self.gyro_quantization),
+            figure(self.accel_quantization),
+            figure(self.gyro_bias_instability),
+            figure(self.accel_bias_instability),
+            figure(self.gyro_range),
+            figure(self.accel_range),
+        )
+
+
+def gyro_matrix(errors: SensorErrors) -> NDArray[np.float64]:
+    """Build Mg: scale errors on the diagonal, half of each orthogonality error on both sides."""
+    e = errors.as_dict()
+    xy, yz, zx = (0.5 * e[f"gyro_orthogonality_{pair}"] for pair in ("xy", "yz", "zx"))
+    return np.array(
+        [
+            [1.0 + e["gyro_scale_x"], xy, zx],
+            [xy, 1.0 + e["gyro_scale_y"], yz],
+            [zx, yz, 1.0 + e["gyro_scale_z"]],
+        ]
+    )
+
+
+def accel_matrix(errors: SensorErrors) -> NDArray[np.float64]:
+    """Build Ma: scale errors on the diagonal, misalignment of i toward j at [i, j]."""
+    matrix = np.eye(3)
+    for i, a in enumerate("xyz"):
+        for j, b in enumerate("xyz"):
+            matrix[i, j] += errors[f"accel_scale_{a}" if i == j else f"accel_misalignment_{a}{b}"]
+    return matrix
+
+
+def is_imu(errors: SensorErrors) -> bool:
+    """Whether errors are those of a unit that could exist.
+
+    Parameters
+    ----------
+    errors : SensorErrors
+
+    Returns
+    -------
+    bool
+        Mg is positive definite, as a symmetric matrix near to a rotation's is; Ma has a positive determinant (no axis
+        flipped, no left-handed triad); and no singular value of either is below :data:`SMALLEST_SINGULAR_VALUE`.
+    """
+    Mg, Ma = gyro_matrix(errors), accel_matrix(errors)
+    singular = min(np.linalg.svd(M, compute_uv=False)[-1] for M in (Mg, Ma))
+    return bool(np.linalg.eigvalsh(Mg)[0] > 0.0 and np.linalg.det(Ma) > 0.0 and singular >= SMALLEST_SINGULAR_VALUE)
+
+
+def _by_axis(errors: SensorErrors, stem: str) -> NDArray[np.float64]:
+    return np.array([errors[f"{stem}_{axis}"] for axis in "xyz"])
+
+
+def exact_increments(
+    motion: TrueMotion, errors: SensorErrors, g_sensitivity: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise-free increments of the reading model, each of shape (n, 3), rad and m/s."""
+    dt = motion.interval
+    gyro = (
+        motion.angle @ gyro_matrix(errors).T
+        + motion.angle_abs * _by_axis(errors, "gyro_asymmetry")
+        + _by_axis(errors, "gyro_bias") * dt
+    )
+    if g_sensitivity is not None and np.any(g_sensitivity):
+        gyro += motion.velocity @ g_sensitivity.T
+    accel = (
+        motion.velocity @ accel_matrix(errors).T
+        + motion.velocity_abs * _by_axis(errors, "accel_asymmetry")
+        + _by_axis(errors, "accel_bias") * dt
+    )
+    return gyro, accel
+
+
+def read_out(
+    motion: TrueMotion,
+    errors: SensorErrors,
+    imu: ImuModel | None = None,
+    rng: np.random.Generator | None = None,
+    *,
+    kind: Kind = "rate",
+    state_noise: bool = True,
+    serial: str | None = None,
+) -> Recording:
+    """Record a true motion with an IMU.
+
+    Parameters
+    ----------
+    motion : TrueMotion
+    errors : SensorErrors
+        In B.
+    imu : ImuModel, optional
+        Noise, quantisation, range, g-sensitivity; default none of them.
+    rng : numpy.random.Generator, optional
+        Needed when the model is random; gyro and accelerometer draw from children of their own.
+    kind : "rate" or "increment"
+    state_noise : bool
+        False: the recording keeps the noise figures to itself, so that a calibrator must estimate them.
+    serial : str, optional
+
+    Raises
+    ------
+    InputError
+        If the model is random and no generator is given.
+    """
+    model = imu or ImuModel()
+    gyro, accel = exact_increments(motion, errors, model.gyro_g_sensitivity)
+    if model.is_random():
+        if rng is None:
+            raise InputError("This IMU model is random: pass a numpy.random.Generator to read it out.")
+        for_gyro, for_accel = rng.spawn(2)
+    else:
+        for_gyro = for_accel = np.random.default_rng(0)  # never drawn from
+    chains = (
+        _Chain(
+            model.gyro_noise, model.gyro_bias_instability, model.gyro_range,
+            model.gyro_quantization, model.gyro_resolution,
+        ),
+        _Chain(
+            model.accel_noise, model.accel_bias_instability, model.accel_range,
+            model.accel_quantization, model.accel_resolution,
+        ),
+    )  # fmt: skip
+    factor = 1.0 if kind == "increment" else 1.0 / motion.interval
+    return Recording(
+        motion.time,
+        chains[0].apply(gyro, motion, for_gyro) * factor,
+        chains[1].apply(accel, motion, for_accel) * factor,
+        motion.site,
+        kind,
+        motion.fixture,
+        model.stated() if state_noise else ImuNoise(),
+        motion.labels,
+        serial=serial,
+        source="simulated",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Chain:
+    """Signal chain of one triad: noise, drift, saturation, pulses, output word."""
+
+    noise: float
+    bias_instability: float
+    range: float
+    quantum: float
+    resolution: float
+
+    def apply(
+        self, increments: NDArray[np.float64], motion: TrueMotion, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        dt = motion.interval
+        if self.noise > 0.0:
+            increments = increments + self.noise * math.sqrt(dt) * rng.standard_normal(increments.shape)
+        if self.bias_instability > 0.0:
+            increments = increments + dt * drift(self.bias_instability, motion, rng)
+        if self.range < math.inf:
+            increments = np.clip(increments, -self.range * dt, self.range * dt)
+        if self.quantum > 0.0:
+            increments = _pulses(increments, self.quantum, motion.piece_starts, rng)
+        if self.resolution > 0.0:
+            bit = self.resolution * dt
+            increments = np.round(increments / bit) * bit
+        return increments
+
+
+def _pulses(
+    increments: NDArray[np.float64], quantum: float, piece_starts: NDArray[np.intp], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Whole pulses of the running integral; each gapless piece begins with a random remainder."""
+    output = np.empty_like(increments)
+    for piece in np.split(np.arange(len(increments)), piece_starts[1:]):
+        remainder = rng.random((1, increments.shape[1]))
+        running = np.floor(np.vstack([remainder, remainder + np.cumsum(increments[piece] / quantum, axis=0)]))
+        output[piece] = np.diff(running, axis=0) * quantum
+    return output
+
+
+def drift(floor: float, motion: TrueMotion, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Bias instability of three independent sensors over a motion's samples, shape (n, 3).
+
+    Parameters
+    ----------
+    floor : float
+        Allan floor, in the unit of the result.
+    motion : TrueMotion
+        Gives the sample times; across gaps the processes run on.
+    rng : numpy.random.Generator
+    """
+    from scipy.signal import lfilter  # a heavy import that noise-free work does not need
+
+    spacing = math.log(CORRELATION_TIMES_S[1] / CORRELATION_TIMES_S[0])
+    sigma = floor / ALLAN_FLOOR * math.sqrt(spacing / math.pi)
+    total = np.zeros((len(motion.time), 3))
+    pieces = np.split(np.arange(len(motion.time)), motion.piece_starts[1:])
+    for tau in CORRELATION_TIMES_S:
+        keep = math.exp(-motion.interval / tau)
+        fresh = sigma * math.sqrt(-math.expm1(-2.0 * motion.interval / tau))
+        last, last_time = np.zeros(3), -math.inf
+        for piece in pieces:
+            age = motion.time[piece[0]] - last_time
+            begin = math.exp(-age / tau) * last
+            begin = begin + sigma * math.sqrt(-math.expm1(-2.0 * age / tau)) * rng.standard_normal(3)
+            shocks = fresh * rng.standard_normal((len(piece), 3))
+            shocks[0] = begin
+            values = lfilter([1.0], [1.0, -keep], shocks, axis=0)
+            total[piece] += values
+            last, last_time = values[-1], motion.time[piece[-1]]
+    return total

@@ -1,0 +1,330 @@
+"""Runs on the two-axis fixture: stand still, rotate, settle, stand still, move to the next start attitude.
+
+Every rotation and every move begins on a sample edge, and so does every still window; rotations end when
+they end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from sims.physics.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
+from sims.physics.integrals import Episode
+from sims.physics.motion import AngleProfile, JoinedProfile, RateProfile, Ringing, angle_profile
+from sims.physics.sequences import INNER, OUTER, TABLE_1, TurnSequence, table_sequences
+from sims.physics.true_motion import Clock, TrueMotion
+from srt.exceptions import InputError
+from srt.recording.recording import Fixture, SequenceLabel, Site
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+Moves = Literal["recorded", "skipped"]
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """What is executed, and when.
+
+    Attributes
+    ----------
+    sequences : tuple of TurnSequence
+        In the order of execution; may repeat.
+    profile : RateProfile
+    dwell_s : float
+        Length of every still window, rounded to whole samples, s.
+    leg_dwell_s : float
+        Stillness between the rotations inside a sequence, s.
+    settle_s : float
+        Wait between the end of a rotation or move and the window that follows, s.
+    moves : "recorded" or "skipped"
+        Whether the moves to the start attitudes are in the recording, or leave gaps in its time.
+    pause_s : float
+        Stillness between the end of a sequence and the move to the next, s.
+    dwells_s : tuple of (start, end), or None
+        For each of the sequences the length of its start and of its end window, s, in place of ``dwell_s``.
+
+    Raises
+    ------
+    InputError
+        No sequence, times that are not positive numbers, or not as many dwells as sequences.
+    """
+
+    sequences: tuple[TurnSequence, ...]
+    profile: RateProfile = field(default_factory=RateProfile)
+    dwell_s: float = 10.0
+    leg_dwell_s: float = 0.0
+    settle_s: float = 0.0
+    moves: Moves = "skipped"
+    pause_s: float = 1.0
+    dwells_s: tuple[tuple[float, float], ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.sequences:
+            raise InputError("The schedule names no sequence: name at least one.")
+        if not (math.isfinite(self.dwell_s) and self.dwell_s > 0.0):
+            raise InputError(f"The schedule's dwell_s is {self.dwell_s!r}: it must be a positive number of seconds.")
+        for name in ("leg_dwell_s", "settle_s", "pause_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(
+                    f"The schedule's {name} is {value!r}: it must be zero or a positive number of seconds."
+                )
+        dwells, count = self.window_lengths_s(), len(self.sequences)
+        if len(dwells) != count:
+            raise InputError(
+                f"The schedule's dwells_s has {len(dwells)} entries for {count} sequences: give one for each."
+            )
+        for number, pair in enumerate(dwells, start=1):
+            if len(pair) != 2 or not all(math.isfinite(value) and value > 0.0 for value in pair):
+                raise InputError(
+                    f"The schedule's dwells_s has {pair!r} for sequence {number}: give the start and the end window's "
+                    "length, two positive numbers of seconds."
+                )
+
+    def window_lengths_s(self) -> tuple[tuple[float, float], ...]:
+        """Give the length of each sequence's start and end window, s."""
+        return ((self.dwell_s, self.dwell_s),) * len(self.sequences) if self.dwells_s is None else self.dwells_s
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    """The fixture while a schedule is executed: its geometry, its angles and what still rings."""
+
+    geometry: FixtureGeometry
+    constant_base: NDArray[np.float64]  # rows: Earth rate (rad/s) and specific force at rest (m/s²), base components
+    schedule: Schedule
+    clock: Clock
+    angles: tuple[float, float]
+    ringings: tuple[Ringing, ...] = ()
+    recorded: JoinedProfile = field(default_factory=JoinedProfile)
+    wobble: float = 0.0
+    wobbles: list[tuple[int, float]] = field(default_factory=list)  # first piece of an episode, and the wobble in it
+
+    def profile(self, legs: Sequence[tuple[int, float]], leg_dwell_s: float) -> AngleProfile:
+        return angle_profile(self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings)
+
+    def execute(self, profile: AngleProfile, n_samples: int, *, record: bool) -> None:
+        """Run a profile for a number of samples and leave the fixture where it ends."""
+        if record:
+            self.clock.record(self._episode(profile, n_samples))
+        else:
+            self.clock.now += n_samples
+        duration = n_samples * self.clock.interval
+        self.angles = profile.end_rad
+        self.ringings = tuple(
+            Ringing(r.axis, r.start_s - duration)
+            for r in profile.ringings
+            if r.start_s + profile.profile.settling_life_s > duration
+        )
+
+    def _episode(self, profile: AngleProfile, n_samples: int) -> Episode:
+        first = self.recorded.append(profile)
+        self.wobbles.append((first, self.wobble))
+        return Episode(n_samples, profile.breaks_s, profile.moving, profile.bandwidth_rad_s, self.sensed, first)
+
+    def sensed(self, piece: NDArray[np.intp], time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rate and specific force in B at times of the pieces of all recorded episodes."""
+        angle, rate = self.recorded.angles(piece, time)
+        inner, outer = angle[..., INNER], angle[..., OUTER]
+        wobble: NDArray[np.float64] | float = 0.0
+        if any(value for _, value in self.wobbles):
+            first, values = (np.array(part) for part in zip(*self.wobbles, strict=True))
+            wobble = np.broadcast_to(values[np.searchsorted(first, piece, side="right") - 1], inner.shape)
+        constant = self.geometry.to_body(self.constant_base, inner, outer, wobble)
+        turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble)
+        return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
+
+    def attitude(self) -> NDArray[np.float64]:
+        return self.geometry.attitude(*self.angles, self.wobble)
+
+
+def run_schedule(
+    schedule: Schedule,
+    *,
+    site: Site,
+    sample_rate_hz: float = 200.0,
+    heading_rad: float = 0.0,
+    fixture_draw: FixtureDraw | None = None,
+    U: NDArray[np.float64] | None = None,
+    stated_fixture: Fixture | None = None,
+    earth_rate: bool = True,
+    start_time_s: float = 0.0,
+) -> TrueMotion:
+    """Execute a schedule on a fixture and integrate what a faultless IMU on it would sense.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    site : Site
+        Latitude and gravity; the latitude may be None only without the Earth's rate.
+    sample_rate_hz : float
+    heading_rad : float
+        Of the table x axis, clockwise from north; the draw's north error comes on top.
+    fixture_draw : FixtureDraw, optional
+        Errors of the fixture and of the run; default none.
+    U : ndarray, shape (3, 3), optional
+        Rotation from table-mounted components T to B; default identity.
+    stated_fixture : Fixture, optional
+        What recordings made from this motion say of the fixture; default the heading and 1 mrad.
+    earth_rate : bool
+        False: the Earth stands still.
+    start_time_s : float
+        Time at which the first sample's interval begins.
+
+    Raises
+    ------
+    InputError
+        If the draw is for other sequences, U is no rotation, or the latitude is missing.
+    """
+    draw = fixture_draw or FixtureDraw()
+    draw.check_covers(schedule.sequences)
+    if schedule.moves == "recorded" and draw.wobble is not None:
+        raise InputError(
+            "Wobble changes between sequences, and how it does during a move is not simulated: leave the moves out "
+            "of the recording, or the wobble."
+        )
+    geometry = FixtureGeometry.build(heading_rad, draw, check_rotation(U))
+    constant_ned = constants_of_site(site, earth_rate=earth_rate)
+    clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
+    dwells = [[max(1, round(length * sample_rate_hz)) for length in pair] for pair in schedule.window_lengths_s()]
+    run = _Run(geometry, constant_ned @ geometry.base_from_ned.T, schedule, clock, (0.0, 0.0))
+
+    labels, windows, attitudes = [], [], []
+    for number, sequence in enumerate(schedule.sequences):
+        nominal, (dwell, end_dwell) = sequence.start_rad(), dwells[number]
+        error = draw.start_errors(number)
+        start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
+        run.wobble = draw.wobble_of(number)
+        if number == 0:
+            run.angles = start
+            run.execute(run.profile([], 0.0), dwell, record=True)
+        else:
+            _move(run, start, dwell)
+        first = (clock.at(clock.now - dwell), clock.at(clock.now))
+        before = run.attitude()
+
+        legs = sequence.fixture_legs()
+        errors = draw.leg_errors(number, len(legs)).tolist()
+        profile = run.profile([(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s)
+        turning = clock.samples(profile.legs_end_s + schedule.settle_s)
+        run.execute(profile, turning + end_dwell, record=True)
+        second = (clock.at(clock.now - end_dwell), clock.at(clock.now))
+
+        windows.append((first, second))
+        attitudes.append((before, run.attitude()))
+        labels.append(_label(sequence, first, second))
+
+    time, piece_starts, total = clock.stack()
+    return TrueMotion(
+        time,
+        clock.interval,
+        piece_starts,
+        *total,
+        windows=tuple(windows),
+        attitudes=np.array(attitudes),
+        labels=tuple(labels),
+        site=site,
+        fixture=stated_fixture or Fixture(heading_rad),
+        U=check_rotation(U),
+        draw=draw,
+    )
+
+
+def _move(run: _Run, start: tuple[float, float], dwell: int) -> None:
+    """Go to a start attitude by the shorter way about each axis, settle, and stand for the start window."""
+    schedule, clock = run.schedule, run.clock
+    recorded = schedule.moves == "recorded"
+    pause = clock.samples(schedule.pause_s)
+    if pause:
+        run.execute(run.profile([], 0.0), pause, record=recorded)
+    legs = []
+    for axis in (INNER, OUTER):
+        way = math.remainder(start[axis] - run.angles[axis], 2.0 * math.pi)
+        legs.append((axis, way))
+    profile = run.profile(legs, 0.0)
+    moving = clock.samples(profile.legs_end_s + schedule.settle_s)
+    if recorded:
+        run.execute(profile, moving + dwell, record=True)
+    else:
+        run.execute(profile, moving, record=False)
+        run.execute(run.profile([], 0.0), dwell, record=True)
+    # Full turns that the shorter way left out are no change of attitude.
+    run.angles = start
+
+
+def _label(sequence: TurnSequence, first: tuple[float, float], second: tuple[float, float]) -> SequenceLabel:
+    if sequence.in_table_1:
+        return SequenceLabel(first, second, sequence.id)
+    rotations = tuple((axis, math.radians(angle)) for axis, angle in sequence.rotations)
+    return SequenceLabel(first, second, sequence.id, sequence.down, sequence.along_outer, rotations)
+
+
+def table1_motion(
+    *,
+    site: Site,
+    sequences: Sequence[str] = tuple(TABLE_1),
+    rate_rad_s: float = 1.0,
+    accel_rad_s2: float = 10.0,
+    dwell_s: float = 10.0,
+    settle_s: float = 0.0,
+    moves: Moves = "skipped",
+    sample_rate_hz: float = 200.0,
+    heading_rad: float = 0.0,
+    fixture_draw: FixtureDraw | None = None,
+    U: NDArray[np.float64] | None = None,
+    stated_fixture: Fixture | None = None,
+    earth_rate: bool = True,
+) -> TrueMotion:
+    """Run sequences of Table 1 by id, in the order given; see :func:`run_schedule` and :class:`Schedule`."""
+    schedule = Schedule(
+        table_sequences(tuple(sequences)),
+        RateProfile(rate_rad_s, accel_rad_s2),
+        dwell_s=dwell_s,
+        settle_s=settle_s,
+        moves=moves,
+    )
+    return run_schedule(
+        schedule,
+        site=site,
+        sample_rate_hz=sample_rate_hz,
+        heading_rad=heading_rad,
+        fixture_draw=fixture_draw,
+        U=U,
+        stated_fixture=stated_fixture,
+        earth_rate=earth_rate,
+    )
+
+
+def constants_of_site(site: Site, *, earth_rate: bool) -> NDArray[np.float64]:
+    """Earth rate (rad/s) and specific force at rest (m/s²) in north, east, down, shape (2, 3)."""
+    if not earth_rate:
+        rate = np.zeros(3)
+    elif site.latitude_rad is None:
+        raise InputError("The site has no latitude, so the Earth's rate is unknown: state it, or switch the rate off.")
+    else:
+        rate = earth_rate_ned(site.latitude_rad)
+    return np.stack([rate, [0.0, 0.0, -site.gravity_m_s2]])
+
+
+def check_rotation(U: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Return U, the identity for None; InputError unless it is a proper rotation."""
+    if U is None:
+        return np.eye(3)
+    matrix = np.array(U, dtype=np.float64)
+    if matrix.shape != (3, 3) or np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-12 or np.linalg.det(matrix) < 0.0:
+        raise InputError("U must be a proper rotation matrix of shape (3, 3), orthogonal to 1e-12.")
+    return matrix
+
+
+def check_sample_rate(sample_rate_hz: float) -> float:
+    """Return the rate; InputError unless it is a positive number."""
+    if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
+        raise InputError(f"The sample rate is {sample_rate_hz!r} Hz: it must be a positive number.")
+    return sample_rate_hz

@@ -1,0 +1,1 @@
+"""Scenarios and plan files as TOML, and the simulation of one."""

@@ -1,0 +1,453 @@
+"""Scenarios: what to simulate, as TOML with the unit in every key, checked before anything runs.
+
+Tables of a scenario::
+
+    seed = 1
+    [imu]        from = "navigation-rlg"; [imu.noise] and [imu.errors] lie over the grade's; frame_turn_mrad
+    [fixture]    from = "lab-1mrad"; heading_deg              (absent with [free])
+    [site]       from = "latitude-45"; latitude_deg, gravity_m_s2 or height_m
+    [errors]     draw = "normal", "uniform" or "none"; factor; [errors.values] by name, SI
+    [schedule]   sequences, repeats, dwell_s or dwells_s, rate_rad_s, ...  (or [free]: turns by hand)
+    [recording]  sample_rate_hz, kind, format, ...
+
+A key that is not known is an error: a misspelt figure must not leave a default in force.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from sims.physics.sequences import TABLE_1, TurnSequence, table_sequences
+from sims.scenarios import library
+from srt.constants import (
+    ARCSEC,
+    DEG,
+    DEG_PER_H,
+    DEG_PER_SQRT_H,
+    MICRO_G,
+    STANDARD_GRAVITY_M_S2,
+    normal_gravity_m_s2,
+)
+from srt.exceptions import InputError
+from srt.recording.recording import Site
+from srt.sensor_errors import GROUPS, NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+# Strict: a number in quotes, or true for 1, is a mistake that must not pass.
+NonNegative = Annotated[float, Field(ge=0.0, strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, strict=True, allow_inf_nan=False)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Flag = Annotated[bool, Field(strict=True)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+def _as_pair(value: object) -> object:
+    """Make a pair of one dwell; what is neither is said here, as two alternatives would give two messages."""
+    pair = list(value) if isinstance(value, list | tuple) else [value, value]
+    if len(pair) != 2 or not all(isinstance(v, int | float) and not isinstance(v, bool) and v > 0.0 for v in pair):
+        raise ValueError(f"there stands {value!r}: give a positive number of seconds, or a pair [start, end] of them")
+    return pair
+
+
+Dwells = Annotated[tuple[Positive, Positive], BeforeValidator(_as_pair)]
+SignedAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+MRAD = 1e-3
+PPM = 1e-6
+
+
+class Table(BaseModel):
+    """A table of a scenario: frozen, and strict about its keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class NoiseConfig(Table):
+    """Noise, quantisation, range and g-sensitivity of a unit; absent means none."""
+
+    gyro_noise_deg_per_sqrt_h: NonNegative = 0.0
+    accel_noise_ug_per_sqrt_hz: NonNegative = 0.0
+    gyro_bias_instability_deg_per_h: NonNegative = 0.0
+    accel_bias_instability_ug: NonNegative = 0.0
+    gyro_quantization_arcsec: NonNegative = 0.0
+    accel_quantization_m_s: NonNegative = 0.0
+    gyro_resolution_deg_s: NonNegative = 0.0
+    accel_resolution_mg: NonNegative = 0.0
+    gyro_range_deg_s: Positive | None = None
+    accel_range_g: Positive | None = None
+    gyro_g_sensitivity_deg_per_h_per_g: NonNegative = 0.0
+    """One sigma of each element of the matrix, which is drawn once per unit."""
+
+    def si(self) -> dict[str, float]:
+        """Arguments of :class:`sims.physics.imu.ImuModel`, SI, all but the g-sensitivity matrix."""
+        return {
+            "gyro_noise": self.gyro_noise_deg_per_sqrt_h * DEG_PER_SQRT_H,
+            "accel_noise": self.accel_noise_ug_per_sqrt_hz * MICRO_G,
+            "gyro_bias_instability": self.gyro_bias_instability_deg_per_h * DEG_PER_H,
+            "accel_bias_instability": self.accel_bias_instability_ug * MICRO_G,
+            "gyro_quantization": self.gyro_quantization_arcsec * ARCSEC,
+            "accel_quantization": self.accel_quantization_m_s,
+            "gyro_resolution": self.gyro_resolution_deg_s * DEG,
+            "accel_resolution": self.accel_resolution_mg * 1e3 * MICRO_G,
+            "gyro_range": math.inf if self.gyro_range_deg_s is None else self.gyro_range_deg_s * DEG,
+            "accel_range": math.inf if self.accel_range_g is None else self.accel_range_g * STANDARD_GRAVITY_M_S2,
+        }
+
+    @property
+    def g_sensitivity_sigma(self) -> float:
+        """One sigma of each g-sensitivity, rad/s per m/s²."""
+        return self.gyro_g_sensitivity_deg_per_h_per_g * DEG_PER_H / STANDARD_GRAVITY_M_S2
+
+
+class ErrorSizes(Table):
+    """One-sigma size of each group of sensor errors before calibration; absent means none."""
+
+    gyro_scale_ppm: NonNegative = 0.0
+    gyro_asymmetry_ppm: NonNegative = 0.0
+    gyro_orthogonality_urad: NonNegative = 0.0
+    accel_bias_ug: NonNegative = 0.0
+    accel_scale_ppm: NonNegative = 0.0
+    accel_asymmetry_ppm: NonNegative = 0.0
+    accel_misalignment_urad: NonNegative = 0.0
+    gyro_bias_deg_per_h: NonNegative = 0.0
+
+    def si(self) -> dict[str, float]:
+        """Sizes by group name, SI."""
+        return {
+            "gyro_scale": self.gyro_scale_ppm * PPM,
+            "gyro_asymmetry": self.gyro_asymmetry_ppm * PPM,
+            "gyro_orthogonality": self.gyro_orthogonality_urad * 1e-6,
+            "accel_bias": self.accel_bias_ug * MICRO_G,
+            "accel_scale": self.accel_scale_ppm * PPM,
+            "accel_asymmetry": self.accel_asymmetry_ppm * PPM,
+            "accel_misalignment": self.accel_misalignment_urad * 1e-6,
+            "gyro_bias": self.gyro_bias_deg_per_h * DEG_PER_H,
+        }
+
+
+class ImuConfig(Table):
+    """One IMU grade."""
+
+    name: str
+    description: str = ""
+    noise: NoiseConfig = NoiseConfig()
+    errors: ErrorSizes = ErrorSizes()
+    frame_turn_mrad: Vector = (0.0, 0.0, 0.0)
+    """Rotation vector that turns the table-mounted frame T into B."""
+    frame_turn_sigma_mrad: NonNegative = 0.0
+    """One sigma of a random turn on top, about each axis."""
+
+
+class FixtureConfig(Table):
+    """The fixture: its true one-sigma errors, and what the recording states of it."""
+
+    name: str
+    description: str = ""
+    heading_deg: Finite = 0.0
+    level_sigma_mrad: NonNegative
+    north_sigma_mrad: NonNegative
+    mounting_sigma_mrad: NonNegative
+    non_orthogonality_sigma_mrad: NonNegative
+    rotation_sigma_mrad: NonNegative
+    stated_alignment_sigma_mrad: Positive
+    stated_rotation_sigma_mrad: Positive
+    wobble_sigma_mrad: NonNegative = 0.0
+    stated_wobble_sigma_mrad: NonNegative | None = None
+    """Not stated: a hundredth of the rotations' sigma, see :class:`srt.recording.recording.Fixture`."""
+    state_heading: Flag = True
+
+    def draw_sizes(self) -> dict[str, float]:
+        """Keyword arguments of :func:`sims.physics.fixture.draw_fixture`, rad."""
+        return {
+            "level_sigma_rad": self.level_sigma_mrad * MRAD,
+            "north_sigma_rad": self.north_sigma_mrad * MRAD,
+            "mounting_sigma_rad": self.mounting_sigma_mrad * MRAD,
+            "non_orthogonality_sigma_rad": self.non_orthogonality_sigma_mrad * MRAD,
+            "rotation_sigma_rad": self.rotation_sigma_mrad * MRAD,
+            "wobble_sigma_rad": self.wobble_sigma_mrad * MRAD,
+        }
+
+
+class SiteConfig(Table):
+    """The site: latitude, and gravity given or by the WGS 84 normal formula."""
+
+    name: str = ""
+    description: str = ""
+    latitude_deg: Annotated[float, Field(strict=True, ge=-90.0, le=90.0)]
+    gravity_m_s2: Annotated[float, Field(strict=True, gt=9.0, lt=10.0)] | None = None
+    height_m: Annotated[float, Field(strict=True, ge=-500.0, le=9000.0)] | None = None
+    gravity_sigma_m_s2: Positive | None = None
+    earth_rate: Flag = True
+    state_latitude: Flag = True
+
+    @model_validator(mode="after")
+    def _one_gravity(self) -> Self:
+        if (self.gravity_m_s2 is None) == (self.height_m is None):
+            raise ValueError("give either gravity_m_s2 or height_m, counting what 'from' brings along")
+        return self
+
+    def site(self) -> Site:
+        """Give the site in SI units."""
+        latitude = self.latitude_deg * DEG
+        if self.gravity_m_s2 is not None:
+            return Site(self.gravity_m_s2, self.gravity_sigma_m_s2 or 5e-6, latitude)
+        assert self.height_m is not None
+        return Site(normal_gravity_m_s2(latitude, self.height_m), self.gravity_sigma_m_s2 or 5e-4, latitude)
+
+
+class ErrorsConfig(Table):
+    """Which sensor errors the unit has."""
+
+    draw: Literal["normal", "uniform", "none"] = "normal"
+    """Distribution of the drawn errors; uniform means within ±√3 sigma, the same sigma."""
+    factor: NonNegative = 1.0
+    """Times the grade's sizes."""
+    values: dict[str, Finite] = {}
+    """Values by parameter name, SI; they replace what is drawn."""
+
+    @model_validator(mode="after")
+    def _known_names(self) -> Self:
+        for name in self.values:
+            if name not in NAMES:
+                near = difflib.get_close_matches(name, NAMES, 1)
+                hint = f"write {near[0]!r}" if near else f"the groups are {', '.join(g.name for g in GROUPS)}"
+                raise ValueError(f"there is no sensor error named {name!r}: {hint}")
+        return self
+
+
+class CustomSequence(Table):
+    """A sequence that is not in Table 1."""
+
+    id: str
+    down: SignedAxis
+    along_outer: SignedAxis
+    """IMU axes at the start; with a minus it is the opposite direction that points down, or along the outer axis."""
+    rotations: Annotated[tuple[tuple[Literal["x", "y", "z"], Finite], ...], Field(min_length=1)]
+    """IMU axis and signed angle in degrees, one after the other."""
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.id in TABLE_1:
+            raise ValueError(f"the id {self.id!r} belongs to Table 1: choose another")
+        try:
+            self.turn_sequence()
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    def turn_sequence(self) -> TurnSequence:
+        """Give the sequence as the fixture executes it."""
+        return TurnSequence(self.id, self.down, self.along_outer, self.rotations)
+
+
+class ScheduleConfig(Table):
+    """A run on the fixture."""
+
+    sequences: tuple[str, ...] = tuple(TABLE_1)
+    """Ids of Table 1 or of [[schedule.custom]], in the order of execution."""
+    custom: tuple[CustomSequence, ...] = ()
+    repeats: Annotated[int, Field(strict=True, ge=1)] = 1
+    dwell_s: Positive = 10.0
+    dwells_s: tuple[Dwells, ...] | None = None
+    """In place of dwell_s, for each entry of ``sequences`` a number or a pair [start window, end window]."""
+    leg_dwell_s: NonNegative = 0.0
+    settle_s: NonNegative = 0.0
+    pause_s: NonNegative = 1.0
+    rate_rad_s: Positive = 1.0
+    acceleration_rad_s2: Positive = 10.0
+    moves: Literal["recorded", "skipped"] = "skipped"
+    settling_amplitude_mrad: NonNegative = 0.0
+    settling_frequency_hz: Positive = 8.0
+    settling_decay_s: Positive = 0.1
+
+    @model_validator(mode="after")
+    def _known_sequences(self) -> Self:
+        own = [s.id for s in self.custom]
+        if not self.sequences:
+            raise ValueError("sequences is empty: name at least one")
+        for name in self.sequences:
+            if name not in TABLE_1 and name not in own:
+                raise ValueError(f"there is no sequence {name!r}: the ids are {', '.join([*TABLE_1, *own])}")
+        if self.dwells_s is not None and len(self.dwells_s) != len(self.sequences):
+            raise ValueError(
+                f"dwells_s has {len(self.dwells_s)} entries, but there are {len(self.sequences)} sequences: give one "
+                "for each"
+            )
+        return self
+
+    def turn_sequences(self) -> tuple[TurnSequence, ...]:
+        """All sequences in the order of execution, repeats included."""
+        own = {s.id: s.turn_sequence() for s in self.custom}
+        once = tuple(own[name] if name in own else table_sequences((name,))[0] for name in self.sequences)
+        return once * self.repeats
+
+
+class FreeConfig(Table):
+    """A free recording: turns by hand between still poses."""
+
+    turns: Annotated[int, Field(strict=True, ge=1)] | None = None
+    """Number of random turns; or rotations_deg."""
+    smallest_turn_deg: Positive = 60.0
+    largest_turn_deg: Positive = 180.0
+    rotations_deg: tuple[Vector, ...] | None = None
+    """Rotation vectors in B."""
+    peak_rate_rad_s: Positive = 2.0
+    dwell_s: Positive = 5.0
+    settle_s: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.turns is None) == (self.rotations_deg is None):
+            raise ValueError("give either turns or rotations_deg")
+        if self.smallest_turn_deg > self.largest_turn_deg:
+            raise ValueError("smallest_turn_deg is above largest_turn_deg")
+        return self
+
+
+class RecordingConfig(Table):
+    """How the samples are recorded."""
+
+    sample_rate_hz: Positive = 200.0
+    kind: Literal["rate", "increment"] = "rate"
+    format: Literal["csv", "parquet", "npz", "h5"] = "csv"
+    start_time_s: Finite = 0.0
+    noise: Flag = True
+    """False: no noise, drift, quantisation, range or g-sensitivity, whatever the grade says."""
+    state_noise: Flag = True
+    """False: the recording does not state the noise figures."""
+    label_sequences: Flag = True
+    serial: str | None = None
+
+
+class Scenario(Table):
+    """One simulation, complete."""
+
+    description: str = ""
+    seed: Annotated[int, Field(strict=True, ge=0)]
+    imu: ImuConfig
+    site: SiteConfig
+    fixture: FixtureConfig | None = None
+    errors: ErrorsConfig = ErrorsConfig()
+    schedule: ScheduleConfig | None = None
+    free: FreeConfig | None = None
+    recording: RecordingConfig = RecordingConfig()
+
+    @model_validator(mode="after")
+    def _fixture_or_free(self) -> Self:
+        if (self.schedule is None) == (self.free is None):
+            raise ValueError("give either a [schedule] for the fixture or a [free] recording")
+        if self.schedule is not None and self.fixture is None:
+            raise ValueError("a [schedule] needs a [fixture] to run on")
+        if self.free is not None and self.fixture is not None:
+            raise ValueError("a [free] recording has no [fixture]: remove that table")
+        return self
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Read a scenario by its name in the library or by the path of a TOML file.
+
+    Raises
+    ------
+    InputError
+        In one sentence: what was found, where, what was expected, and what to do.
+    """
+    path = library.find("scenario", name_or_path)
+    return scenario_from_dict(library.read_toml(path), name=path.name, near=path.parent)
+
+
+def scenario_from_dict(tables: dict[str, Any], *, name: str = "scenario", near: Path | None = None) -> Scenario:
+    """Build a scenario from tables as TOML gives them, with ``from`` resolved.
+
+    Parameters
+    ----------
+    tables : dict
+    name : str
+        What error messages call the scenario.
+    near : Path, optional
+        Folder that relative paths in ``from`` start from.
+    """
+    try:
+        return Scenario.model_validate(library.resolved(tables, name=name, near=near))
+    except ValidationError as error:
+        raise InputError(f"{name}: {validation_sentence(error, Scenario)}") from None
+
+
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text in quotes",
+    "finite_number": "a finite number",
+    "tuple_type": "an array",
+    "model_type": "a table",
+    "dict_type": "a table",
+    "greater_than": "a number above {gt:g}",
+    "greater_than_equal": "a number not below {ge:g}",
+    "less_than": "a number below {lt:g}",
+    "less_than_equal": "a number not above {le:g}",
+    "literal_error": "{expected}",
+}
+"""What a value should have been, by pydantic's type of error and with the names in its context."""
+
+
+def validation_sentence(error: ValidationError, root: type[BaseModel]) -> str:
+    """Put the first finding of a validation into one sentence.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+    root : type
+        The model that was validated; it knows the keys that there are.
+    """
+    first = error.errors(include_url=False)[0]
+    path, kind, context = first["loc"], first["type"], first.get("ctx", {})
+    *parents, last = path or ("",)
+    where = f"[{_dotted(parents)}]" if parents else "the top level"
+    if kind == "extra_forbidden":
+        known = _keys_at(parents, root)
+        near = difflib.get_close_matches(str(last), known, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"the keys there are {', '.join(known)}."
+        return f"unknown key {last!r} in {where}: {hint}"
+    if kind == "missing" and isinstance(last, str):
+        return f"the key {last!r} is missing from {where}: add it."
+    if kind == "value_error":
+        place = f"in [{_dotted(path)}], " if path else ""
+        return f"{place}{first['msg'].removeprefix('Value error, ').rstrip('.')}."
+    if kind == "missing":
+        return f"{_dotted(parents)} has too few values: {int(last) + 1} are needed."
+    expected = _EXPECTED.get(kind)
+    if expected is None:
+        return f"{_dotted(path)} is {first['input']!r}: {first['msg'][:1].lower()}{first['msg'][1:]}."
+    return f"{_dotted(path)} is {first['input']!r}: give {expected.format(**context)}."
+
+
+def _dotted(path: Sequence[int | str]) -> str:
+    """Write a place in a scenario as TOML users read it, array positions counted from 1."""
+    text = ""
+    for part in path:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}"
+    return text.removeprefix(".")
+
+
+def _keys_at(path: Sequence[int | str], root: type[BaseModel]) -> list[str]:
+    """Known keys of the table at a place."""
+    model = root
+    for part in path:
+        if isinstance(part, int) or part not in model.model_fields:
+            continue  # a place in an array, or a name that the file's author chose
+        annotation = model.model_fields[part].annotation
+        model = next(t for t in _flatten(annotation) if isinstance(t, type) and issubclass(t, BaseModel))
+    keys = list(model.model_fields)
+    return [*keys, "from"] if model in {ImuConfig, FixtureConfig, SiteConfig} else keys
+
+
+def _flatten(annotation: object) -> list[object]:
+    arguments = get_args(annotation)
+    return [annotation] if not arguments else [t for a in arguments for t in _flatten(a)]

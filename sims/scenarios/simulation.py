@@ -1,0 +1,247 @@
+"""From a scenario to a recording and the truth behind it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sims.physics.fixture import draw_fixture, rotation
+from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.motion import RateProfile
+from sims.physics.table_motion import Schedule, run_schedule
+from sims.scenarios.scenario import MRAD
+from srt.constants import DEG
+from srt.exceptions import InputError
+from srt.recording.recording import Fixture
+from srt.sensor_errors import GROUPS, SensorErrors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from sims.physics.fixture import FixtureDraw
+    from sims.physics.true_motion import TrueMotion
+    from sims.scenarios.scenario import Scenario, ScheduleConfig
+    from srt.recording.recording import Recording
+
+TRUTH_FORMAT = "srt-truth"
+TRUTH_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A recording and everything that a calibration of it should find.
+
+    Attributes
+    ----------
+    recording : srt.recording.recording.Recording
+    truth : srt.sensor_errors.SensorErrors
+        In B.
+    U : ndarray, shape (3, 3)
+        From table-mounted components T to B.
+    fixture_draw : FixtureDraw or None
+        None for a free recording.
+    imu : ImuModel
+        Noise and g-sensitivity in force.
+    windows : tuple of ((start, end), (start, end))
+        Still windows before and after each turn, s, labelled in the recording or not.
+    motion : TrueMotion
+        The true integrals; read them out again for other errors on the same motion.
+    scenario : Scenario
+    """
+
+    recording: Recording
+    truth: SensorErrors
+    U: NDArray[np.float64]
+    fixture_draw: FixtureDraw | None
+    imu: ImuModel
+    windows: tuple[tuple[tuple[float, float], tuple[float, float]], ...]
+    motion: TrueMotion
+    scenario: Scenario
+
+    def truth_dict(self) -> dict[str, Any]:
+        """Give the truth as plain values, ready for JSON; SI units."""
+        draw = self.fixture_draw
+        return {
+            "format": TRUTH_FORMAT,
+            "version": TRUTH_VERSION,
+            "parameters": self.truth.as_dict(),
+            "frame": {"name": "MARS", "U": self.U.tolist()},
+            "gyro_g_sensitivity": self.imu.gyro_g_sensitivity.tolist(),
+            "fixture": None
+            if draw is None
+            else {
+                "base": draw.base.tolist(),
+                "mounting": draw.mounting.tolist(),
+                "non_orthogonality": draw.non_orthogonality,
+                "starts": None if draw.starts is None else draw.starts.tolist(),
+                "legs": None if draw.legs is None else [e.tolist() for e in draw.legs],
+                "wobble": None if draw.wobble is None else draw.wobble.tolist(),
+            },
+            "windows": [[list(first), list(second)] for first, second in self.windows],
+            "seed": self.scenario.seed,
+            "scenario": self.scenario.model_dump(mode="json"),
+        }
+
+    def write_truth(self, path: Path | str) -> None:
+        """Write the truth as JSON, whole or not at all."""
+        target = Path(path)
+        partial = target.with_name(target.name + ".part")
+        try:
+            partial.write_text(json.dumps(self.truth_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            partial.replace(target)
+        except OSError as error:
+            raise InputError(f"The truth cannot be written to {target}: {error.strerror}.") from None
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def draw_errors(
+    rng: np.random.Generator,
+    sizes: dict[str, float],
+    *,
+    distribution: str = "normal",
+    values: dict[str, float] | None = None,
+) -> SensorErrors:
+    """Draw the 27 sensor errors.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    sizes : dict
+        One sigma by group name, SI; a group not named is zero.
+    distribution : "normal", "uniform" or "none"
+        Uniform has the same sigma: within ±√3 of it.
+    values : dict, optional
+        By parameter name, SI; they replace what is drawn.
+    """
+    drawn: dict[str, float] = {}
+    for group in GROUPS:
+        count = len(group.suffixes)
+        # Both are drawn whatever the distribution, so that a seed keeps its meaning when a group is
+        # switched off.
+        normal, uniform = rng.standard_normal(count), rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), count)
+        unit = {"normal": normal, "uniform": uniform, "none": np.zeros(count)}[distribution]
+        named = zip(group.suffixes, (unit * sizes.get(group.name, 0.0)).tolist(), strict=True)
+        drawn |= {f"{group.name}_{suffix}": value for suffix, value in named}
+    return SensorErrors.from_dict(drawn | (values or {}))
+
+
+def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simulation:
+    """Run a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    rng : numpy.random.Generator, optional
+        Default: a generator of the scenario's seed. Sensor errors, unit, fixture, motion and noise each
+        draw from a child of their own, so that a change in one leaves the others' numbers alone.
+    """
+    generator = np.random.default_rng(scenario.seed) if rng is None else rng
+    for_errors, for_unit, for_fixture, for_motion, for_noise = generator.spawn(5)
+    sizes = {name: size * scenario.errors.factor for name, size in scenario.imu.errors.si().items()}
+    truth = draw_errors(for_errors, sizes, distribution=scenario.errors.draw, values=scenario.errors.values)
+    model = imu_model(scenario, for_unit)
+    turn = np.array(scenario.imu.frame_turn_mrad) * MRAD
+    turn = turn + for_unit.standard_normal(3) * scenario.imu.frame_turn_sigma_mrad * MRAD
+    U = rotation(turn).T
+    motion = _table_run(scenario, U, for_fixture) if scenario.free is None else _free_run(scenario, for_motion)
+    stated = scenario.recording
+    recording = read_out(
+        motion,
+        truth,
+        model,
+        for_noise,
+        kind=stated.kind,
+        state_noise=stated.state_noise,
+        serial=stated.serial,
+    )
+    if not stated.label_sequences:
+        recording = recording.with_sequences(())
+    if not scenario.site.state_latitude:
+        recording = replace(recording, site=replace(recording.site, latitude_rad=None))
+    return Simulation(recording, truth, motion.U, motion.draw, model, motion.windows, motion, scenario)
+
+
+def imu_model(scenario: Scenario, rng: np.random.Generator) -> ImuModel:
+    """Give the unit's noise model, its g-sensitivity drawn; a faultless one if the scenario has no noise."""
+    noise = scenario.imu.noise
+    g_sensitivity = rng.standard_normal((3, 3)) * noise.g_sensitivity_sigma
+    if not scenario.recording.noise:
+        return ImuModel()
+    return ImuModel(**noise.si(), gyro_g_sensitivity=g_sensitivity)
+
+
+def schedule_of(config: ScheduleConfig) -> Schedule:
+    """Schedule in SI units from its configuration."""
+    profile = RateProfile(
+        config.rate_rad_s,
+        config.acceleration_rad_s2,
+        config.settling_amplitude_mrad * MRAD,
+        config.settling_frequency_hz,
+        config.settling_decay_s,
+    )
+    return Schedule(
+        config.turn_sequences(),
+        profile,
+        dwell_s=config.dwell_s,
+        leg_dwell_s=config.leg_dwell_s,
+        settle_s=config.settle_s,
+        moves=config.moves,
+        pause_s=config.pause_s,
+        dwells_s=None if config.dwells_s is None else config.dwells_s * config.repeats,
+    )
+
+
+def _table_run(scenario: Scenario, U: NDArray[np.float64], rng: np.random.Generator) -> TrueMotion:
+    assert scenario.schedule is not None
+    assert scenario.fixture is not None
+    schedule, fixture = schedule_of(scenario.schedule), scenario.fixture
+    return run_schedule(
+        schedule,
+        site=scenario.site.site(),
+        sample_rate_hz=scenario.recording.sample_rate_hz,
+        heading_rad=fixture.heading_deg * DEG,
+        fixture_draw=draw_fixture(rng, schedule.sequences, **fixture.draw_sizes()),
+        U=U,
+        stated_fixture=Fixture(
+            fixture.heading_deg * DEG if fixture.state_heading else None,
+            fixture.stated_alignment_sigma_mrad * MRAD,
+            fixture.stated_rotation_sigma_mrad * MRAD,
+            None if fixture.stated_wobble_sigma_mrad is None else fixture.stated_wobble_sigma_mrad * MRAD,
+        ),
+        earth_rate=scenario.site.earth_rate,
+        start_time_s=scenario.recording.start_time_s,
+    )
+
+
+def _free_run(scenario: Scenario, rng: np.random.Generator) -> TrueMotion:
+    free = scenario.free
+    assert free is not None
+    attitude = random_attitude(rng)
+    if free.rotations_deg is not None:
+        turns = np.array(free.rotations_deg) * DEG
+    else:
+        assert free.turns is not None
+        turns = random_turns(
+            rng,
+            free.turns,
+            smallest_rad=free.smallest_turn_deg * DEG,
+            largest_rad=free.largest_turn_deg * DEG,
+        )
+    return free_motion(
+        turns,
+        site=scenario.site.site(),
+        attitude=attitude,
+        peak_rate_rad_s=free.peak_rate_rad_s,
+        dwell_s=free.dwell_s,
+        settle_s=free.settle_s,
+        sample_rate_hz=scenario.recording.sample_rate_hz,
+        earth_rate=scenario.site.earth_rate,
+        start_time_s=scenario.recording.start_time_s,
+    )
