@@ -104,7 +104,7 @@ def by_components(grade: str) -> Table:
     motion = table1_motion(site=SITE, sample_rate_hz=100.0, stated_fixture=Fixture(0.0, 1e-3, 1e-3))
     recording = read_out(motion, SensorErrors(), GRADES[grade], np.random.default_rng(FIRST_SEED[grade]))
     options = Options()
-    data = open_session(recording, recording.sequences, options)
+    data = open_session(recording, recording.sequences, options.average)
     solution = iterate(data, options, LeastSquaresSolver(()), *first_estimate(data, options))
     H, R = solution.playback.H, solution.measurement_covariance
 

@@ -12,9 +12,8 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 PROMISE_BELOW: Final = 0.05
 """Sigma of every parameter (accelerometer bias in g) below which the linearised sigmas are to be believed."""

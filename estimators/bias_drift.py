@@ -16,12 +16,10 @@ import numpy as np
 from srt.estimation.measurement_covariance import accel_drift, gyro_drift
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
 
 _ROUNDING: Final = 1e-12
 
@@ -43,7 +41,7 @@ class Drift:
     rate: Array
     force: Array
     turned: Array
-    is_gyro: NDArray[np.bool_]
+    is_gyro: Mask
 
     @property
     def size(self) -> int:
@@ -55,7 +53,7 @@ def drift(
     data: PlaybackData,
     integrals: RotationIntegrals,
     slopes: tuple[Array, Array],
-    owner: tuple[NDArray[np.intp], NDArray[np.intp]],
+    owner: tuple[Indices, Indices],
     *,
     of_gyros: bool,
 ) -> Drift:
@@ -96,7 +94,7 @@ def drift(
     return Drift(gyro[:W], accel, gyro[W:], by_time < len(place_gyro))
 
 
-def _root(effect: Array, place: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
+def _root(effect: Array, place: Indices) -> tuple[Array, Indices]:
     """Triangular root of the covariance of effects (m, 3, S) in the order of their places: (m, 3, 3 m), and the order.
 
     The draws that it is a root for are in that order, too.

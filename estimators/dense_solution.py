@@ -9,11 +9,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from estimators.linear_system import System
-
-    Array = NDArray[np.float64]
+    from srt.types import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,9 +14,8 @@ from srt.model import measurement_model as model
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
     Linearised = tuple[Array, list[Array]]
 
 
@@ -86,7 +85,7 @@ class Kind(ABC):
         """Variables of a factor that do not enter linearly."""
 
     @abstractmethod
-    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+    def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
         """Residuals (n, d) of some factors, and the Jacobians of each by the variables of :meth:`keys`."""
 
     def prepare(self, values: Any) -> None:
@@ -104,7 +103,7 @@ class Kind(ABC):
         return residuals[at], list(jacobians[at])
 
 
-def _matrices(values: Any, keys: NDArray[np.intp]) -> Array:
+def _matrices(values: Any, keys: Indices) -> Array:
     return np.stack([values.atRot3(key).matrix() for key in keys.tolist()])
 
 
@@ -114,7 +113,7 @@ class _Earth:
     def __init__(self, known: Array, keys: list[int | None]) -> None:
         self.known, self.keys = known, keys
 
-    def rate(self, values: Any, rows: NDArray[np.intp]) -> Array:
+    def rate(self, values: Any, rows: Indices) -> Array:
         out = self.known[rows].copy()
         for i, row in enumerate(rows.tolist()):
             key = self.keys[row]
@@ -143,7 +142,7 @@ class Poses(Kind):
         self,
         force: Array,
         rate: Array,
-        attitudes: NDArray[np.intp],
+        attitudes: Indices,
         gravity: float,
         gravity_key: int | None,
         known: Array,
@@ -158,7 +157,7 @@ class Poses(Kind):
         keys = (int(self.attitudes[row]), self.gravity_key, self.earth.keys[row])
         return [key for key in keys if key is not None]
 
-    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+    def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
         """Of windows."""
         attitude = _matrices(values, self.attitudes[rows])
         g = self.gravity + (0.0 if self.gravity_key is None else float(values.atVector(self.gravity_key)[0]))
@@ -192,8 +191,8 @@ class Turns(Kind):
     def __init__(
         self,
         turned: Array,
-        starts: NDArray[np.intp],
-        ends: NDArray[np.intp],
+        starts: Indices,
+        ends: Indices,
         known: Array,
         earth_keys: list[int | None],
         duration_s: Array,
@@ -207,7 +206,7 @@ class Turns(Kind):
         keys = (int(self.starts[row]), int(self.ends[row]), self.earth.keys[row])
         return [key for key in keys if key is not None]
 
-    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+    def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
         """Of turns."""
         start, end = _matrices(values, self.starts[rows]), _matrices(values, self.ends[rows])
         earth = self.earth.rate(values, rows)
@@ -234,9 +233,7 @@ class Starts(Kind):
     heading_rad : float
     """
 
-    def __init__(
-        self, nominal: Array, attitudes: NDArray[np.intp], base: int, mounting: int, heading_rad: float
-    ) -> None:
+    def __init__(self, nominal: Array, attitudes: Indices, base: int, mounting: int, heading_rad: float) -> None:
         super().__init__(len(nominal))
         self.nominal, self.attitudes, self.base, self.mounting = nominal, attitudes, base, mounting
         self.heading_rad = heading_rad
@@ -245,7 +242,7 @@ class Starts(Kind):
         """Of a start."""
         return [int(self.attitudes[row]), self.base, self.mounting]
 
-    def evaluate(self, values: Any, rows: NDArray[np.intp]) -> tuple[Array, list[list[Array]]]:
+    def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
         """Of starts."""
         base, mounting = (values.atRot3(key).matrix() for key in (self.base, self.mounting))
         attitude = _matrices(values, self.attitudes[rows])

@@ -17,14 +17,13 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from estimators.graph_builder import GraphBuilder
-from estimators.iteration import Solved, Step, default_prior, run
+from estimators.iteration import default_prior, run
 from estimators.joint_problem import open_problem
+from estimators.step import Solved, Step
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
     from estimators.joint_problem import Problem
     from estimators.linear_system import System
@@ -34,8 +33,8 @@ if TYPE_CHECKING:
     from srt.model.prior import Prior
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
     Linearised = tuple[Array, list[Array]]
     ErrorFunction = Callable[[Any, Any, Any], Array]
 
@@ -198,7 +197,7 @@ def sequence_weights(built: GraphBuilder, values: Any, loss: str) -> Array:
     return np.array([ROBUST[loss](float(limit)).weight(float(s)) for limit, s in zip(limits, sizes, strict=True)])
 
 
-def _columns_of(built: GraphBuilder, system: System, key: int) -> NDArray[np.intp]:
+def _columns_of(built: GraphBuilder, system: System, key: int) -> Indices:
     """Columns of the system that a variable of sensor errors or bias stands for."""
     if key == X(0):
         return np.asarray(system.of("errors")[built.errors])

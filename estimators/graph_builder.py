@@ -23,13 +23,11 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from estimators.joint_problem import Problem
     from estimators.linearisation_point import Played, Point
     from srt.model.prior import Prior
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
 
 _HEADING_SIGMA: Final = 1e-8
 """One sigma, rad, of a heading that is given: across the Earth's rate far below any noise."""
@@ -56,7 +54,7 @@ class GraphBuilder:
         problem: Problem,
         point: Point,
         played: Played,
-        free: NDArray[np.bool_],
+        free: Mask,
         *,
         prior: Prior | None = None,
         weights: Array | None = None,
@@ -126,7 +124,7 @@ class GraphBuilder:
         if self.gravity:
             self.values.insert(G(0), np.array([point.gravity]))
 
-    def _noise(self, covariance: Array, sequence: Sequence[int] | NDArray[np.intp]) -> list[Any]:
+    def _noise(self, covariance: Array, sequence: Sequence[int] | Indices) -> list[Any]:
         """Noise models of measurements of sequences, with the weights of these."""
         return factors.gaussians(covariance / self.weights[sequence][:, None, None])
 

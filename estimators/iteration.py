@@ -6,8 +6,7 @@ convergence, statistics and the result are the same.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,26 +17,25 @@ from estimators.dense_solution import solve
 from estimators.linear_system import N_ERRORS, linearise
 from estimators.residual_analysis import deletion_table, excess_noise
 from estimators.result import calibration_of, judge, with_prior
+from estimators.step import State, Step
 from srt.estimation.assembly import is_misfit
 from srt.estimation.fixed_parameters import held_sigma, request_reason
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
-from srt.estimation.least_squares_solver import OBSERVED_BELOW, admission_sigma, admit
+from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.model.prior import Prior
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import outside_model
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from estimators.joint_problem import Problem
     from estimators.linear_system import System
-    from estimators.linearisation_point import Played, Point
+    from estimators.linearisation_point import Point
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.result.calibration import Calibration
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 _MAX_STEP: Final = 0.7
 _ROUNDS: Final = 6
@@ -45,95 +43,6 @@ _RENEWALS: Final = 2
 _INDEPENDENT: Final = 1e-10
 _ONE_FAULT: Final = 0.05
 _NEAR: Final = 1e-2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Solved:
-    """A solution of the linearised problem.
-
-    Attributes
-    ----------
-    point : Point
-        What the correction is to be applied to: the point of linearisation, or one with better attitudes.
-    system : System
-        Linearised there.
-    delta : ndarray, shape (n,)
-        Correction of all columns.
-    correction : ndarray, shape (27,)
-    covariance : ndarray, shape (27, 27)
-        Of the reported parameters.
-    """
-
-    point: Point
-    system: System
-    delta: Array
-    correction: Array
-    covariance: Array
-
-
-class Step(ABC):
-    """One solution of the linearised problem.
-
-    Attributes
-    ----------
-    name : str
-        Of the estimator.
-    prior : Prior or None
-        Of the sensor errors; with one every parameter can be estimated.
-    leaning : bool
-        Whether it is still open what the data show: without a prior the wide default then keeps the rest in place.
-    """
-
-    name: str
-    prior: Prior | None = None
-    leaning = True
-
-    @property
-    def settled(self) -> bool:
-        """Whether it may end here, if the correction is negligible."""
-        return True
-
-    def weights(self) -> dict[tuple[str, int], float]:
-        """Weight of each measurement, by kind and number, where it is not one."""
-        return {}
-
-    def restart(self) -> None:  # noqa: B027 - most have nothing to do
-        """Begin anew, the measurements having changed."""
-
-    @abstractmethod
-    def solve(self, problem: Problem, system: System, point: Point) -> Solved:
-        """Solve a problem linearised at a point."""
-
-    def diagnostics(self, problem: Problem) -> dict[str, Any]:  # noqa: ARG002 - for those that have some
-        """What else the estimator reports, as JSON values."""
-        return {}
-
-
-@dataclass(slots=True, eq=False)
-class State:
-    """Where an iteration stands.
-
-    Attributes
-    ----------
-    point : Point
-        The estimate.
-    linearised_at, played, system : Point, Played, System
-        The last linearisation.
-    free : ndarray of bool, shape (27,)
-    covariance : ndarray, shape (27, 27)
-    corrections : list of float
-    status, message : str
-    """
-
-    point: Point
-    free: NDArray[np.bool_]
-    linearised_at: Point | None = None
-    played: Played | None = None
-    system: System | None = None
-    covariance: Array | None = None
-    corrections: list[float] | None = None
-    status: str = "not_converged"
-    message: str = ""
 
 
 def corrected(point: Point, system: System, delta: Array) -> Point:
@@ -175,7 +84,7 @@ def iterate(
     step: Step,
     state: State,
     *,
-    requested: NDArray[np.bool_],
+    requested: Mask,
     progress: Progress | None = None,
     converged: tuple[float, float] = (CONVERGED_CORRECTION, CONVERGED_SIGMAS),
     max_step: float = _MAX_STEP,
@@ -263,7 +172,7 @@ def default_prior() -> Prior:
     return Prior.from_sigma(admission_sigma())
 
 
-def admitted(system: System, requested: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def admitted(system: System, requested: Mask) -> Mask:
     """Which sensor errors the data determine, all other unknowns being estimated with them."""
     E = system.parameter_map()
     A = system.A

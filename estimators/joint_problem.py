@@ -37,14 +37,12 @@ from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.options import Options
     from srt.model.table1 import Sequence
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 _BIAS: Final = GROUP_SLICES["gyro_bias"]
 _TURNED_SIGMAS: Final = 5.0
@@ -201,7 +199,7 @@ class Problem:
         found = np.linalg.lstsq(by_turns, lean)[0]
         return bool(np.abs(by_turns @ found - lean).max() < 1e-6)
 
-    def at_start(self, point: Point, held: NDArray[np.bool_]) -> Point:
+    def at_start(self, point: Point, held: Mask) -> Point:
         """Give parameters that are held the first estimate's values."""
         vector = np.where(held, self.start.errors.vector, point.errors.vector)
         return replace(point, errors=SensorErrors(vector))
@@ -329,7 +327,7 @@ class Problem:
                 attitude[e], placed[e] = level(turn @ attitude[s] @ played.turned[k], e), True
         return replace(point, attitude=attitude)
 
-    def moved(self, point: Point, played: Played) -> NDArray[np.bool_]:
+    def moved(self, point: Point, played: Played) -> Mask:
         """Windows held so far in which the unit moved, shape (W,)."""
         assert point.attitude is not None
         gyro = gyro_triad(point.errors)
@@ -339,7 +337,7 @@ class Problem:
         moved = moved_windows(self.data, gyro, accel_triad(point.errors), rest, wander, chance)
         return np.asarray(moved & ~self.integrated)
 
-    def release(self, windows: NDArray[np.bool_]) -> None:
+    def release(self, windows: Mask) -> None:
         """Integrate the attitude over windows instead of holding it."""
         self.integrated = self.integrated | windows
         self.player = Player(self.data, self.options, self.integrated)
@@ -390,7 +388,7 @@ def open_problem(recording: Recording, options: Options) -> Problem:
     poses = tuple(s for s in labels if s.id is not None and (s not in whole or _turn_is_lost(recording, s)))
     if not whole:
         raise DataError("No sequence of the recording has both its windows: record at least one turn to its end.")
-    data = open_session(recording, whole, options, poses=poses if recording.fixture is not None else ())
+    data = open_session(recording, whole, options.average, poses=poses if recording.fixture is not None else ())
     return Problem(data, options, first_estimate(data, options))
 
 

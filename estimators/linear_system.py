@@ -16,14 +16,11 @@ from srt.model import measurement_model as model
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from estimators.joint_problem import Problem
     from estimators.linearisation_point import Played, Point
     from srt.model.prior import Prior
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 N_ERRORS: Final = GROUP_SLICES["gyro_bias"].start
 """Sensor errors without the gyro bias, which comes per sequence."""
@@ -83,9 +80,9 @@ class System:
     A: Array
     b: Array
     columns: dict[str, slice]
-    active: NDArray[np.bool_]
+    active: Mask
     rows: tuple[Rows, ...]
-    free: NDArray[np.bool_]
+    free: Mask
     whitening: dict[str, Array]
     played: Played
 
@@ -107,7 +104,7 @@ class System:
         return E
 
 
-def attitude_columns(system: System) -> NDArray[np.bool_]:
+def attitude_columns(system: System) -> Mask:
     """Columns of fixture, site and attitudes: what a play-back does not depend on, shape (n,)."""
     out = np.zeros(system.A.shape[1], dtype=np.bool_)
     for name in ("base", "mounting", "gravity", "earth_rate", "attitude"):
@@ -169,9 +166,7 @@ class _Builder:
         self.m += count * size
 
 
-def linearise(
-    problem: Problem, point: Point, played: Played, free: NDArray[np.bool_], prior: Prior | None = None
-) -> System:
+def linearise(problem: Problem, point: Point, played: Played, free: Mask, prior: Prior | None = None) -> System:
     """Linearise the joint problem.
 
     Parameters
@@ -223,14 +218,14 @@ def linearise(
     return System(A, b, columns, active, tuple(build.rows), free, build.whitening, played)
 
 
-def edge_numbers(problem: Problem, played: Played) -> NDArray[np.intp]:
+def edge_numbers(problem: Problem, played: Played) -> Indices:
     """Number of the unknown reading error at both edges of every window, (W, 2); −1 where it is none of its own."""
     shared = np.stack([problem.is_end, problem.is_start], axis=1) & bool(played.edge_slope.any())
     numbers = np.cumsum(shared.ravel()).reshape(shared.shape) - 1
     return np.where(shared, numbers, -1)
 
 
-def fixed_headings(problem: Problem) -> NDArray[np.intp]:
+def fixed_headings(problem: Problem) -> Indices:
     """Windows whose heading is given: of a free chain the first, without fixture states every start."""
     data, fixed = problem.data, []
     seen: set[int] = set()
@@ -247,7 +242,7 @@ def fixed_headings(problem: Problem) -> NDArray[np.intp]:
     return np.array(sorted(set(fixed)), dtype=np.intp)
 
 
-def _windows(build: _Builder, problem: Problem, point: Point, played: Played, edges: NDArray[np.intp]) -> None:
+def _windows(build: _Builder, problem: Problem, point: Point, played: Played, edges: Indices) -> None:
     """Specific force and rate of every window."""
     assert point.attitude is not None
     A, gravity = point.attitude, problem.data.gravity + point.gravity
@@ -286,7 +281,7 @@ def _windows(build: _Builder, problem: Problem, point: Point, played: Played, ed
     )
 
 
-def _turns(build: _Builder, problem: Problem, point: Point, played: Played, edges: NDArray[np.intp]) -> None:
+def _turns(build: _Builder, problem: Problem, point: Point, played: Played, edges: Indices) -> None:
     """Rotation between the windows of every sequence."""
     assert point.attitude is not None
     data, sequences = problem.data, np.arange(problem.data.K)
@@ -365,7 +360,7 @@ def _drift(build: _Builder, played: Played) -> None:
         build.add(f"{sensor}_drift", none, np.zeros((len(numbers), 3)), sources, [("drift", numbers, unit)])
 
 
-def _priors(build: _Builder, problem: Problem, point: Point, edges: NDArray[np.intp], prior: Prior | None) -> None:
+def _priors(build: _Builder, problem: Problem, point: Point, edges: Indices, prior: Prior | None) -> None:
     """What is known before the data: alignments, gravity, Earth's rate, bias walk, edges, sensor errors."""
     from srt.model.rotations import inverse_right_jacobian, rotation_vector
 

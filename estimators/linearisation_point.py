@@ -6,13 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from estimators.bias_drift import Drift
     from srt.sensor_errors import SensorErrors
-
-    Array = NDArray[np.float64]
+    from srt.types import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,11 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import judge_targets
 from estimators.dense_solution import solve
-from estimators.ekf import EkfStep
-from estimators.iteration import State, default_prior, iterate
+from estimators.iteration import default_prior, iterate
 from estimators.joint_problem import Problem
+from estimators.kalman_filter import EkfStep
 from estimators.result import with_prior
 from estimators.square_root_filter import RootExtendedKalmanFilter
+from estimators.step import State
 from srt.estimation.initial_estimates import first_estimate, split_legs
 from srt.exceptions import DataError, InputError
 from srt.model.analytic_platform import gyro_stream
@@ -34,15 +35,13 @@ from srt.sequences.preparation import open_session
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.estimation.options import Options
     from srt.model.prior import Prior
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _MAX_STEP: Final = 0.1
 """Longest step while much is known by the prior alone."""
@@ -146,11 +145,11 @@ class LiveFilter:
             raise InputError("Live calibration needs labelled sequences on a fixture: give the whole recording.")
         if self.labels and label.start_static_s[0] < self.labels[-1].start_static_s[0]:
             raise InputError(f"{label.title} is earlier than the sequence before it: add sequences in their order.")
-        alone = open_session(recording.with_sequences((label,)), (label,), self.options)
+        alone = open_session(recording.with_sequences((label,)), (label,), self.options.average)
         self.coarse.add(alone)
         self.labels.append(label)
         so_far = tuple(self.labels)
-        data = open_session(recording.with_sequences(so_far), so_far, self.options)
+        data = open_session(recording.with_sequences(so_far), so_far, self.options.average)
         # While much is known by the prior alone there are several places to come to rest: the likelier one counts.
         starts = (self.coarse.estimate(), first_estimate(data, self.options))
         self.problem, self.step, self.state = min((self._replay(data, start) for start in starts), key=_unlikely)

@@ -15,13 +15,11 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from numpy.typing import NDArray
-
     from estimators.dense_solution import BatchSolution
     from estimators.joint_problem import Problem
     from estimators.linear_system import System
+    from srt.types import Indices
 
-    Array = NDArray[np.float64]
 
 _COMPONENTS: Final = {"force": "xyz", "rate": "xyz", "turn": "xyz"}
 _INDEPENDENT: Final = 1e-10
@@ -142,9 +140,9 @@ def evidence(
     )
 
 
-def _owned(system: System) -> dict[int, NDArray[np.intp]]:
+def _owned(system: System) -> dict[int, Indices]:
     """Rows of every sequence."""
-    owned: dict[int, list[NDArray[np.intp]]] = {}
+    owned: dict[int, list[Indices]] = {}
     for rows in system.rows:
         for owner, index in zip(rows.owner.tolist(), rows.index, strict=True):
             if owner >= 0:
@@ -152,7 +150,7 @@ def _owned(system: System) -> dict[int, NDArray[np.intp]]:
     return {k: np.concatenate(rows) for k, rows in owned.items()}
 
 
-def _shared_rows(problem: Problem, system: System) -> NDArray[np.intp]:
+def _shared_rows(problem: Problem, system: System) -> Indices:
     """Rows of windows that two sequences use."""
     data = problem.data
     uses = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))

@@ -11,21 +11,19 @@ from estimators.dense_solution import by_source, solve, weighted
 from estimators.linear_system import N_ERRORS, linearise
 from estimators.residual_analysis import contradictions, deletion_table, evidence, residuals, suspects
 from srt.estimation.assembly import Outcome, assemble
-from srt.estimation.least_squares_solver import OBSERVED_BELOW, admission_sigma
+from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from estimators.dense_solution import BatchSolution
-    from estimators.iteration import State, Step
     from estimators.joint_problem import Problem
     from estimators.linear_system import System
+    from estimators.step import State, Step
     from srt.estimation.leave_one_out import Evidence
     from srt.estimation.options import Options
     from srt.result.calibration import Calibration, Residual
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 _GROSS_RATIO: Final = 100.0
 _GROSS_G: Final = 0.01
@@ -59,23 +57,23 @@ def calibration_of(
     # What is not observed keeps the first estimate's value, whatever a prior and its neighbours made of it.
     unseen = np.array([name in held for name in NAMES])
     outcome = Outcome(
-        problem.at_start(state.point, unseen).errors,
-        state.point.U,
-        judged.covariance,
-        tuple(state.corrections or ()),
-        state.status,
-        state.message,
-        judged.residuals,
-        judged.statistic,
-        judged.freedom,
-        judged.gross,
-        tuple(np.flatnonzero(problem.integrated).tolist()),
-        problem.wander,
-        state.point.bias_deviation + judged.drift,
-        np.tile(np.eye(3), (data.K, 1, 1)) if state.played is None else state.played.turned,
-        judged.total,
-        {"sequences": list(judged.table)} | step.diagnostics(problem) | diagnostics,
-        judged.evidence,
+        errors=problem.at_start(state.point, unseen).errors,
+        U=state.point.U,
+        covariance=judged.covariance,
+        corrections=tuple(state.corrections or ()),
+        status=state.status,
+        message=state.message,
+        residuals=judged.residuals,
+        statistic=judged.statistic,
+        freedom=judged.freedom,
+        gross=judged.gross,
+        integrated=tuple(np.flatnonzero(problem.integrated).tolist()),
+        wander=problem.wander,
+        bias_by_sequence=state.point.bias_deviation + judged.drift,
+        turned=np.tile(np.eye(3), (data.K, 1, 1)) if state.played is None else state.played.turned,
+        total=judged.total,
+        diagnostics={"sequences": list(judged.table)} | step.diagnostics(problem) | diagnostics,
+        evidence=judged.evidence,
     )
     return assemble(step.name, data, options, outcome, held, warnings=tuple(warnings))
 
@@ -138,13 +136,13 @@ def judge(problem: Problem, step: Step, state: State, uncertain: Array) -> Judge
     return Judgement(
         covariance,
         total,
-        residuals(problem, system, solution),
-        table,
-        statistic,
-        number,
-        gross,
-        evidence(problem, system, solution, against),
-        problem.drift_by_sequence(system.played, solution.delta[system.columns["drift"]]),
+        residuals=residuals(problem, system, solution),
+        table=table,
+        statistic=statistic,
+        freedom=number,
+        gross=gross,
+        evidence=evidence(problem, system, solution, against),
+        drift=problem.drift_by_sequence(system.played, solution.delta[system.columns["drift"]]),
     )
 
 
@@ -158,7 +156,7 @@ def with_prior(problem: Problem, step: Step, state: State) -> System:
     return linearise(problem, state.linearised_at, state.played, state.free, step.prior)
 
 
-def _held_values(system: System, solution: BatchSolution, uncertain: Array, free: NDArray[np.bool_]) -> Array:
+def _held_values(system: System, solution: BatchSolution, uncertain: Array, free: Mask) -> Array:
     """Covariance that the errors of held values bring into what is estimated with them."""
     E = system.parameter_map()
     effect = system.A @ E.T * np.where(free, 0.0, uncertain)

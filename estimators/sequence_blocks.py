@@ -13,12 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from estimators.joint_problem import Problem
     from estimators.linear_system import System
-
-    Array = NDArray[np.float64]
+    from srt.types import Array, Indices, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,9 +47,9 @@ class Block:
     H_pose: Array
     b: Array
     pose: tuple[Array, Array, Array, Array] | None
-    pose_columns: NDArray[np.intp]
-    pose_active: NDArray[np.bool_]
-    local: tuple[NDArray[np.intp], Array, Array, Array, Array, Array]
+    pose_columns: Indices
+    pose_active: Mask
+    local: tuple[Indices, Array, Array, Array, Array, Array]
 
     def own_unknowns(self, g: Array, pose: Array) -> tuple[Array, Array]:
         """Own unknowns (l) and the attitude handed on (3) that go with global columns and the attitude handed in."""
@@ -67,7 +64,7 @@ class Block:
         return own, handed_on
 
 
-def global_columns(system: System) -> NDArray[np.intp]:
+def global_columns(system: System) -> Indices:
     """Columns that sequences share, in the filter's order: those that are estimated; of the biases the first.
 
     The draws of the drift come last, in the order of the sequences that need them first.
@@ -83,7 +80,7 @@ def blocks(problem: Problem, system: System) -> list[Block]:
     shared = global_columns(system)
     bias = system.columns["bias"]
     data = problem.data
-    rows_of: list[list[NDArray[np.intp]]] = [[] for _ in range(data.K)]
+    rows_of: list[list[Indices]] = [[] for _ in range(data.K)]
     edges = next((r.index for r in system.rows if r.kind == "edge"), np.empty((0, 3), dtype=np.intp))
     for rows in system.rows:
         if rows.kind == "edge":

@@ -18,9 +18,7 @@ from scipy.linalg import solve_triangular
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from srt.types import Array
 
 
 class RootExtendedKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]

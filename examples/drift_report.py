@@ -12,9 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from navigation import Outcome
-    from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
 
 LINES: Final = {
     "raw": (VERMILION, "-"),

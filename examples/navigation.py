@@ -42,9 +42,8 @@ from srt.recording.atomic import atomic_write_text
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
     Readings = tuple[Array, Array]
 
 GRADES: Final = {

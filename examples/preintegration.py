@@ -25,9 +25,8 @@ from srt.exceptions import MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 SEGMENT_S: Final = 10.0
 """Time between two keyframes."""

@@ -19,9 +19,8 @@ import numpy as np
 from srt.exceptions import InputError, MissingExtraError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 STANDSTILL_S: Final = 30.0
 START_LLA: Final = (45.0, 10.0, 200.0)

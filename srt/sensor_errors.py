@@ -21,7 +21,9 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+
+    from srt.types import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,7 @@ class SensorErrors:
         If the vector has another shape or holds a value that is not finite.
     """
 
-    vector: NDArray[np.float64] = field(default_factory=lambda: np.zeros(N_PARAMETERS))
+    vector: Array = field(default_factory=lambda: np.zeros(N_PARAMETERS))
 
     def __post_init__(self) -> None:
         vector = np.array(self.vector, dtype=np.float64)
@@ -165,7 +167,7 @@ class SensorErrors:
         """Values by name, in state order."""
         return dict(zip(NAMES, self.vector.tolist(), strict=True))
 
-    def group(self, name: str) -> NDArray[np.float64]:
+    def group(self, name: str) -> Array:
         """Values of one group, in the order of its suffixes (read-only)."""
         return self.vector[GROUP_SLICES[name]]
 

@@ -116,7 +116,7 @@ def simulated():
 
         def measure(vector: np.ndarray) -> tuple[PlaybackData, np.ndarray]:
             recording = sims.read_out(motion, SensorErrors(vector))
-            data = prepare(recording, recording.sequences, options)
+            data = prepare(recording, recording.sequences, options.average)
             integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")
             return data, Player(data, options, integrated).play(SensorErrors()).z
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import sims
-from srt.estimation.options import Options
 from srt.model import analytic_platform, rotations
 from srt.model.analytic_platform import gyro_stream, integrate
 from srt.model.rotation_integrals import ideal_rotations
@@ -433,7 +432,7 @@ def recordings():
 def test_window_weights_reproduce_eq_21(recordings, average):
     """Integrated windows add T [I + F (C_End − I)] with F = 1/2 to ∫ F Ĉ dt, and 2T/3 to the variance."""
     recording = recordings(100.0)
-    data = prepare(recording, recording.sequences, Options(average=average))
+    data = prepare(recording, recording.sequences, average)
     still = np.zeros(len(data.windows.duration_s), dtype=bool)
     integrals = {}
     for name, flags in (("held", still), ("integrated", ~still)):
@@ -463,7 +462,7 @@ def test_window_weights_reproduce_eq_21(recordings, average):
 def test_recorded_integrals_are_the_ideal_ones(recordings):
     """Angles are exact; times differ by ramps and pauses, over which Ĉ is known."""
     recording = recordings(200.0)
-    data = prepare(recording, recording.sequences, Options())
+    data = prepare(recording, recording.sequences)
     stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
     found, _ = integrate(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
     ideal = ideal_rotations(list(SEQUENCES.values()))
@@ -492,7 +491,7 @@ def test_sample_rate_does_not_matter(recordings):
     by_rate = {}
     for rate_hz in (50.0, 100.0, 1000.0):
         recording = recordings(rate_hz)
-        data = prepare(recording, recording.sequences, Options())
+        data = prepare(recording, recording.sequences)
         stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
         by_rate[rate_hz], _ = integrate(stream, PERFECT, np.zeros((data.K, 3)))
     angle = np.array([np.abs(s.angles_rad).sum() for s in SEQUENCES.values()])
@@ -518,7 +517,7 @@ def test_sample_rate_with_the_earth_turning():
             heading_rad=0.4,
         )
         recording = sims.read_out(motion, SensorErrors())
-        data = prepare(recording, recording.sequences, Options())
+        data = prepare(recording, recording.sequences)
         stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
         earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
         found, _ = integrate(stream, PERFECT, earth)
@@ -542,7 +541,7 @@ def test_attitude_and_integrals_on_the_turning_earth():
         heading_rad=0.4,
     )
     recording = sims.read_out(motion, SensorErrors())
-    data = prepare(recording, recording.sequences, Options())
+    data = prepare(recording, recording.sequences)
     stream, _, weights = data.stream(np.ones(6, dtype=bool))
     earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
     found, attitudes = integrate(stream, PERFECT, earth, with_noise=True)

@@ -48,7 +48,7 @@ def horizontal(motion, bias):
     """Change of the horizontal acceleration of every sequence, data with a bias played back as if there were none."""
     errors = SensorErrors.from_dict({f"gyro_bias_{a}": float(b) for a, b in zip("xyz", bias, strict=True)})
     recording = sims.read_out(motion, errors)
-    data = prepare(recording, recording.sequences, Options())
+    data = prepare(recording, recording.sequences)
     z = Player(data, Options()).play(SensorErrors()).z[: 2 * data.K].reshape(-1, 2)
     down = [AXES.index(SEQUENCES[name].down) for name in data.ids]
     out = np.zeros((data.K, 3))

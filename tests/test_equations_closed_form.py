@@ -190,7 +190,7 @@ def test_a_repeated_sequence_is_averaged():
     )
     recording = sims.read_out(motion, SensorErrors())
     options = Options()
-    data = prepare(recording, recording.sequences, options)
+    data = prepare(recording, recording.sequences, options.average)
     solver = ClosedFormSolver(data, options)
     once = closed_form.inversion_matrix(solver.formulas, data.gravity)
     order = {c: j for j, c in enumerate(solver.components)}
@@ -204,7 +204,7 @@ def test_a_repeated_sequence_is_averaged():
     truth = np.full(N_PARAMETERS, 1e-6)
     truth[GROUP_SLICES["gyro_bias"]] = 0.0  # the coefficients know of none
     recording = sims.read_out(motion, SensorErrors(truth))
-    data = prepare(recording, recording.sequences, options)
+    data = prepare(recording, recording.sequences, options.average)
     playback = Player(data, options).play(SensorErrors())
     solver = ClosedFormSolver(data, options)
     by_coefficients = (solver.coefficients @ playback.z)[solver.kept]

@@ -40,7 +40,7 @@ def motion_of(draw=None, U=None, *, earth_rate=True, sequences=tuple(sims.TABLE_
 
 def player_of(recording, **options):
     chosen = Options(**options)
-    data = prepare(recording, recording.sequences, chosen)
+    data = prepare(recording, recording.sequences, chosen.average)
     integrated = np.full(len(data.windows.duration_s), chosen.window_attitude == "integrated")
     return data, Player(data, chosen, integrated)
 

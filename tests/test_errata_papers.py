@@ -278,8 +278,8 @@ def test_erratum_6_in_simulated_windows():
         recording = sims.read_out(motion, SensorErrors(), sims.ImuModel(accel_noise=noise), rng)
         for average, found in squares.items():
             options = Options(average=average)
-            noisy = prepare(recording, recording.sequences, options).windows
-            clean = prepare(still, still.sequences, options).windows
+            noisy = prepare(recording, recording.sequences, options.average).windows
+            clean = prepare(still, still.sequences, options.average).windows
             found.append((noisy.accel_mean - clean.accel_mean) ** 2)
             assert noisy.white_factor[0] == pytest.approx(
                 {"linear": 1.0, "overlapping": 2 * 201 / (3 * 101)}[average] / window_s, rel=1e-12

@@ -76,7 +76,7 @@ def unit(seed=1, size=1e-3):
 
 def played(recording, matrix=None, errors=None, **options):
     chosen = Options(gyro_bias="g-sensitive", **options)
-    data = prepare(recording, recording.sequences, chosen)
+    data = prepare(recording, recording.sequences, chosen.average)
     whole = np.full(len(data.windows.duration_s), chosen.window_attitude == "integrated")
     player = Player(data, chosen, whole)
     return data, player.play(errors or SensorErrors(), g_sensitivity=matrix, with_noise=True)
@@ -123,7 +123,7 @@ def test_of_sequence_1_the_rest_rate_misleads(mode):
     recording = read_out(motion_of(rate_hz=100.0), SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA))
     found = srt.calibrate(recording, "closed-form", gyro_bias=mode, start=SensorErrors())
     k = recording.sequences.index(next(s for s in recording.sequences if s.id == "1"))
-    data = prepare(recording, recording.sequences, Options())
+    data = prepare(recording, recording.sequences)
     T = float(data.rotation[k, 1] - data.rotation[k, 0]) / 100.0
     # A bias acts over the whole time of the turn; what follows gravity goes round but for two ramps and two samples.
     # Else it is left to what convergence asks for.
@@ -295,8 +295,8 @@ def test_share_of_a_wander_that_is_left():
     deviation = found.share - found.pool
     sizes = [float(np.mean(np.tensordot(deviation, r, 1) ** 2)) for r in (rates, left)]
     # Both have the same draws, of which 3 n sets of at least 13 are independent.
-    assert abs(sizes[1] / sizes[0] - g_sensitivity.scatter_left(found)) < 3.5 * math.sqrt(2.0 / (3 * n * 13))
-    assert 0.5 < g_sensitivity.scatter_left(found) < 1.0
+    assert abs(sizes[1] / sizes[0] - found.scatter_left()) < 3.5 * math.sqrt(2.0 / (3 * n * 13))
+    assert 0.5 < found.scatter_left() < 1.0
 
 
 # --- the test for it ----------------------------------------------------------------------------------------------
@@ -306,7 +306,7 @@ def test_rates_that_noise_alone_moves_raise_no_alarm_more_often_than_stated(monk
     """Drawn rates of windows with a bias for each sequence; at a false-alarm rate that can be counted."""
     monkeypatch.setattr(g_sensitivity_report, "FALSE_ALARM", 0.3)
     recording = read_out(motion_of(fixture=1e-9), SensorErrors())
-    data = prepare(recording, recording.sequences, Options())
+    data = prepare(recording, recording.sequences)
     found = Player(data, Options()).play(SensorErrors())
     rng, n = np.random.default_rng(7), 2000
     own = rng.standard_normal((n, data.K, 3))[:, found.window_sequence] * 10.0

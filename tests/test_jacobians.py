@@ -96,7 +96,7 @@ def differences(player, errors, steps):
 def play_back(motion, errors, window_attitude):
     recording = sims.read_out(motion, errors)
     options = Options(window_attitude=window_attitude)
-    data = prepare(recording, recording.sequences, options)
+    data = prepare(recording, recording.sequences, options.average)
     integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")
     return data, Player(data, options, integrated)
 

@@ -41,11 +41,13 @@ pytest.importorskip("gtsam")
 from threadpoolctl import threadpool_limits
 
 from estimators.dense_solution import solve
-from estimators.ekf import EkfStep, default_prior, run_filter
+from estimators.ekf import default_prior
 from estimators.graph import GraphStep
-from estimators.iteration import Solved, State, Step, iterate
+from estimators.iteration import iterate
 from estimators.joint_problem import Problem, open_problem
+from estimators.kalman_filter import EkfStep, run_filter
 from estimators.linear_system import linearise
+from estimators.step import Solved, State, Step
 
 EPS = np.finfo(float).eps
 G = 9.80665
@@ -344,7 +346,7 @@ class Linear:
 @pytest.fixture(params=[200.0, pytest.param(1000.0, marks=pytest.mark.slow)])
 def linear(request, still_planet):
     recording, truth = record(1, noise=SMALL, share=SHARE, sample_rate_hz=request.param)
-    data = open_session(recording, recording.sequences, OPTIONS)
+    data = open_session(recording, recording.sequences, OPTIONS.average)
     brute = BruteForce(recording, data)
     return Linear(recording, data, truth, brute, brute.jacobian(truth))
 
@@ -401,7 +403,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     smallest difference, 1e-3 of one. The covariances, in sigmas, are those of the linear problem.
     """
     recording, _ = record(0, noise=SMALL, share=SHARE, sample_rate_hz=50.0)
-    data = open_session(recording, recording.sequences, OPTIONS)
+    data = open_session(recording, recording.sequences, OPTIONS.average)
     closed, best = by_play_back(data, ClosedFormSolver(data, OPTIONS)), by_play_back(data, LeastSquaresSolver(()))
     variance = np.diag(closed.P - best.P) / best.sigma**2
     assert variance.min() > 100.0 * AGREE
@@ -410,7 +412,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     z = []
     for seed in range(1, count + 1):
         recording, _ = record(seed, noise=1e-7, share=1.0, sample_rate_hz=50.0)
-        data = open_session(recording, recording.sequences, OPTIONS)
+        data = open_session(recording, recording.sequences, OPTIONS.average)
         first = first_estimate(data, OPTIONS)
         closed = iteration.iterate(data, OPTIONS, ClosedFormSolver(data, OPTIONS), *first)
         if closed.integrated:  # one still window in a thousand is taken for moving, and what it says is used otherwise

@@ -19,10 +19,10 @@ from scipy.stats import binomtest, chi2
 
 import srt
 from sims.robustness import figures, report, tables, trial
-from sims.robustness.answers import Header, answer
+from sims.robustness.answers import answer
 from sims.robustness.convergence import convergence_map, percent
 from sims.robustness.spread import share_interval
-from sims.robustness.tidy import OUTCOMES, read
+from sims.robustness.tidy import OUTCOMES, Header, read
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS
 
 

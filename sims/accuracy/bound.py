@@ -38,14 +38,12 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorEr
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
     from sims.physics.imu import ImuModel
     from sims.physics.true_motion import TrueMotion
     from sims.scenarios.scenario import Scenario
     from srt.recording.recording import Site
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 START_GYRO, START_ACCEL, END_GYRO, END_ACCEL, ROTATION = (slice(row, row + 3) for row in range(0, 15, 3))
 """Rows of a sequence's measurements: window means in rad/s and m/s², the integrated rotation in rad."""

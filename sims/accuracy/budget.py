@@ -23,15 +23,13 @@ from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from sims.scenarios.scenario import Scenario
     from sims.scenarios.simulation import Simulation
     from srt.estimation.options import GyroBias
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
     Progress = Callable[[int, int], None]
 
 G_SENSITIVITY: Final = "g_sensitivity"

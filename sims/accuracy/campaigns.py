@@ -26,12 +26,10 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Kind, Recording
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 SITE: Final = Site(STANDARD_GRAVITY_M_S2, 5e-6, 45.0 * DEG)
 IN_G: Final = np.ones(N_PARAMETERS)

@@ -29,9 +29,8 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 ESTIMATORS: Final = ("graph", "ekf", "least-squares", "closed-form")
 LIMITS: Final = {"graph": (1.02, 1.05), "ekf": (1.05, 1.10)}

@@ -37,12 +37,10 @@ from srt.sensor_errors import SensorErrors
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording, Site
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
     Picks = Mapping[str, tuple[tuple[int, int], ...]]
 
 TURNS_PER_AXIS: Final = 3
@@ -118,9 +116,9 @@ class Take:
         samples = self._between(begin, end)
         return self.recording.gyro[samples], self.recording.accel[samples]
 
-    def _between(self, begin: float, end: float) -> NDArray[np.bool_]:
+    def _between(self, begin: float, end: float) -> Mask:
         half = 0.5 / self._sample_rate_hz()
-        inside: NDArray[np.bool_] = (self.recording.time > begin + half) & (self.recording.time <= end + half)
+        inside: Mask = (self.recording.time > begin + half) & (self.recording.time <= end + half)
         return inside
 
     def _sample_rate_hz(self) -> float:

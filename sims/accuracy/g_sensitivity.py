@@ -27,14 +27,12 @@ from srt.constants import DEG, DEG_PER_SQRT_H
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sims.scenarios.scenario import Scenario
     from sims.scenarios.simulation import Simulation
     from srt.estimation.options import GyroBias
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 MODES: Final[tuple[GyroBias, ...]] = ("pooled", "per-sequence", "g-sensitive")
 NOISE: Final = {

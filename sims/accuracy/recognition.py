@@ -19,12 +19,10 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Recording
     from srt.sensor_errors import SensorErrors
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _LARGE = {
     "gyro_scale": 0.3,

@@ -18,7 +18,7 @@ from srt.result.calibration import Calibration
 from srt.sensor_errors import SensorErrors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from srt.types import Array
 
 DATA_VARIABLE: Final = "SRT_RECORDED_DATA"
 """Environment variable that names the folder of the recorded sets."""
@@ -43,7 +43,7 @@ def xsens_mti(folder: Path) -> Recording:
     return from_counts(accel[:, 0], gyro[:, 1:], accel[:, 1:])
 
 
-def from_counts(time: NDArray[np.float64], gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> Recording:
+def from_counts(time: Array, gyro: Array, accel: Array) -> Recording:
     """Counts of the Xsens set to a recording."""
     return Recording(
         time,

@@ -23,13 +23,11 @@ from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sims.faults.injection import Case
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording, SequenceLabel
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _IDS: Final = tuple(TABLE_1)
 

@@ -19,12 +19,10 @@ from sims.physics.imu import read_out
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from sims.faults.injection import Case
     from srt.recording.recording import Recording, SequenceLabel
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _EDGE: Final = 5
 """Samples at the ends of a sequence that a disturbance keeps away from."""

@@ -13,12 +13,10 @@ from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from sims.faults.injection import Case
     from srt.recording.recording import Recording
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _G: Final = STANDARD_GRAVITY_M_S2
 

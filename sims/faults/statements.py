@@ -14,14 +14,12 @@ from srt.constants import DEG, DEG_PER_H, normal_gravity_m_s2
 from srt.estimation.options import Options
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sims.faults.injection import Case
     from sims.physics.imu import ImuModel
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _ANOMALY_M_S2: Final = 5e-4
 _HEIGHT_M: Final = 200.0

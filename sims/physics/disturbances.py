@@ -29,11 +29,12 @@ from srt.recording.recording import WINDOW_TOLERANCE
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from sims.physics.fixture import FixtureDraw
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording
+    from srt.types import Array
 
 Sensor = Literal["gyro", "accel"]
 
@@ -85,9 +86,7 @@ def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike)
     mean_turn = np.einsum("k,kij->ij", 0.5 * weights, rotation(part))
     turn = rotation(vector)
 
-    def turned(
-        old: NDArray[np.float64], old_absolute: NDArray[np.float64], added: NDArray[np.float64] | float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def turned(old: Array, old_absolute: Array, added: Array | float) -> tuple[Array, Array]:
         new, absolute = old.copy(), old_absolute.copy()
         new[during] = old[during] @ mean_turn + added
         new[after] = old[after] @ turn
@@ -156,7 +155,7 @@ def lose_samples(
     time = recording.time
     weight = ((time[rows] - time[before]) / (time[after] - time[before]))[:, np.newaxis]
 
-    def bridged(name: Sensor, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def bridged(name: Sensor, values: Array) -> Array:
         if name not in sensors:
             return values
         new = values.copy()
@@ -290,7 +289,7 @@ def _sample_and_end_of_piece(motion: TrueMotion, time_s: float) -> tuple[int, in
     return sample, stop
 
 
-def _vector(what: str, given: ArrayLike) -> NDArray[np.float64]:
+def _vector(what: str, given: ArrayLike) -> Array:
     vector = np.array(given, dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise InputError(f"{what} is {vector.tolist()}, but three finite numbers are expected.")
@@ -318,12 +317,12 @@ def _rows(recording: Recording, what: str, start_s: float, end_s: float) -> slic
     return rows
 
 
-def _intervals(recording: Recording, rows: slice) -> NDArray[np.float64]:
+def _intervals(recording: Recording, rows: slice) -> Array:
     """Durations of samples as a column, shape (m, 1) or (1, 1), s."""
     interval = recording.interval_s
     return np.asarray(interval[rows] if isinstance(interval, np.ndarray) else [interval])[:, np.newaxis]
 
 
-def _with_samples(recording: Recording, gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> Recording:
+def _with_samples(recording: Recording, gyro: Array, accel: Array) -> Recording:
     """Change the samples; they are no longer those of a file, so its hash goes."""
     return replace(recording, gyro=gyro, accel=accel, data_sha256=None)

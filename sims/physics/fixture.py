@@ -24,12 +24,13 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from sims.physics.sequences import TurnSequence
+    from srt.types import Array
 
 
-def rotation(vector: ArrayLike) -> NDArray[np.float64]:
+def rotation(vector: ArrayLike) -> Array:
     """Matrix of a rotation vector: it takes components in the turned frame to those in the unturned one.
 
     Parameters
@@ -51,7 +52,7 @@ def rotation(vector: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.eye(3) + np.sin(size) * cross + 2.0 * half**2 * (cross @ cross))
 
 
-def earth_rate_ned(latitude_rad: float) -> NDArray[np.float64]:
+def earth_rate_ned(latitude_rad: float) -> Array:
     """Rate of the Earth relative to inertial space in north, east, down, shape (3,), rad/s."""
     return EARTH_RATE_RAD_S * np.array([math.cos(latitude_rad), 0.0, -math.sin(latitude_rad)])
 
@@ -77,12 +78,12 @@ class FixtureDraw:
         What ε is more in each sequence, from the move to its start on.
     """
 
-    base: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    mounting: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    base: Array = field(default_factory=lambda: np.zeros(3))
+    mounting: Array = field(default_factory=lambda: np.zeros(3))
     non_orthogonality: float = 0.0
-    starts: NDArray[np.float64] | None = None
-    legs: tuple[NDArray[np.float64], ...] | None = None
-    wobble: NDArray[np.float64] | None = None
+    starts: Array | None = None
+    legs: tuple[Array, ...] | None = None
+    wobble: Array | None = None
 
     def start_errors(self, sequence: int) -> tuple[float, float]:
         """Error of the (inner, outer) start angle of a sequence, rad."""
@@ -94,7 +95,7 @@ class FixtureDraw:
         """What ε is more in a sequence, rad."""
         return 0.0 if self.wobble is None else float(self.wobble[sequence])
 
-    def leg_errors(self, sequence: int, count: int) -> NDArray[np.float64]:
+    def leg_errors(self, sequence: int, count: int) -> Array:
         """Errors of a sequence's rotations, shape (count,), rad."""
         return np.zeros(count) if self.legs is None else self.legs[sequence]
 
@@ -155,23 +156,23 @@ class FixtureGeometry:
         From the frame fixed to the inner axis to B: U · Exp(mounting)ᵀ.
     """
 
-    base_from_ned: NDArray[np.float64]
+    base_from_ned: Array
     non_orthogonality: float
-    body_from_inner: NDArray[np.float64]
+    body_from_inner: Array
 
     @classmethod
-    def build(cls, heading_rad: float, draw: FixtureDraw, U: NDArray[np.float64]) -> FixtureGeometry:
+    def build(cls, heading_rad: float, draw: FixtureDraw, U: Array) -> FixtureGeometry:
         """Combine heading, fixture errors and the turn U of B from T."""
         ned_from_base = rotation([0.0, 0.0, heading_rad]) @ rotation(draw.base)
         return cls(ned_from_base.T, draw.non_orthogonality, U @ rotation(draw.mounting).T)
 
     def to_body(
         self,
-        v_base: NDArray[np.float64],
-        inner: NDArray[np.float64],
-        outer: NDArray[np.float64],
-        wobble: NDArray[np.float64] | float = 0.0,
-    ) -> NDArray[np.float64]:
+        v_base: Array,
+        inner: Array,
+        outer: Array,
+        wobble: Array | float = 0.0,
+    ) -> Array:
         """B-components of vectors that are constant in the base.
 
         Parameters
@@ -198,11 +199,11 @@ class FixtureGeometry:
 
     def turning_rate(
         self,
-        inner: NDArray[np.float64],
-        inner_rate: NDArray[np.float64],
-        outer_rate: NDArray[np.float64],
-        wobble: NDArray[np.float64] | float = 0.0,
-    ) -> NDArray[np.float64]:
+        inner: Array,
+        inner_rate: Array,
+        outer_rate: Array,
+        wobble: Array | float = 0.0,
+    ) -> Array:
         """Rate of B relative to the base in B-components, shape (..., 3), rad/s."""
         lean = self.non_orthogonality + np.asarray(wobble)
         ce, se = np.cos(lean), np.sin(lean)
@@ -212,7 +213,7 @@ class FixtureGeometry:
         m = self.body_from_inner
         return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=-1)
 
-    def attitude(self, inner: float, outer: float, wobble: float = 0.0) -> NDArray[np.float64]:
+    def attitude(self, inner: float, outer: float, wobble: float = 0.0) -> Array:
         """C_NED,B at the given fixture angles, shape (3, 3)."""
         # Row k of to_body(I) is the base's axis k in B, so that the stack is C_base,B.
         base_from_body = self.to_body(np.eye(3), np.array(inner), np.array(outer), wobble)

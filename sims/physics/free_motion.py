@@ -19,21 +19,20 @@ from sims.physics.true_motion import Clock, TrueMotion
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Site
+    from srt.types import Array, Indices
 
 
 def random_turns(
     rng: np.random.Generator, count: int, *, smallest_rad: float = math.pi / 3.0, largest_rad: float = math.pi
-) -> NDArray[np.float64]:
+) -> Array:
     """Draw rotation vectors with isotropic axes and uniform angles, shape (count, 3), rad."""
     axes = rng.standard_normal((count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     return np.asarray(axes * rng.uniform(smallest_rad, largest_rad, (count, 1)))
 
 
-def random_attitude(rng: np.random.Generator) -> NDArray[np.float64]:
+def random_attitude(rng: np.random.Generator) -> Array:
     """Draw an attitude C_NED,B, uniform over all rotations, shape (3, 3)."""
     q = rng.standard_normal(4)
     w, x, y, z = q / np.linalg.norm(q)
@@ -42,10 +41,10 @@ def random_attitude(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def free_motion(
-    turns: NDArray[np.float64],
+    turns: Array,
     *,
     site: Site,
-    attitude: NDArray[np.float64] | None = None,
+    attitude: Array | None = None,
     peak_rate_rad_s: float = 2.0,
     dwell_s: float = 5.0,
     settle_s: float = 0.0,
@@ -110,9 +109,7 @@ def free_motion(
     )
 
 
-def _turn_episode(
-    constants_b: NDArray[np.float64], vector: NDArray[np.float64], duration_s: float, n_samples: int
-) -> Episode:
+def _turn_episode(constants_b: Array, vector: Array, duration_s: float, n_samples: int) -> Episode:
     """One turn about a fixed axis and the stillness after it.
 
     Parameters
@@ -129,7 +126,7 @@ def _turn_episode(
     across = constants_b - along
     third = np.cross(axis, constants_b)
 
-    def evaluate(piece: NDArray[np.intp], time: NDArray[np.float64]) -> NDArray[np.float64]:
+    def evaluate(piece: Indices, time: Array) -> Array:
         s = np.where(piece == 0, time / duration_s, 1.0) if total > 0.0 else np.ones_like(time)
         angle = (total * s**3 * (10.0 + s * (6.0 * s - 15.0)))[..., np.newaxis]
         rate = (30.0 * total * (s * (1.0 - s)) ** 2)[..., np.newaxis]

@@ -29,10 +29,9 @@ from srt.exceptions import InputError
 from srt.recording.recording import ImuNoise, Kind, Recording
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sims.physics.true_motion import TrueMotion
     from srt.sensor_errors import SensorErrors
+    from srt.types import Array, Indices
 
 CORRELATION_TIMES_S: Final = (1.0, 10.0, 100.0, 1000.0)
 """Correlation times of the processes whose sum is the bias instability."""
@@ -72,7 +71,7 @@ class ImuModel:
     accel_resolution: float = 0.0
     gyro_range: float = math.inf
     accel_range: float = math.inf
-    gyro_g_sensitivity: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
+    gyro_g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def is_random(self) -> bool:
         """Whether a read-out needs random numbers."""
@@ -100,7 +99,7 @@ class ImuModel:
         )
 
 
-def gyro_matrix(errors: SensorErrors) -> NDArray[np.float64]:
+def gyro_matrix(errors: SensorErrors) -> Array:
     """Build Mg: scale errors on the diagonal, half of each orthogonality error on both sides."""
     e = errors.as_dict()
     xy, yz, zx = (0.5 * e[f"gyro_orthogonality_{pair}"] for pair in ("xy", "yz", "zx"))
@@ -113,7 +112,7 @@ def gyro_matrix(errors: SensorErrors) -> NDArray[np.float64]:
     )
 
 
-def accel_matrix(errors: SensorErrors) -> NDArray[np.float64]:
+def accel_matrix(errors: SensorErrors) -> Array:
     """Build Ma: scale errors on the diagonal, misalignment of i toward j at [i, j]."""
     matrix = np.eye(3)
     for i, a in enumerate("xyz"):
@@ -140,13 +139,13 @@ def is_imu(errors: SensorErrors) -> bool:
     return bool(np.linalg.eigvalsh(Mg)[0] > 0.0 and np.linalg.det(Ma) > 0.0 and singular >= SMALLEST_SINGULAR_VALUE)
 
 
-def _by_axis(errors: SensorErrors, stem: str) -> NDArray[np.float64]:
+def _by_axis(errors: SensorErrors, stem: str) -> Array:
     return np.array([errors[f"{stem}_{axis}"] for axis in "xyz"])
 
 
 def exact_increments(
-    motion: TrueMotion, errors: SensorErrors, g_sensitivity: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    motion: TrueMotion, errors: SensorErrors, g_sensitivity: Array | None = None
+) -> tuple[Array, Array]:
     """Noise-free increments of the reading model, each of shape (n, 3), rad and m/s."""
     dt = motion.interval
     gyro = (
@@ -238,9 +237,7 @@ class _Chain:
     quantum: float
     resolution: float
 
-    def apply(
-        self, increments: NDArray[np.float64], motion: TrueMotion, rng: np.random.Generator
-    ) -> NDArray[np.float64]:
+    def apply(self, increments: Array, motion: TrueMotion, rng: np.random.Generator) -> Array:
         dt = motion.interval
         if self.noise > 0.0:
             increments = increments + self.noise * math.sqrt(dt) * rng.standard_normal(increments.shape)
@@ -256,9 +253,7 @@ class _Chain:
         return increments
 
 
-def _pulses(
-    increments: NDArray[np.float64], quantum: float, piece_starts: NDArray[np.intp], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _pulses(increments: Array, quantum: float, piece_starts: Indices, rng: np.random.Generator) -> Array:
     """Whole pulses of the running integral; each gapless piece begins with a random remainder."""
     output = np.empty_like(increments)
     for piece in np.split(np.arange(len(increments)), piece_starts[1:]):
@@ -268,7 +263,7 @@ def _pulses(
     return output
 
 
-def drift(floor: float, motion: TrueMotion, rng: np.random.Generator) -> NDArray[np.float64]:
+def drift(floor: float, motion: TrueMotion, rng: np.random.Generator) -> Array:
     """Bias instability of three independent sensors over a motion's samples, shape (n, 3).
 
     Parameters

@@ -19,7 +19,7 @@ from numpy.polynomial import legendre
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices, Mask
 
 _MAX_PHASE = 0.5
 """Half-interval times bandwidth above which an interval is subdivided."""
@@ -34,10 +34,10 @@ _GRID = np.linspace(-1.0, 1.0, 33)
 class Integrals(NamedTuple):
     """Per-sample integrals in B, each of shape (n, 3): rad and m/s."""
 
-    angle: NDArray[np.float64]
-    angle_abs: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    velocity_abs: NDArray[np.float64]
+    angle: Array
+    angle_abs: Array
+    velocity: Array
+    velocity_abs: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +61,10 @@ class Episode:
     """
 
     n_samples: int
-    breaks_s: NDArray[np.float64]
-    moving: NDArray[np.bool_]
+    breaks_s: Array
+    moving: Mask
     bandwidth_rad_s: float
-    evaluate: Callable[[NDArray[np.intp], NDArray[np.float64]], NDArray[np.float64]]
+    evaluate: Callable[[Indices, Array], Array]
     first_piece: int = 0
 
 
@@ -88,11 +88,11 @@ def node_count(phase: float) -> int:
 class _Intervals(NamedTuple):
     """What the samples of an episode are cut into: left ends and widths, their pieces, and where samples begin."""
 
-    left: NDArray[np.float64]
-    width: NDArray[np.float64]
-    piece: NDArray[np.intp]
-    first: NDArray[np.intp]
-    moving: NDArray[np.bool_]
+    left: Array
+    width: Array
+    piece: Indices
+    first: Indices
+    moving: Mask
 
 
 def integrate(episodes: Sequence[Episode], interval_s: float) -> Integrals:
@@ -139,7 +139,7 @@ def _intervals(episode: Episode, interval_s: float) -> _Intervals:
     return _Intervals(left, width, piece, np.flatnonzero(is_edge[:-1]), episode.moving[piece])
 
 
-def _integrated(episodes: Sequence[Episode], cut: Sequence[_Intervals]) -> NDArray[np.float64]:
+def _integrated(episodes: Sequence[Episode], cut: Sequence[_Intervals]) -> Array:
     """Integrals over the intervals of episodes that share ``evaluate`` and bandwidth, shape (k, 12)."""
     left, width, _, _, moving = (np.concatenate(column) for column in zip(*cut, strict=True))
     piece = np.concatenate([c.piece + e.first_piece for c, e in zip(cut, episodes, strict=True)])
@@ -156,9 +156,7 @@ def _integrated(episodes: Sequence[Episode], cut: Sequence[_Intervals]) -> NDArr
     return values
 
 
-def _quadrature(
-    episode: Episode, piece: NDArray[np.intp], left: NDArray[np.float64], width: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _quadrature(episode: Episode, piece: Indices, left: Array, width: Array) -> Array:
     """Integrals of the six components and of their absolute values over moving intervals, shape (k, 12).
 
     ``episode`` stands for all that share its motion and bandwidth.
@@ -188,13 +186,13 @@ def _quadrature(
 class _Basis(NamedTuple):
     """Gauss nodes and weights, and matrices between node values, Legendre coefficients and grid values."""
 
-    nodes: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    to_coefficients: NDArray[np.float64]
-    to_slope: NDArray[np.float64]
-    to_primitive: NDArray[np.float64]
-    to_grid: NDArray[np.float64]
-    primitive_to_grid: NDArray[np.float64]
+    nodes: Array
+    weights: Array
+    to_coefficients: Array
+    to_slope: Array
+    to_primitive: Array
+    to_grid: Array
+    primitive_to_grid: Array
 
 
 @cache
@@ -212,7 +210,7 @@ def _basis(count: int) -> _Basis:
     return _Basis(nodes, weights, *(np.asarray(matrix, dtype=np.float64) for matrix in matrices))
 
 
-def _absolute_integral(samples: NDArray[np.float64], basis: _Basis) -> NDArray[np.float64]:
+def _absolute_integral(samples: Array, basis: _Basis) -> Array:
     """Integral over [-1, 1] of the absolute value of the polynomials through Gauss nodes.
 
     Parameters

@@ -26,7 +26,7 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices, Mask
 
 NEGLIGIBLE_RAD = 1e-17
 """A ringing whose envelope is below this is over: it is lost in the rounding of the angle."""
@@ -114,9 +114,9 @@ class AngleProfile:
         When the last leg ends, s.
     """
 
-    breaks_s: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    moving: NDArray[np.bool_]
+    breaks_s: Array
+    coefficients: Array
+    moving: Mask
     ringings: tuple[Ringing, ...]
     profile: RateProfile
     end_rad: tuple[float, float]
@@ -130,9 +130,7 @@ class AngleProfile:
             return turning
         return turning + 2.0 * math.pi * self.profile.settling_hz + 2.0 / self.profile.settling_decay_s
 
-    def angles(
-        self, piece: NDArray[np.intp], time_s: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
         """Angles and their rates.
 
         Parameters
@@ -155,10 +153,10 @@ class AngleProfile:
     def add_ringing(
         self,
         ringing: Ringing,
-        piece: NDArray[np.intp],
-        time_s: NDArray[np.float64],
-        angle: NDArray[np.float64],
-        rate: NDArray[np.float64],
+        piece: Indices,
+        time_s: Array,
+        angle: Array,
+        rate: Array,
     ) -> None:
         """Add one oscillation to angles and rates of shape (k, n, 2), in place."""
         border = self.breaks_s[piece[:, 0]]
@@ -178,7 +176,7 @@ class JoinedProfile:
     def __init__(self) -> None:
         self._profiles: list[AngleProfile] = []
         self._first: list[int] = [0]
-        self._joined: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._joined: tuple[Array, Array] | None = None
 
     def append(self, profile: AngleProfile) -> int:
         """Add the profile of an episode, and give the number of its first piece."""
@@ -188,9 +186,7 @@ class JoinedProfile:
         self._joined = None
         return first
 
-    def angles(
-        self, piece: NDArray[np.intp], time_s: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
         """As :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
         if self._joined is None:
             self._joined = (
@@ -209,9 +205,7 @@ class JoinedProfile:
         return angle, rate
 
 
-def _polynomial(
-    since: NDArray[np.float64], coefficients: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _polynomial(since: Array, coefficients: Array) -> tuple[Array, Array]:
     """Both angles and rates, shape (k, n, 2), of quadratics (k, 1, 2, 3) at times (k, n) since the pieces' borders."""
     t, c = since[..., np.newaxis], coefficients
     return c[..., 0] + t * (c[..., 1] + t * c[..., 2]), c[..., 1] + 2.0 * t * c[..., 2]
@@ -241,7 +235,7 @@ def angle_profile(
     """
     angles = np.array(start_rad)
     breaks: list[float] = []
-    pieces: list[NDArray[np.float64]] = []
+    pieces: list[Array] = []
     moving: list[bool] = []
     now = 0.0
     active = list(ringings)

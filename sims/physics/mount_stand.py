@@ -26,10 +26,11 @@ from srt.recording.recording import SequenceLabel
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Site
+    from srt.types import Array
 
 LEVEL_AND_NOSE_DOWN_RAD = (0.0, -0.5 * math.pi)
 """The two stands of the procedure: pitched by -90° about y, x is down."""
@@ -51,10 +52,10 @@ class StandDraw:
         Of the fixture's angle in each stand, as far as ``level`` is not it; empty for none.
     """
 
-    level: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    level: Array = field(default_factory=lambda: np.zeros(2))
     tilt: float = 0.0
     square: float = 0.0
-    pitch: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    pitch: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def draw_stand(
@@ -75,7 +76,7 @@ def draw_stand(
     return StandDraw(level, tilt, square, pitch)
 
 
-def mount_matrix(angles_rad: ArrayLike) -> NDArray[np.float64]:
+def mount_matrix(angles_rad: ArrayLike) -> Array:
     """C_bm of roll, pitch and yaw of the sensor axes in the mount, shape (3, 3)."""
     roll, pitch, yaw = np.asarray(angles_rad, dtype=np.float64)
     x, y, z = np.eye(3)

@@ -23,7 +23,7 @@ from srt.recording.recording import Fixture, SequenceLabel, Site
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices
 
 Moves = Literal["recorded", "skipped"]
 
@@ -98,7 +98,7 @@ class _Run:
     """The fixture while a schedule is executed: its geometry, its angles and what still rings."""
 
     geometry: FixtureGeometry
-    constant_base: NDArray[np.float64]  # rows: Earth rate (rad/s) and specific force at rest (m/s²), base components
+    constant_base: Array  # rows: Earth rate (rad/s) and specific force at rest (m/s²), base components
     schedule: Schedule
     clock: Clock
     angles: tuple[float, float]
@@ -129,11 +129,11 @@ class _Run:
         self.wobbles.append((first, self.wobble))
         return Episode(n_samples, profile.breaks_s, profile.moving, profile.bandwidth_rad_s, self.sensed, first)
 
-    def sensed(self, piece: NDArray[np.intp], time: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sensed(self, piece: Indices, time: Array) -> Array:
         """Rate and specific force in B at times of the pieces of all recorded episodes."""
         angle, rate = self.recorded.angles(piece, time)
         inner, outer = angle[..., INNER], angle[..., OUTER]
-        wobble: NDArray[np.float64] | float = 0.0
+        wobble: Array | float = 0.0
         if any(value for _, value in self.wobbles):
             first, values = (np.array(part) for part in zip(*self.wobbles, strict=True))
             wobble = np.broadcast_to(values[np.searchsorted(first, piece, side="right") - 1], inner.shape)
@@ -141,7 +141,7 @@ class _Run:
         turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble)
         return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
 
-    def attitude(self) -> NDArray[np.float64]:
+    def attitude(self) -> Array:
         return self.geometry.attitude(*self.angles, self.wobble)
 
 
@@ -152,7 +152,7 @@ def run_schedule(
     sample_rate_hz: float = 200.0,
     heading_rad: float = 0.0,
     fixture_draw: FixtureDraw | None = None,
-    U: NDArray[np.float64] | None = None,
+    U: Array | None = None,
     stated_fixture: Fixture | None = None,
     earth_rate: bool = True,
     start_time_s: float = 0.0,
@@ -278,7 +278,7 @@ def table1_motion(
     sample_rate_hz: float = 200.0,
     heading_rad: float = 0.0,
     fixture_draw: FixtureDraw | None = None,
-    U: NDArray[np.float64] | None = None,
+    U: Array | None = None,
     stated_fixture: Fixture | None = None,
     earth_rate: bool = True,
 ) -> TrueMotion:
@@ -302,7 +302,7 @@ def table1_motion(
     )
 
 
-def constants_of_site(site: Site, *, earth_rate: bool) -> NDArray[np.float64]:
+def constants_of_site(site: Site, *, earth_rate: bool) -> Array:
     """Earth rate (rad/s) and specific force at rest (m/s²) in north, east, down, shape (2, 3)."""
     if not earth_rate:
         rate = np.zeros(3)
@@ -313,7 +313,7 @@ def constants_of_site(site: Site, *, earth_rate: bool) -> NDArray[np.float64]:
     return np.stack([rate, [0.0, 0.0, -site.gravity_m_s2]])
 
 
-def check_rotation(U: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def check_rotation(U: Array | None) -> Array:
     """Return U, the identity for None; InputError unless it is a proper rotation."""
     if U is None:
         return np.eye(3)

@@ -15,10 +15,9 @@ import numpy as np
 from sims.physics.integrals import Episode, Integrals, integrate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sims.physics.fixture import FixtureDraw
     from srt.recording.recording import Fixture, SequenceLabel, Site
+    from srt.types import Array, Counts, Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,19 +51,19 @@ class TrueMotion:
         The fixture errors in force.
     """
 
-    time: NDArray[np.float64]
+    time: Array
     interval: float
-    piece_starts: NDArray[np.intp]
-    angle: NDArray[np.float64]
-    angle_abs: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    velocity_abs: NDArray[np.float64]
+    piece_starts: Indices
+    angle: Array
+    angle_abs: Array
+    velocity: Array
+    velocity_abs: Array
     windows: tuple[tuple[tuple[float, float], tuple[float, float]], ...]
-    attitudes: NDArray[np.float64]
+    attitudes: Array
     labels: tuple[SequenceLabel, ...]
     site: Site
     fixture: Fixture | None
-    U: NDArray[np.float64]
+    U: Array
     draw: FixtureDraw | None
 
     def stated_as(self, *, site: Site | None = None, fixture: Fixture | None = None) -> TrueMotion:
@@ -89,7 +88,7 @@ class Clock:
     start_s: float
     now: int
     episodes: list[Episode]
-    numbers: list[NDArray[np.int64]]
+    numbers: list[Counts]
 
     @classmethod
     def start(cls, sample_rate_hz: float, start_s: float) -> Clock:
@@ -115,7 +114,7 @@ class Clock:
         self.numbers.append(np.arange(self.now, self.now + episode.n_samples))
         self.now += episode.n_samples
 
-    def stack(self) -> tuple[NDArray[np.float64], NDArray[np.intp], Integrals]:
+    def stack(self) -> tuple[Array, Indices, Integrals]:
         """Time stamps, first sample of each gapless piece, and the integrals of everything recorded."""
         numbers = np.concatenate(self.numbers)
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) > 1)

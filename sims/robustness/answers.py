@@ -11,63 +11,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from sims.robustness.convergence import ConvergenceMap, Reach, convergence_map, pairs, reach
 from sims.robustness.spread import Accuracy, Honesty, accuracy, honesty, share_interval
-from sims.robustness.tidy import CONVERGED, NO_IMU, OUTCOMES, Axis, Trials, cells, label, read
+from sims.robustness.tidy import CONVERGED, NO_IMU, OUTCOMES, Axis, Header, Trials, cells, label, read
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     import pyarrow as pa
-    from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
-    Counts = NDArray[np.int64]
+    from srt.types import Array, Counts, Indices
+
 
 FAILURES: Final = 20
 """Listed of every estimator."""
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """What a campaign is.
-
-    Attributes
-    ----------
-    name, description : str
-    seed : int
-    trials : int
-        Planned of every point of the grid.
-    grid : mapping of str to sequence
-        Values of every axis of the grid.
-    random : mapping of str to str
-        Distribution of every quantity that each trial draws, in words.
-    estimators : tuple of str
-        Labels, in the order of the file.
-    noisy : bool
-        Whether the recordings have noise; without it a sigma is a floor and says nothing of the error.
-    replay : str
-        Start of the command that repeats a trial; "POINT:REPLICATE" completes it.
-    """
-
-    name: str
-    description: str
-    seed: int
-    trials: int
-    grid: Mapping[str, Sequence[Any]]
-    random: Mapping[str, str]
-    estimators: tuple[str, ...]
-    noisy: bool
-    replay: str
-
-    @property
-    def planned(self) -> int:
-        """Trials of the whole campaign."""
-        return self.trials * math.prod(len(values) for values in self.grid.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,7 +252,7 @@ def failures(trials: Trials, most: int = FAILURES) -> tuple[Failure, ...]:
     """
     failed = trials.judged & ~trials.converged
     replicate = trials.numbers("replicate")
-    rows: list[NDArray[np.intp]] = []
+    rows: list[Indices] = []
     for k in range(len(trials.header.estimators)):
         own = np.flatnonzero(failed & (trials.estimator == k))
         rows.append(own[np.lexsort((replicate[own], trials.points[trials.point[own]]))][:most])

@@ -14,11 +14,8 @@ from sims.robustness.tidy import Axis, Trials, cells
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Counts, Indices, Mask
 
-    Array = NDArray[np.float64]
-    Codes = NDArray[np.intp]
-    Counts = NDArray[np.int64]
 
 MAPS: Final = 6
 """Drawn at most: of pairs of axes."""
@@ -183,7 +180,7 @@ def reach(trials: Trials) -> tuple[Reach, ...]:
     return tuple(found)
 
 
-def _reach(name: str, axes: Sequence[Axis], rows: Codes, failed: NDArray[np.bool_]) -> Reach:
+def _reach(name: str, axes: Sequence[Axis], rows: Indices, failed: Mask) -> Reach:
     values = np.array([axis.values[rows] for axis in axes]).reshape(len(axes), len(rows))
     upward = np.array([not failed.any() or v[failed].mean() >= v.mean() for v in values], dtype=bool)
     codes = [
@@ -209,7 +206,7 @@ def _reach(name: str, axes: Sequence[Axis], rows: Codes, failed: NDArray[np.bool
     )
 
 
-def _box(codes: Sequence[Codes], levels: Sequence[int], values: Array, failed: NDArray[np.bool_]) -> Array | None:
+def _box(codes: Sequence[Indices], levels: Sequence[int], values: Array, failed: Mask) -> Array | None:
     """Largest values in the box of levels, from the first on, with most trials and no failure; None without one."""
     if not levels:
         return None

@@ -37,13 +37,11 @@ from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, SYMBOLS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from sims.robustness.answers import Effort
     from sims.robustness.convergence import ConvergenceMap
     from sims.robustness.spread import Accuracy, Honesty
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _PANELS: Final = 3
 """Of a row of maps."""

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.figure import Figure
 
-    from sims.robustness.answers import Header
+    from sims.robustness.tidy import Header
 
 _TEMPLATE: Final = "report.html.jinja"
 

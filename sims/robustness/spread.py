@@ -18,10 +18,10 @@ from sims.robustness.tidy import Axis, Trials, cells
 from srt.sensor_errors import GROUPS, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
-    Counts = NDArray[np.int64]
+    from srt.types import Array, Counts, Indices, Mask
+
 
 CONFIDENCE: Final = 0.95
 FALSE_ALARMS: Final = 0.01
@@ -96,17 +96,17 @@ class Honesty:
     units: Counts
 
     @property
-    def too_small(self) -> NDArray[np.bool_]:
+    def too_small(self) -> Mask:
         """Whose sigma is smaller than the errors are, shape (estimators, 27)."""
         return np.asarray(self.rms > self.high)
 
     @property
-    def too_large(self) -> NDArray[np.bool_]:
+    def too_large(self) -> Mask:
         """Whose sigma is larger than the errors are, shape (estimators, 27)."""
         return np.asarray(self.rms < self.low)
 
     @property
-    def nees_off(self) -> NDArray[np.bool_]:
+    def nees_off(self) -> Mask:
         """Whose NEES is beyond its limits, shape (estimators,)."""
         return np.asarray((self.nees < self.nees_low) | (self.nees > self.nees_high))
 
@@ -157,7 +157,7 @@ def accuracy(trials: Trials) -> tuple[Accuracy, ...]:
 class _Sums:
     """Sums and maxima of errors by estimator, level and group."""
 
-    def __init__(self, trials: Trials, axis: Axis | None, rows: NDArray[np.intp]) -> None:
+    def __init__(self, trials: Trials, axis: Axis | None, rows: Indices) -> None:
         levels = (np.zeros(trials.table.num_rows, dtype=np.intp), 1) if axis is None else (axis.codes, len(axis.labels))
         cell, self._size = cells((trials.estimator, len(trials.header.estimators)), levels)
         self._axis, self._cell = axis, cell[rows]
@@ -167,7 +167,7 @@ class _Sums:
             (4, self._size, len(GROUPS))
         )
 
-    def add(self, group: int, chosen: NDArray[np.bool_], error: Array, scaled: Array) -> None:
+    def add(self, group: int, chosen: Mask, error: Array, scaled: Array) -> None:
         """Add the errors of one parameter, in display units and in sigmas."""
         cell, error, scaled = self._cell[chosen], np.abs(error[chosen]), np.abs(scaled[chosen])
         self._count[:, group] += np.bincount(cell, minlength=self._size)

@@ -16,13 +16,11 @@ from srt.sensor_errors import GROUPS, NAMES
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from sims.robustness.answers import Answers, Failure, Outcomes
     from sims.robustness.convergence import ConvergenceMap, Limit, Reach
     from sims.robustness.spread import Accuracy
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 MEANINGS: Final = {
     "converged": "the estimator says that it converged, and its result is the one that is also reached from the true "

@@ -5,6 +5,7 @@ Everything that is asked of a campaign is a count, a sum or a maximum over such 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
@@ -16,15 +17,12 @@ from srt.exceptions import DataError, InputError
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import pyarrow as pa
-    from numpy.typing import NDArray
 
-    from sims.robustness.answers import Header
+    from srt.types import Array, Counts, Indices, Mask
 
-    Array = NDArray[np.float64]
-    Codes = NDArray[np.intp]
 
 OUTCOMES: Final = tuple(TRIAL_OUTCOMES)
 """What can become of a trial; the last is left out of every rate."""
@@ -63,7 +61,7 @@ class Axis:
     on_grid: bool
     labels: tuple[str, ...]
     places: Array
-    codes: Codes
+    codes: Indices
     values: Array
 
     @property
@@ -92,19 +90,19 @@ class Trials:
 
     header: Header
     table: pa.Table
-    estimator: Codes
-    outcome: Codes
-    point: Codes
-    points: NDArray[np.int64]
+    estimator: Indices
+    outcome: Indices
+    point: Indices
+    points: Counts
     axes: tuple[Axis, ...]
 
     @property
-    def judged(self) -> NDArray[np.bool_]:
+    def judged(self) -> Mask:
         """Rows whose drawn errors are those of an IMU, shape (rows,)."""
         return np.asarray(self.outcome != NO_IMU)
 
     @property
-    def converged(self) -> NDArray[np.bool_]:
+    def converged(self) -> Mask:
         """Rows that converged to the right result, shape (rows,)."""
         return np.asarray(self.outcome == CONVERGED)
 
@@ -112,11 +110,11 @@ class Trials:
         """A column of numbers, shape (rows,); NaN where it has none."""
         return _numbers(self.table, name)
 
-    def rows(self, name: str, at: Codes) -> list[Any]:
+    def rows(self, name: str, at: Indices) -> list[Any]:
         """Values of a column in a few rows."""
         return [] if name not in self.table.column_names else list(self.table.column(name).take(at).to_pylist())
 
-    def first_rows(self) -> Codes:
+    def first_rows(self) -> Indices:
         """Give one row of every unit, which has one for each estimator."""
         replicate = np.unique(self.numbers("replicate"), return_inverse=True)[1].astype(np.intp)
         unit, _ = cells((self.point, len(self.points)), (replicate, int(replicate.max(initial=0)) + 1))
@@ -171,7 +169,7 @@ def read(table: pa.Table, header: Header) -> Trials:
     return Trials(header, table, estimator, outcome, np.asarray(point, dtype=np.intp), points, tuple(axes))
 
 
-def cells(*codes: tuple[Codes, int]) -> tuple[Codes, int]:
+def cells(*codes: tuple[Indices, int]) -> tuple[Indices, int]:
     """Join several codes, each with the number of its values, to one; the last varies fastest."""
     joined, size = np.zeros(len(codes[0][0]), dtype=np.intp), 1
     for code, n in codes:
@@ -186,7 +184,7 @@ def label(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else "not set" if value is None else str(value)
 
 
-def _encoded(table: pa.Table, name: str) -> tuple[Codes, list[Any]]:
+def _encoded(table: pa.Table, name: str) -> tuple[Indices, list[Any]]:
     """Position of every row's value in a list of the values that occur; None stands for none."""
     if name not in table.column_names:
         return np.zeros(0, dtype=np.intp), []
@@ -204,13 +202,13 @@ def _numbers(table: pa.Table, name: str) -> Array:
     return np.asarray(table.column(name).to_numpy(), dtype=np.float64)
 
 
-def _integers(table: pa.Table, name: str) -> NDArray[np.int64]:
+def _integers(table: pa.Table, name: str) -> Counts:
     if name not in table.column_names:
         return np.zeros(0, dtype=np.int64)
     return np.asarray(table.column(name).to_numpy(), dtype=np.int64)
 
 
-def _positions(table: pa.Table, name: str, known: Sequence[str], campaign: str) -> Codes:
+def _positions(table: pa.Table, name: str, known: Sequence[str], campaign: str) -> Indices:
     codes, values = _encoded(table, name)
     unknown = next((value for value in values if value not in known), None)
     if any(value not in known for value in values):
@@ -220,7 +218,7 @@ def _positions(table: pa.Table, name: str, known: Sequence[str], campaign: str) 
     return np.array([known.index(value) for value in values], dtype=np.intp)[codes] if values else codes
 
 
-def _check_once(point: NDArray[np.int64], replicate: NDArray[np.int64], estimator: Codes, header: Header) -> None:
+def _check_once(point: Counts, replicate: Counts, estimator: Indices, header: Header) -> None:
     """Refuse a trial that is there twice: it would count twice."""
     order = np.lexsort((estimator, replicate, point))
     same = np.ones(max(len(order) - 1, 0), dtype=bool)
@@ -262,7 +260,7 @@ def _random_axis(table: pa.Table, name: str) -> Axis:
     return Axis(name, False, labels, 0.5 * (edges[:-1] + edges[1:]), np.asarray(binned, dtype=np.intp), values)
 
 
-def _axis(name: str, *, on_grid: bool, levels: list[Any], codes: Codes) -> Axis:
+def _axis(name: str, *, on_grid: bool, levels: list[Any], codes: Indices) -> Axis:
     places = np.array(levels, dtype=np.float64) if _are_numbers(levels) else np.full(len(levels), np.nan)
     values = places[codes] if len(levels) else np.zeros(0)
     return Axis(name, on_grid, tuple(label(value) for value in levels), places, codes, values)
@@ -270,3 +268,41 @@ def _axis(name: str, *, on_grid: bool, levels: list[Any], codes: Codes) -> Axis:
 
 def _are_numbers(values: Sequence[Any]) -> bool:
     return all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a campaign is.
+
+    Attributes
+    ----------
+    name, description : str
+    seed : int
+    trials : int
+        Planned of every point of the grid.
+    grid : mapping of str to sequence
+        Values of every axis of the grid.
+    random : mapping of str to str
+        Distribution of every quantity that each trial draws, in words.
+    estimators : tuple of str
+        Labels, in the order of the file.
+    noisy : bool
+        Whether the recordings have noise; without it a sigma is a floor and says nothing of the error.
+    replay : str
+        Start of the command that repeats a trial; "POINT:REPLICATE" completes it.
+    """
+
+    name: str
+    description: str
+    seed: int
+    trials: int
+    grid: Mapping[str, Sequence[Any]]
+    random: Mapping[str, str]
+    estimators: tuple[str, ...]
+    noisy: bool
+    replay: str
+
+    @property
+    def planned(self) -> int:
+        """Trials of the whole campaign."""
+        return self.trials * math.prod(len(values) for values in self.grid.values())

@@ -16,14 +16,11 @@ from srt.exceptions import SrtError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sims.robustness.config import Campaign, EstimatorChoice
     from sims.scenarios.simulation import Simulation
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
-    Array = NDArray[np.float64]
     Row = dict[str, Any]
 
 OUTCOMES: Final = {

@@ -50,9 +50,8 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from srt.planning.plan import Plan
+    from srt.types import Array
 
 _Count = Annotated[int, Field(strict=True, ge=1)]
 
@@ -133,7 +132,7 @@ class TargetsConfig(Table):
             raise ValueError("there is no target: give the sigma that is wanted of at least one group")
         return self
 
-    def sigma(self) -> NDArray[np.float64]:
+    def sigma(self) -> Array:
         """Wanted sigma of every parameter, SI, NaN where none is, shape (27,)."""
         groups = self.model_dump(exclude={"parameters"}, exclude_none=True)
         sizes = ErrorSizes(**groups).si()

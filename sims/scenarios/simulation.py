@@ -22,12 +22,11 @@ from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUPS, SensorErrors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sims.physics.fixture import FixtureDraw
     from sims.physics.true_motion import TrueMotion
     from sims.scenarios.scenario import Scenario, ScheduleConfig
     from srt.recording.recording import Recording
+    from srt.types import Array
 
 TRUTH_FORMAT = "srt-truth"
 TRUTH_VERSION = 1
@@ -57,7 +56,7 @@ class Simulation:
 
     recording: Recording
     truth: SensorErrors
-    U: NDArray[np.float64]
+    U: Array
     fixture_draw: FixtureDraw | None
     imu: ImuModel
     windows: tuple[tuple[tuple[float, float], tuple[float, float]], ...]
@@ -198,7 +197,7 @@ def schedule_of(config: ScheduleConfig) -> Schedule:
     )
 
 
-def _table_run(scenario: Scenario, U: NDArray[np.float64], rng: np.random.Generator) -> TrueMotion:
+def _table_run(scenario: Scenario, U: Array, rng: np.random.Generator) -> TrueMotion:
     assert scenario.schedule is not None
     assert scenario.fixture is not None
     schedule, fixture = schedule_of(scenario.schedule), scenario.fixture

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.calibrate import CHOICES, PLOT_SUFFIXES, RESULT_SUFFIXES
+from srt.cli.calibrate import CHOICES
+from srt.cli.jobs import PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.output import check_file, require_matplotlib
 from srt.exceptions import InputError
 

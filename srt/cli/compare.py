@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.calibrate import PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.calibrate import calibrate as calibrate_command
+from srt.cli.jobs import PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.output import check_file, recording_folder, require_matplotlib, say, warn
 from srt.exceptions import DataError, InputError
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from srt.cli.calibrate import Display, Job, judge, run_job
+from srt.cli.calibrate import judge, run_job
+from srt.cli.jobs import Display, Job
 from srt.cli.output import check_directory, make_directory, require_matplotlib, warn
 from srt.cli.simulate import check_target, run_scenario, summary, write_simulation
 from srt.exceptions import MissingExtraError

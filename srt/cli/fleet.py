@@ -11,47 +11,20 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from srt.cli.output import check_directory, check_file, make_directory, say, warn
-from srt.cli.recordings import file_name, unit_names
-from srt.exceptions import InputError, SrtError
+from srt.cli.output import make_directory, say, warn
+from srt.exceptions import SrtError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from srt.cli.calibrate import Job
+    from srt.cli.jobs import Job
     from srt.comparison.fleet import Fleet, Unit
     from srt.comparison.parallel import Engine
     from srt.estimation.options import Options
 
 FLEET_FROM: Final = 6
 """More recordings than five are shown as a fleet: so many full tables nobody reads, and from six on it is judged."""
-
-
-def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
-    """Name the units, settle where every result goes, and that it can go there.
-
-    Raises
-    ------
-    InputError
-        A recording named twice, or a place that cannot be written.
-    """
-    from srt.cli.calibrate import PLOT_SUFFIXES, Job
-
-    if output is not None:
-        if output.suffix.lower() in (".json", ".csv"):
-            raise InputError(
-                f"The results of a fleet go to a folder, and {output} is called like a file: name another."
-            )
-        check_directory(output)
-    if plot is not None:
-        check_file(plot, PLOT_SUFFIXES, "The plot")
-    jobs = []
-    for path, name in zip(recordings, unit_names(recordings), strict=True):
-        file = output / f"{file_name(name)}.json" if output is not None else None
-        figure = plot.with_name(f"{plot.stem}-{file_name(name)}{plot.suffix}") if plot is not None else None
-        jobs.append(Job(path, name, file, figure))
-    return tuple(jobs)
 
 
 def run_fleet(

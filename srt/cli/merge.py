@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from srt.cli.calibrate import Display, Job
+    from srt.cli.jobs import Display, Job
     from srt.estimation.options import Options
     from srt.result.calibration import Calibration
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from srt.cli.calibrate import PLOT_SUFFIXES, RESULT_SUFFIXES
+from srt.cli.jobs import PLOT_SUFFIXES, RESULT_SUFFIXES
 from srt.cli.output import check_file, require_matplotlib, say
 from srt.comparison.parallel import one_thread
 from srt.exceptions import InputError

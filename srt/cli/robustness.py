@@ -17,8 +17,8 @@ from srt.exceptions import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from sims.robustness.answers import Header
     from sims.robustness.config import Campaign
+    from sims.robustness.tidy import Header
 
 _LINE_EVERY_S: Final = 30.0
 """Between lines of progress where there is no terminal."""
@@ -112,7 +112,7 @@ def header_of(campaign: Campaign, config: str) -> Header:
     config : str
         As it was named on the command line.
     """
-    from sims.robustness.answers import Header
+    from sims.robustness.tidy import Header
 
     return Header(
         name=campaign.name,

@@ -27,17 +27,14 @@ if TYPE_CHECKING:
 
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.types import Array, Mask
 
     Progress = Callable[[str, int, float], None]
     from collections.abc import Callable, Iterable, Mapping
     from os import PathLike
 
-    from numpy.typing import NDArray
-
     from srt.sensor_errors import SensorErrors
 
-    Array = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
 
 ESTIMATORS: Final = ("closed-form", "least-squares", "ekf", "graph")
 """Those compared where none are named: the least efficient first."""

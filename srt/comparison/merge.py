@@ -21,10 +21,8 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 ESTIMATOR: Final = "merged"
 USABLE: Final = ("converged", "partial")

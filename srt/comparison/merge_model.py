@@ -28,12 +28,9 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from srt.result.calibration import Calibration
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 GROUP_OF: Final = np.array([list(GROUP_SLICES).index(name.rpartition("_")[0]) for name in NAMES])
 """Number of the group that each parameter belongs to."""

@@ -37,10 +37,10 @@ from srt.exceptions import InputError
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
+    from srt.types import Array, Mask
+
 
 FALSE_ALARMS: Final = 0.01
 """Expected number of false flags in a table of 27 parameters, and so the most that the chance of one can be."""

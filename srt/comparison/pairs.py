@@ -24,12 +24,9 @@ from srt.sensor_errors import NAMES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from srt.result.calibration import Calibration
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
 
 FALSE_ALARM: Final = 0.01
 """Probability that estimators which differ by chance alone are said to disagree: half of it for the largest difference

@@ -13,13 +13,9 @@ from srt.sensor_errors import GROUP_SLICES, NAMES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from srt.comparison.merge_model import Stack
     from srt.result.calibration import Calibration
-
-    Array = NDArray[np.float64]
-    Indices = NDArray[np.intp]
+    from srt.types import Array, Indices
 
 
 def repeatability(

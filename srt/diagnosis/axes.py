@@ -19,12 +19,10 @@ from srt.model.table1 import AXES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 _EYE: Final = np.eye(3)
 
@@ -130,8 +128,8 @@ class Turns:
 
     rate: Array
     force: Array
-    spans: NDArray[np.intp]
-    between: NDArray[np.intp]
+    spans: Indices
+    between: Indices
 
 
 def turns_of(evidence: Evidence) -> Turns | None:

@@ -17,12 +17,10 @@ from srt.model.table1 import AXES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 CHANNELS: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in AXES)
 _SAMPLES: Final = 20_000
@@ -83,7 +81,7 @@ def _noisy(evidence: Evidence, column: Array) -> bool:
     return bool(np.std(np.diff(column[a:b])) > 1e-9 * np.abs(column[a:b]).max(initial=0.0) > 0.0)
 
 
-def _turned_axes(evidence: Evidence) -> NDArray[np.bool_]:
+def _turned_axes(evidence: Evidence) -> Mask:
     """Axes about which the labels have the unit turned."""
     if evidence.data is None or evidence.recording.fixture is None:
         return np.zeros(3, dtype=bool)
@@ -91,7 +89,7 @@ def _turned_axes(evidence: Evidence) -> NDArray[np.bool_]:
     return np.asarray(np.any(np.array(turned) > 0.5, axis=0)) if turned else np.zeros(3, dtype=bool)
 
 
-def _tilted_axes(evidence: Evidence) -> NDArray[np.bool_]:
+def _tilted_axes(evidence: Evidence) -> Mask:
     """Axes along which the labels have gravity change."""
     if evidence.data is None or evidence.recording.fixture is None:
         return np.zeros(3, dtype=bool)

@@ -14,12 +14,9 @@ from srt.sequences.plausibility import Clipping, ClippingLevels, clipped_samples
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-
-    Array = NDArray[np.float64]
+    from srt.types import Array
 
 
 @check("gyro_clipped", "accel_clipped")

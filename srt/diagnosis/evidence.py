@@ -18,14 +18,12 @@ from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PlaybackData
     from srt.sequences.recognition import Recognition
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
 
 _RIDGE: Final = 1e-9
 
@@ -118,12 +116,12 @@ class Evidence:
     def data(self) -> PlaybackData | None:
         """The labelled recording prepared without any check; None if it cannot be."""
         try:
-            return prepare(self.recording, self.labels, self.options)
+            return prepare(self.recording, self.labels, self.options.average)
         except DataError:
             return None
 
     @cached_property
-    def whole(self) -> NDArray[np.bool_]:
+    def whole(self) -> Mask:
         """Sequences without a gap between their first and last sample, shape (K,)."""
         data = self._data
         first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
@@ -172,7 +170,7 @@ class Evidence:
     # --- turns -------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def legs(self) -> tuple[NDArray[np.intp], Array, Array]:
+    def legs(self) -> tuple[Indices, Array, Array]:
         """Legs of the sequences in the catalogue that can be told apart.
 
         Returns

@@ -22,18 +22,15 @@ from srt.recording.recording import Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
 from srt.sequences.plausibility import check_interval
 from srt.sequences.recognition import recognise
-from srt.sequences.stationary_windows import blocks_of, find_rest, still_runs
+from srt.sequences.rest_detection import blocks_of, find_rest, still_runs
 
 if TYPE_CHECKING:
     from os import PathLike
 
-    from numpy.typing import NDArray
-
-    from srt.sequences.recognition import FoundTurn, Recognition
-
-    Array = NDArray[np.float64]
     from srt.diagnosis import Diagnosis
     from srt.noise.allan import AllanDeviation
+    from srt.sequences.recognition import FoundTurn, Recognition
+    from srt.types import Array, Indices
 
 _ON_AXIS: Final = 0.94
 """Cosine (20°) above which a turn is said to be about a sensor axis; uncalibrated axes lie within some degrees."""
@@ -123,7 +120,7 @@ def _summary(recording: Recording, recognition: Recognition) -> str:
     return recognition.summary
 
 
-def _only_rest(recording: Recording) -> NDArray[np.intp]:
+def _only_rest(recording: Recording) -> Indices:
     """Stillness where there is too little of it for a turn, as in a log of a unit on a shelf; shape (0 or 1, 2)."""
     try:
         check_interval(recording)
@@ -135,7 +132,7 @@ def _only_rest(recording: Recording) -> NDArray[np.intp]:
     longest = max(runs, key=lambda run: run[1] - run[0], default=None)
     if longest is None:
         return np.zeros((0, 2), dtype=np.intp)
-    first: NDArray[np.intp] = blocks.first[np.array([longest])]
+    first: Indices = blocks.first[np.array([longest])]
     return first
 
 
@@ -160,7 +157,7 @@ def _stamps(recording: Recording) -> Stamps:
     )
 
 
-def _stillness(recording: Recording, windows: NDArray[np.intp]) -> Stillness | None:
+def _stillness(recording: Recording, windows: Indices) -> Stillness | None:
     if len(windows) == 0:
         return None
     dt = recording.nominal_interval_s
@@ -183,7 +180,7 @@ def _stillness(recording: Recording, windows: NDArray[np.intp]) -> Stillness | N
     )
 
 
-def _noise(recording: Recording, windows: NDArray[np.intp]) -> tuple[Noise | None, AllanDeviation | None]:
+def _noise(recording: Recording, windows: Indices) -> tuple[Noise | None, AllanDeviation | None]:
     if len(windows) == 0:
         return None, None
     stated = {
@@ -198,7 +195,7 @@ def _noise(recording: Recording, windows: NDArray[np.intp]) -> tuple[Noise | Non
     return Noise(allan.figures(), stated, None), allan
 
 
-def _short_figures(recording: Recording, windows: NDArray[np.intp]) -> dict[str, dict[str, Any]]:
+def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str, Any]]:
     """Figures of windows too short for an Allan deviation, by channel and key."""
     lengths = windows[:, 1] - windows[:, 0]
     every = max(1, int(lengths.sum()) // _ENOUGH)

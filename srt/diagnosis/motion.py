@@ -21,12 +21,10 @@ from srt.diagnosis.turn_evidence import Blocks, Swing, blocks, cross, once, swin
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
 
 FALSE_ALARM: Final = 1e-5
 """Of each of the two faults in a whole recording, all turns together: a tenth of what a clean one may raise."""
@@ -197,7 +195,7 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-def _steps(values: Array, starts: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
+def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:
     """Height of a step before each place, beside a straight line through its surroundings, shape (m, 3).
 
     Also whether the surroundings all belong to one sequence, shape (m,).

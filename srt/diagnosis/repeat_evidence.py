@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
+    from srt.types import Array, Indices, Mask
 
-    Flags = NDArray[np.bool_]
 
 FALSE_ALARM: Final = 1e-6
 """Of one run in one recording, taking repeats as independent. They are less clustered than that (pulses of a steady
@@ -83,20 +81,20 @@ def stuck_runs(evidence: Evidence) -> tuple[list[Run], list[Run], list[Run]]:
     return found
 
 
-def _ordinary(longest: NDArray[np.intp]) -> float:
+def _ordinary(longest: Indices) -> float:
     """Length of run that is not out of the ordinary for windows, or for turns."""
     return _LONGER * float(np.quantile(longest, _QUANTILE)) if len(longest) >= _FEWEST else math.inf
 
 
-def _repeats(table: NDArray[np.float64], a: int, b: int) -> Flags:
+def _repeats(table: Array, a: int, b: int) -> Mask:
     """Whether each of the rows a + 1 to b - 1 is the one before it."""
-    same: Flags = table[a + 1 : b, 0] == table[a : b - 1, 0]
+    same: Mask = table[a + 1 : b, 0] == table[a : b - 1, 0]
     if same.any():  # of readings with noise nearly none is
         same &= np.all(table[a + 1 : b, 1:] == table[a : b - 1, 1:], axis=1)
     return same
 
 
-def _longest(same: Flags) -> tuple[int, int]:
+def _longest(same: Mask) -> tuple[int, int]:
     """Start and length of the longest run of True."""
     if not same.any():
         return 0, 0

@@ -18,12 +18,10 @@ from srt.sequences.stationary_windows import find_windows
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 _BLOCK_S: Final = 0.1
 _MOVING: Final = 0.05
@@ -83,7 +81,7 @@ def _shift(evidence: Evidence) -> tuple[float, int] | None:
     return (float(np.median(single)), int(single.size)) if single.size else None
 
 
-def _turning(evidence: Evidence) -> NDArray[np.bool_]:
+def _turning(evidence: Evidence) -> Mask:
     """Windows in which the rate goes through a fair part of that of the turns, shape (W,)."""
     data = evidence.data
     assert data is not None
@@ -206,7 +204,7 @@ def _exchanged(evidence: Evidence) -> dict[int, str]:
     return {places[i]: names[best[i]] for i in np.flatnonzero(off & (swapped | ~opposite)).tolist()}
 
 
-def _wrong_angles(evidence: Evidence, known: NDArray[np.bool_], excess: Array) -> Iterator[Finding]:
+def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Finding]:
     """Turns of a fixture that are off, as the gyros and the accelerometers have it."""
     fixture = evidence.recording.fixture
     if fixture is None:

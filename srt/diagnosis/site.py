@@ -31,12 +31,9 @@ from srt.sequences.preparation import nominal_attitude
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
-
-    Array = NDArray[np.float64]
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array
 
 HEIGHTS_M: Final = (5000.0, -500.0)
 """Highest and lowest place where a unit is taken to be tested."""

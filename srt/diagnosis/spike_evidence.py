@@ -16,11 +16,9 @@ import numpy as np
 from srt.noise.from_windows import smallest_step
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 _SIGMAS: Final = 7.5
 """Of normal noise 6e-14 of the readings lie beyond; with noise known to 10 % as from 500 readings, 2e-11: 5e-6 of
@@ -57,8 +55,8 @@ class Spikes:
         Reading less its prediction, as stored.
     """
 
-    sample: NDArray[np.intp]
-    channel: NDArray[np.intp]
+    sample: Indices
+    channel: Indices
     jump: Array
 
 
@@ -175,8 +173,8 @@ def _is_knock(
     evidence: Evidence,
     bounds: tuple[int, int, int, int],
     at: int,
-    sample: NDArray[np.intp],
-    channels: NDArray[np.intp],
+    sample: Indices,
+    channels: Indices,
     off: Array,
 ) -> bool:
     """Whether what jumps out at a sample of a window is the unit being turned in it: gravity then stays turned."""

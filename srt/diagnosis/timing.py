@@ -15,10 +15,9 @@ from srt.sequences.plausibility import LEGAL_RATIO, LONGEST_INTERVAL_S, SHORTEST
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Indices
 
 _UNITS: Final = (
     (1e-3, "milliseconds", "seconds"),
@@ -119,7 +118,7 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _inside_labelled(evidence: Evidence, gaps: NDArray[np.intp]) -> tuple[NDArray[np.intp], str, int]:
+def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
     """Gaps of the first sequence that has any, its name, and how many others have some."""
     data = evidence.data
     if data is None:
@@ -133,7 +132,7 @@ def _inside_labelled(evidence: Evidence, gaps: NDArray[np.intp]) -> tuple[NDArra
     return inside[void[0]], title[0].upper() + title[1:], len(void) - 1
 
 
-def _inside_turns(evidence: Evidence, gaps: NDArray[np.intp]) -> tuple[NDArray[np.intp], str, int]:
+def _inside_turns(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
     """Gaps on both sides of which the unit turns; without labels, others may lie between sequences."""
     gyro = evidence.recording.gyro
     some = np.linalg.norm(gyro[:: max(1, len(gyro) // _SAMPLES)], axis=1)

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.model.table1 import Sequence
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 _T = TypeVar("_T")
 _STEP_S: Final = 0.01
@@ -154,9 +154,9 @@ class Blocks:
     force : ndarray, shape (m, 3), m/s²
     """
 
-    sequence: NDArray[np.intp]
-    starts: NDArray[np.intp]
-    first_sample: NDArray[np.intp]
+    sequence: Indices
+    starts: Indices
+    first_sample: Indices
     step_s: float
     rate: Array
     force: Array
@@ -173,7 +173,7 @@ def blocks(evidence: Evidence) -> Blocks | None:
     size = max(1, round(_STEP_S / evidence.dt))
     margin = round(_MARGIN_S / evidence.dt)
     sequences = np.flatnonzero(evidence.whole)
-    first: list[NDArray[np.intp]] = []
+    first: list[Indices] = []
     rate: list[Array] = []
     force: list[Array] = []
     for k in sequences.tolist():
@@ -197,7 +197,7 @@ def blocks(evidence: Evidence) -> Blocks | None:
 
 
 @once
-def legs(evidence: Evidence) -> tuple[NDArray[np.intp], Array, Array]:
+def legs(evidence: Evidence) -> tuple[Indices, Array, Array]:
     """Single rotations of the sequences that have the number of them that their label says.
 
     A rotation begins where the turning axis changes, or where the unit stood between two about one axis.
@@ -225,7 +225,7 @@ def legs(evidence: Evidence) -> tuple[NDArray[np.intp], Array, Array]:
     return np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned)
 
 
-def _cuts(rate: Array) -> NDArray[np.intp]:
+def _cuts(rate: Array) -> Indices:
     """First block of each rotation of a sequence, the first one from the start of all blocks."""
     size = np.abs(rate)
     speed = size.max(axis=1)
@@ -330,7 +330,7 @@ def swing(evidence: Evidence) -> Swing | None:
     return Swing(attitude, rate, force, up, up_body, np.einsum("mab,mb->ma", attitude, force))
 
 
-def _attitudes(angle: Array, starts: NDArray[np.intp]) -> Array:
+def _attitudes(angle: Array, starts: Indices) -> Array:
     """Attitude at the middle of every step of chains of rotation vectors, against the start of each; (n, 3, 3)."""
     half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
     ends = rotations.prefix_product(rotations.multiply(half, half))

@@ -28,13 +28,11 @@ from srt.sensor_errors import GROUP_SLICES, NAMES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
 
 BENCH_C: Final = (-60.0, 90.0)
 """Below and above this no unit is tested: parts are made for -40 to 85 °C, military ones to -55 °C."""
@@ -275,7 +273,7 @@ def _step(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> Array:
     return smallest_step(np.concatenate([table[a:b:stride] for a, b in samples.tolist()])) * evidence.per_rate
 
 
-def _powers(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> tuple[Array, Array, NDArray[np.intp]] | None:
+def _powers(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> tuple[Array, Array, Indices] | None:
     """Half squared differences of neighbouring averages.
 
     Returns
@@ -310,7 +308,7 @@ def _powers(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> tuple[Arr
     return tau, power, pairs
 
 
-def _noisy(power: Array, pairs: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _noisy(power: Array, pairs: Indices) -> Mask:
     """Windows with more power in some octave than chance gives any, by the median window, shape (W,)."""
     freedom = np.maximum(3.0 * pairs, 1.0)
     summed = power.sum(axis=2)

@@ -26,12 +26,10 @@ from srt.sequences.plausibility import LEGAL_RATIO
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _G: Final = STANDARD_GRAVITY_M_S2
 

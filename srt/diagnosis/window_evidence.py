@@ -15,11 +15,9 @@ from srt.diagnosis.turn_evidence import end_of, once, robust_fit, solved, triads
 from srt.noise.from_windows import ACCEL_FLOOR, GYRO_FLOOR, smallest_step
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 BLOCKS: Final = 80
 """Blocks of a window of median length: an eighth of a second in ten, about as long as a knock lasts."""
@@ -67,15 +65,15 @@ class Stillness:
         What pulses or coarse words alone may add to a block mean.
     """
 
-    window: NDArray[np.intp]
+    window: Indices
     size: int
     step_s: float
-    groups: tuple[tuple[NDArray[np.intp], Array], ...]
-    blocks: NDArray[np.intp]
-    count: NDArray[np.intp]
+    groups: tuple[tuple[Indices, Array], ...]
+    blocks: Indices
+    count: Indices
     sample_variance: Array
     late_variance: Array
-    heads: NDArray[np.intp]
+    heads: Indices
     head_power: Array
     least_variance: Array
     block_doubt: Array
@@ -141,7 +139,7 @@ def stillness(evidence: Evidence) -> Stillness | None:
     )
 
 
-def _resolution(evidence: Evidence, samples: NDArray[np.intp]) -> Array:
+def _resolution(evidence: Evidence, samples: Indices) -> Array:
     """Smallest step between readings at rest, shape (6,), as a rate."""
     some = samples[:: max(1, len(samples) // _RESOLUTION_WINDOWS)]
     steps = np.zeros((len(some), 6))

@@ -19,12 +19,10 @@ from srt.diagnosis.window_evidence import ACCEL, GYRO, MAD, Stillness, block_sig
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 FALSE_ALARM: Final = 1e-5
 """Of each kind of fault in a whole recording of a unit with normal noise, all windows and channels together: a tenth
@@ -61,7 +59,7 @@ def windows_not_still(evidence: Evidence) -> Iterator[Finding]:
     for v in list(steps):
         if ringing[v].any() and ringing[v] @ (view.heads <= steps[v].block * view.size):
             del steps[v]
-    rings: NDArray[np.bool_] = np.asarray(ringing.any(axis=1))
+    rings: Mask = np.asarray(ringing.any(axis=1))
     rings[list(steps)] = False
     if rings.any():
         worst = int(np.argmax(np.where(rings, amplitude[:, :2].max(axis=1), 0.0)))
@@ -105,7 +103,7 @@ def _place(evidence: Evidence, view: Stillness, v: int) -> dict[str, object]:
 # --- ringing ---------------------------------------------------------------------------------------------------------
 
 
-def _ringing(view: Stillness) -> tuple[NDArray[np.bool_], Array]:
+def _ringing(view: Stillness) -> tuple[Mask, Array]:
     """Starts of windows that are far more powerful than the second halves, by length of the start; shape (V, H).
 
     Also the power over that of noise, of gyros and accelerometers, shape (V, 2).
@@ -208,7 +206,7 @@ def _step_noise(view: Stillness, accel: Array) -> float:
 # --- creep -----------------------------------------------------------------------------------------------------------
 
 
-def _creep(evidence: Evidence, view: Stillness, done: NDArray[np.bool_]) -> tuple[int, float] | None:
+def _creep(evidence: Evidence, view: Stillness, done: Mask) -> tuple[int, float] | None:
     """The window that tilts fastest at a steady rate, and that rate, rad/s; None if none does.
 
     The accelerometers see the vertical drift, the gyros a rate beyond bias, g-sensitivity and the Earth's. Each has
@@ -265,7 +263,7 @@ def _horizontal(up: Array) -> Array:
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-def _noisy(view: Stillness, done: NDArray[np.bool_]) -> tuple[int, float, str] | None:
+def _noisy(view: Stillness, done: Mask) -> tuple[int, float, str] | None:
     """The window that is noisier than the others by most, by how much, and in which sensor."""
     blocks = np.empty((len(view.window), 6))
     for v, means in view.groups:

@@ -19,22 +19,20 @@ from srt.sequences.manoeuvres import wrong_turns
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from srt.estimation.iteration import Solution
-    from srt.estimation.leave_one_out import Evidence
+    from srt.estimation.leave_one_out import Evidence, WithoutSequences
     from srt.estimation.options import Options
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 MISFIT_PROBABILITY: Final = 1e-3
 _GROSS_RATIO: Final = 100.0
 _GROSS_G: Final = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outcome:
     """What any estimator hands over to be made a calibration.
 
@@ -69,7 +67,7 @@ class Outcome:
     evidence : tuple of Evidence
         Every sequence against the others, if the estimator has it.
     solution : Solution, optional
-        Of an estimator by play-back: what :mod:`srt.estimation.leave_one_out` judges.
+        Of an iterated solver; None for joint estimators.
     """
 
     errors: SensorErrors
@@ -92,25 +90,45 @@ class Outcome:
     solution: Solution | None = None
 
 
-def outcome_of(data: PlaybackData, solution: Solution, held: Mapping[str, str]) -> Outcome:
-    """Outcome of a solution by play-back."""
-    statistic, freedom = chi_square(solution, np.array([name in held for name in NAMES]))
+def outcome_of(
+    data: PlaybackData,
+    options: Options,
+    solution: Solution,
+    held: Mapping[str, str],
+    without_sequences: WithoutSequences,
+) -> Outcome:
+    """Outcome of an iterated solution.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    options : Options
+    solution : Solution
+    held : mapping of str to str
+        Parameters not observed and the reason.
+    without_sequences : WithoutSequences
+        Leave-one-out of the solver.
+    """
+    fixed = np.array([name in held for name in NAMES])
+    statistic, freedom = chi_square(solution, fixed)
+    outside = solution.status == "outside_model"
     return Outcome(
-        solution.errors,
-        solution.U,
-        solution.covariance,
-        solution.corrections,
-        solution.status,
-        solution.message,
-        _residuals(data, solution),
-        statistic,
-        freedom,
-        freedom > 0 and _is_gross(data, solution, statistic / freedom),
-        solution.integrated,
-        solution.wander,
-        solution.bias_by_sequence,
-        solution.playback.integrals.C_end,
+        errors=solution.errors,
+        U=solution.U,
+        covariance=solution.covariance,
+        corrections=solution.corrections,
+        status=solution.status,
+        message=solution.message,
+        residuals=_residuals(data, solution),
+        statistic=statistic,
+        freedom=freedom,
+        gross=freedom > 0 and _is_gross(data, solution, statistic / freedom),
+        integrated=solution.integrated,
+        wander=solution.wander,
+        bias_by_sequence=solution.bias_by_sequence,
+        turned=solution.playback.integrals.C_end,
         diagnostics=g_sensitivity_report.diagnostics(data, solution),
+        evidence=() if outside else evidence_of(without_sequences, data, options, solution, fixed),
         solution=solution,
     )
 
@@ -167,9 +185,6 @@ def assemble(
         status = "partial"
         message = f"{message} Held, not observed: {', '.join(held)}."
     fixture = data.recording.fixture
-    evidence = outcome.evidence
-    if outcome.solution is not None:
-        evidence = evidence_of(estimator, data, options, outcome.solution, ~observed)
     return Calibration(
         estimator=estimator,
         status=status,
@@ -200,7 +215,7 @@ def assemble(
             "voided": dict(data.voided),
         },
         diagnostics=outcome.diagnostics,
-        verdict=verdict(evidence, covariance, observed, statistic, freedom) if observed.any() else {},
+        verdict=verdict(outcome.evidence, covariance, observed, statistic, freedom) if observed.any() else {},
         warnings=(*warnings, *_warnings(data, outcome, observed)),
     )
 
@@ -211,7 +226,7 @@ def _is_gross(data: PlaybackData, solution: Solution, ratio: float) -> bool:
     return ratio > _GROSS_RATIO and float(np.sqrt(np.mean(components**2))) > _GROSS_G * data.gravity
 
 
-def chi_square(solution: Solution, held: NDArray[np.bool_]) -> tuple[float, int]:
+def chi_square(solution: Solution, held: Mask) -> tuple[float, int]:
     """Smallest weighted square sum of the residuals over all values of the parameters not held; degrees of freedom."""
     R, z = solution.measurement_covariance, solution.playback.z
     if held.all():
@@ -285,7 +300,7 @@ def _noise(data: PlaybackData, outcome: Outcome, inflation: float) -> dict[str, 
     }
 
 
-def _shared_errors(outcome: Outcome, mask: NDArray[np.bool_], inflation: float) -> dict[str, Any]:
+def _shared_errors(outcome: Outcome, mask: Mask, inflation: float) -> dict[str, Any]:
     """What other recordings of the unit have in common with this one, and no mean takes away.
 
     ``gravity_effect`` is what one sigma of gravity does to every parameter; of held values it is the covariance.
@@ -338,7 +353,7 @@ def _temperature(data: PlaybackData) -> dict[str, Any] | None:
     return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
 
 
-def _warnings(data: PlaybackData, outcome: Outcome, observed: NDArray[np.bool_]) -> tuple[str, ...]:
+def _warnings(data: PlaybackData, outcome: Outcome, observed: Mask) -> tuple[str, ...]:
     said = [f"{title} is void: {reason}." for title, reason in data.voided.items()]
     if outcome.integrated and len(outcome.integrated) < len(data.windows.duration_s):
         times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in outcome.integrated)

@@ -19,18 +19,15 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 from srt.sequences.preparation import open_session
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from srt.estimation.iteration import Solution
+    from srt.estimation.leave_one_out import Owned
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.estimation.srt_measurements import Playback
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PlaybackData
-
-    Array = NDArray[np.float64]
-    from srt.estimation.iteration import Solution
-    from srt.estimation.leave_one_out import Owned
+    from srt.types import Array, Mask
 
 _BIAS = GROUP_SLICES["gyro_bias"]
 
@@ -66,7 +63,7 @@ class ClosedFormSolver:
         self.kept = np.array([INDEX[f.parameter] for f in self.formulas] + [_BIAS.start + i for i in self.rest_axes])
 
     @cached_property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Mask:
         """Parameters without a formula, and those held on request."""
         out = np.ones(N_PARAMETERS, dtype=np.bool_)
         out[self.kept] = False
@@ -139,7 +136,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
             "use the least-squares estimator."
         )
-    data = open_session(recording, labels, options)
+    data = open_session(recording, labels, options.average)
     solver = ClosedFormSolver(data, options)
     start, U = first_estimate(data, options)
     uncertain = held_sigma(data, options)
@@ -154,7 +151,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         )
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    return assemble("closed-form", data, options, outcome_of(data, solution, held), held, warnings=warnings)
+    outcome = outcome_of(data, options, solution, held, without_sequences)
+    return assemble("closed-form", data, options, outcome, held, warnings=warnings)
 
 
 def without_sequences(data: PlaybackData, options: Options, solution: Solution, owned: list[Owned]) -> list[LeftOut]:

@@ -11,12 +11,9 @@ from srt.model.prior import PRIOR_SIGMA, prior_sigma
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.options import Options
     from srt.sequences.preparation import PlaybackData
-
-    Array = NDArray[np.float64]
+    from srt.types import Array
 
 
 def held_sigma(data: PlaybackData, options: Options) -> Array:

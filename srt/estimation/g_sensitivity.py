@@ -29,14 +29,13 @@ import numpy as np
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    from srt.estimation.srt_measurements import Playback
     from srt.model.analytic_platform import GyroStream
     from srt.model.sensor_model import Triad
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 MODE: Final = "g-sensitive"
 """Value of the option ``gyro_bias`` that asks for all this."""
@@ -140,40 +139,3 @@ def insensitive_readings(
     force = calibration.apply(gyro, accel, kind=kind, dt=dt)[1]
     matrix: Array = np.array(calibration.diagnostics[KEY]["matrix"], dtype=np.float64)
     return np.asarray(np.asarray(gyro, dtype=np.float64) - force @ matrix.T)
-
-
-def carried(playback: Playback, rate: Array) -> tuple[Array, Array]:
-    """What disturbances of the windows' rates are after Γ was taken from these, and what that does to the turns.
-
-    Parameters
-    ----------
-    playback : Playback
-    rate : ndarray, shape (W, 3, S), rad/s
-        On the compensated mean rate of each window.
-
-    Returns
-    -------
-    rate : ndarray, shape (W, 3, S), rad/s
-        Less the g-sensitivity that was taken for them.
-    phi : ndarray, shape (K, 3, S), rad
-        On φ in B_Strt.
-    """
-    if playback.poses is None or playback.integrals.velocity is None:
-        return rate, np.zeros((len(playback.acceleration), 3, rate.shape[2]))
-    followed = playback.poses.fit(rate)
-    raw = np.einsum("ab,bcs->acs", playback.gyro.matrix, followed)
-    phi = -np.einsum("kabc,bcs->kas", playback.integrals.velocity, raw)
-    return rate - np.einsum("acs,wc->was", followed, playback.force), phi
-
-
-def scatter_left(playback: Playback) -> float:
-    """Share that the regression leaves of the variance of biases that every sequence has its own of."""
-    if playback.poses is None:
-        return 1.0
-    W, K = len(playback.pool), len(playback.share)
-    own = np.zeros((W, K))
-    own[np.arange(W), playback.window_sequence] = 1.0
-    deviation = playback.share - playback.pool
-    left = own - playback.force @ (playback.poses.weights.T @ own)
-    whole = float(np.sum((deviation @ own) ** 2))
-    return float(np.sum((deviation @ left) ** 2)) / whole if whole > 0.0 else 1.0

@@ -15,16 +15,14 @@ from scipy.special import fdtrc
 
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.estimation import measurement_covariance
-from srt.estimation.g_sensitivity import KEY, LEAST_SPREAD, MODE, carried
+from srt.estimation.g_sensitivity import KEY, LEAST_SPREAD, MODE
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.iteration import Solution
     from srt.estimation.srt_measurements import Playback
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 FALSE_ALARM: Final = 1e-3
 """Of saying that gyros follow specific force which do not, by all three together."""
@@ -62,7 +60,7 @@ def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
     by_draw = np.einsum("ab,bcs->acs", playback.gyro.matrix, playback.poses.fit(disturbed)).reshape(9, -1)
     P = by_draw @ by_draw.T
     sigma = np.sqrt(np.diag(P)).reshape(3, 3)
-    rate = carried(playback, disturbed)[0]
+    rate = playback.after_g_sensitivity(disturbed)[0]
     expected = playback.pool @ np.sum((rate - np.tensordot(playback.pool, rate, 1)) ** 2, axis=2)
     left = playback.rest_rate - playback.pool @ playback.rest_rate
     spread = playback.force - playback.pool @ playback.force

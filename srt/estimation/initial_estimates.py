@@ -36,17 +36,14 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 from srt.sequences.manoeuvres import end_attitude
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.options import Options
     from srt.model.analytic_platform import GyroStream
     from srt.model.table1 import Sequence
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
-
-def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, NDArray[np.float64]]:
+def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, Array]:
     """Errors to begin with and the rotation from the table-mounted frame to MARS.
 
     Parameters
@@ -305,7 +302,7 @@ class _Stage:
         Units that the errors are fitted in; zero holds one.
     """
 
-    def __init__(self, data: PlaybackData, options: Options, chosen: NDArray[np.intp], sizes: Array) -> None:
+    def __init__(self, data: PlaybackData, options: Options, chosen: Indices, sizes: Array) -> None:
         self.data = replace(
             data,
             labels=tuple(data.labels[k] for k in chosen),

@@ -14,7 +14,6 @@ import numpy as np
 
 from srt.estimation import measurement_covariance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.g_sensitivity import scatter_left
 from srt.estimation.srt_measurements import Player
 from srt.exceptions import DataError
 from srt.model.sensor_model import compose, outside_model
@@ -24,13 +23,11 @@ from srt.sequences.stillness import moved_windows
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from srt.estimation.options import Options
     from srt.estimation.srt_measurements import Playback
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 CONVERGED_CORRECTION: Final = 1e-9
 CONVERGED_SIGMAS: Final = 0.01
@@ -56,7 +53,7 @@ class Solver(Protocol):
         """Inversion at zero error for the composed step, shape (27, n_z), if there is one."""
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Mask:
         """Parameters that keep their start value, shape (27,)."""
 
 
@@ -259,7 +256,7 @@ class Iteration:
 
     def _scatter(self, playback: Playback) -> Array:
         """Wander of the bias that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
-        left = scatter_left(playback)
+        left = playback.scatter_left()
         if len(playback.share) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
         deviation = playback.bias_by_sequence / np.sqrt(left)

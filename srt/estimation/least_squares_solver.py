@@ -15,21 +15,19 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from srt.estimation import measurement_covariance
 from srt.estimation.assembly import assemble, chi_square, is_misfit, outcome_of
 from srt.estimation.fixed_parameters import held_sigma, request_reason
-from srt.estimation.g_sensitivity import carried
 from srt.estimation.initial_estimates import first_estimate
 from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import LeftOut, pools_left, reestimate
+from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.model import measurement_model as model
-from srt.model.prior import prior_sigma
 from srt.noise.variance_components import restricted_likelihood
-from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, expand_names
+from srt.sensor_errors import N_PARAMETERS, NAMES
 from srt.sequences.preparation import open_session
 from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.iteration import Solution
+    from srt.estimation.leave_one_out import Owned
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.estimation.srt_measurements import Playback
@@ -37,29 +35,10 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
-    from srt.estimation.leave_one_out import Owned
 
-# In this order parameters are admitted: one that is collinear with those before it is the one held.
-_ADMISSION: Final = (
-    expand_names(["gyro_bias"])
-    + expand_names(["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"])
-    + expand_names(["accel_asymmetry"])
-    + expand_names(["gyro_asymmetry"])
-)
-
-# A parameter counts as observed if the recording cuts its prior sigma to a third.
-OBSERVED_BELOW: Final = 1.0 / 3.0
 _ROUNDS: Final = 3
-
-
-def admission_sigma() -> Array:
-    """Prior one sigma by which a parameter is judged observed: the general prior, asymmetries to 1 %."""
-    sigma = prior_sigma()
-    for group in ("gyro_asymmetry", "accel_asymmetry"):
-        sigma[GROUP_SLICES[group]] = 0.01
-    return sigma
 
 
 class LeastSquaresSolver:
@@ -103,38 +82,6 @@ class LeastSquaresSolver:
         return G
 
 
-def admit(A: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which parameters whitened data determine, admitted one by one.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, 27)
-        Whitened Jacobian in units of the prior sigma.
-    wanted : ndarray of bool, shape (27,)
-        Parameters that may be admitted.
-
-    Returns
-    -------
-    ndarray of bool, shape (27,)
-        A parameter is in if, with all admitted before it, its sigma is below a third of the prior's.
-    """
-    admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
-    basis: list[Array] = []
-    for name in _ADMISSION:
-        j = INDEX[name]
-        if not wanted[j]:
-            continue
-        column = A[:, j].copy()
-        for _ in range(2):  # twice is enough (Parlett): once leaves rounding of nearly parallel columns
-            for q in basis:
-                column -= (q @ column) * q
-        norm = float(np.linalg.norm(column))
-        if norm > 1.0 / OBSERVED_BELOW:
-            admitted[j] = True
-            basis.append(column / norm)
-    return admitted
-
-
 def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
     """Calibrate by iterated weighted least squares on all measurements.
 
@@ -145,7 +92,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     """
     options.refuse(("step", "loss", "prior", "fixture_states", "live", "targets"), "Least squares")
     labels = recording.sequences or find_turns(recording)
-    data = open_session(recording, labels, options)
+    data = open_session(recording, labels, options.average)
     first = first_estimate(data, options)
     uncertain = held_sigma(data, options)
     held = {n: request_reason(n, uncertain) for n in options.held_names}
@@ -165,7 +112,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
         )
     inflation = _inflation(solution, solver.held)
-    outcome = outcome_of(data, solution, held)
+    outcome = outcome_of(data, options, solution, held, without_sequences)
     return assemble("least-squares", data, options, outcome, held, warnings=warnings, inflation=inflation)
 
 
@@ -203,11 +150,11 @@ def _solve(
     return solution, solver, excess
 
 
-def _misfit(solution: Solution, held: NDArray[np.bool_]) -> bool:
+def _misfit(solution: Solution, held: Mask) -> bool:
     return is_misfit(*chi_square(solution, held))
 
 
-def _inflation(solution: Solution, held: NDArray[np.bool_]) -> float:
+def _inflation(solution: Solution, held: Mask) -> float:
     """Factor on the sigmas where residuals stay larger than all noise explains (Birge)."""
     if solution.status != "converged" or not _misfit(solution, held):
         return 1.0
@@ -215,9 +162,7 @@ def _inflation(solution: Solution, held: NDArray[np.bool_]) -> float:
     return float(np.sqrt(statistic / freedom))
 
 
-def _excess(
-    solution: Solution, data: PlaybackData, held: NDArray[np.bool_], present: tuple[float, float]
-) -> tuple[float, float]:
+def _excess(solution: Solution, data: PlaybackData, held: Mask, present: tuple[float, float]) -> tuple[float, float]:
     """One sigma of attitude per turn and of specific force per pose, by restricted maximum likelihood."""
     playback = solution.playback
     unit = measurement_covariance.covariances(playback, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
@@ -294,7 +239,7 @@ def _pooled_noise(data: PlaybackData, solution: Solution, gain: Array, pools: Ar
     own = np.zeros((len(pools), 3, 3))
     for source in measurement_covariance.disturbances(playback, data, solution.wander).values():
         if source.rate is not None:
-            pooled = np.tensordot(pools, carried(playback, source.rate)[0], 1)
+            pooled = np.tensordot(pools, playback.after_g_sensitivity(source.rate)[0], 1)
             with_z += (
                 measurement_covariance.project(playback, data, source, gain) @ pooled.reshape(3 * len(pools), -1).T
             )

@@ -20,27 +20,23 @@ knowledge of north, which a gap in a chain of free turns would lower.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
+from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.model.prior import prior_sigma
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
-    Indices = NDArray[np.intp]
     from srt.estimation.iteration import Solution
     from srt.estimation.options import Options
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Indices, Mask
 
     Owned = tuple[Indices, Indices]
 
@@ -181,8 +177,6 @@ def reestimate(information: Array, gradient: Array, estimated: Mask) -> LeftOut:
         Of what is left, at the solution with all.
     estimated : ndarray of bool, shape (27,)
     """
-    from srt.estimation.least_squares_solver import OBSERVED_BELOW, admission_sigma
-
     out = LeftOut(np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS, dtype=np.bool_), np.zeros(N_PARAMETERS))
     e = np.flatnonzero(estimated)
     if not len(e):
@@ -387,29 +381,22 @@ def _names(mask: Mask) -> list[str]:
     return [NAMES[i] for i in np.flatnonzero(mask)]
 
 
-# By name, as the estimators are: what judges the closed form is no concern of the others.
-_MAKERS: Final = {
-    "closed-form": "srt.estimation.closed_form_solver",
-    "least-squares": "srt.estimation.least_squares_solver",
-}
-
-
-class Maker(Protocol):
-    """What each of those modules has as ``without_sequences``."""
+class WithoutSequences(Protocol):
+    """Leave-one-out of a solver."""
 
     def __call__(self, data: PlaybackData, options: Options, solution: Solution, owned: list[Owned]) -> list[LeftOut]:
-        """Estimate without each sequence."""
+        """Estimate without each sequence; ``owned`` as of :func:`owned_by_sequences`."""
 
 
 def evidence_of(
-    estimator: str, data: PlaybackData, options: Options, solution: Solution, held: Mask
+    without_sequences: WithoutSequences, data: PlaybackData, options: Options, solution: Solution, held: Mask
 ) -> tuple[Evidence, ...]:
-    """Judge every sequence of a solution by play-back.
+    """Compare every sequence of a solution with all others.
 
     Parameters
     ----------
-    estimator : str
-        "closed-form" or "least-squares"; of others nothing is known.
+    without_sequences : WithoutSequences
+        Of the solver.
     data : PlaybackData
     options : Options
     solution : Solution
@@ -420,9 +407,8 @@ def evidence_of(
     tuple of Evidence
         In the order of the sequences; empty where the linear model is singular.
     """
-    if estimator not in _MAKERS or held.all():
+    if held.all():
         return ()
-    without_sequences: Maker = import_module(_MAKERS[estimator]).without_sequences
     H, owned = np.where(held, 0.0, solution.playback.H), owned_by_sequences(data)
     try:
         against = against_others(solution.playback.z, H, solution.measurement_covariance, [rows for rows, _ in owned])

@@ -17,17 +17,14 @@ from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.g_sensitivity import carried
 from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.srt_measurements import Playback
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 _SCATTER_PROBABILITY: Final = 1e-3
 
@@ -66,7 +63,7 @@ def project(playback: Playback, data: PlaybackData, source: Disturbance, bias_ga
     phi = np.zeros((K, 3, S)) if source.phi is None else source.phi
     rest = np.zeros((3, S))
     if source.rate is not None:
-        rate, by_g_sensitivity = carried(playback, source.rate)
+        rate, by_g_sensitivity = playback.after_g_sensitivity(source.rate)
         rest = np.tensordot(playback.pool, rate, 1)
         own = np.tensordot(playback.share, rate, 1) - rest
         # The offset taken off in a sequence is in units of the compensated rate.
@@ -145,7 +142,7 @@ def excess_scatter(rates: Array, expected: Array) -> Array:
     """
     n = len(rates) - 1
 
-    def scatters(values: Array) -> NDArray[np.bool_]:
+    def scatters(values: Array) -> Mask:
         m = len(values) - 1
         squares = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
         return np.asarray(squares > expected * chdtri(m, _SCATTER_PROBABILITY))

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from srt.exceptions import InputError
 from srt.model.prior import Prior
 from srt.sensor_errors import SensorErrors, expand_names
+from srt.sequences.window_means import Average
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-Average = Literal["linear", "overlapping"]
 Down = Literal["tilt-immune", "paper"]
 WindowAttitude = Literal["held", "integrated"]
 GyroBias = Literal["auto", "pooled", "per-sequence", "g-sensitive"]

@@ -16,14 +16,10 @@ from srt.exceptions import InputError, MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from srt.estimation.options import Options
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
-    Array = NDArray[np.float64]
     Progress = Callable[[int, float], None]
 
 GROUP: Final = "srt.estimators"

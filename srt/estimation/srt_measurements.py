@@ -20,8 +20,6 @@ from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
     from srt.model.analytic_platform import GyroStream
@@ -29,8 +27,7 @@ if TYPE_CHECKING:
     from srt.model.sensor_model import Triad
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PlaybackData
-
-    Array = NDArray[np.float64]
+    from srt.types import Array, Indices, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,12 +85,12 @@ class Playback:
     pool: Array
     share: Array
     window_attitude: Array
-    window_sequence: NDArray[np.intp]
+    window_sequence: Indices
     earth_rate: Array
     gyro: Triad
     accel: Triad
     U: Array
-    integrated: NDArray[np.bool_]
+    integrated: Mask
     nominal_vertical: bool
     poses: PoseRegression | None = None
 
@@ -103,6 +100,40 @@ class Playback:
         out: Array = self.share @ self.rest_rate - self.pool @ self.rest_rate
         return out
 
+    def after_g_sensitivity(self, rate: Array) -> tuple[Array, Array]:
+        """Disturbances of the window rates after Γ was estimated from these rates, and their effect on φ.
+
+        Parameters
+        ----------
+        rate : ndarray, shape (W, 3, S), rad/s
+            On the compensated mean rate of each window.
+
+        Returns
+        -------
+        rate : ndarray, shape (W, 3, S), rad/s
+            Less the g-sensitivity that was taken for them.
+        phi : ndarray, shape (K, 3, S), rad
+            On φ in B_Strt.
+        """
+        if self.poses is None or self.integrals.velocity is None:
+            return rate, np.zeros((len(self.acceleration), 3, rate.shape[2]))
+        followed = self.poses.fit(rate)
+        raw = np.einsum("ab,bcs->acs", self.gyro.matrix, followed)
+        phi = -np.einsum("kabc,bcs->kas", self.integrals.velocity, raw)
+        return rate - np.einsum("acs,wc->was", followed, self.force), phi
+
+    def scatter_left(self) -> float:
+        """Share of the variance of a bias per sequence that the regression on specific force leaves."""
+        if self.poses is None:
+            return 1.0
+        W, K = len(self.pool), len(self.share)
+        own = np.zeros((W, K))
+        own[np.arange(W), self.window_sequence] = 1.0
+        deviation = self.share - self.pool
+        left = own - self.force @ (self.poses.weights.T @ own)
+        whole = float(np.sum((deviation @ own) ** 2))
+        return float(np.sum((deviation @ left) ** 2)) / whole if whole > 0.0 else 1.0
+
 
 class Player:
     """Plays a recording back with any errors.
@@ -110,7 +141,7 @@ class Player:
     Holds what does not depend on them: the gyro samples of the rotations and the averages of the windows.
     """
 
-    def __init__(self, data: PlaybackData, options: Options, integrated: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, data: PlaybackData, options: Options, integrated: Mask | None = None) -> None:
         W = len(data.windows.duration_s)
         self.data, self.options = data, options
         self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated

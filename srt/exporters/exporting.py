@@ -23,14 +23,12 @@ from srt.result.applier import Applier
 if TYPE_CHECKING:
     from os import PathLike
 
-    from numpy.typing import NDArray
-
     from srt.exporters.format import Exporter, Fields
     from srt.exporters.residual import Correction
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _G_SENSITIVITY_WITHIN = 1e-12
 

@@ -13,11 +13,9 @@ from srt.exceptions import InputError, MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from srt.exporters.source import Source
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
     Texts = Mapping[str, str]
     Fields = dict[str, Array]
 

@@ -35,12 +35,10 @@ from srt.exporters.noise_fields import DEFAULT_TOPIC, OPTIONS, named
 from srt.exporters.source import comment
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.exporters.format import Fields, Texts
     from srt.exporters.source import Source
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _KALIBR_MODEL: Final = "scale-misalignment"
 

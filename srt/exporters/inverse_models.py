@@ -41,12 +41,10 @@ from srt.exporters.noise_fields import OPTIONS, named
 from srt.exporters.source import comment
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.exporters.format import Fields, Texts
     from srt.exporters.source import Source
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _TRIANGLES: Final = {"kalibr": "lower", "calibrated": "lower", "rpng": "upper"}
 

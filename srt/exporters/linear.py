@@ -20,11 +20,9 @@ import numpy as np
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.model.sensor_model import Triad
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 ASYMMETRY: Final = ("leave", "fit")
 

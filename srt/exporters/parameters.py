@@ -39,12 +39,10 @@ from srt.model.sensor_model import Triad, accel_triad, gyro_triad
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from srt.exporters.format import Fields, Texts
     from srt.exporters.source import Source
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _REGISTERS: Final = {"gyro": 84, "accel": 25}
 _COMMAND: Final = re.compile(r"\$(VNWRG,(\d+),([^*$]*))\*([0-9A-Fa-f]{2}|XX)")

@@ -22,13 +22,11 @@ from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.exporters.format import Fields, Texts
     from srt.exporters.source import Source
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 INTEGRATION_COVARIANCE: Final = 1e-10
 """Of the position, m²/s: an integration error of 10 µm/√s, so that the covariance of a single step has an inverse.

@@ -16,12 +16,10 @@ from srt.recording.recording import as_samples, require_finite
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
     Correction = Callable[[Array, Array], tuple[Array, Array]]
 
 DIRECTIONS: Final = 1000

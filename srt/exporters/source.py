@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -16,13 +16,10 @@ from srt.model.rotations import rotation_vector
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from srt.exporters.format import Exporter
     from srt.exporters.linear import Linear
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")
 _TOPIC: Final = re.compile(r"[A-Za-z0-9_/~.-]+")
@@ -32,6 +29,26 @@ _AXES: Final = {
     "accel": "those that the accelerometer matrix defines",
 }
 LAST_INSTANCE: Final = 9
+
+
+class Described(Protocol):
+    """A format as its files describe it; :class:`srt.exporters.format.Exporter` is one."""
+
+    @property
+    def title(self) -> str:
+        """Name of the format for people."""
+
+    @property
+    def formula(self) -> str:
+        """How its reader applies the numbers."""
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Parts of a calibration that it does not hold."""
+
+    @property
+    def asymmetry(self) -> bool:
+        """True if it holds scale-factor asymmetry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +125,7 @@ class Source:
         stated = self.calibration.noise.get(key)
         return None if stated is None else np.array(stated, dtype=np.float64)
 
-    def heading(self, item: Exporter) -> list[str]:
+    def heading(self, item: Described) -> list[str]:
         """Say, in ASCII lines for a comment, what the file is of, how it is applied and what it lacks."""
         provenance = self.calibration.provenance
         stated = {

@@ -27,11 +27,9 @@ from srt.model import rotations
 from srt.model.rotation_integrals import RotationIntegrals, equal_parts, parts_per_rotation
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.model.sensor_model import Triad
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 BLOCK: Final = 16384
 _SMOOTHING_S: Final = 0.2
@@ -62,8 +60,8 @@ class GyroStream:
     increments: Array
     smooth: Array
     interval_s: Array
-    starts: NDArray[np.intp]
-    rotation: NDArray[np.intp]
+    starts: Indices
+    rotation: Indices
     F: Array | None = None
     velocity: Array | None = None
 
@@ -71,8 +69,8 @@ class GyroStream:
 def gyro_stream(
     gyro: Array,
     interval_s: float | Array,
-    spans: NDArray[np.intp],
-    rotation: NDArray[np.intp],
+    spans: Indices,
+    rotation: Indices,
     *,
     rates: bool,
     F: Array | None = None,
@@ -278,7 +276,7 @@ def _weight(stream: GyroStream) -> Array:
     return out
 
 
-def _change(theta: Array, sequence_of: NDArray[np.intp]) -> Array:
+def _change(theta: Array, sequence_of: Indices) -> Array:
     """Change of the increment per interval, (3, m): central, limited where the rate kinks, zero at sequence edges.
 
     The limiter is van Leer's monotonised central one: no change beyond twice either one-sided difference, and none
@@ -372,8 +370,8 @@ def _judge(theta: Array, D: Array, smooth: Array | None, sigma: Array | None) ->
     return np.where(near_zero, _apply(D, smooth), theta) if near_zero.any() else theta
 
 
-def _octant(v: Array) -> NDArray[np.intp]:
+def _octant(v: Array) -> Indices:
     """Octant numbers of vectors of shape (3, n)."""
     negative = v < 0.0
-    out: NDArray[np.intp] = negative[0] + 2 * negative[1].astype(np.intp) + 4 * negative[2]
+    out: Indices = negative[0] + 2 * negative[1].astype(np.intp) + 4 * negative[2]
     return out

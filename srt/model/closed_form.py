@@ -18,9 +18,7 @@ from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from srt.types import Array
 
 
 class Component(NamedTuple):

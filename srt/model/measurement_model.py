@@ -30,12 +30,10 @@ from srt.model.sensor_model import ACCEL_BASIS, GYRO_BASIS
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _S: Final = GROUP_SLICES
 

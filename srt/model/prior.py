@@ -11,9 +11,8 @@ from srt.exceptions import InputError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 _SYMMETRY: Final = 1e-9
 """Largest asymmetry of a correlation matrix that counts as rounding of the file it came from."""
@@ -51,7 +50,7 @@ class CalibratedErrors(Protocol):
         """Covariance, shape (27, 27), SI."""
 
     @property
-    def observed(self) -> NDArray[np.bool_]:
+    def observed(self) -> Mask:
         """Parameters that were estimated, shape (27,)."""
 
 

@@ -21,11 +21,9 @@ from srt.model.table1 import AXES
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from numpy.typing import NDArray
-
     from srt.model.table1 import Sequence
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 _PARTS: Final = (2, 12)
 """Fewest and most parts of one rotation."""
@@ -165,7 +163,7 @@ def parts_per_rotation(rotations: int) -> int:
     return int(np.clip(_PARTS_IN_ALL // max(rotations, 1), *_PARTS))
 
 
-def equal_parts(spans: NDArray[np.intp], parts: int) -> NDArray[np.intp]:
+def equal_parts(spans: Indices, parts: int) -> Indices:
     """Ends of equal parts of sample spans (K, 2), shape (K, parts + 1)."""
-    out: NDArray[np.intp] = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * np.arange(parts + 1) // parts
+    out: Indices = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * np.arange(parts + 1) // parts
     return out

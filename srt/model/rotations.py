@@ -14,7 +14,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    from srt.types import Array
+
     Quaternions = NDArray[np.complex128]
 
 _SMALL = 0.05

@@ -22,9 +22,10 @@ from srt.exceptions import DataError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from srt.types import Array, Indices
+
 
 # Which entry of the 3x3 error matrix each parameter fills, and with what weight.
 _ORTHOGONALITY_PAIRS: Final = ((0, 1), (1, 2), (2, 0))
@@ -121,7 +122,7 @@ class Triad:
         return np.linalg.inv(self.matrix + signs[..., :, None] * np.diag(self.asymmetry))
 
 
-def octants(v: Array) -> NDArray[np.intp]:
+def octants(v: Array) -> Indices:
     """Octant number, 0-7, of vectors of shape (n, 3); a zero counts as positive."""
     negative = v < 0.0
     return negative[:, 0] + 2 * negative[:, 1].astype(np.intp) + 4 * negative[:, 2]

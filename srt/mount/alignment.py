@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from os import PathLike
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from srt.result.calibration import Calibration
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
 
 ANGLES: Final = ("roll", "pitch", "yaw")
 WITHIN_RAD: Final = math.radians(30.0)
@@ -339,7 +339,7 @@ def _triad(b: Array, kind: Array) -> Array:
     return np.stack([np.cross(y, z), y, z], axis=1)
 
 
-def _design(m: Array, stand: NDArray[np.intp], axis: NDArray[np.intp], pitched: NDArray[np.bool_]) -> Array:
+def _design(m: Array, stand: Indices, axis: Indices, pitched: Mask) -> Array:
     """What the rows tell of the correction: z = H ν, shape (r, 3)."""
     H = np.zeros((len(stand), 3))
     level = ~pitched[stand]

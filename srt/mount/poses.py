@@ -23,15 +23,13 @@ from srt.sequences.stationary_windows import find_windows, window_times
 from srt.sequences.window_means import average_windows
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.model.sensor_model import Triad
     from srt.noise.from_windows import NoiseModel
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.window_means import Windows
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 _FORCE_WITHIN: Final = 0.01
 """Of gravity, within which the compensated force of a stand must lie: 1 % is 10 mrad, no calibrated unit's error."""
@@ -186,7 +184,7 @@ def find_stands(recording: Recording, calibration: Calibration, *, level_sigma_r
     return Stands(times[used], force[used], covariance, len(kind) - len(used))
 
 
-def _candidates(recording: Recording) -> NDArray[np.intp]:
+def _candidates(recording: Recording) -> Indices:
     """Windows to look at, first sample and one past the last, shape (W, 2), in time order."""
     labels = recording.sequences
     if not labels:
@@ -206,7 +204,7 @@ def _candidates(recording: Recording) -> NDArray[np.intp]:
     return np.array(found, dtype=np.intp)
 
 
-def _check_samples(recording: Recording, samples: NDArray[np.intp], used: NDArray[np.intp], names: list[str]) -> None:
+def _check_samples(recording: Recording, samples: Indices, used: Indices, names: list[str]) -> None:
     """Refuse stands that are too short, interrupted or clipped."""
     levels = clipping_levels(recording)
     for i in used.tolist():
@@ -221,7 +219,7 @@ def _check_samples(recording: Recording, samples: NDArray[np.intp], used: NDArra
 
 
 def _check_still(
-    windows: Windows, accel: Triad, noise: NoiseModel, used: NDArray[np.intp], names: list[str], sigma_rad: float
+    windows: Windows, accel: Triad, noise: NoiseModel, used: Indices, names: list[str], sigma_rad: float
 ) -> None:
     """Refuse a stand whose second half is tilted against the first by more than its noise and the levelling."""
     halves = accel.compensate(windows.accel_halves[used])

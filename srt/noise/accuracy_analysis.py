@@ -21,9 +21,8 @@ from srt.model.rotation_integrals import RotationIntegrals, ideal_rotations
 from srt.model.table1 import AXES, SEQUENCES, axis_vector
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _PULSE: Final = math.sqrt(1.0 / 6.0)
 """Rms of the difference of two pulse counter errors, each even within one pulse: √(2/12) (§9.1)."""

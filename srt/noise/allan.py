@@ -30,11 +30,9 @@ from srt.exceptions import DataError, MissingExtraError
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Recording
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 CHANNELS: Final = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
@@ -112,7 +110,7 @@ class AllanDeviation:
         return out
 
 
-def allan_deviation(recording: Recording, windows: NDArray[np.intp]) -> AllanDeviation:
+def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
     """Allan deviation over octaves of averaging time, pooled over all long stationary windows.
 
     Parameters
@@ -228,8 +226,8 @@ def _allantools() -> ModuleType:
 
 
 def _pooled(
-    allantools: ModuleType, recording: Recording, windows: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], Array, list[Array], list[Array]]:
+    allantools: ModuleType, recording: Recording, windows: Indices
+) -> tuple[Indices, Array, list[Array], list[Array]]:
     """Variances by octave, pooled over windows.
 
     Returns
@@ -447,7 +445,7 @@ def fit_terms(design: Array, variance: Array, freedom: Array) -> tuple[Array, Ar
     return solution, doubt
 
 
-def _likeliest(design: Array, variance: Array, freedom: Array, kept: NDArray[np.intp]) -> tuple[Array, float]:
+def _likeliest(design: Array, variance: Array, freedom: Array, kept: Indices) -> tuple[Array, float]:
     """Coefficients by iterated weighted least squares, weighted by the model as the likelihood is; and the loss."""
     solution = np.zeros(design.shape[1])
     sigma = variance * np.hypot(np.sqrt(2.0 / (_SHARED * freedom)), _MODEL_DOUBT)

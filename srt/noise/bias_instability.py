@@ -23,9 +23,8 @@ from srt.model.rotation_integrals import equal_parts, parts_per_rotation
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 CORRELATION_TIMES_S: Final = tuple(10.0**decade for decade in range(-1, 5))
 """Correlation times of all processes."""
@@ -108,7 +107,7 @@ class DriftDraws:
         return np.asarray(np.einsum("kp,kpn->kn", share, self.parts))
 
 
-def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], time_s: Array) -> DriftDraws:
+def drift_draws(windows: Indices, rotation: Indices, time_s: Array) -> DriftDraws:
     """Draws of the drift of the windows and rotations of a recording.
 
     Parameters
@@ -127,12 +126,12 @@ def drift_draws(windows: NDArray[np.intp], rotation: NDArray[np.intp], time_s: A
     return DriftDraws(root[:W], root[W:].reshape(*part_s.shape, -1), part_s)
 
 
-def window_draws(windows: NDArray[np.intp], time_s: Array) -> Array:
+def window_draws(windows: Indices, time_s: Array) -> Array:
     """Draws of the drift of windows alone, shape (W, W), for sensors of which the rotations do not matter."""
     return _root(windows, time_s)[0]
 
 
-def _root(spans: NDArray[np.intp], time_s: Array) -> tuple[Array, Array]:
+def _root(spans: Indices, time_s: Array) -> tuple[Array, Array]:
     """Lower triangular root of the covariance of the means over sample spans (n, 2), and the lengths of these, s."""
     # A sample stands for the interval before its time; a part without one has no length.
     length = float(np.median(np.diff(time_s)))

@@ -17,11 +17,9 @@ from scipy.optimize import nnls
 from srt.constants import STANDARD_GRAVITY_M_S2
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Recording
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 GYRO_FLOOR: Final = 1e-10
 """Smallest angle random walk that is believed, rad/√s."""
@@ -74,7 +72,7 @@ class NoiseModel:
         return out
 
 
-def noise_model(recording: Recording, windows: NDArray[np.intp]) -> NoiseModel:
+def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
     """Complete the stated noise of a unit from its stationary windows.
 
     Parameters
@@ -122,7 +120,7 @@ def noise_model(recording: Recording, windows: NDArray[np.intp]) -> NoiseModel:
     )
 
 
-def flicker_spread(windows: NDArray[np.intp]) -> float:
+def flicker_spread(windows: Indices) -> float:
     """One sigma of a window's bias about its mean over the test, in units of the stated bias instability.
 
     The instability B_A of data sheets is the floor of the Allan deviation. Flicker noise with that floor,
@@ -134,7 +132,7 @@ def flicker_spread(windows: NDArray[np.intp]) -> float:
     return math.sqrt(max(1.0, math.log(ratio) / (2.0 * math.log(2.0))))
 
 
-def _fit(recording: Recording, windows: NDArray[np.intp]) -> tuple[Array, Array]:
+def _fit(recording: Recording, windows: Indices) -> tuple[Array, Array]:
     """Random walk and edge error of the six columns from the octaves of the Allan variance."""
     dt = recording.nominal_interval_s
     totals: dict[int, tuple[Array, int]] = {}
@@ -190,7 +188,7 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
     return solution, float(doubt / max(solution[0], _LEAST_SHARE * doubt))
 
 
-def _resolution(recording: Recording, windows: NDArray[np.intp], sensor: str) -> Array:
+def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:
     """Smallest step between distinct readings of a column, as a rate; 0 where readings hardly repeat."""
     table = getattr(recording, sensor)
     stride = max(1, sum(b - a for a, b in windows.tolist()) // _MAX_SAMPLES_FOR_RESOLUTION)

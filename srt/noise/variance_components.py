@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _STEPS: Final = 50
 

@@ -16,9 +16,8 @@ from srt.planning.stand import AXIS_NAMES, INNER, OUTER, QUARTER_DEG
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from srt.planning.stand import Stand
+    from srt.types import Indices
 
     Legs = tuple[tuple[int, int], ...]
 
@@ -142,24 +141,24 @@ class Candidate:
         return tuple(c for c in found if c.obstacle(stand) is None)
 
 
-def outer_axis(inner_deg: int) -> NDArray[np.intp]:
+def outer_axis(inner_deg: int) -> Indices:
     """Direction of the outer axis in IMU components: (sin, cos, 0) of the inner angle."""
     a = math.radians(inner_deg)
     return np.rint([math.sin(a), math.cos(a), 0.0]).astype(np.intp)
 
 
-def down_axis(inner_deg: int, outer_deg: int) -> NDArray[np.intp]:
+def down_axis(inner_deg: int, outer_deg: int) -> Indices:
     """Direction of down in IMU components: the third row of R_y(outer) R_z(inner)."""
     i, o = math.radians(inner_deg), math.radians(outer_deg)
     return np.rint([-math.sin(o) * math.cos(i), math.sin(o) * math.sin(i), math.cos(o)]).astype(np.intp)
 
 
-def _letter(direction: NDArray[np.intp]) -> tuple[str, int]:
+def _letter(direction: Indices) -> tuple[str, int]:
     k = int(np.flatnonzero(direction)[0])
     return AXES[k], int(direction[k])
 
 
-def _signed(direction: NDArray[np.intp]) -> str:
+def _signed(direction: Indices) -> str:
     letter, sign = _letter(direction)
     return letter if sign > 0 else f"-{letter}"
 

@@ -38,11 +38,9 @@ from srt.reports.figures.style import (
 from srt.sensor_errors import GROUP_SLICES, SYMBOLS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.planning.plan import Plan
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _SIZE_INCHES: Final = (12.0, 8.0)
 _MINUTE_S: Final = 60.0

@@ -30,13 +30,13 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.planning.candidates import Candidate
     from srt.planning.stand import Stand
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 GRAVITY: Final = N_PARAMETERS
 NORTH: Final = N_PARAMETERS + 1
@@ -245,9 +245,7 @@ class Signatures:
             "force": np.einsum("kiac,kjbc->kijab", self.by_force, self.by_force),
         }
 
-    def covariances(
-        self, start_s: ArrayLike, end_s: ArrayLike, which: NDArray[np.intp] | None = None
-    ) -> dict[str, Array]:
+    def covariances(self, start_s: ArrayLike, end_s: ArrayLike, which: Indices | None = None) -> dict[str, Array]:
         """Covariance of the ten measurements by source, shape (n, 10, 10) each; of drift, what is the sequence's own.
 
         Parameters
@@ -279,7 +277,7 @@ class Signatures:
             "earth_rate_alignment": self._fixed["earth_rate_alignment"][k],
         }
 
-    def _edges(self, k: NDArray[np.intp], T: Array) -> Array:
+    def _edges(self, k: Indices, T: Array) -> Array:
         """Errors of the readings of the angle at the four edges of the windows; the inner two bound the rotation."""
         if self.conditions.gyro_edge == 0.0:
             return np.zeros((len(k), N_ROWS, N_ROWS))
@@ -292,7 +290,7 @@ class Signatures:
         G = self.conditions.gyro_edge * edge.reshape(len(k), N_ROWS, -1)
         return np.asarray(G @ np.swapaxes(G, 1, 2))
 
-    def whitened(self, start_s: ArrayLike, end_s: ArrayLike, which: NDArray[np.intp] | None = None) -> Array:
+    def whitened(self, start_s: ArrayLike, end_s: ArrayLike, which: Indices | None = None) -> Array:
         """Jacobians in units of the noise, ``L⁻¹ H`` with ``L Lᵀ`` the covariance, shape (n, 10, N_UNKNOWNS)."""
         R = np.asarray(sum(self.covariances(start_s, end_s, which).values()))
         H = self.H if which is None else self.H[which]

@@ -14,15 +14,13 @@ from srt.planning.plan import Limits, Task, check_targets
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.planning.candidates import Candidate
     from srt.planning.information import Conditions
     from srt.planning.plan import Progress
     from srt.planning.stand import Stand
     from srt.result.calibration import Calibration
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _MOSTLY: Final = 0.95
 _FAR: Final = 1e6

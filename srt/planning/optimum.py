@@ -26,10 +26,8 @@ from srt.exceptions import DataError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 GAP: Final = 0.01
 """The search ends when the bound is this close, as a share of sigma."""

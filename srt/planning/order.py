@@ -9,10 +9,9 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from srt.planning.candidates import Candidate
     from srt.planning.stand import Stand
+    from srt.types import Array
 
 _MOST_PASSES: Final = 100
 _STARTS: Final = 6
@@ -57,7 +56,7 @@ def best_order(candidates: Sequence[Candidate], stand: Stand) -> tuple[tuple[int
     return tuple(path), chosen, total
 
 
-def _nearest(first: int, cost: NDArray[np.float64]) -> list[int]:
+def _nearest(first: int, cost: Array) -> list[int]:
     path, left = [first], set(range(len(cost))) - {first}
     while left:
         here = path[-1]
@@ -66,11 +65,11 @@ def _nearest(first: int, cost: NDArray[np.float64]) -> list[int]:
     return path
 
 
-def _length(path: Sequence[int], cost: NDArray[np.float64]) -> float:
+def _length(path: Sequence[int], cost: Array) -> float:
     return float(cost[path[:-1], path[1:]].sum())
 
 
-def _improved(path: list[int], cost: NDArray[np.float64]) -> list[int]:
+def _improved(path: list[int], cost: Array) -> list[int]:
     """Shift runs of up to three sequences, and turn runs round, while that shortens the path; the best change first."""
     for _ in range(_MOST_PASSES):
         trials = np.array(_neighbours(path))

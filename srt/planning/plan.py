@@ -28,13 +28,11 @@ from srt.sensor_errors import NAMES
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from srt.planning.candidates import Candidate
     from srt.planning.information import Conditions
     from srt.planning.stand import Stand
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
     Progress = Callable[[str, int, float], None]
 
 __all__ = ["Limits", "Plan", "Task", "check_targets", "make_plan", "table_1_plan"]
@@ -187,7 +185,7 @@ class Task:
 
     def _optimum(
         self, signatures: Signatures, coarse: Columns, total_s: float
-    ) -> tuple[Relaxed, Columns, NDArray[np.intp], Array]:
+    ) -> tuple[Relaxed, Columns, Indices, Array]:
         def tell(count: int, gap: float) -> None:
             self.tell("optimum", count, gap)
 
@@ -199,7 +197,7 @@ class Task:
 
     def _with_fine_windows(
         self, signatures: Signatures, coarse: Columns, rough: Relaxed
-    ) -> tuple[Columns, NDArray[np.intp], Array]:
+    ) -> tuple[Columns, Indices, Array]:
         """Columns with a start and an end window of their own for the sequences that are worth it.
 
         The information of a sequence is concave in its windows, so that the coarse grid loses a little between its
@@ -408,5 +406,5 @@ class Task:
         shorter = replace(plan, windows_s=choice.windows_s, total_s=total_s, prediction=prediction)
         return shorter if shorter.ratio <= MET and total_s < plan.total_s else plan
 
-    def _positions(self, candidates: Sequence[Candidate]) -> NDArray[np.intp]:
+    def _positions(self, candidates: Sequence[Candidate]) -> Indices:
         return np.array([self._number[c.key] for c in candidates], dtype=np.intp)

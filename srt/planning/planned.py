@@ -15,14 +15,12 @@ from srt.planning.selection import Judge
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.planning.candidates import Candidate
     from srt.planning.information import Conditions, Signatures
     from srt.planning.selection import Choice
     from srt.planning.stand import Stand
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 MET: Final = 1.0 + 1e-4
 """Sigma over target up to which a target counts as met: what an optimum is found to."""

@@ -14,12 +14,9 @@ from srt.planning.information import N_ROWS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from srt.planning.selection import Judge, Pool
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 _SHORTLIST: Final = 16
 _POWER: Final = 8.0

@@ -16,13 +16,11 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from srt.planning.candidates import Candidate
     from srt.planning.information import Conditions
     from srt.planning.stand import Stand
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 NEXT_TO_NOTHING: Final = 1e-9
 """Information on every unknown that is always there, in units of its target: nothing is quite unknown, so that

@@ -11,12 +11,9 @@ from scipy.optimize import minimize
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from srt.planning.information import Signatures
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 _PROMISING: Final = 25
 _POWERS: Final = (3.0, 16.0)

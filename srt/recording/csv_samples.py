@@ -19,16 +19,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from srt.types import Array
 
 _ENCODING = "utf-8-sig"  # with or without the mark that Windows programs put first
 _ROWS_PER_WRITE = 4096
 _TAIL_BYTES = 1 << 16
 
 
-def read_csv(
-    path: Path, select: Callable[[Sequence[str]], tuple[str, ...]]
-) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+def read_csv(path: Path, select: Callable[[Sequence[str]], tuple[str, ...]]) -> tuple[tuple[str, ...], Array]:
     """Read the selected columns of a file.
 
     Parameters
@@ -74,7 +72,7 @@ def read_csv(
     return names, table
 
 
-def write_csv(path: Path, names: Sequence[str], columns: Sequence[NDArray[np.float64]]) -> None:
+def write_csv(path: Path, names: Sequence[str], columns: Sequence[Array]) -> None:
     """Write columns with as many digits as each number needs to be read back exactly.
 
     Parameters

@@ -18,8 +18,9 @@ import numpy as np
 from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
 from srt.recording.atomic import atomic_path, unwritable
+from srt.recording.importer_registry import is_foreign
 from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
-from srt.recording.samples import SAMPLES_FORMATS, Samples, is_foreign, read_samples, write_samples
+from srt.recording.samples import SAMPLES_FORMATS, Samples, read_samples, write_samples
 from srt.recording.schema import (
     ACCEL_UNITS,
     COUNTS,
@@ -40,7 +41,7 @@ from srt.recording.schema import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
+    from srt.types import Array
 
 TOML_NAME: Final = "recording.toml"
 
@@ -368,7 +369,7 @@ def _read_sequences(file: str, values: object) -> tuple[SequenceLabel, ...]:
 
 def _conversion(
     file: str, sensor: str, kind: str, main: Mapping[str, Any], units: Mapping[str, Mapping[str, float]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Offset and factor of a sensor's columns, each of shape (3,)."""
     unit, lsb, offset = (main.get(f"{sensor}_{name}") for name in ("unit", "lsb", "offset_counts"))
     allowed = ", ".join(f'"{name}"' for name in (*units[kind], COUNTS))
@@ -394,7 +395,7 @@ def _conversion(
     return np.zeros(3), np.full(3, units[kind][unit])
 
 
-def _apply(values: NDArray[np.float64], conversion: tuple[NDArray[np.float64], NDArray[np.float64]]) -> None:
+def _apply(values: Array, conversion: tuple[Array, Array]) -> None:
     """Convert in place, touching nothing that is right already."""
     offset, factor = conversion
     if offset.any():

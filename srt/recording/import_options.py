@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from srt.types import Array
 
 TRIADS: Final = {"gyro": GYRO_COLUMNS, "accel": ACCEL_COLUMNS}
 """Channels of each sensor; its name alone stands for the three of them."""
@@ -244,7 +244,7 @@ def parse_columns(text: str) -> dict[str, str | int]:
     return result
 
 
-def parse_axis_map(text: str | None, name: str = "map_gyro") -> NDArray[np.float64] | None:
+def parse_axis_map(text: str | None, name: str = "map_gyro") -> Array | None:
     """Read an axis map such as "x,-y,z".
 
     Parameters

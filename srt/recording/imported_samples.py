@@ -17,6 +17,8 @@ from srt.recording.timing import GAP_STEPS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from srt.types import Array, Indices
+
 REBASE_BEYOND_S: Final = 1e6
 """Stamps above this are counted from the first: a double holds smaller ones to a fifth of a nanosecond."""
 
@@ -64,12 +66,12 @@ class Imported:
         Sentences: what was assumed, dropped or changed.
     """
 
-    gyro: NDArray[np.float64]
-    accel: NDArray[np.float64]
+    gyro: Array
+    accel: Array
     kind: Kind = "rate"
-    time: NDArray[np.float64] | None = None
+    time: Array | None = None
     sample_rate_hz: float | None = None
-    temperature: NDArray[np.float64] | None = None
+    temperature: Array | None = None
     serial: str | None = None
     date: str | None = None
     units: dict[str, str] = field(default_factory=dict)
@@ -128,7 +130,7 @@ def assemble(
     chosen: Kind = kind or options.kind or "rate"
     said: list[str] = []
     units: dict[str, str] = {}
-    arrays: dict[str, NDArray[np.float64]] = {}
+    arrays: dict[str, Array] = {}
     for sensor, raw, own in (("gyro", gyro, stated.gyro), ("accel", accel, stated.accel)):
         if raw.ndim != 2 or raw.shape[1] != 3 or len(raw) != len(gyro):
             raise InputError(f"The {sensor} readings have the shape {raw.shape}, but ({len(gyro)}, 3) is expected.")
@@ -158,7 +160,7 @@ def assemble(
     )
 
 
-def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> NDArray[np.float64]:
+def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
     """Turn stamps into seconds, counted from the first where they are too large for a double.
 
     Parameters
@@ -192,11 +194,11 @@ def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> NDArray[np.
 
 
 def join_streams(
-    gyro_time: NDArray[np.float64],
-    accel_time: NDArray[np.float64],
-    accel: NDArray[np.float64],
+    gyro_time: Array,
+    accel_time: Array,
+    accel: Array,
     notes: list[str],
-) -> tuple[slice | NDArray[np.intp], NDArray[np.float64]]:
+) -> tuple[slice | Indices, Array]:
     """Bring accelerometer readings to the gyros' stamps, by linear interpolation where the stamps differ.
 
     Parameters
@@ -389,7 +391,7 @@ def _worth(lsb: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in (lsb if len(set(lsb)) > 1 else lsb[:1]))
 
 
-def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDArray[Any]) -> NDArray[np.float64]:
+def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDArray[Any]) -> Array:
     values = np.array(raw, dtype=np.float64)
     lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
     if unit == COUNTS:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -14,10 +15,12 @@ import numpy as np
 from srt.exceptions import DataError, InputError, did_you_mean
 from srt.recording.import_options import ImportOptions, option
 from srt.recording.imported_samples import Imported, in_axes, without_repeats
+from srt.recording.samples import SAMPLES_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
 
 AUTO: Final = "auto"
 
@@ -235,3 +238,23 @@ def _printable(text: str) -> str:
 
 def _names() -> str:
     return ", ".join(IMPORTERS)
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether a file or folder is of a format that has an importer, and none of those read here.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
+    if path.suffix.lower() in SAMPLES_FORMATS:
+        return False
+    try:
+        find_importer(path)
+    except InputError:
+        return False
+    return True

@@ -21,7 +21,7 @@ from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES
 from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices
 
 Kind = Literal["rate", "increment"]
 
@@ -288,16 +288,16 @@ class Recording:
         samples.
     """
 
-    time: NDArray[np.float64]
-    gyro: NDArray[np.float64]
-    accel: NDArray[np.float64]
+    time: Array
+    gyro: Array
+    accel: Array
     site: Site
     kind: Kind = "rate"
     fixture: Fixture | None = None
     noise: ImuNoise = field(default_factory=ImuNoise)
     sequences: tuple[SequenceLabel, ...] = ()
     sample_rate_hz: float | None = None
-    temperature: NDArray[np.float64] | None = None
+    temperature: Array | None = None
     serial: str | None = None
     date: str | None = None
     source: str | None = None
@@ -356,7 +356,7 @@ class Recording:
         return self._timing
 
     @property
-    def interval_s(self) -> float | NDArray[np.float64]:
+    def interval_s(self) -> float | Array:
         """Duration that each sample covers, s: a number where uniform, else shape (n,)."""
         return self.timing.interval_s
 
@@ -366,7 +366,7 @@ class Recording:
         return self.timing.nominal_interval_s
 
     @property
-    def gaps(self) -> NDArray[np.intp]:
+    def gaps(self) -> Indices:
         """Indices of the samples that start a new contiguous piece; empty without interruptions."""
         return self.timing.gaps
 
@@ -405,7 +405,7 @@ def _same_rotations(first: tuple[tuple[str, float], ...], second: tuple[tuple[st
     )
 
 
-def as_samples(name: str, given: object, dimensions: int) -> NDArray[np.float64]:
+def as_samples(name: str, given: object, dimensions: int) -> Array:
     """Give a read-only contiguous float64 view, copied only where needed.
 
     Parameters
@@ -440,7 +440,7 @@ def as_samples(name: str, given: object, dimensions: int) -> NDArray[np.float64]
     return values
 
 
-def require_finite(name: str, values: NDArray[np.float64], time: NDArray[np.float64] | None) -> None:
+def require_finite(name: str, values: Array, time: Array | None) -> None:
     """Raise InputError that names the first value that is not finite, by column, sample and time."""
     # A sum is finite only if every term is, and costs a fraction of a test of each. If it overflows,
     # look closer.
@@ -461,7 +461,7 @@ def require_finite(name: str, values: NDArray[np.float64], time: NDArray[np.floa
     )
 
 
-def require_increasing(time: NDArray[np.float64]) -> None:
+def require_increasing(time: Array) -> None:
     """Raise InputError that names the first stamp which does not follow its predecessor."""
     rising = time[1:] > time[:-1]
     if rising.all():

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from srt.types import Array
+
 GYRO_COLUMNS: Final = ("gyro_x", "gyro_y", "gyro_z")
 ACCEL_COLUMNS: Final = ("accel_x", "accel_y", "accel_z")
 TIME: Final = "time"
@@ -44,10 +46,10 @@ class Samples:
     temperature : ndarray, shape (n,), or None
     """
 
-    gyro: NDArray[np.float64]
-    accel: NDArray[np.float64]
-    time: NDArray[np.float64] | None = None
-    temperature: NDArray[np.float64] | None = None
+    gyro: Array
+    accel: Array
+    time: Array | None = None
+    temperature: Array | None = None
 
     @classmethod
     def empty(cls, names: Sequence[str], rows: int) -> Samples:
@@ -59,7 +61,7 @@ class Samples:
             np.empty(rows) if TEMPERATURE in names else None,
         )
 
-    def column(self, name: str) -> NDArray[np.float64]:
+    def column(self, name: str) -> Array:
         """Give one column as a view, shape (n,)."""
         if name in GYRO_COLUMNS:
             return self.gyro[:, GYRO_COLUMNS.index(name)]
@@ -109,28 +111,6 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
         raise InputError(f"Cannot read {path} ({error.strerror or _first_line(error)}).") from None
     except MemoryError:
         raise InputError(f"{path} does not fit into memory: split the recording.") from None
-
-
-def is_foreign(path: Path) -> bool:
-    """Whether a file or folder is of a format that has an importer, and none of those read here.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-    """
-    if path.suffix.lower() in _FORMATS:
-        return False
-    from srt.recording.importer_registry import find_importer
-
-    try:
-        find_importer(path)
-    except InputError:
-        return False
-    return True
 
 
 def write_samples(path: str | Path, samples: Samples) -> None:

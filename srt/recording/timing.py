@@ -19,7 +19,7 @@ import numpy as np
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from srt.types import Array, Indices
 
 GAP_STEPS: Final = 1.5
 """A step longer than this many intervals is a gap."""
@@ -48,12 +48,12 @@ class SampleTiming:
         Indices of the samples that start a new contiguous piece (never 0).
     """
 
-    interval_s: float | NDArray[np.float64]
+    interval_s: float | Array
     nominal_interval_s: float
-    gaps: NDArray[np.intp]
+    gaps: Indices
 
 
-def sample_timing(time: NDArray[np.float64], sample_rate_hz: float | None = None) -> SampleTiming:
+def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTiming:
     """Find intervals and gaps.
 
     Parameters
@@ -100,7 +100,7 @@ def sample_timing(time: NDArray[np.float64], sample_rate_hz: float | None = None
     return SampleTiming(interval_s, slope, _read_only(gaps))
 
 
-def stamp_resolution(time: NDArray[np.float64]) -> float:
+def stamp_resolution(time: Array) -> float:
     """Find the coarsest decimal unit (1 s ... 1 ns) of which all stamps are whole multiples.
 
     Parameters
@@ -124,13 +124,13 @@ def stamp_resolution(time: NDArray[np.float64]) -> float:
     return floor
 
 
-def _are_multiples(time: NDArray[np.float64], unit: float, floor: float) -> bool:
+def _are_multiples(time: Array, unit: float, floor: float) -> bool:
     remainder = time / unit
     remainder -= np.rint(remainder)
     return bool(max(-remainder.min(), remainder.max()) * unit <= 4.0 * floor + 1e-6 * unit)
 
 
-def _gaps_at_known_interval(time: NDArray[np.float64], steps: NDArray[np.float64], interval: float) -> NDArray[np.intp]:
+def _gaps_at_known_interval(time: Array, steps: Array, interval: float) -> Indices:
     """Find gaps when the rate is known: a late stamp is one only if the stamps after it stay late.
 
     Stamps set by the host come in bursts; the long step before one is made up for by the short ones in it.
@@ -145,13 +145,11 @@ def _gaps_at_known_interval(time: NDArray[np.float64], steps: NDArray[np.float64
         np.maximum(before, time[i] - i * interval, out=before)
         i = np.minimum(late + k, time.size - 1)
         np.minimum(after, time[i] - i * interval, out=after)
-    lasting: NDArray[np.intp] = late[after - before > (GAP_STEPS - 1.0) * interval]
+    lasting: Indices = late[after - before > (GAP_STEPS - 1.0) * interval]
     return lasting
 
 
-def _check_rate(
-    time: NDArray[np.float64], steps: NDArray[np.float64], gaps: NDArray[np.intp], sample_rate_hz: float
-) -> None:
+def _check_rate(time: Array, steps: Array, gaps: Indices, sample_rate_hz: float) -> None:
     contiguous = steps.size - gaps.size
     if contiguous >= gaps.size:
         found = (float(time[-1] - time[0]) - float(steps[gaps - 1].sum())) / contiguous
@@ -166,7 +164,7 @@ def _check_rate(
         )
 
 
-def _common_line(time: NDArray[np.float64], gaps: NDArray[np.intp], typical: float) -> tuple[float, float]:
+def _common_line(time: Array, gaps: Indices, typical: float) -> tuple[float, float]:
     """Fit the interval common to all pieces; return it and half the largest range of deviations in a piece.
 
     Sums run over indices and times relative to the start of each piece: with gaps of hours, sums over
@@ -190,6 +188,6 @@ def _common_line(time: NDArray[np.float64], gaps: NDArray[np.intp], typical: flo
     return typical + correction, 0.5 * float(spread.max())
 
 
-def _read_only(indices: NDArray[np.intp]) -> NDArray[np.intp]:
+def _read_only(indices: Indices) -> Indices:
     indices.flags.writeable = False
     return indices

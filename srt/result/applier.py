@@ -16,12 +16,13 @@ sample by sample can avoid it; where the unit stands still, average the readings
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 import numpy as np
 
 from srt.exceptions import InputError
 from srt.model.measurement_model import force_error_jacobian, rate_error_jacobian
+from srt.model.prior import CalibratedErrors
 from srt.model.sensor_model import SIGNS, Triad, accel_triad, gyro_triad
 from srt.sensor_errors import N_PARAMETERS
 
@@ -30,9 +31,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from srt.result.calibration import Calibration
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
     Vector = tuple[float, float, float]
     Sample = Sequence[float] | Array
 
@@ -47,6 +47,14 @@ _BITS: Final = np.array([[0], [1], [2]], dtype=np.uint8)
 _COVARIANCE_BLOCK: Final = 1024
 
 _ORTHOGONAL_WITHIN: Final = 1e-6
+
+
+class ErrorsInFrames(CalibratedErrors, Protocol):
+    """Sensor errors in MARS with the rotation from the table frame; :class:`srt.Calibration` is one."""
+
+    @property
+    def U(self) -> Array | None:
+        """T to MARS components, shape (3, 3); None without a fixture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +139,7 @@ class Applier:
     __slots__ = ("_block", "_covariance", "_tables", "_triads", "_work", "accel", "gyro", "rotation")
 
     def __init__(
-        self, calibration: Calibration, *, frame: Literal["mars", "table"] = "mars", block: int = BLOCK
+        self, calibration: ErrorsInFrames, *, frame: Literal["mars", "table"] = "mars", block: int = BLOCK
     ) -> None:
         if frame == "table" and calibration.U is None:
             raise InputError("This calibration was made without a fixture and knows no table frame; use frame='mars'.")
@@ -358,12 +366,12 @@ class _Part:
     x: Array
     v: Array
     t: Array
-    negative: NDArray[np.bool_]
+    negative: Mask
     bits: NDArray[np.uint8]
     code: NDArray[np.uint8]
     found: NDArray[np.uint8]
-    wrong: NDArray[np.bool_]
-    octant: NDArray[np.intp]
+    wrong: Mask
+    octant: Indices
 
 
 class _Work:
@@ -431,7 +439,7 @@ def _mend(work: _Part, tables: _Tables, octants: tuple[tuple[float, ...], ...]) 
         work.v[:, k] = _least_contradiction(x, y, z, octants)
 
 
-def _number(v: Array, negative: NDArray[np.bool_], bits: NDArray[np.uint8], code: NDArray[np.uint8]) -> None:
+def _number(v: Array, negative: Mask, bits: NDArray[np.uint8], code: NDArray[np.uint8]) -> None:
     """Number the octants of vectors of shape (3, m); a zero counts as positive. ``bits`` views ``negative``."""
     np.less(v, 0.0, out=negative)
     np.left_shift(bits, _BITS, out=bits)

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from os import PathLike
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from srt.types import Array, Mask
+
 
 FORMAT: Final = "srt-calibration"
 VERSION: Final = 1
@@ -122,7 +123,7 @@ class Calibration:
         return out
 
     @property
-    def observed(self) -> NDArray[np.bool_]:
+    def observed(self) -> Mask:
         """Which parameters the recording determined, shape (27,)."""
         return np.array([name not in self.held for name in NAMES])
 

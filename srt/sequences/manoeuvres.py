@@ -13,16 +13,12 @@ from scipy.ndimage import uniform_filter1d
 from srt.model.rotations import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from srt.recording.recording import Recording
-
-    Array = NDArray[np.float64]
     from collections.abc import Sequence as SequenceOf
 
-    Whole = NDArray[np.int64]
     from srt.model.table1 import Sequence
+    from srt.recording.recording import Recording
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Counts, Indices
 
 MOVING: Final = 0.2
 """Share of a turn's highest rate above which it is moving."""
@@ -52,7 +48,7 @@ class Turn:
     first: int
     last: int
     legs: Array
-    bounds: NDArray[np.intp]
+    bounds: Indices
 
     @property
     def angle_rad(self) -> float:
@@ -60,7 +56,7 @@ class Turn:
         return float(np.linalg.norm(self.legs, axis=1).sum())
 
 
-def find_legs(recording: Recording, windows: NDArray[np.intp], start: int) -> Turn:
+def find_legs(recording: Recording, windows: Indices, start: int) -> Turn:
     """Split the turn after a window into legs.
 
     A leg is a stretch in which the same sensor axis turns fastest, in the same sense: a fixture turns about one axis at
@@ -116,7 +112,7 @@ OFF: Final = 0.4
 
 
 @cache
-def quarter_turn(axis: int, count: int) -> Whole:
+def quarter_turn(axis: int, count: int) -> Counts:
     """Rotation by quarter turns about a body axis, turned to unturned components, shape (3, 3), whole numbers."""
     c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
     out = np.eye(3, dtype=np.int64)
@@ -143,7 +139,7 @@ def faces(force: Array, gravity: float) -> list[tuple[int, int] | None]:
     return [(int(a), int(s)) if c > _UPRIGHT else None for a, s, c in zip(axis, sign, share, strict=True)]
 
 
-def face_vector(face: tuple[int, int]) -> Whole:
+def face_vector(face: tuple[int, int]) -> Counts:
     """Down in body axes, shape (3,)."""
     out = np.zeros(3, dtype=np.int64)
     out[face[0]] = face[1]

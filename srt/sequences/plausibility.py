@@ -21,9 +21,10 @@ from srt.model.table1 import AXES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from srt.recording.recording import Recording
+    from srt.types import Array, Indices, Mask
 
 LEGAL_RATIO: Final = (0.35, 1.8)
 """Reading over truth of an uncalibrated unit: 50 % of scale factor, and 1 m/s² or its like of bias."""
@@ -76,8 +77,8 @@ class ClippingLevels:
         gyro x, y, z, accelerometer x, y, z; infinite where no limit is known or seen.
     """
 
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    low: Array
+    high: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +276,7 @@ def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | 
     return tuple(found)
 
 
-def gap_inside(recording: Recording, part: slice) -> NDArray[np.intp]:
+def gap_inside(recording: Recording, part: slice) -> Indices:
     """Find the interruptions inside a part of a recording, across which nothing can be integrated.
 
     Parameters
@@ -290,7 +291,7 @@ def gap_inside(recording: Recording, part: slice) -> NDArray[np.intp]:
         Indices of the samples that follow an interruption; one right before the part is outside it.
     """
     gaps = recording.gaps
-    inside: NDArray[np.intp] = gaps[(gaps > part.start) & (gaps < part.stop)]
+    inside: Indices = gaps[(gaps > part.start) & (gaps < part.stop)]
     return inside
 
 
@@ -298,7 +299,7 @@ def _is_legal(ratio: float) -> bool:
     return LEGAL_RATIO[0] <= ratio <= LEGAL_RATIO[1]
 
 
-def _illegal(ratio: NDArray[np.float64]) -> NDArray[np.intp]:
+def _illegal(ratio: Array) -> Indices:
     return np.flatnonzero(~((ratio >= LEGAL_RATIO[0]) & (ratio <= LEGAL_RATIO[1])))
 
 
@@ -326,7 +327,7 @@ def _unknown_cause(ratio: float, sensor: str) -> str:
     return f"no known unit explains it; check which columns hold the {sensor} readings"
 
 
-def _repeats_at(channel: NDArray[np.float64], extreme: float, suspects: list[float]) -> bool:
+def _repeats_at(channel: Array, extreme: float, suspects: list[float]) -> bool:
     """Whether an extreme repeats as readings other than the suspects do not."""
     equal = channel[1:] == channel[:-1]
     longest = _longest_run(equal & (channel[1:] == extreme))
@@ -338,7 +339,7 @@ def _repeats_at(channel: NDArray[np.float64], extreme: float, suspects: list[flo
     return not often and longest > 2 * _longest_run(equal)
 
 
-def _longest_run(mask: NDArray[np.bool_]) -> int:
+def _longest_run(mask: Mask) -> int:
     """Count the steps of the longest run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
     return int((edges[1::2] - edges[::2]).max()) if edges.size else 0

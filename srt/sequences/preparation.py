@@ -27,12 +27,9 @@ from srt.sequences.window_means import Windows, average_windows, averaging_weigh
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from numpy.typing import NDArray
-
-    from srt.estimation.options import Options
     from srt.recording.recording import Recording, SequenceLabel
-
-    Array = NDArray[np.float64]
+    from srt.sequences.window_means import Average
+    from srt.types import Array, Indices, Mask
 
 
 def sequence_of_label(label: SequenceLabel) -> Sequence | None:
@@ -82,8 +79,8 @@ class PlaybackData:
     labels: tuple[SequenceLabel, ...]
     catalogue: tuple[Sequence | None, ...]
     windows: Windows
-    start: NDArray[np.intp]
-    end: NDArray[np.intp]
+    start: Indices
+    end: Indices
     noise: NoiseModel
     average: str
     voided: dict[str, str]
@@ -117,7 +114,7 @@ class PlaybackData:
         return np.stack([nominal_attitude(s) for s in self.catalogue if s is not None])
 
     @cached_property
-    def rotation(self) -> NDArray[np.intp]:
+    def rotation(self) -> Indices:
         """Samples of each rotation, first and one past the last, shape (K, 2)."""
         return np.stack([self.windows.samples[self.start, 1], self.windows.samples[self.end, 0]], axis=1)
 
@@ -146,9 +143,7 @@ class PlaybackData:
         north = EARTH_RATE_RAD_S * np.cos(site.latitude_rad)
         return np.array([north * np.cos(heading), -north * np.sin(heading), down])
 
-    def stream(
-        self, integrated: NDArray[np.bool_], *, with_force: bool = False
-    ) -> tuple[GyroStream, Array | None, Array | None]:
+    def stream(self, integrated: Mask, *, with_force: bool = False) -> tuple[GyroStream, Array | None, Array | None]:
         """Gyro samples to integrate over.
 
         Parameters
@@ -210,7 +205,7 @@ class PlaybackData:
 def prepare(
     recording: Recording,
     labels: SequenceOf[SequenceLabel],
-    options: Options,
+    average: Average = "linear",
     *,
     voided: dict[str, str] | None = None,
     poses: SequenceOf[SequenceLabel] = (),
@@ -255,11 +250,11 @@ def prepare(
         recording,
         tuple(labels),
         tuple(sequence_of_label(label) for label in labels),
-        average_windows(recording, samples, options.average),
+        average_windows(recording, samples, average),
         start,
         end,
         noise_model(recording, samples),
-        options.average,
+        average,
         dict(voided or {}),
         tuple(alone),
     )
@@ -273,7 +268,7 @@ _MOTION_SIGMAS: Final = 8.0
 def open_session(
     recording: Recording,
     labels: tuple[SequenceLabel, ...],
-    options: Options,
+    average: Average = "linear",
     *,
     poses: tuple[SequenceLabel, ...] = (),
 ) -> PlaybackData:
@@ -296,7 +291,7 @@ def open_session(
             voided[label.title] = f"samples are missing before {recording.time[int(gaps[0])]:.6g} s"
         else:
             whole.append(label)
-    data = prepare(recording, whole, options, voided=voided, poses=poses)
+    data = prepare(recording, whole, average, voided=voided, poses=poses)
     _check_overlap(data)
     # Units before clipping: degrees taken for radians are beyond any range.
     dt = recording.nominal_interval_s
@@ -307,7 +302,7 @@ def open_session(
     voided |= {title: str(channels[0]) for title, channels in clipped.items() if channels}
     if any(clipped.values()):
         left = [s for s in whole if not clipped[s.title]]
-        data = prepare(recording, left, options, voided=voided, poses=poses)
+        data = prepare(recording, left, average, voided=voided, poses=poses)
     if recording.sequences:
         # Windows found by the segmentation are as still as the unit ever was; what moves in them is integrated.
         _check_stillness(data)

@@ -29,19 +29,16 @@ from srt.sequences.manoeuvres import (
     scales,
 )
 from srt.sequences.preparation import nominal_attitude
-from srt.sequences.stationary_windows import find_windows, resolution_floor, window_times
-from srt.sequences.window_edges import best_join, trimmed
+from srt.sequences.rest_detection import resolution_floor
+from srt.sequences.stationary_windows import best_join, find_windows, trimmed, window_times
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from numpy.typing import NDArray
-
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
-    Whole = NDArray[np.int64]
     Word = tuple[tuple[int, int], ...]
 
 _WORDS: Final[dict[str, tuple[tuple[int, int], Word]]] = {
@@ -131,7 +128,7 @@ class Recognition:
         unless only another fits.
     """
 
-    windows: NDArray[np.intp]
+    windows: Indices
     turns: tuple[FoundTurn, ...]
     labels: tuple[SequenceLabel, ...]
     confidence: tuple[float, ...]
@@ -477,7 +474,7 @@ def _best_path(
     return matches[::-1], joins
 
 
-def _result(recording: Recording, windows: NDArray[np.intp], turns: SequenceOf[Turn], best: _Reading) -> Recognition:
+def _result(recording: Recording, windows: Indices, turns: SequenceOf[Turn], best: _Reading) -> Recognition:
     """Labels and confidences of a reading."""
     confidence = _confidences(turns, best)
     spans = {w: (int(a), int(b)) for w, (a, b) in enumerate(windows.tolist())}
@@ -512,9 +509,7 @@ def _result(recording: Recording, windows: NDArray[np.intp], turns: SequenceOf[T
     return Recognition(windows, found, labels, tuple(confidence), best.scale, best.mapping)
 
 
-def _parted_rests(
-    recording: Recording, windows: NDArray[np.intp], turns: SequenceOf[Turn], best: _Reading
-) -> dict[int, int]:
+def _parted_rests(recording: Recording, windows: Indices, turns: SequenceOf[Turn], best: _Reading) -> dict[int, int]:
     """Rests that are two, by window, with the first sample of the second: at hidden joins, and two dwells in one.
 
     A rest that ends one sequence and starts another is one pose for both, unless it is as long as two or the attitude

@@ -1,266 +1,236 @@
-"""Stationary windows of an unlabelled recording: blocks of samples at rest, and free manoeuvres between them.
-
-Nothing here is an absolute threshold. The quietest blocks give the unit's noise. The rest rate (bias and Earth rate)
-is where the mean rates of quiet, steady blocks crowd together over the most different faces: a slow turn at an even
-rate is as quiet as rest and may last longer, but gravity moves meanwhile, or it turns about the vertical in one face.
-A block's *activity* is its distance from that rest, mean and scatter together. Its distribution has two modes, resting
-(on a bench, or in a hand that trembles) and turning; the valley between them decides.
-"""
+"""Stationary windows of an unlabelled recording, to the sample; free manoeuvres between; jumps of attitude within."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, product
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import chdtri
 
-from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
-from srt.noise.from_windows import smallest_step
 from srt.recording.recording import SequenceLabel
-from srt.sequences.window_edges import split_at_jumps, to_the_sample
+from srt.sequences.rest_detection import BLOCK_S, blocks_of, find_rest, still_runs
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Sequence as SequenceOf
 
     from srt.recording.recording import Recording
-
-    Array = NDArray[np.float64]
-
-BLOCK_S: Final = 0.1
-MIN_BLOCK_SAMPLES: Final = 8
-SPREAD: Final = 6.0
-"""Sigmas of a block mean within which it counts as the same."""
-_FALSE_ALARM: Final = 1e-4
-_LOUD: Final = 10.0
-"""Variance of a block over that of the unit's quiet ones, above which it moves. Real rests differ by a few (a hand
-near by, a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
-_SHAKEN: Final = 400.0
-"""Variance of specific force over the quiet level, beyond which a block is a knock and no rest."""
-_MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
-_ROUNDING: Final = 1e-9
-_EARTH_SPREAD: Final = 3.0 * EARTH_RATE_RAD_S
-_FACE: Final = 0.5
-"""Cells of the direction of specific force, in units of its magnitude, that count as different faces."""
-_STEADY_BLOCKS: Final = 10
-_CELL: Final = 4.0
-"""Cells in which mean rates are counted, in units of what a bench at rest may show."""
+    from srt.sequences.rest_detection import Blocks
+    from srt.types import Array, Indices
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
-    """Means and variances of consecutive blocks, gyro then accelerometer columns, as rates.
+_LONGEST_SUM: Final = 32
+_SIGMAS: Final = 6.0
+"""Beyond which readings are motion: the 500,000 tests of a usual recording exceed it by chance about 0.001 times."""
+_DOUBTFUL: Final = 2.5
+"""Sigmas of a single reading, next to motion, that are better left out."""
+_REFERENCE_S: Final = 2.0
+_INWARD_BLOCKS: Final = 20
+_OUTWARD_BLOCKS: Final = 3
+_FEW: Final = 8
+_CHUNK_S: Final = 0.5
+_JUMP: Final = 60.0
+"""Smallest gain in chi-square (six channels, one of some forty places) by which a jump is believed."""
+_ALONE: Final = 6.0
+"""Times the gain of any other place in the window."""
+_UNUSUAL: Final = 8.0
+"""Times what is usual away from the largest step of a window."""
+_MOST_CHUNKS: Final = 10
 
-    Attributes
+
+def to_the_sample(recording: Recording, blocks: Blocks, runs: SequenceOf[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Stationary windows from runs of still blocks, each extended to the last sample that is still.
+
+    The readings outward of an edge are summed over 1, 2, 4 ... samples and compared with the window beside it. What
+    first exceeds its noise ends the window, and as much again is left out: noise hides the beginning of a slow turn.
+
+    Parameters
     ----------
-    first : ndarray of int, shape (B,)
-        First sample of each block.
-    size : int
-        Samples of a block.
-    mean, variance : ndarray, shape (B, 6)
-    piece : ndarray of int, shape (B,)
-        Contiguous piece of the recording that the block lies in.
-    floor : ndarray, shape (6,)
-        Variance below which nothing is told from rest: that of the readings' resolution, and rounding.
+    recording : Recording
+    blocks : Blocks
+    runs : sequence of (int, int)
+        First block and one past the last.
+
+    Returns
+    -------
+    list of (int, int)
+        First sample and one past the last; windows do not overlap.
     """
-
-    first: NDArray[np.intp]
-    size: int
-    mean: Array
-    variance: Array
-    piece: NDArray[np.intp]
-    floor: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rest:
-    """Which blocks are at rest, and what rest is.
-
-    Attributes
-    ----------
-    still : ndarray of bool, shape (B,)
-    level : ndarray, shape (6,)
-        Variance of a sample at rest.
-    """
-
-    still: NDArray[np.bool_]
-    level: Array
-
-
-def blocks_of(recording: Recording) -> Blocks:
-    """Cut every contiguous piece of a recording into blocks of a tenth of a second.
-
-    Raises
-    ------
-    DataError
-        If there are too few samples for one block.
-    """
-    dt = recording.nominal_interval_s
-    size = max(MIN_BLOCK_SAMPLES, round(BLOCK_S / dt))
-    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
-    pieces = [0, *recording.gaps.tolist(), len(recording.time)]
-    first, mean, variance, piece = [], [], [], []
-    for p, (a, b) in enumerate(pairwise(pieces)):
-        n = (b - a) // size
-        if n == 0:
+    pieces = np.array([0, *recording.gaps.tolist(), len(recording.time)])
+    out: list[tuple[int, int]] = []
+    for first, last in runs:
+        if last - first < 3:
             continue
-        both = [_moments(table[a : a + n * size], n, size) for table in (recording.gyro, recording.accel)]
-        first.append(a + size * np.arange(n))
-        piece.append(np.full(n, p))
-        mean.append(np.concatenate([m for m, _ in both], axis=1) * factor)
-        variance.append(np.concatenate([v for _, v in both], axis=1) * factor**2)
-    if not first:
-        raise DataError(
-            f"The recording has {len(recording.time)} samples, too few to find stillness: at least {size} are needed."
-        )
-    centre = np.concatenate(mean)
-    floor = np.maximum(resolution_floor(recording), (_ROUNDING * np.abs(centre).max(axis=0)) ** 2)
-    return Blocks(np.concatenate(first), size, centre, np.concatenate(variance), np.concatenate(piece), floor)
-
-
-def resolution_floor(recording: Recording) -> Array:
-    """Variance of a sample, as a rate, that the resolution of the readings makes, shape (6,); never zero."""
-    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
-    stride = max(1, len(recording.time) // _MAX_SAMPLES_FOR_RESOLUTION)
-    step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)]) * factor
-    return np.asarray(step**2 / 12.0 + 1e-300)
-
-
-_BATCH: Final = 1 << 16
-"""Samples that are looked at together: they stay in the processor's cache."""
-
-
-def _moments(table: Array, n: int, size: int) -> tuple[Array, Array]:
-    """Mean and variance of n blocks, each of shape (n, 3)."""
-    mean, variance = np.empty((n, 3)), np.empty((n, 3))
-    step = max(1, _BATCH // size)
-    weights = np.full(size, 1.0 / size)
-    for a in range(0, n, step):
-        b = min(a + step, n)
-        x = table[a * size : b * size].reshape(b - a, size, 3)
-        # One product of matrices for the means; deviations from a reading of the block itself lose no digits.
-        x = x - x[:, :1]
-        m = weights @ x
-        np.multiply(x, x, out=x)
-        variance[a:b] = (weights @ x - m * m) * (size / (size - 1.0))
-        mean[a:b] = m + table[a * size : b * size : size]
-    return mean, np.maximum(variance, 0.0)
-
-
-def find_rest(blocks: Blocks) -> Rest:
-    """Tell which blocks are at rest."""
-    n = blocks.size
-    upper = max(_LOUD, float(chdtri(n - 1, _FALSE_ALARM)) / (n - 1))
-    middle = float(chdtri(n - 1, 0.5)) / (n - 1)
-    # The quietest tenth is at rest if anything is; the loop then takes the level from all blocks that agree.
-    level = np.maximum(np.quantile(blocks.variance, 0.1, axis=0), blocks.floor)
-    quiet = np.all(blocks.variance <= upper * level, axis=1)
-    for _ in range(5):
-        if not quiet.any():
-            break
-        level = np.maximum(np.median(blocks.variance[quiet], axis=0) / middle, blocks.floor)
-        new = np.all(blocks.variance <= upper * level, axis=1)
-        if np.array_equal(new, quiet):
-            break
-        quiet = new
-    radius = np.hypot(SPREAD * np.sqrt(level[:3] / n), _EARTH_SPREAD)
-    candidates = np.flatnonzero(quiet)
-    if candidates.size == 0:
-        return Rest(np.asarray(quiet), level)
-    rest = _rest_rate(blocks, candidates, level, radius)
-    distance = np.sqrt((blocks.mean[:, :3] - rest) ** 2 + blocks.variance[:, :3])
-    bench = np.sqrt((1.5 * radius) ** 2 + upper * level[:3])
-    # In units of what a bench at rest may show; below 1 everything is rest.
-    activity = np.max(distance / bench, axis=1)
-    shaken = np.any(blocks.variance[:, 3:] > _SHAKEN * level[3:], axis=1)
-    return Rest(np.asarray((activity <= max(1.0, _valley(activity))) & ~shaken), level)
-
-
-def _rest_rate(blocks: Blocks, candidates: NDArray[np.intp], level: Array, radius: Array) -> Array:
-    """Mean rate at rest, shape (3,): where steady blocks crowd, counted over the faces they were seen in."""
-    points = blocks.mean[candidates, :3] / radius
-    force = blocks.mean[candidates, 3:]
-    steady = _steady(blocks, level)[candidates]
-    if not steady.any():
-        steady = np.ones(len(candidates), dtype=np.bool_)
-    points, force = points[steady], force[steady]
-    unit = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
-    faces = _keys(np.floor(unit / _FACE + 0.5))
-    best, centre = -1.0, points[0]
-    # A crowd smaller than half a cell lies whole inside a cell of at least one of the eight grids.
-    for offset in product((0.0, 0.5), repeat=3):
-        cells = _keys(np.floor(points / _CELL + np.array(offset)))
-        both, counts = np.unique(np.stack([cells, faces], axis=1), axis=0, return_counts=True)
-        names, index = np.unique(both[:, 0], return_inverse=True)
-        # The square root makes ten seconds in each of six faces weigh more than a minute in one.
-        score = np.bincount(index, weights=np.sqrt(counts))
-        if score.max() > best:
-            best = float(score.max())
-            centre = np.median(points[cells == names[int(np.argmax(score))]], axis=0)
-    for _ in range(5):
-        near = np.all(np.abs(points - centre) <= 1.0, axis=1)
-        if not near.any():
-            break
-        centre = points[near].mean(axis=0)
-    out: Array = centre * radius
+        # Where the turns are slow, the outermost still blocks move a little already: begin well inside. A hand
+        # trembles all the time, so there the blocks' verdict stands.
+        inside = max(1, min(_INWARD_BLOCKS, (last - first) // 4)) if recording.fixture is not None else 1
+        inner = (int(blocks.first[first + inside]), int(blocks.first[last - inside]))
+        piece = int(np.searchsorted(pieces, inner[0], side="right"))
+        reach = (inside + _OUTWARD_BLOCKS) * blocks.size
+        outer = (max(int(pieces[piece - 1]), inner[0] - reach), min(int(pieces[piece]), inner[1] + reach))
+        a, b = _extend(recording, inner, outer, blocks.floor)
+        if out and a < out[-1][1]:  # both reach into the blocks between them: each keeps its half
+            middle = (a + out[-1][1]) // 2
+            out[-1], a = (out[-1][0], middle), middle
+        out.append((a, b))
     return out
 
 
-def _steady(blocks: Blocks, level: Array) -> NDArray[np.bool_]:
-    """Whether the force a second before or after each block is the same within its noise, shape (B,).
+def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tuple[int, int]:
+    """Cut off what is not still at the ends of a window, within a quarter of its length.
 
-    Over a second even a slow turn moves gravity by more than the noise of a block.
+    Parameters
+    ----------
+    recording : Recording
+    window : (int, int)
+        First sample and one past the last.
+    floor : ndarray, shape (6,)
+        Variance of one sample, as a rate, that the resolution of the readings makes.
     """
-    k = min(_STEADY_BLOCKS, len(blocks.mean) - 1)
-    out = np.zeros(len(blocks.mean), dtype=np.bool_)
-    if k == 0:
-        return out
-    change = np.abs(blocks.mean[k:, 3:] - blocks.mean[:-k, 3:])
-    same = np.all(change <= SPREAD * np.sqrt(2.0 * level[3:] / blocks.size), axis=1)
-    same &= blocks.piece[k:] == blocks.piece[:-k]
-    out[k:] |= same
-    out[:-k] |= same
+    inside = (window[1] - window[0]) // 4
+    return _extend(recording, (window[0] + inside, window[1] - inside), window, floor)
+
+
+def _extend(recording: Recording, inner: tuple[int, int], outer: tuple[int, int], floor: Array) -> tuple[int, int]:
+    """Extend a still span to the last still samples on both sides, not beyond ``outer``."""
+    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    n = max(1, min(inner[1] - inner[0], round(_REFERENCE_S / recording.nominal_interval_s)))
+    sides = (
+        (slice(inner[0], inner[0] + n), range(inner[0] - 1, outer[0] - 1, -1)),
+        (slice(inner[1] - n, inner[1]), range(inner[1], outer[1])),
+    )
+    before, after = (_still_outward(recording, *side, factor, np.sqrt(floor)) for side in sides)
+    return inner[0] - before, inner[1] + after
+
+
+def _still_outward(recording: Recording, reference: slice, outward: range, factor: float, least: Array) -> int:
+    """How many samples next to a window belong to it."""
+    if len(outward) == 0:
+        return 0
+    beside = np.concatenate([recording.gyro[reference], recording.accel[reference]], axis=1) * factor
+    index = np.array(outward)
+    away = np.concatenate([recording.gyro[index], recording.accel[index]], axis=1) * factor
+    sigma = np.maximum(beside.std(axis=0), least)
+    deviation = (away - beside.mean(axis=0)) / sigma
+    total = np.cumsum(deviation, axis=0)
+    total = np.concatenate([np.zeros((1, 6)), total])
+    best, kept = len(index), len(index)
+    n = 1
+    while n <= min(len(index), _LONGEST_SUM):
+        beyond = np.any(np.abs(total[n:] - total[:-n]) > _SIGMAS * np.sqrt(n), axis=1)
+        if beyond.any():
+            found = int(np.argmax(beyond)) + n - 1
+            if found < best:
+                best, kept = found, max(0, found - 2 * (n - 1))
+        n *= 2
+    # The sample beside the motion may hold its first or last moment, too little to be told for sure.
+    while 0 < kept < len(index) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):
+        kept -= 1
+    return kept
+
+
+def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], floor: Array) -> list[tuple[int, int]]:
+    """Cut windows where the attitude jumps: at a join, or where the unit was bumped or moved a little.
+
+    Parameters
+    ----------
+    recording : Recording
+    windows : sequence of (int, int)
+        First sample and one past the last.
+    floor : ndarray, shape (6,)
+        Variance of one sample, as a rate, that the resolution of the readings makes.
+
+    Returns
+    -------
+    list of (int, int)
+    """
+    steps = {window: _largest_step(recording, *window, floor) for window in windows}
+    # A wandering bias steps a little in every window; a jump stands out of its own window and of all of them.
+    usual = float(np.median([step.elsewhere for step in steps.values()])) if steps else 0.0
+    out: list[tuple[int, int]] = []
+    waiting = list(reversed(windows))
+    while waiting:
+        window = waiting.pop()
+        step = steps.get(window) or _largest_step(recording, *window, floor)
+        if step.gain > max(_JUMP, _ALONE * step.elsewhere, _UNUSUAL * usual):
+            parts = ((step.at, window[1]), (window[0], step.at))
+            waiting += [trimmed(recording, part, floor) for part in parts if part[1] - part[0] >= _FEW]
+        else:
+            out.append(window)
     return out
 
 
-def _keys(cells: Array) -> NDArray[np.int64]:
-    """One whole number for each cell of a three-dimensional grid."""
-    whole = np.clip(cells, -1e6, 1e6).astype(np.int64) + 1_000_000
-    out: NDArray[np.int64] = (whole[:, 0] * 2_000_001 + whole[:, 1]) * 2_000_001 + whole[:, 2]
-    return out
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Largest step in a window: its gain in chi-square, the largest gain away from it, and the sample after it."""
+
+    gain: float = 0.0
+    elsewhere: float = 0.0
+    at: int = 0
 
 
-def _valley(activity: Array) -> float:
-    """Threshold between two modes of the activity's logarithm (Otsu: greatest between-class variance)."""
-    x = np.sort(np.log(np.maximum(activity, 1e-6)))
-    n = np.arange(1, len(x))
-    total = np.cumsum(x)
-    low, high = total[:-1] / n, (total[-1] - total[:-1]) / (len(x) - n)
-    between = n * (len(x) - n) * (high - low) ** 2
-    best = int(np.argmax(between))
-    return float(np.exp(0.5 * (x[best] + x[best + 1])))
+def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Step:
+    dt = recording.nominal_interval_s
+    size = max(1, round(_CHUNK_S / dt))
+    count = (b - a) // size
+    span = min(_MOST_CHUNKS, count // 4)
+    if span < 2:
+        return _Step()
+    mean = _chunks(recording, a, size, count)
+    steps = np.diff(mean, axis=0) ** 2
+    # Noise from neighbours, without the largest difference of a channel, which may be the jump itself.
+    variance = (steps.sum(axis=0) - steps.max(axis=0)) / (2.0 * (count - 2))
+    # The sum of counts over a chunk is wrong by less than one, at either end.
+    variance = np.maximum(variance, 2.0 * floor / size**2)
+    total = np.concatenate([np.zeros((1, 6)), np.cumsum(mean, axis=0)])
+    # A bias that wanders as stated steps by this much between neighbouring means, however long they are: the Allan
+    # variance of flicker noise is flat.
+    stated = (recording.noise.gyro_bias_instability, recording.noise.accel_bias_instability)
+    wander = 2.0 * np.repeat([figure or 0.0 for figure in stated], 3) ** 2
+    # Means over `span` chunks on both sides of one chunk, in which the jump may lie.
+    before = (total[span : count - span] - total[: count - 2 * span]) / span
+    after = (total[2 * span + 1 :] - total[span + 1 : count - span + 1]) / span
+    gain = np.sum((after - before) ** 2 / (2.0 * variance / span + wander), axis=1)
+    best = int(np.argmax(gain))
+    elsewhere = gain[np.abs(np.arange(len(gain)) - best) > span]
+    lo, hi = a + size * max(0, best + span - 1), a + size * min(count, best + span + 2)
+    return _Step(float(gain[best]), float(elsewhere.max(initial=0.0)), best_join(recording, lo, hi)[0])
 
 
-def still_runs(still: NDArray[np.bool_], blocks: Blocks) -> list[tuple[int, int]]:
-    """Runs of still blocks (first, one past last), bridging single blocks that chance threw out."""
-    filled = still.copy()
-    lone = ~still[1:-1] & still[:-2] & still[2:]
-    # A lone loud block between quiet ones is chance unless it moved the unit: then the force differs after it.
-    scatter = np.sqrt(np.median(blocks.variance[still], axis=0)[3:] / blocks.size) if still.any() else np.ones(3)
-    same = np.all(np.abs(blocks.mean[2:, 3:] - blocks.mean[:-2, 3:]) <= SPREAD * np.sqrt(2.0) * scatter, axis=1)
-    filled[1:-1] |= lone & same
-    key = np.where(filled, blocks.piece, -1)
-    edges = np.flatnonzero(np.diff(key, prepend=-2, append=-2))
-    return [(a, b) for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if filled[a]]
+def best_join(recording: Recording, a: int, b: int) -> tuple[int, float]:
+    """Most likely place of a jump between two samples: the first sample after it, and its gain in chi-square.
+
+    Parameters
+    ----------
+    recording : Recording
+    a, b : int
+        First sample to look at, and one past the last; at least three samples.
+    """
+    samples = np.concatenate([recording.gyro[a:b], recording.accel[a:b]], axis=1)
+    least = 1e-9 * np.abs(samples).max(axis=0) + 1e-150
+    samples = samples - samples.mean(axis=0)
+    spread = np.maximum(np.diff(samples, axis=0).std(axis=0) / np.sqrt(2.0), least)
+    total = np.cumsum(samples / spread, axis=0)[:-1]
+    before = np.arange(1, b - a)
+    gain = np.sum(total**2, axis=1) * (b - a) / (before * (b - a - before))
+    best = int(np.argmax(gain))
+    return a + 1 + best, float(gain[best])
+
+
+def _chunks(recording: Recording, a: int, size: int, count: int) -> Array:
+    """Mean readings of consecutive chunks, shape (count, 6), as rates."""
+    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    end = a + size * count
+    both = [t[a:end].reshape(count, size, 3).mean(axis=1) for t in (recording.gyro, recording.accel)]
+    return np.concatenate(both, axis=1) * factor
 
 
 MIN_WINDOW_S: Final = 1.0
+
 MIN_TURN_RAD: Final = 0.1
 
 
-def find_windows(recording: Recording) -> NDArray[np.intp]:
+def find_windows(recording: Recording) -> Indices:
     """Stationary windows, first sample and one past the last, shape (W, 2), in time order.
 
     Two that adjoin without a sample between them lie on both sides of a join: the attitude jumps there, as where

@@ -8,12 +8,10 @@ import numpy as np
 from scipy.special import chdtri
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.model.sensor_model import Triad
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 PROBABILITY: Final = 1e-3
 """Of calling a still window moving, by both tests of it together."""
@@ -29,7 +27,7 @@ def moved_windows(
     rest_rate: Array,
     wander: Array,
     probability: float = PROBABILITY,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Test every window for motion: angle turned, and tilt.
 
     A steady rate is no sign of motion by itself: a bias that changes from pose to pose (g-sensitivity, instability)
@@ -61,7 +59,7 @@ def moved_windows(
 
 def _fails(
     data: PlaybackData, gyro: Triad, accel: Triad, rest_rate: Array, wander: Array, probability: float, ratio: Array
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Both tests, the stated noise of gyros and accelerometers multiplied by ``ratio``, shape (2, W, 3)."""
     noise = data.noise
     T = 0.5 * data.windows.duration_s[:, None]
@@ -86,7 +84,7 @@ def _fails(
     return np.asarray(tilted | (turned > chdtri(3, 0.5 * probability)))
 
 
-def _own_noise(data: PlaybackData, which: NDArray[np.bool_]) -> Array:
+def _own_noise(data: PlaybackData, which: Mask) -> Array:
     """Noise that windows show themselves over what the noise model has, at least one, shape (2, W, 3).
 
     From second differences of the means of sixteen parts, which a steady drift does not move, by their median, which a

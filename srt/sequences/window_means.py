@@ -7,17 +7,17 @@ term. With held attitude these sums are all that the play-backs need of the wind
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from srt.estimation.options import Average
     from srt.recording.recording import Recording
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
+
+Average = Literal["linear", "overlapping"]
+"""Plain mean, or mean of overlapping half-window means (Savage 2020, after eq. 1: linear, average of averages)."""
 
 
 def averaging_weights(n: int, algorithm: Average) -> Array:
@@ -53,7 +53,7 @@ class Windows:
         Variance of the accelerometer mean over the variance of one quantisation error.
     """
 
-    samples: NDArray[np.intp]
+    samples: Indices
     duration_s: Array
     gyro_mean: Array
     gyro_halves: Array
@@ -63,7 +63,7 @@ class Windows:
     edge_factor: Array
 
 
-def average_windows(recording: Recording, samples: NDArray[np.intp], algorithm: Average) -> Windows:
+def average_windows(recording: Recording, samples: Indices, algorithm: Average) -> Windows:
     """Average all windows once.
 
     Parameters

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from srt.recording.import_options import ImportOptions
     from srt.recording.imported_samples import Imported
+    from srt.types import Mask
 
 MAGIC: Final = b"\xa3\x95\x80"  # the first message of a log defines the message that defines messages
 
@@ -59,9 +60,9 @@ class _Log:
     path: Path
     tables: dict[str, dict[str, NDArray[Any]]]
 
-    def instances(self, message: str) -> dict[int, tuple[str, NDArray[np.bool_] | slice]]:
+    def instances(self, message: str) -> dict[int, tuple[str, Mask | slice]]:
         """By instance: the name under which its messages stand, and which of them are its own."""
-        found: dict[int, tuple[str, NDArray[np.bool_] | slice]] = {}
+        found: dict[int, tuple[str, Mask | slice]] = {}
         for variant in _VARIANTS:
             table = self.tables.get(message + variant)
             if table is None:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from srt.types import Array
+
 ARRAY_OPTIONS: Final = frozenset({"columns", "time_unit", "variable"})
 
 HDF5_MAGIC: Final = b"\x89HDF\r\n\x1a\n"
@@ -202,7 +204,7 @@ def _oriented(store: Store, name: str, channel: str, notes: list[str]) -> NDArra
     raise InputError(f"{store.path}: {name} has the shape {values.shape}, but (n, 3) is expected for {channel}.")
 
 
-def _sensor(table: Mapping[str, NDArray[Any]], sensor: str) -> NDArray[np.float64]:
+def _sensor(table: Mapping[str, NDArray[Any]], sensor: str) -> Array:
     if sensor in table:
         return np.asarray(table[sensor], dtype=np.float64)
     return np.column_stack([table[name] for name in TRIADS[sensor]]).astype(np.float64, copy=False)

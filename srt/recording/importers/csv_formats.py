@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from srt.types import Array
+
 TEXT_OPTIONS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma", "skip"})
 
 _PUBLISHED: Final = Units("rad/s", "m/s^2", "ns")
@@ -120,7 +122,7 @@ def read_pair(path: Path, options: ImportOptions) -> Imported:
     return replace(result, units={**result.units, "time": f"{unit} ({'as said' if options.time_unit else 'header'})"})
 
 
-def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray[np.float64]:
+def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
     return np.column_stack([table[name] for name in names]).astype(np.float64, copy=False)
 
 

@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from srt.recording.import_options import ImportOptions
+    from srt.types import Array, Counts
 
 SI_UNITS: Final = ("rad/s", "m/s^2")
 
@@ -42,10 +41,10 @@ class Stream:
     """
 
     name: str
-    stamps: NDArray[np.int64]
+    stamps: Counts
     per_second: int
-    values: NDArray[np.float64]
-    temperature: NDArray[np.float64] | None = field(default=None)
+    values: Array
+    temperature: Array | None = field(default=None)
 
 
 def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None, how: str, notes: list[str]) -> str:

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from srt.recording.import_options import ImportOptions
     from srt.recording.imported_samples import Imported
+    from srt.types import Array
 
 IMU: Final = "sensor_msgs/msg/Imu"
 
@@ -149,7 +148,7 @@ def _plain(raw: bytes) -> bytes:
     return inflate(rosbag_storage.zstd().ZstdDecompressor, raw, _MESSAGE_LIMIT)
 
 
-def _present(values: NDArray[np.float64], absent: NDArray[np.float64]) -> tuple[bool, bool]:
+def _present(values: Array, absent: Array) -> tuple[bool, bool]:
     """Whether there are readings of gyros and accelerometers: not said to be absent, and not all exactly zero."""
     if not len(values):
         return True, True

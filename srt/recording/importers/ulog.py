@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from srt.recording.import_options import ImportOptions
     from srt.recording.imported_samples import Imported
+    from srt.types import Array, Counts
 
 MAGIC: Final = b"ULog\x01\x12\x35"
 
@@ -72,7 +73,7 @@ class _Log:
         """Instances of a topic that hold samples."""
         return sorted(instance for name, instance in self.data if name == topic)
 
-    def column(self, topic: str, instance: int, *names: str) -> NDArray[np.float64]:
+    def column(self, topic: str, instance: int, *names: str) -> Array:
         """Columns side by side, shape (n, len(names)), or (n,) for one."""
         data = self.data[topic, instance]
         missing = next((name for name in names if name not in data), None)
@@ -81,7 +82,7 @@ class _Log:
         columns = [np.asarray(data[name], dtype=np.float64) for name in names]
         return columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
 
-    def stamps(self, topic: str, instance: int) -> NDArray[np.int64]:
+    def stamps(self, topic: str, instance: int) -> Counts:
         """When the samples were taken, µs: the driver's stamp where there is one."""
         data = self.data[topic, instance]
         raw = data.get("timestamp_sample", data.get("timestamp"))

@@ -12,11 +12,9 @@ from srt.exceptions import InputError, clipped
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.reports.certificate.checked import Source
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 FALSE_ALARM: Final = 0.01
 """Chance that any parameter at all is flagged though none has changed, by Bonferroni's bound: it holds whatever the
@@ -50,7 +48,7 @@ class Change:
         return np.asarray(self.difference / self.sigma)
 
     @property
-    def flagged(self) -> NDArray[np.bool_]:
+    def flagged(self) -> Mask:
         """Which parameters changed by more than chance explains, shape (27,)."""
         return np.asarray(np.abs(self.ratio) > self.limit)
 

@@ -17,15 +17,12 @@ from srt.sensor_errors import GROUP_SLICES, NAMES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.model.sensor_model import Triad
     from srt.reports.certificate.checked import Source
     from srt.reports.certificate.limits import Limits
     from srt.reports.certificate.replay import Course
     from srt.result.calibration import Calibration
 
-    Array = NDArray[np.float64]
 
 SERIAL_LENGTH: Final = 200
 """Characters of a serial that are shown."""

@@ -15,11 +15,9 @@ from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDE
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from srt.result.calibration import Calibration
+    from srt.types import Array, Mask
 
-    Array = NDArray[np.float64]
 
 SUFFIXES: Final = {"ppm": "ppm", "µrad": "urad", "µg": "ug", "°/h": "deg_per_h"}
 """How the unit of a table is written in a key."""
@@ -43,11 +41,11 @@ class Limits:
     name: str
 
     @property
-    def given(self) -> NDArray[np.bool_]:
+    def given(self) -> Mask:
         """Which parameters have a limit, shape (27,)."""
         return np.asarray(~np.isnan(self.value) | ~np.isnan(self.sigma))
 
-    def met(self, calibration: Calibration) -> NDArray[np.bool_]:
+    def met(self, calibration: Calibration) -> Mask:
         """Which parameters meet their limits, shape (27,); one that was not measured meets none.
 
         Parameters

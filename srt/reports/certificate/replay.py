@@ -25,15 +25,13 @@ from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.estimation.srt_measurements import Playback
     from srt.recording.recording import Recording
     from srt.reports.certificate.checked import Source
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Indices, Mask
 
-    Array = NDArray[np.float64]
 
 BY_PLAYBACK: Final = ("closed-form", "least-squares")
 """Estimators whose residuals are those of a play-back; others have residuals of their own making."""
@@ -76,7 +74,7 @@ class Course:
     down: Array
     samples: Array
     force: Array
-    breaks: NDArray[np.intp]
+    breaks: Indices
     rest: Array
     excess: Array
     rest_down: Array
@@ -141,7 +139,7 @@ def replay(source: Source, recording: Recording, name: str) -> Course:
         labels = labelled.sequences or find_turns(labelled)
         if calibration.estimator == "closed-form":
             labels = tuple(s for s in labels if s.id in SEQUENCES)
-        data = open_session(labelled, labels, options)
+        data = open_session(labelled, labels, options.average)
     except DataError as error:
         raise InputError(f"{name} cannot be played back, unlike when {source.name} was made: {error}") from None
     if calibration.estimator in BY_PLAYBACK and not _follows(calibration, data, options):
@@ -194,7 +192,7 @@ def _follows(calibration: Calibration, data: PlaybackData, options: Options) -> 
     return bool(turns.all() and first[2 * K : -3].all() and rates)
 
 
-def _within(calibration: Calibration, playback: Playback, stated: Array, data: PlaybackData) -> NDArray[np.bool_]:
+def _within(calibration: Calibration, playback: Playback, stated: Array, data: PlaybackData) -> Mask:
     """Which measurements of a play-back are as near to the residuals stated as the sigmas ask for."""
     by_sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", playback.H, calibration.covariance, playback.H), 0.0))
     unit = np.append(np.full(len(stated), data.gravity), [1e-3, 1e-3, 1e-3])

@@ -38,12 +38,10 @@ from srt.reports.figures.style import (
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.result.calibration import Calibration, Residual
     from srt.sensor_errors import SensorErrors
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 __all__ = ["calibration_figure", "save_figure"]
 
@@ -107,13 +105,11 @@ def calibration_figure(
     return figure
 
 
-def _scaled(which: NDArray[np.intp], vector: Array) -> Array:
+def _scaled(which: Indices, vector: Array) -> Array:
     return np.asarray(vector[which] * np.array(DISPLAY_FACTORS)[which])
 
 
-def _values(
-    axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: NDArray[np.intp], unit: str
-) -> None:
+def _values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
@@ -137,9 +133,7 @@ def _values(
     _separate_groups(axes, which)
 
 
-def _errors(
-    axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: NDArray[np.intp], unit: str
-) -> None:
+def _errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
@@ -157,7 +151,7 @@ def _errors(
     axes.yaxis.set_major_locator(MaxNLocator(5, symmetric=truth is None))
 
 
-def _separate_groups(axes: Axes, which: NDArray[np.intp]) -> None:
+def _separate_groups(axes: Axes, which: Indices) -> None:
     starts = {group.start for group in GROUP_SLICES.values()}
     for at, parameter in enumerate(which.tolist()):
         if at and parameter in starts:

@@ -34,11 +34,9 @@ from srt.reports.figures.style import (
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from srt.comparison.estimators import Comparison
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 _SIZE_INCHES: Final = (14.0, 8.5)
 _HEADING_WIDTH: Final = 140

@@ -37,13 +37,11 @@ from srt.reports.figures.style import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from srt.diagnosis.inspection import Inspection, TurnSeen
     from srt.noise.allan import AllanDeviation
     from srt.recording.recording import Recording
+    from srt.types import Array, Indices
 
-    Array = NDArray[np.float64]
 
 __all__ = ["envelope", "inspection_figure", "save_figure"]
 
@@ -121,7 +119,7 @@ def inspection_figure(recording: Recording, inspection: Inspection, *, title: st
     return figure
 
 
-def envelope(time: Array, values: Array, breaks: NDArray[np.intp]) -> tuple[Array, Array]:
+def envelope(time: Array, values: Array, breaks: Indices) -> tuple[Array, Array]:
     """Thin out a long table to the least and the greatest of every stretch, which looks the same.
 
     Parameters
@@ -168,10 +166,10 @@ def _extremes(values: Array, a: int, b: int, size: int) -> tuple[Array, Array]:
     return lows, highs
 
 
-def _visible_gaps(recording: Recording) -> NDArray[np.intp]:
+def _visible_gaps(recording: Recording) -> Indices:
     gaps, time = recording.gaps, recording.time
     wide = time[gaps] - time[gaps - 1] > _VISIBLE_GAP * (time[-1] - time[0])
-    out: NDArray[np.intp] = gaps[wide]
+    out: Indices = gaps[wide]
     return out
 
 

@@ -14,13 +14,10 @@ from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAME
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
+    from srt.types import Array
 
-    Array = NDArray[np.float64]
 
 SOURCE_LABELS: Final = {
     "gyro_noise": "gyro noise",

@@ -1,0 +1,143 @@
+"""Jobs of 'srt calibrate': which recording, where its result and figure go, and what is shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from srt.cli.output import check_directory, check_file, recording_folder
+from srt.cli.recordings import file_name, unit_names
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from srt.sensor_errors import SensorErrors
+
+
+PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+
+RESULT_SUFFIXES = (".json",)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One recording to calibrate.
+
+    Attributes
+    ----------
+    recording : Path
+    name : str
+        Of the recording's folder; the result's file is called by it where several are made.
+    output, plot : Path or None
+    """
+
+    recording: Path
+    name: str
+    output: Path | None = None
+    plot: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Display:
+    """What to show of a calibration, and whether to make it whatever is wrong with the recording."""
+
+    truth: SensorErrors | None = None
+    budget: bool = False
+    verdict: bool = False
+    quiet: bool = False
+    force: bool = False
+
+
+def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Settle where every result goes, and that it can go there.
+
+    Parameters
+    ----------
+    recordings : sequence of Path
+    output : Path or None
+        A folder if there are several recordings, or if it exists as one.
+    plot : Path or None
+
+    Returns
+    -------
+    tuple of Job
+
+    Raises
+    ------
+    InputError
+        A place that cannot be written, or one place for two results.
+    """
+    names = [recording_folder(path).resolve().name for path in recordings]
+    several = len(recordings) > 1
+    into_folder = output is not None and (several or output.is_dir())
+    if several and (output is not None or plot is not None):
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InputError(
+                f"Two recordings are named {twice}, and their results would replace each other: calibrate them apart."
+            )
+    jobs = []
+    for path, name in zip(recordings, names, strict=True):
+        file = output / f"{name}.json" if output is not None and into_folder else output
+        figure = plot.with_name(f"{plot.stem}-{name}{plot.suffix}") if plot is not None and several else plot
+        jobs.append(Job(path, name, file, figure))
+    if output is not None and into_folder:
+        check_directory(output)
+    elif output is not None:
+        check_file(output, RESULT_SUFFIXES, "The result")
+    if plot is not None:
+        check_file(plot, PLOT_SUFFIXES, "The plot")
+    return tuple(jobs)
+
+
+def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Name the recordings to merge, and settle that the one result can go where it is to go.
+
+    Raises
+    ------
+    InputError
+        One recording alone, the same one twice, or a place that cannot be written.
+    """
+    if len(recordings) < 2:
+        raise InputError(f"--merge needs two recordings of a unit at least, and there is only {recordings[0]}.")
+    files = [path if path.suffix == ".json" else recording_folder(path) for path in recordings]
+    resolved = [path.resolve() for path in files]
+    twice = next((str(path) for n, path in enumerate(files) if resolved[n] in resolved[:n]), None)
+    if twice is not None:
+        raise InputError(f"{twice} is named twice, and one recording must not count twice.")
+    stems = [path.stem if path.suffix == ".json" else path.name for path in resolved]
+    names = [stem if stems.count(stem) == 1 else str(path) for stem, path in zip(stems, recordings, strict=True)]
+    if output is not None:
+        check_file(output, RESULT_SUFFIXES, "The merged calibration")
+    if plot is not None:
+        check_file(plot, PLOT_SUFFIXES, "The plot")
+    return tuple(Job(path, name) for path, name in zip(recordings, names, strict=True))
+
+
+def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
+    """Name the units, settle where every result goes, and that it can go there.
+
+    Raises
+    ------
+    InputError
+        A recording named twice, or a place that cannot be written.
+    """
+    from srt.cli.jobs import PLOT_SUFFIXES, Job
+
+    if output is not None:
+        if output.suffix.lower() in (".json", ".csv"):
+            raise InputError(
+                f"The results of a fleet go to a folder, and {output} is called like a file: name another."
+            )
+        check_directory(output)
+    if plot is not None:
+        check_file(plot, PLOT_SUFFIXES, "The plot")
+    jobs = []
+    for path, name in zip(recordings, unit_names(recordings), strict=True):
+        file = output / f"{file_name(name)}.json" if output is not None else None
+        figure = plot.with_name(f"{plot.stem}-{file_name(name)}{plot.suffix}") if plot is not None else None
+        jobs.append(Job(path, name, file, figure))
+    return tuple(jobs)

@@ -1,0 +1,65 @@
+"""Observability: parameters that a recording determines against a weak prior, admitted one by one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.model.prior import prior_sigma
+from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, expand_names
+
+if TYPE_CHECKING:
+    from srt.types import Array, Mask
+
+
+# In this order parameters are admitted: one that is collinear with those before it is the one held.
+_ADMISSION: Final = (
+    expand_names(["gyro_bias"])
+    + expand_names(["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"])
+    + expand_names(["accel_asymmetry"])
+    + expand_names(["gyro_asymmetry"])
+)
+
+# A parameter counts as observed if the recording cuts its prior sigma to a third.
+OBSERVED_BELOW: Final = 1.0 / 3.0
+
+
+def admission_sigma() -> Array:
+    """Prior one sigma by which a parameter is judged observed: the general prior, asymmetries to 1 %."""
+    sigma = prior_sigma()
+    for group in ("gyro_asymmetry", "accel_asymmetry"):
+        sigma[GROUP_SLICES[group]] = 0.01
+    return sigma
+
+
+def admit(A: Array, wanted: Mask) -> Mask:
+    """Which parameters whitened data determine, admitted one by one.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, 27)
+        Whitened Jacobian in units of the prior sigma.
+    wanted : ndarray of bool, shape (27,)
+        Parameters that may be admitted.
+
+    Returns
+    -------
+    ndarray of bool, shape (27,)
+        A parameter is in if, with all admitted before it, its sigma is below a third of the prior's.
+    """
+    admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
+    basis: list[Array] = []
+    for name in _ADMISSION:
+        j = INDEX[name]
+        if not wanted[j]:
+            continue
+        column = A[:, j].copy()
+        for _ in range(2):  # twice is enough (Parlett): once leaves rounding of nearly parallel columns
+            for q in basis:
+                column -= (q @ column) * q
+        norm = float(np.linalg.norm(column))
+        if norm > 1.0 / OBSERVED_BELOW:
+            admitted[j] = True
+            basis.append(column / norm)
+    return admitted

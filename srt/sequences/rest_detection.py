@@ -1,0 +1,252 @@
+"""Rest: means and scatter of short blocks of samples, and the blocks in which the unit is at rest.
+
+Nothing here is an absolute threshold. The quietest blocks give the unit's noise. The rest rate (bias and Earth rate)
+is where the mean rates of quiet, steady blocks crowd together over the most different faces: a slow turn at an even
+rate is as quiet as rest and may last longer, but gravity moves meanwhile, or it turns about the vertical in one face.
+A block's *activity* is its distance from that rest, mean and scatter together. Its distribution has two modes, resting
+(on a bench, or in a hand that trembles) and turning; the valley between them decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import chdtri
+
+from srt.constants import EARTH_RATE_RAD_S
+from srt.exceptions import DataError
+from srt.noise.from_windows import smallest_step
+
+if TYPE_CHECKING:
+    from srt.recording.recording import Recording
+    from srt.types import Array, Counts, Indices, Mask
+
+
+BLOCK_S: Final = 0.1
+MIN_BLOCK_SAMPLES: Final = 8
+SPREAD: Final = 6.0
+"""Sigmas of a block mean within which it counts as the same."""
+_FALSE_ALARM: Final = 1e-4
+_LOUD: Final = 10.0
+"""Variance of a block over that of the unit's quiet ones, above which it moves. Real rests differ by a few (a hand
+near by, a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
+_SHAKEN: Final = 400.0
+"""Variance of specific force over the quiet level, beyond which a block is a knock and no rest."""
+_MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
+_ROUNDING: Final = 1e-9
+_EARTH_SPREAD: Final = 3.0 * EARTH_RATE_RAD_S
+_FACE: Final = 0.5
+"""Cells of the direction of specific force, in units of its magnitude, that count as different faces."""
+_STEADY_BLOCKS: Final = 10
+_CELL: Final = 4.0
+"""Cells in which mean rates are counted, in units of what a bench at rest may show."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """Means and variances of consecutive blocks, gyro then accelerometer columns, as rates.
+
+    Attributes
+    ----------
+    first : ndarray of int, shape (B,)
+        First sample of each block.
+    size : int
+        Samples of a block.
+    mean, variance : ndarray, shape (B, 6)
+    piece : ndarray of int, shape (B,)
+        Contiguous piece of the recording that the block lies in.
+    floor : ndarray, shape (6,)
+        Variance below which nothing is told from rest: that of the readings' resolution, and rounding.
+    """
+
+    first: Indices
+    size: int
+    mean: Array
+    variance: Array
+    piece: Indices
+    floor: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """Which blocks are at rest, and what rest is.
+
+    Attributes
+    ----------
+    still : ndarray of bool, shape (B,)
+    level : ndarray, shape (6,)
+        Variance of a sample at rest.
+    """
+
+    still: Mask
+    level: Array
+
+
+def blocks_of(recording: Recording) -> Blocks:
+    """Cut every contiguous piece of a recording into blocks of a tenth of a second.
+
+    Raises
+    ------
+    DataError
+        If there are too few samples for one block.
+    """
+    dt = recording.nominal_interval_s
+    size = max(MIN_BLOCK_SAMPLES, round(BLOCK_S / dt))
+    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    pieces = [0, *recording.gaps.tolist(), len(recording.time)]
+    first, mean, variance, piece = [], [], [], []
+    for p, (a, b) in enumerate(pairwise(pieces)):
+        n = (b - a) // size
+        if n == 0:
+            continue
+        both = [_moments(table[a : a + n * size], n, size) for table in (recording.gyro, recording.accel)]
+        first.append(a + size * np.arange(n))
+        piece.append(np.full(n, p))
+        mean.append(np.concatenate([m for m, _ in both], axis=1) * factor)
+        variance.append(np.concatenate([v for _, v in both], axis=1) * factor**2)
+    if not first:
+        raise DataError(
+            f"The recording has {len(recording.time)} samples, too few to find stillness: at least {size} are needed."
+        )
+    centre = np.concatenate(mean)
+    floor = np.maximum(resolution_floor(recording), (_ROUNDING * np.abs(centre).max(axis=0)) ** 2)
+    return Blocks(np.concatenate(first), size, centre, np.concatenate(variance), np.concatenate(piece), floor)
+
+
+def resolution_floor(recording: Recording) -> Array:
+    """Variance of a sample, as a rate, that the resolution of the readings makes, shape (6,); never zero."""
+    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    stride = max(1, len(recording.time) // _MAX_SAMPLES_FOR_RESOLUTION)
+    step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)]) * factor
+    return np.asarray(step**2 / 12.0 + 1e-300)
+
+
+_BATCH: Final = 1 << 16
+"""Samples that are looked at together: they stay in the processor's cache."""
+
+
+def _moments(table: Array, n: int, size: int) -> tuple[Array, Array]:
+    """Mean and variance of n blocks, each of shape (n, 3)."""
+    mean, variance = np.empty((n, 3)), np.empty((n, 3))
+    step = max(1, _BATCH // size)
+    weights = np.full(size, 1.0 / size)
+    for a in range(0, n, step):
+        b = min(a + step, n)
+        x = table[a * size : b * size].reshape(b - a, size, 3)
+        # One product of matrices for the means; deviations from a reading of the block itself lose no digits.
+        x = x - x[:, :1]
+        m = weights @ x
+        np.multiply(x, x, out=x)
+        variance[a:b] = (weights @ x - m * m) * (size / (size - 1.0))
+        mean[a:b] = m + table[a * size : b * size : size]
+    return mean, np.maximum(variance, 0.0)
+
+
+def find_rest(blocks: Blocks) -> Rest:
+    """Tell which blocks are at rest."""
+    n = blocks.size
+    upper = max(_LOUD, float(chdtri(n - 1, _FALSE_ALARM)) / (n - 1))
+    middle = float(chdtri(n - 1, 0.5)) / (n - 1)
+    # The quietest tenth is at rest if anything is; the loop then takes the level from all blocks that agree.
+    level = np.maximum(np.quantile(blocks.variance, 0.1, axis=0), blocks.floor)
+    quiet = np.all(blocks.variance <= upper * level, axis=1)
+    for _ in range(5):
+        if not quiet.any():
+            break
+        level = np.maximum(np.median(blocks.variance[quiet], axis=0) / middle, blocks.floor)
+        new = np.all(blocks.variance <= upper * level, axis=1)
+        if np.array_equal(new, quiet):
+            break
+        quiet = new
+    radius = np.hypot(SPREAD * np.sqrt(level[:3] / n), _EARTH_SPREAD)
+    candidates = np.flatnonzero(quiet)
+    if candidates.size == 0:
+        return Rest(np.asarray(quiet), level)
+    rest = _rest_rate(blocks, candidates, level, radius)
+    distance = np.sqrt((blocks.mean[:, :3] - rest) ** 2 + blocks.variance[:, :3])
+    bench = np.sqrt((1.5 * radius) ** 2 + upper * level[:3])
+    # In units of what a bench at rest may show; below 1 everything is rest.
+    activity = np.max(distance / bench, axis=1)
+    shaken = np.any(blocks.variance[:, 3:] > _SHAKEN * level[3:], axis=1)
+    return Rest(np.asarray((activity <= max(1.0, _valley(activity))) & ~shaken), level)
+
+
+def _rest_rate(blocks: Blocks, candidates: Indices, level: Array, radius: Array) -> Array:
+    """Mean rate at rest, shape (3,): where steady blocks crowd, counted over the faces they were seen in."""
+    points = blocks.mean[candidates, :3] / radius
+    force = blocks.mean[candidates, 3:]
+    steady = _steady(blocks, level)[candidates]
+    if not steady.any():
+        steady = np.ones(len(candidates), dtype=np.bool_)
+    points, force = points[steady], force[steady]
+    unit = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
+    faces = _keys(np.floor(unit / _FACE + 0.5))
+    best, centre = -1.0, points[0]
+    # A crowd smaller than half a cell lies whole inside a cell of at least one of the eight grids.
+    for offset in product((0.0, 0.5), repeat=3):
+        cells = _keys(np.floor(points / _CELL + np.array(offset)))
+        both, counts = np.unique(np.stack([cells, faces], axis=1), axis=0, return_counts=True)
+        names, index = np.unique(both[:, 0], return_inverse=True)
+        # The square root makes ten seconds in each of six faces weigh more than a minute in one.
+        score = np.bincount(index, weights=np.sqrt(counts))
+        if score.max() > best:
+            best = float(score.max())
+            centre = np.median(points[cells == names[int(np.argmax(score))]], axis=0)
+    for _ in range(5):
+        near = np.all(np.abs(points - centre) <= 1.0, axis=1)
+        if not near.any():
+            break
+        centre = points[near].mean(axis=0)
+    out: Array = centre * radius
+    return out
+
+
+def _steady(blocks: Blocks, level: Array) -> Mask:
+    """Whether the force a second before or after each block is the same within its noise, shape (B,).
+
+    Over a second even a slow turn moves gravity by more than the noise of a block.
+    """
+    k = min(_STEADY_BLOCKS, len(blocks.mean) - 1)
+    out = np.zeros(len(blocks.mean), dtype=np.bool_)
+    if k == 0:
+        return out
+    change = np.abs(blocks.mean[k:, 3:] - blocks.mean[:-k, 3:])
+    same = np.all(change <= SPREAD * np.sqrt(2.0 * level[3:] / blocks.size), axis=1)
+    same &= blocks.piece[k:] == blocks.piece[:-k]
+    out[k:] |= same
+    out[:-k] |= same
+    return out
+
+
+def _keys(cells: Array) -> Counts:
+    """One whole number for each cell of a three-dimensional grid."""
+    whole = np.clip(cells, -1e6, 1e6).astype(np.int64) + 1_000_000
+    out: Counts = (whole[:, 0] * 2_000_001 + whole[:, 1]) * 2_000_001 + whole[:, 2]
+    return out
+
+
+def _valley(activity: Array) -> float:
+    """Threshold between two modes of the activity's logarithm (Otsu: greatest between-class variance)."""
+    x = np.sort(np.log(np.maximum(activity, 1e-6)))
+    n = np.arange(1, len(x))
+    total = np.cumsum(x)
+    low, high = total[:-1] / n, (total[-1] - total[:-1]) / (len(x) - n)
+    between = n * (len(x) - n) * (high - low) ** 2
+    best = int(np.argmax(between))
+    return float(np.exp(0.5 * (x[best] + x[best + 1])))
+
+
+def still_runs(still: Mask, blocks: Blocks) -> list[tuple[int, int]]:
+    """Runs of still blocks (first, one past last), bridging single blocks that chance threw out."""
+    filled = still.copy()
+    lone = ~still[1:-1] & still[:-2] & still[2:]
+    # A lone loud block between quiet ones is chance unless it moved the unit: then the force differs after it.
+    scatter = np.sqrt(np.median(blocks.variance[still], axis=0)[3:] / blocks.size) if still.any() else np.ones(3)
+    same = np.all(np.abs(blocks.mean[2:, 3:] - blocks.mean[:-2, 3:]) <= SPREAD * np.sqrt(2.0) * scatter, axis=1)
+    filled[1:-1] |= lone & same
+    key = np.where(filled, blocks.piece, -1)
+    edges = np.flatnonzero(np.diff(key, prepend=-2, append=-2))
+    return [(a, b) for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if filled[a]]
