@@ -54,7 +54,7 @@ _HOME = {
     "Site": "recording.recording",
     "load_recording": "recording.folder",
     "write_recording": "recording.folder",
-    "find_turns": "sequences.rest_detection",
+    "find_turns": "sequences.stationary_windows",
     "INDEX": "sensor_errors",
     "NAMES": "sensor_errors",
     "SensorErrors": "sensor_errors",

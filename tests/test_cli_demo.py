@@ -66,7 +66,7 @@ def test_it_replaces_its_own_recording_and_no_other(demo, capfd):
 
 
 def test_without_matplotlib_there_is_no_plot_and_a_warning(tmp_path, capfd, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
     for name in ("plots", "figure_style"):
         monkeypatch.delitem(sys.modules, f"srt.{name}", raising=False)
         if hasattr(srt, name):

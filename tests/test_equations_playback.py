@@ -169,7 +169,7 @@ def test_rest_rates_pool_and_share():
 def test_turns_that_share_their_windows():
     """Each pose ends one turn and starts the next: a window belongs to the turn it starts, the last one to its end."""
     turns = sims.random_turns(np.random.default_rng(2), 4)
-    motion = sims.physics.free_motion(
+    motion = sims.free_motion(
         turns, site=Site(G, latitude_rad=LATITUDE), sample_rate_hz=RATE_HZ, dwell_s=WINDOW_S, earth_rate=False
     )
     labels = tuple(SequenceLabel(first, second) for first, second in motion.windows)
@@ -194,9 +194,7 @@ def test_turns_that_share_their_windows():
 def test_free_turns_take_off_the_vertical_part_of_the_earth_rate():
     """Without a heading the part along the vertical is all that is known."""
     turns = sims.random_turns(np.random.default_rng(3), 3)
-    motion = sims.physics.free_motion(
-        turns, site=Site(G, latitude_rad=LATITUDE), sample_rate_hz=RATE_HZ, dwell_s=WINDOW_S
-    )
+    motion = sims.free_motion(turns, site=Site(G, latitude_rad=LATITUDE), sample_rate_hz=RATE_HZ, dwell_s=WINDOW_S)
     labels = tuple(SequenceLabel(first, second) for first, second in motion.windows)
     recording = replace(sims.read_out(motion, NONE), fixture=None).with_sequences(labels)
     data, player = player_of(recording)

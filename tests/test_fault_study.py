@@ -87,7 +87,7 @@ def test_smallest_severity_and_counts(tmp_path, trials):
     assert run.alarms(FIRST) == (3, {"spikes": 1})
     assert run.alarms(SECOND) == (3, {})
     # A rung that is not seen is given up after its first few units.
-    assert len([1 for _, _, fault, rung in trials if (fault, rung) == ("north", 1)]) < study.LADDER_UNITS
+    assert len([1 for _, _, fault, rung in trials if (fault, rung) == ("north", 1)]) < fault_study.LADDER_UNITS
 
 
 def test_every_recording_is_asked_once_and_what_is_done_is_not_done_again(tmp_path, trials):
@@ -132,7 +132,7 @@ def test_a_severity_that_is_stated_anew_is_run_anew(tmp_path, trials, monkeypatc
 
 def test_the_file_of_something_else_is_refused(tmp_path, trials):
     path = tmp_path / "results"
-    for content in ("not JSON\n", '{"format": 2}\n', json.dumps(study.FORMAT) + '\n{"fault": 1}\n'):
+    for content in ("not JSON\n", '{"format": 2}\n', json.dumps(fault_study.FORMAT) + '\n{"fault": 1}\n'):
         path.write_text(content, encoding="utf-8")
         with pytest.raises(InputError, match="holds no results of this study"):
             study(path)

@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 import sims
 from sims.physics.imu import CORRELATION_TIMES_S as SIMULATED_TIMES_S
 from sims.physics.imu import drift
-from srt.model.rotation_integrals import equal_parts
+from srt.model.analytic_platform import equal_parts
 from srt.noise.bias_instability import (
     CORRELATION_TIMES_S,
     correlation_times,

@@ -22,8 +22,8 @@ import sims
 from sims.accuracy.campaigns import large_errors
 from sims.physics.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
 from srt.estimation.options import Options
+from srt.model import analytic_platform, rotations
 from srt.model import measurement_model as model
-from srt.model import rotation_integrals, rotations
 from srt.model.prior import Prior
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise import bias_instability
@@ -378,7 +378,7 @@ def motions():
         stated_fixture=Fixture(HEADING, 5e-3, 5e-3),
     )
     rng = np.random.default_rng(6)
-    free = sims.physics.free_motion(
+    free = sims.free_motion(
         sims.random_turns(rng, 4),
         site=SITE,
         attitude=sims.random_attitude(rng),
@@ -591,12 +591,12 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     With three parts of each turn, which is as good a test as twelve and faster. Away from the data it was taken from,
     the problem's residual is minus what its unknown takes off.
     """
-    monkeypatch.setattr(bias_instability, "_PARTS", (2, 3))
+    monkeypatch.setattr(analytic_platform, "_PARTS", (2, 3))
     case = make(motions, VARIANTS[variant], size)
     problem, system = case.problem, case.system
     data, draws = problem.data, problem.data.drift
     windows = data.windows.samples
-    ends = rotation_integrals.equal_parts(data.rotation, draws.parts.shape[1])
+    ends = analytic_platform.equal_parts(data.rotation, draws.parts.shape[1])
     spans = [*windows.tolist(), *np.stack([ends[:, :-1], ends[:, 1:]], axis=2).reshape(-1, 2).tolist()]
     values = np.concatenate([draws.windows, draws.parts.reshape(-1, draws.parts.shape[2])])
     found, kinds = unwhitened(system), ("force", "rate", "turn")

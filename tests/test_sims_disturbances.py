@@ -239,11 +239,11 @@ def test_with_recorded_moves_a_step_stays_to_the_end_of_the_run():
 def test_a_step_between_free_turns():
     rng = np.random.default_rng(8)
     turns, start = sims.random_turns(rng, 3), Rotation.from_matrix(sims.random_attitude(rng))
-    motion = sims.physics.free_motion(turns, site=SITE, attitude=start.as_matrix(), dwell_s=1.0, sample_rate_hz=50.0)
+    motion = sims.free_motion(turns, site=SITE, attitude=start.as_matrix(), dwell_s=1.0, sample_rate_hz=50.0)
     stepped = tilt_step(motion, 0.51, TILT)
     # In the axes of the turned body, the same turns have other components.
     tilt = Rotation.from_rotvec(TILT)
-    other = sims.physics.free_motion(
+    other = sims.free_motion(
         tilt.apply(turns, inverse=True),
         site=SITE,
         attitude=(start * tilt).as_matrix(),
@@ -386,7 +386,7 @@ def test_opposite_bias_steps_cancel(start, duration, step):
 
 @pytest.mark.parametrize("kind", ["rate", "increment"])
 def test_noise_of_a_window_is_the_factor_times_the_stated_one(kind):
-    still = sims.physics.free_motion(np.array([[1.0, 0.0, 0.0]]), site=SITE, dwell_s=40.0, sample_rate_hz=100.0)
+    still = sims.free_motion(np.array([[1.0, 0.0, 0.0]]), site=SITE, dwell_s=40.0, sample_rate_hz=100.0)
     densities = (2e-4, 3e-3)
     recording = sims.read_out(still, NONE, sims.ImuModel(*densities), np.random.default_rng(3), kind=kind)
     before = snapshot(recording)

@@ -394,9 +394,7 @@ def test_free_turns_compose_to_the_attitudes():
     assert math.pi / 3 <= sizes.min() <= sizes.max() <= math.pi
     start = sims.random_attitude(rng)
     np.testing.assert_allclose(start @ start.T, np.eye(3), atol=1e-15)
-    motion = sims.physics.free_motion(
-        turns, site=SITE, attitude=start, sample_rate_hz=50.0, dwell_s=1.0, earth_rate=False
-    )
+    motion = sims.free_motion(turns, site=SITE, attitude=start, sample_rate_hz=50.0, dwell_s=1.0, earth_rate=False)
     assert motion.fixture is None
     assert motion.labels == ()
     turned = start
@@ -414,7 +412,7 @@ def test_free_turns_compose_to_the_attitudes():
 
 def test_free_poses_sense_the_earth_and_gravity():
     rng = np.random.default_rng(17)
-    motion = sims.physics.free_motion(sims.random_turns(rng, 3), site=SITE, sample_rate_hz=50.0, dwell_s=1.0)
+    motion = sims.free_motion(sims.random_turns(rng, 3), site=SITE, sample_rate_hz=50.0, dwell_s=1.0)
     for windows, attitudes in zip(motion.windows, motion.attitudes, strict=True):
         for window, ned_from_body in zip(windows, attitudes, strict=True):
             rows = rows_in(motion, *window)
@@ -425,7 +423,7 @@ def test_free_poses_sense_the_earth_and_gravity():
 
 def test_free_sums_do_not_depend_on_the_sample_rate():
     turns = sims.random_turns(np.random.default_rng(18), 2)
-    motions = [sims.physics.free_motion(turns, site=SITE, sample_rate_hz=hz, dwell_s=1.0) for hz in (20.0, 1000.0)]
+    motions = [sims.free_motion(turns, site=SITE, sample_rate_hz=hz, dwell_s=1.0) for hz in (20.0, 1000.0)]
     for field in ("angle", "angle_abs", "velocity", "velocity_abs"):
         sums = [total(getattr(m, field)[rows_in(m, 0.0, 3.0)]) for m in motions]
         np.testing.assert_allclose(sums[0], sums[1], rtol=1e-14, atol=1e-14)
@@ -452,7 +450,7 @@ def test_free_sums_do_not_depend_on_the_sample_rate():
         (lambda: sims.table1_motion(site=SITE, U=-np.eye(3)), "proper rotation"),
         (lambda: sims.table1_motion(site=SITE, sample_rate_hz=0.0), "sample rate"),
         (lambda: sims.table1_motion(site=Site(9.8), sequences=("1",)), "latitude"),
-        (lambda: sims.physics.free_motion(np.zeros(3), site=SITE), "shape"),
+        (lambda: sims.free_motion(np.zeros(3), site=SITE), "shape"),
         (
             lambda: sims.table1_motion(
                 site=SITE, sequences=("1",), fixture_draw=imperfect(np.random.default_rng(0), ("1", "2"))

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from srt.model import rotations
-from srt.model.rotation_integrals import RotationIntegrals, equal_parts, parts_per_rotation
+from srt.model.rotation_integrals import RotationIntegrals
 
 if TYPE_CHECKING:
     from srt.model.sensor_model import Triad
@@ -34,6 +34,13 @@ if TYPE_CHECKING:
 BLOCK: Final = 16384
 _SMOOTHING_S: Final = 0.2
 _OCTANT_SEARCH: Final = 8
+
+
+_PARTS: Final = (2, 12)
+"""Fewest and most parts of one rotation."""
+
+_PARTS_IN_ALL: Final = 600
+"""Parts of all rotations of a recording together, which bounds the memory of their integrals."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -374,4 +381,18 @@ def _octant(v: Array) -> Indices:
     """Octant numbers of vectors of shape (3, n)."""
     negative = v < 0.0
     out: Indices = negative[0] + 2 * negative[1].astype(np.intp) + 4 * negative[2]
+    return out
+
+
+def parts_per_rotation(rotations: int) -> int:
+    """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment.
+
+    Four for each half turn of a sequence of three; with two of them its sigmas come out a tenth too small.
+    """
+    return int(np.clip(_PARTS_IN_ALL // max(rotations, 1), *_PARTS))
+
+
+def equal_parts(spans: Indices, parts: int) -> Indices:
+    """Ends of equal parts of sample spans (K, 2), shape (K, parts + 1)."""
+    out: Indices = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * np.arange(parts + 1) // parts
     return out

@@ -11,7 +11,7 @@ already lies before t (start window). All of it is linear in four integrals, for
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,14 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
     from srt.model.table1 import Sequence
-    from srt.types import Array, Indices
-
-
-_PARTS: Final = (2, 12)
-"""Fewest and most parts of one rotation."""
-
-_PARTS_IN_ALL: Final = 600
-"""Parts of all rotations of a recording together, which bounds the memory of their integrals."""
+    from srt.types import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,17 +146,3 @@ def _swept_outer(C: Array, parts: Array, angle: Array) -> Array:
     _, products = _moments(angle)
     turned = C @ parts
     return np.asarray(np.einsum("ijn,inab,jncb->nacb", products, turned, turned, optimize=True))
-
-
-def parts_per_rotation(rotations: int) -> int:
-    """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment.
-
-    Four for each half turn of a sequence of three; with two of them its sigmas come out a tenth too small.
-    """
-    return int(np.clip(_PARTS_IN_ALL // max(rotations, 1), *_PARTS))
-
-
-def equal_parts(spans: Indices, parts: int) -> Indices:
-    """Ends of equal parts of sample spans (K, 2), shape (K, parts + 1)."""
-    out: Indices = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * np.arange(parts + 1) // parts
-    return out

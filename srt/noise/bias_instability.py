@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.model.rotation_integrals import equal_parts, parts_per_rotation
+from srt.model.analytic_platform import equal_parts, parts_per_rotation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

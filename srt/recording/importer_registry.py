@@ -251,7 +251,7 @@ def is_foreign(path: Path) -> bool:
     -------
     bool
     """
-    if path.suffix.lower() in SAMPLES_FORMATS:
+    if path.suffix.lower().removeprefix(".") in SAMPLES_FORMATS:
         return False
     try:
         find_importer(path)
