@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from srt.comparison.merge import merge_calibrations
     from srt.diagnosis import diagnose
     from srt.estimation.options import Options
-    from srt.estimation.registry import calibrate, estimators
+    from srt.estimation.registry import estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
+    from srt.procedure import calibrate
     from srt.recording.folder import load_recording, write_recording
     from srt.recording.importer_registry import import_file
     from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
@@ -40,7 +41,7 @@ _HOME = {
     "recognise": "sequences.recognition",
     "Calibration": "result.calibration",
     "load_calibration": "result.calibration",
-    "calibrate": "estimation.registry",
+    "calibrate": "procedure",
     "estimators": "estimation.registry",
     "DataError": "exceptions",
     "InputError": "exceptions",

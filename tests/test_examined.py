@@ -9,7 +9,7 @@ import srt
 from sims.faults.injection import Case
 from srt.constants import DEG
 from srt.estimation.options import Options
-from srt.procedure import calibrate_examined
+from srt.procedure import calibrate
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def recording():
 
 
 def test_a_sound_recording_gains_nothing(recording):
-    examined = calibrate_examined(recording, options=Options())
+    examined = calibrate(recording, options=Options())
     plain = srt.calibrate(recording)
     np.testing.assert_array_equal(examined.errors.vector, plain.errors.vector)
     assert examined.diagnostics["faults"] == []
@@ -28,19 +28,19 @@ def test_a_sound_recording_gains_nothing(recording):
 def test_a_fault_that_makes_it_senseless_refuses_it_by_name(recording):
     wrong = replace(recording, gyro=recording.gyro / DEG)
     with pytest.raises(srt.DataError, match="correct gyro_unit") as caught:
-        calibrate_examined(wrong, options=Options())
+        calibrate(wrong, options=Options())
     assert caught.value.fault == "gyro_degrees"
 
 
 def test_force_goes_on_to_what_the_calibration_itself_says(recording):
     wrong = replace(recording, gyro=recording.gyro / DEG)
     with pytest.raises(srt.DataError, match=r"The likely cause: .* correct gyro_unit"):
-        calibrate_examined(wrong, options=Options(), force=True)
+        calibrate(wrong, options=Options(), force=True)
 
 
 def test_a_fault_that_is_told_stands_with_the_result(recording):
     wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
-    examined = calibrate_examined(wrong, options=Options())
+    examined = calibrate(wrong, options=Options())
     (finding,) = [f for f in examined.diagnostics["faults"] if f["fault"] == "gravity"]
     assert finding["effect"] == "warning"
     assert finding["sentence"] in examined.warnings
@@ -53,12 +53,12 @@ def test_what_only_a_calibration_shows_is_looked_for(recording):
 
     case = Case("tactical-fog", 901)
     asymmetric = read_out(case.simulation.motion, truth, GRADES["tactical"], np.random.default_rng(1))
-    examined = calibrate_examined(asymmetric, options=Options(asymmetry=False))
+    examined = calibrate(asymmetric, options=Options(asymmetry=False))
     assert "asymmetry_omitted" in [f["fault"] for f in examined.diagnostics["faults"]]
 
 
 def test_findings_survive_the_file(recording, tmp_path):
     wrong = replace(recording, site=replace(recording.site, gravity_m_s2=9.78))
-    calibrate_examined(wrong, options=Options()).save(tmp_path / "unit.json")
+    calibrate(wrong, options=Options()).save(tmp_path / "unit.json")
     loaded = srt.load_calibration(tmp_path / "unit.json")
     assert [f["fault"] for f in loaded.diagnostics["faults"]] == ["gravity"]

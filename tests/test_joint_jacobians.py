@@ -26,7 +26,6 @@ from srt.model import analytic_platform, rotations
 from srt.model import measurement_model as model
 from srt.model.prior import Prior
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.noise import bias_instability
 from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 

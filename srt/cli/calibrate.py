@@ -276,12 +276,11 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     """
     import srt
     from srt.cli.progress import playback_progress
-    from srt.procedure import calibrate_examined
     from srt.reports.text.calibration import report
 
     recording = srt.load_recording(job.recording)
     with playback_progress(job.name, quiet=display.quiet) as progress:
-        calibration = calibrate_examined(recording, estimator, options=options, progress=progress, force=display.force)
+        calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     if job.output is not None:
         calibration.save(job.output)
     if not display.quiet:

@@ -84,13 +84,12 @@ def _calibration(job: Job, estimator: str, options: Options, display: Display) -
     """Read a calibration, or make it from its recording."""
     import srt
     from srt.cli.progress import playback_progress
-    from srt.procedure import calibrate_examined
 
     if job.recording.suffix == ".json":
         return srt.load_calibration(job.recording)
     recording = srt.load_recording(job.recording)
     with playback_progress(job.name, quiet=display.quiet) as progress:
-        calibration = calibrate_examined(recording, estimator, options=options, progress=progress, force=display.force)
+        calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     for title, reason in calibration.provenance.get("voided", {}).items():
         warn(f"{job.recording}: {title} is void ({reason}).")
     return calibration

@@ -258,7 +258,7 @@ def assemble_fleet(units: Sequence[Unit]) -> Fleet:
 
 def calibrate_unit(task: UnitTask) -> tuple[int, Unit]:
     """Calibrate one unit; what goes wrong, and be it a defect of the program, becomes its message."""
-    from srt.procedure import calibrate_examined
+    from srt.procedure import calibrate
     from srt.recording.folder import load_recording
 
     unit = partial(Unit, task.name, task.recording)
@@ -266,7 +266,7 @@ def calibrate_unit(task: UnitTask) -> tuple[int, Unit]:
     try:
         recording = load_recording(Path(task.recording))
         serial = recording.serial
-        result = calibrate_examined(recording, task.estimator, options=task.options, force=task.force)
+        result = calibrate(recording, task.estimator, options=task.options, force=task.force)
     except SrtError as error:
         return task.number, unit(serial, FAILED, str(error), error.exit_code)
     except Exception as error:  # one unit must not stop the rest

@@ -16,6 +16,7 @@ from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare
+from srt.sequences.recognition import labelled, recognise
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording, SequenceLabel
@@ -93,8 +94,6 @@ class Evidence:
     @cached_property
     def recognition(self) -> Recognition | None:
         """Stillness, turns and sequences found in the samples; None if no two windows were found."""
-        from srt.sequences.recognition import recognise
-
         try:
             return recognise(self.recording)
         except DataError:
@@ -112,11 +111,15 @@ class Evidence:
             return self.recording.sequences
         return () if self.recognition is None else self.recognition.labels
 
+    @property
+    def _with_labels(self) -> Recording:
+        return self.recording if self.labelled else labelled(self.recording, self.labels)
+
     @cached_property
     def data(self) -> PlaybackData | None:
         """The labelled recording prepared without any check; None if it cannot be."""
         try:
-            return prepare(self.recording, self.labels, self.options.average)
+            return prepare(self._with_labels, self.labels, self.options.average)
         except DataError:
             return None
 
@@ -243,7 +246,7 @@ class Evidence:
         from srt.estimation.registry import automatic_estimator, find_estimator
 
         try:
-            recording = self.recording if self.labelled else self.recording.with_sequences(self.labels)
+            recording = self._with_labels
             return find_estimator(automatic_estimator(recording))(recording, self.options)
         except (DataError, np.linalg.LinAlgError):
             return None

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, did_you_mean
 from srt.model.prior import Prior
 from srt.sensor_errors import SensorErrors, expand_names
 from srt.sequences.window_means import Average
@@ -169,3 +169,21 @@ _CHOICES = {
     "start": get_args(Start),
     "loss": get_args(Loss),
 }
+
+
+def chosen_options(options: Options | None, choices: Mapping[str, Any]) -> Options:
+    """Options given as such or as single choices.
+
+    Raises
+    ------
+    InputError
+        Both, or an unknown choice.
+    """
+    if options is not None:
+        if choices:
+            raise InputError("Give either options or single choices, not both.")
+        return options
+    known = [f.name for f in fields(Options)]
+    for name in sorted(set(choices) - set(known)):
+        raise InputError(f"Unknown option {name!r}{did_you_mean(name, known)}; the options are {', '.join(known)}.")
+    return Options(**choices)

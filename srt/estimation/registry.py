@@ -9,14 +9,16 @@ from __future__ import annotations
 import importlib
 from functools import cache
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
+from srt.estimation.options import Options
 from srt.exceptions import InputError, MissingExtraError
+from srt.model.table1 import SEQUENCES
+from srt.sequences.recognition import label_sequences
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from srt.estimation.options import Options
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
@@ -70,61 +72,33 @@ def find_estimator(name: str) -> Estimator:
     return found
 
 
-def calibrate(
-    recording: Recording,
-    estimator: str = "auto",
-    *,
-    options: Options | None = None,
-    progress: Progress | None = None,
-    **choices: Any,
+def estimate(
+    recording: Recording, estimator: str = "auto", options: Options | None = None, progress: Progress | None = None
 ) -> Calibration:
-    """Calibrate an IMU from a recording.
+    """Estimate the sensor errors, without any check for faults of the recording.
 
     Parameters
     ----------
     recording : Recording
-        Without labels, sequences of Table 1 made on a fixture are recognised; a free recording is cut into free turns.
     estimator : str
-        "auto" takes the closed form where sequences of Table 1 are labelled on a fixture, least squares elsewhere.
-        Others by name, see :func:`estimators`.
     options : Options, optional
     progress : callable, optional
-        Called after every play-back with its number and the largest correction.
-    **choices
-        Fields of :class:`srt.estimation.options.Options`, instead of ``options``.
-
-    Returns
-    -------
-    Calibration
+        As for :func:`srt.calibrate`.
 
     Raises
     ------
     InputError
-        Unknown estimator or option.
+        Unknown estimator.
     DataError
         Data that cannot support a result.
     """
-    from srt.estimation.options import Options as _Options
-    from srt.sequences.recognition import label_sequences
-
-    if options is None:
-        unknown = sorted(set(choices) - set(_Options.__dataclass_fields__))
-        if unknown:
-            raise InputError(
-                f"Unknown option {unknown[0]!r}; the options are {', '.join(_Options.__dataclass_fields__)}."
-            )
-        options = _Options(**choices)
-    elif choices:
-        raise InputError("Give either options or single choices, not both.")
     recording, recognition = label_sequences(recording)
     name = automatic_estimator(recording) if estimator == "auto" else estimator
-    calibration = find_estimator(name)(recording, options, progress)
+    calibration = find_estimator(name)(recording, options or Options(), progress)
     return calibration if recognition is None else recognition.told_in(calibration)
 
 
 def automatic_estimator(recording: Recording) -> str:
-    """What "auto" stands for: the closed form for sequences of Table 1 on a fixture, else least squares."""
-    from srt.model.table1 import SEQUENCES
-
+    """Name that "auto" stands for: the closed form for sequences of Table 1 on a fixture, else least squares."""
     labelled = [s for s in recording.sequences if s.id in SEQUENCES]
     return "closed-form" if recording.fixture is not None and labelled else "least-squares"

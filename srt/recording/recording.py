@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -21,9 +21,12 @@ from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES
 from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
     from srt.types import Array, Indices
 
 Kind = Literal["rate", "increment"]
+Derived = TypeVar("Derived")
 
 GRAVITY_RANGE_M_S2: Final = (9.5, 10.1)
 """Gravity outside this is not on the Earth's surface (9.76 to 9.84 m/s²)."""
@@ -302,7 +305,7 @@ class Recording:
     date: str | None = None
     source: str | None = None
     data_sha256: str | None = None
-    _timing: SampleTiming | None = field(default=None, init=False, repr=False, compare=False)
+    _memo: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -347,13 +350,33 @@ class Recording:
                     "widen the window, or label a part that was recorded."
                 )
 
+    def memo(self, key: Hashable, make: Callable[[], Derived]) -> Derived:
+        """Value derived from this recording, made once: diagnosis and estimators share what they prepare.
+
+        Parameters
+        ----------
+        key : hashable
+            Names the value, with all choices that it depends on.
+        make : callable
+            Without arguments; what it raises is not kept.
+        """
+        if key not in self._memo:
+            self._memo[key] = make()
+        value: Derived = self._memo[key]
+        return value
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Fields without the derived values, which another process makes anew."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_memo"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in (state | {"_memo": {}}).items():
+            object.__setattr__(self, name, value)
+
     @property
     def timing(self) -> SampleTiming:
         """Intervals and gaps, found when first asked for."""
-        if self._timing is None:
-            object.__setattr__(self, "_timing", sample_timing(self.time, self.sample_rate_hz))
-        assert self._timing is not None
-        return self._timing
+        return self.memo("timing", lambda: sample_timing(self.time, self.sample_rate_hz))
 
     @property
     def interval_s(self) -> float | Array:

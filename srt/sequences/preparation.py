@@ -217,8 +217,20 @@ def prepare(
     DataError
         If no sequence is left, or a rotation would have no samples.
     """
+    reasons = tuple((voided or {}).items())
+    key = ("prepared", tuple(labels), average, reasons, tuple(poses))
+    return recording.memo(key, lambda: _prepare(recording, tuple(labels), average, dict(reasons), tuple(poses)))
+
+
+def _prepare(
+    recording: Recording,
+    labels: tuple[SequenceLabel, ...],
+    average: Average,
+    voided: dict[str, str],
+    poses: tuple[SequenceLabel, ...],
+) -> PlaybackData:
     if not labels:
-        reasons = [f"{k}: {v}" for k, v in (voided or {}).items()]
+        reasons = [f"{k}: {v}" for k, v in voided.items()]
         shown = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if len(reasons) > 2 else "")
         raise DataError(f"No usable sequence is left in the recording ({shown or 'none is labelled'}).")
     slices: dict[tuple[int, int], int] = {}
@@ -248,14 +260,14 @@ def prepare(
             )
     return PlaybackData(
         recording,
-        tuple(labels),
+        labels,
         tuple(sequence_of_label(label) for label in labels),
         average_windows(recording, samples, average),
         start,
         end,
         noise_model(recording, samples),
         average,
-        dict(voided or {}),
+        voided,
         tuple(alone),
     )
 
@@ -282,6 +294,16 @@ def open_session(
         If no sequence is left, readings at rest or turns are impossible (wrong units), or the unit moved in a
         stationary window.
     """
+    key = ("checked", tuple(labels), average, tuple(poses))
+    return recording.memo(key, lambda: _prepare_checked(recording, tuple(labels), average, tuple(poses)))
+
+
+def _prepare_checked(
+    recording: Recording,
+    labels: tuple[SequenceLabel, ...],
+    average: Average,
+    poses: tuple[SequenceLabel, ...],
+) -> PlaybackData:
     check_interval(recording)
     voided: dict[str, str] = {}
     whole = []

@@ -227,6 +227,10 @@ def recognise(recording: Recording) -> Recognition:
     DataError
         If fewer than two stationary windows are found.
     """
+    return recording.memo("recognition", lambda: _recognise(recording))
+
+
+def _recognise(recording: Recording) -> Recognition:
     windows = find_windows(recording)
     gaps = recording.gaps
     apart = [
@@ -246,6 +250,11 @@ def recognise(recording: Recording) -> Recognition:
             if other.legs >= _CLEARLY * max(best.legs, 1):
                 best = other
     return _result(recording, windows, turns, best)
+
+
+def labelled(recording: Recording, labels: tuple[SequenceLabel, ...]) -> Recording:
+    """Give the recording with labels that were found in it, the same object at every call."""
+    return recording.memo(("labelled", labels), lambda: recording.with_sequences(labels))
 
 
 def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None]:
@@ -273,7 +282,7 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
             f"The turns are those of Table 1 only if {found.misnamed}: name the axes so when the recording is "
             "converted, or label the sequences."
         )
-    return recording.with_sequences(found.labels), found
+    return labelled(recording, found.labels), found
 
 
 def _mappings() -> list[tuple[Array, Array]]:
