@@ -351,7 +351,7 @@ The same for units with an asymmetry of 1e-3, which imucal does not know:
 imucal's result has the fixture's axes. It is taken to MARS axes, in which the gyro matrix is symmetric, by its own
 polar decomposition (`sims/accuracy/ferraris.py`), so that a turn of the whole unit on the fixture costs it nothing. The
 rows of orthogonality depend on no frame. On a perfect fixture, without noise and on an Earth at rest, its result equals
-the truth to rounding (`tests/test_rivals.py`).
+the truth to rounding (`tests/sims/test_rivals.py`).
 
 ## Fairness
 

@@ -19,7 +19,7 @@ at most 1 %, however the parameters hang together (Bonferroni). It is the soluti
 T the chance that the z of one sound unit exceeds c in size where all σ are equal, :func:`tail_probability`: a σ that
 all share is then as good as spread between the units, and T does not depend on it. Unequal σ are the same with
 ``s² + σ_0²`` for s², and the rest, ``σ_i² − σ_0²``, for σ_i²: errors beyond the common ones widen S for all, and the
-own ones stand in the denominator in full. That flags less than stated, never more; ``tests/test_fleet.py`` holds it to
+own ones stand in the denominator in full. That flags less than stated, never more; ``tests/comparison/test_fleet.py`` holds it to
 that. (Taking each pair's σ off its difference instead estimates s itself, but among unequal σ a few chance agreements
 then make it vanish: that flagged sound units in most fleets.)
 """

@@ -15,7 +15,7 @@ import srt
 from sims.physics.imu import exact_increments
 from srt.sensor_errors import N_PARAMETERS
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = ("trajectories", "preintegration", "navigation", "drift_report")
 DT = 0.01
 

@@ -24,7 +24,7 @@ import sims
 import srt
 from srt.recording.recording import Fixture, Site
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGES = {"srt": "srt", "estimators": "estimators", "sims": "sims", "configs": "sims/configs"}
 """Folders of the tree, and where the wheel has them."""
 CALIBRATION = ROOT / "tests" / "data" / "calibration-v1.json"

@@ -5,7 +5,7 @@ from pathlib import Path
 from srt.diagnosis.document import document
 from srt.diagnosis.faults import FAULTS, STAGES
 
-PAGE = Path(__file__).parents[1] / "docs" / "faults.md"
+PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
 
 
 def test_the_committed_page_is_up_to_date():

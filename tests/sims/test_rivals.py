@@ -32,7 +32,7 @@ from sims.physics.table_motion import Schedule, run_schedule, table1_motion
 from srt.exceptions import DataError, InputError, MissingExtraError
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 RATE_HZ = 50.0
 DWELL_S = 2.0

@@ -2,7 +2,7 @@
 
 A comment before a block says what it is: ``<!-- example -->`` runs it, in the order of the page and in one folder,
 ``<!-- output -->`` is what the block of Python before it prints, ``<!-- file: NAME -->`` and ``<!-- append: NAME -->``
-write a file, ``<!-- example: FILE -->`` shows a part of a script that tests/test_examples.py runs.
+write a file, ``<!-- example: FILE -->`` shows a part of a script that tests/project/test_examples.py runs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from srt.mount.alignment import mount_from_calibration
 from srt.recording import schema
 from srt.result.calibration import STATUSES
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TEXTS = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in [*PAGES, *ROOT.glob("*.md")]}
@@ -46,7 +46,7 @@ READERS_OWN = {"docs/exports.md", "docs/mount-alignment.md"}
 SLOW = {"docs/robustness.md"}
 """Pages whose Python takes a minute."""
 SLOW_EXAMPLES = {"docs/planning.md"}
-"""Pages whose examples take a quarter of one; tests/test_cli_plan.py runs the same commands on less."""
+"""Pages whose examples take a quarter of one; tests/cli/test_cli_plan.py runs the same commands on less."""
 
 
 @dataclass(frozen=True)

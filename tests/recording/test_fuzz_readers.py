@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from srt.exceptions import DataError, InputError
 from srt.recording.importer_registry import IMPORTERS
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 fuzz = importlib.import_module("fuzz")
 mutations = importlib.import_module("fuzz_mutations")
 

@@ -32,7 +32,7 @@ from sims.faults.table import markdown, missed_targets
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
 
-BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "faults.py"
+BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "faults.py"
 FIRST, SECOND = GRADES[:2]
 
 

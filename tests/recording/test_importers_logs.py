@@ -16,7 +16,7 @@ from srt.recording.importer_registry import find_importer, import_file
 from srt.recording.importers import guarded
 from srt.recording.recording import Site
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 ff = importlib.import_module("foreign_files")
 
 N = 24

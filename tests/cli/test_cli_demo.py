@@ -95,4 +95,4 @@ def test_verdict_names_the_worst_and_the_bound():
 
 
 def test_default_folder_is_kept_out_of_version_control():
-    assert "demo-output/" in (Path(__file__).parents[1] / ".gitignore").read_text().split()
+    assert "demo-output/" in (Path(__file__).parents[2] / ".gitignore").read_text().split()

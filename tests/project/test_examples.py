@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 EXAMPLES = [ROOT / "examples" / "quickstart.py"]  # the navigation example has tests of its own
 
 
