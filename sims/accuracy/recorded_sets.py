@@ -31,7 +31,7 @@ XSENS_LATITUDE_DEG: Final = 45.4
 
 def data_folder() -> Path | None:
     """Folder of the recorded sets: the environment's, or ``../shared/data`` beside the checkout; None if absent."""
-    for place in (os.environ.get(DATA_VARIABLE), Path(__file__).parents[2] / "shared" / "data"):
+    for place in (os.environ.get(DATA_VARIABLE), Path(__file__).parents[3] / "shared" / "data"):
         if place is not None and Path(place).is_dir():
             return Path(place)
     return None

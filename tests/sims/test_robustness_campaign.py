@@ -183,8 +183,8 @@ def test_a_wrong_minimum_is_called_one(small, monkeypatch):
     campaign = small()
     real = srt.calibrate
 
-    def careless(recording, name, *, options):
-        found = real(recording, name, options=options)
+    def careless(recording, name, *, options, checks):
+        found = real(recording, name, options=options, checks=checks)
         if options.start != "auto":
             return found
         wrong = found.errors.vector.copy()
@@ -209,10 +209,10 @@ def test_an_error_is_an_outcome(small, monkeypatch):
 def test_a_defect_is_a_failure_of_its_trial_alone(small, monkeypatch):
     real = srt.calibrate
 
-    def sometimes(recording, name, *, options):
+    def sometimes(recording, name, *, options, checks):
         if name == "least-squares":
             raise ValueError("array must not contain infs or NaNs")
-        return real(recording, name, options=options)
+        return real(recording, name, options=options, checks=checks)
 
     monkeypatch.setattr("srt.calibrate", sometimes)
     rows = run_trial(small(extra='[[estimator]]\nname = "least-squares"\n'), (0, 0))
