@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from srt.diagnosis.run import Examination
+from srt.diagnosis.staged_diagnosis import StagedDiagnosis
 from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError
@@ -69,8 +69,8 @@ def calibrate(
     if not checks:
         result = estimate(recording, estimator, options, progress)
         return replace(result, warnings=(*result.warnings, UNCHECKED))
-    examination = Examination(recording, options)
-    screened = examination.screen()
+    staged = StagedDiagnosis(recording, options)
+    screened = staged.before_calibration()
     if screened.refusal is not None and not force:
         raise DataError(screened.refusal.sentence, fault=screened.refusal.fault)
     try:
@@ -79,7 +79,7 @@ def calibrate(
         if screened.first is None or error.fault is not None:
             raise
         raise DataError(f"{error} The likely cause: {screened.first.sentence}", fault=screened.first.fault) from error
-    diagnosis = examination.complete(result)
+    diagnosis = staged.with_calibration(result)
     warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note")
     return replace(
         result,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import checks_of, in_order
+from srt.diagnosis.findings import sort_by_cause, stage_checks
 
 
 class WithoutRecognition(Evidence):
@@ -20,8 +20,8 @@ def examine_stages(recording, stages):
     """Findings of some stages, the first cause first."""
     evidence, out = WithoutRecognition(recording), []
     for stage in stages:
-        for registered in checks_of(stage):
+        for registered in stage_checks(stage):
             out += registered.run(evidence)
         if any(finding.effect.startswith("exit") for finding in out):
             break
-    return in_order(out)
+    return sort_by_cause(out)

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from srt.diagnosis.faults import FAULTS, Fault
 from srt.diagnosis.findings import Finding
-from srt.diagnosis.run import Diagnosis, diagnose
+from srt.diagnosis.staged_diagnosis import Diagnosis, diagnose
 
 __all__ = ["FAULTS", "Diagnosis", "Fault", "Finding", "diagnose"]

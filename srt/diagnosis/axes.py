@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, found
+from srt.diagnosis.findings import check, finding
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
@@ -78,22 +78,22 @@ def _named(gyro: Array, accel: Array) -> Finding:
         return one
     maps = {"gyro_mapping": mapping(gyro), "accel_mapping": mapping(accel)}
     if np.linalg.det(accel) < 0.0 and (_is(gyro, accel) or _is(gyro, -accel)):
-        return found("left_handed", **maps)
+        return finding("left_handed", **maps)
     if _is(gyro, accel):
-        return found("frame_turned", mapping=maps["gyro_mapping"])
-    return found("frames_disagree", **maps)
+        return finding("frame_turned", mapping=maps["gyro_mapping"])
+    return finding("frames_disagree", **maps)
 
 
 def _one_sensor(sensor: str, axes: Array) -> Finding | None:
     """The fault of one triad alone, if it is one of those that have a name."""
     undo = mapping(axes)
     if _is(axes, -_EYE):
-        return found(f"{sensor}_sign_convention", mapping=undo)
+        return finding(f"{sensor}_sign_convention", mapping=undo)
     wrong = np.flatnonzero(np.abs(np.diag(axes) - 1.0) > 0.5)
     if len(wrong) == 1:
-        return found(f"{sensor}_axis_flipped", axis=AXES[wrong[0]], mapping=undo)
+        return finding(f"{sensor}_axis_flipped", axis=AXES[wrong[0]], mapping=undo)
     if len(wrong) == 2 and axes[wrong[0], wrong[1]] > 0.5 and axes[wrong[1], wrong[0]] > 0.5:
-        return found(f"{sensor}_axes_swapped", axes=f"{AXES[wrong[0]]} and {AXES[wrong[1]]}", mapping=undo)
+        return finding(f"{sensor}_axes_swapped", axes=f"{AXES[wrong[0]]} and {AXES[wrong[1]]}", mapping=undo)
     return None
 
 
@@ -113,7 +113,7 @@ _NEAR: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turns:
+class ManoeuvreReadings:
     """Rests and the turns between them, labelled or found, as rates.
 
     Attributes
@@ -132,14 +132,16 @@ class Turns:
     between: Indices
 
 
-def turns_of(evidence: Evidence) -> Turns | None:
+def manoeuvre_readings(evidence: Evidence) -> ManoeuvreReadings | None:
     """Windows and turns of the labels, or all that were found in a recording without labels; None without any."""
-    if evidence.labelled:
+    if evidence.has_labels:
         data = evidence.data
         if data is None:
             return None
-        between = np.stack([data.start, data.end], axis=1)[evidence.whole]
-        return Turns(evidence.rest_rate, evidence.rest_force, data.rotation[evidence.whole], between)
+        between = np.stack([data.start, data.end], axis=1)[evidence.contiguous]
+        return ManoeuvreReadings(
+            evidence.stationary_rate, evidence.stationary_force, data.rotation[evidence.contiguous], between
+        )
     if evidence.recognition is None:
         return None
     found = evidence.recognition
@@ -150,7 +152,7 @@ def turns_of(evidence: Evidence) -> Turns | None:
     )
     spans = np.array([(turn.first, turn.last) for turn in found.turns], dtype=np.intp).reshape(-1, 2)
     between = np.array([(turn.start_window, turn.end_window) for turn in found.turns], dtype=np.intp).reshape(-1, 2)
-    return Turns(rate, force, spans, between)
+    return ManoeuvreReadings(rate, force, spans, between)
 
 
 def gravity_relation(evidence: Evidence) -> Array | None:
@@ -161,7 +163,7 @@ def gravity_relation(evidence: Evidence) -> Array | None:
     ndarray, shape (3, 3), or None
         None if the turns do not cover all axes, or the readings do not obey any such relation.
     """
-    turns = turns_of(evidence)
+    turns = manoeuvre_readings(evidence)
     if turns is None:
         return None
     recording = evidence.recording
@@ -211,7 +213,7 @@ def gyro_axes(evidence: Evidence) -> Array | None:
     """Signed permutation Pg of the gyros by the turns stated; None where these do not tell."""
     if evidence.data is None or evidence.gyro_fit.rank < 3:
         return None
-    _, _, turned = evidence.legs
+    _, _, turned = evidence.rotation_angles
     return nearest_axes(evidence.gyro_fit.matrix) if _fits(evidence.gyro_fit.residual, turned) else None
 
 

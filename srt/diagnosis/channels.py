@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
-from srt.diagnosis.axes import turns_of
-from srt.diagnosis.findings import check, found
-from srt.diagnosis.repeat_evidence import stuck_runs
-from srt.diagnosis.spike_evidence import find_spikes
+from srt.diagnosis.axes import manoeuvre_readings
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.repeated_samples import repeated_runs
+from srt.diagnosis.spikes import find_spikes
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
         moved = moved_axes(evidence)
         named = [axis for axis in range(3) if dead[axis] and (noisy or moved[axis])]
         if named:
-            yield found(
+            yield finding(
                 f"{sensor}_channel_dead",
                 channel=", ".join(f"{sensor}_{AXES[axis]}" for axis in named),
                 value=float(table[0, named[0]]),
@@ -119,7 +119,7 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
         factor = product / float(size[j]) ** 2
         off = columns[i] - factor * columns[j]
         if np.ptp(off) <= 1e-6 * np.ptp(columns[i]) and _may_repeat(evidence, i, j, factor):
-            yield found("columns_repeat", channel=CHANNELS[i], other=CHANNELS[j])
+            yield finding("columns_repeat", channel=CHANNELS[i], other=CHANNELS[j])
             return
 
 
@@ -139,9 +139,9 @@ def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
     gyro, accel = recording.gyro[::stride], recording.accel[::stride]
     if not (_holds_gravity(gyro) and _range_of_size(accel) > _GRAVITY):
         return
-    turns = turns_of(evidence)
+    turns = manoeuvre_readings(evidence)
     rate, force = (gyro, accel) if turns is None else (turns.rate / evidence.per_rate, turns.force / evidence.per_rate)
-    yield found(
+    yield finding(
         "sensors_exchanged",
         gyro=float(np.median(np.linalg.norm(rate, axis=1))) * evidence.per_rate,
         accel=float(np.median(np.linalg.norm(force, axis=1))) * evidence.per_rate,
@@ -162,14 +162,14 @@ def _holds_gravity(vectors: Array) -> bool:
 @check("samples_stuck", "gyro_stuck", "accel_stuck")
 def stuck(evidence: Evidence) -> Iterator[Finding]:
     """Runs of equal rows, longer than the recording's own repeats explain."""
-    for fault, runs in zip(("samples_stuck", "gyro_stuck", "accel_stuck"), stuck_runs(evidence), strict=True):
+    for fault, runs in zip(("samples_stuck", "gyro_stuck", "accel_stuck"), repeated_runs(evidence), strict=True):
         if runs:
             run = max(runs, key=lambda r: r.count)
-            yield found(
+            yield finding(
                 fault,
                 count=run.count + 1,
                 time=float(evidence.recording.time[run.first]),
-                sequence=evidence.called_at(run.first),
+                sequence=evidence.place_title(run.first),
             )
 
 
@@ -181,11 +181,11 @@ def spikes(evidence: Evidence) -> Iterator[Finding]:
         return
     most = int(np.argmax(np.bincount(there.channel)))
     k = int(np.argmax(np.where(there.channel == most, np.abs(there.jump), -1.0)))
-    yield found(
+    yield finding(
         "spikes",
         channel=CHANNELS[int(there.channel[k])],
         size=f"{abs(float(there.jump[k])) * evidence.per_rate:.3g} {'rad/s' if there.channel[k] < 3 else 'm/s²'}",
         time=float(evidence.recording.time[there.sample[k]]),
         count=int(there.sample.size),
-        sequence=evidence.called_at(int(there.sample[k])),
+        sequence=evidence.place_title(int(there.sample[k])),
     )

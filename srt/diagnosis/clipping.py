@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.channels import CHANNELS
-from srt.diagnosis.findings import check, found
-from srt.noise.from_windows import smallest_step
+from srt.diagnosis.findings import check, finding
+from srt.noise.noise_model import smallest_step
 from srt.sequences.plausibility import Clipping, ClippingLevels, clipped_samples, clipping_levels
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ def clipping(evidence: Evidence) -> Iterator[Finding]:
         at = int(np.searchsorted(evidence.recording.time, first.first_s))
         table = getattr(evidence.recording, sensor)
         others = len({number for number, _ in mine}) - 1
-        where = evidence.called_at(at) if k is None else evidence.title(k)
-        yield found(
+        where = evidence.place_title(at) if k is None else evidence.title(k)
+        yield finding(
             f"{sensor}_clipped",
             channel=first.channel,
             limit=abs(float(table[at, CHANNELS.index(first.channel) % 3])) * evidence.per_rate,
@@ -56,7 +56,7 @@ def clipped_parts(evidence: Evidence) -> list[tuple[int | None, tuple[Clipping, 
     levels = _levels(evidence)
     if levels is None:
         return []
-    if not evidence.labelled:
+    if not evidence.has_labels:
         whole = clipped_samples(recording, slice(0, len(recording.time)), levels)
         return [(None, whole)] if whole else []
     data = evidence.data

@@ -30,7 +30,7 @@ _RIDGE: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class LinearFit:
     """Readings against nominal vectors, ``reading ≈ matrix @ nominal + offset``, by least squares.
 
     Attributes
@@ -100,20 +100,20 @@ class Evidence:
             return None
 
     @cached_property
-    def labelled(self) -> bool:
+    def has_labels(self) -> bool:
         """Whether the recording came with labels."""
         return bool(self.recording.sequences)
 
     @cached_property
     def labels(self) -> tuple[SequenceLabel, ...]:
         """Labels given, else those of the sequences recognised, else of free turns; may be empty."""
-        if self.labelled:
+        if self.has_labels:
             return self.recording.sequences
         return () if self.recognition is None else self.recognition.labels
 
     @property
     def _with_labels(self) -> Recording:
-        return self.recording if self.labelled else labelled(self.recording, self.labels)
+        return self.recording if self.has_labels else labelled(self.recording, self.labels)
 
     @cached_property
     def data(self) -> PlaybackData | None:
@@ -124,7 +124,7 @@ class Evidence:
             return None
 
     @cached_property
-    def whole(self) -> Mask:
+    def contiguous(self) -> Mask:
         """Sequences without a gap between their first and last sample, shape (K,)."""
         data = self._data
         first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
@@ -153,7 +153,7 @@ class Evidence:
         inside = np.flatnonzero((first <= sample) & (sample < last))
         return int(inside[0]) if inside.size else None
 
-    def called_at(self, sample: int) -> str:
+    def place_title(self, sample: int) -> str:
         """What sentences call the place of a sample."""
         k = self.sequence_at(sample)
         return "that part" if k is None else self.title(k)
@@ -161,19 +161,19 @@ class Evidence:
     # --- rest --------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def rest_rate(self) -> Array:
+    def stationary_rate(self) -> Array:
         """Mean gyro reading of every window, shape (W, 3), rad/s."""
         return self._data.windows.gyro_mean
 
     @cached_property
-    def rest_force(self) -> Array:
+    def stationary_force(self) -> Array:
         """Mean accelerometer reading of every window, shape (W, 3), m/s²."""
         return self._data.windows.accel_mean
 
     # --- turns -------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def legs(self) -> tuple[Indices, Array, Array]:
+    def rotation_angles(self) -> tuple[Indices, Array, Array]:
         """Legs of the sequences in the catalogue that can be told apart.
 
         Returns
@@ -182,7 +182,7 @@ class Evidence:
         nominal, turned : ndarray, shape (L, 3), rad
             Stated rotation, signed angle times axis, and summed gyro reading less the mean of the two windows.
         """
-        from srt.estimation.initial_estimates import split_legs
+        from srt.estimation.initial_estimates import rotation_angles
         from srt.model.analytic_platform import gyro_stream
 
         data = self._data
@@ -196,9 +196,9 @@ class Evidence:
         rest = data.windows.gyro_mean
         numbers, nominal, turned = [], [], []
         for k, sequence in enumerate(data.catalogue):
-            if sequence is None or not self.whole[k]:
+            if sequence is None or not self.contiguous[k]:
                 continue
-            split = split_legs(stream, k, sequence, 0.5 * (rest[data.start[k]] + rest[data.end[k]]))
+            split = rotation_angles(stream, k, sequence, 0.5 * (rest[data.start[k]] + rest[data.end[k]]))
             if split is not None:
                 numbers.append(np.full(len(split), k))
                 nominal.append(sequence.axes * sequence.angles_rad[:, None])
@@ -208,9 +208,9 @@ class Evidence:
         return np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned)
 
     @cached_property
-    def gyro_fit(self) -> Fit:
+    def gyro_fit(self) -> LinearFit:
         """Turned against stated angles: raw gyro matrix over the nominal frame, rad."""
-        _, nominal, turned = self.legs
+        _, nominal, turned = self.rotation_angles
         return _fit(nominal, turned, with_offset=False)
 
     @cached_property
@@ -223,17 +223,17 @@ class Evidence:
                 continue
             down = nominal_attitude(sequence)[2]
             nominal += [-data.gravity * down, -data.gravity * (end_attitude(sequence).T @ down)]
-            reading += [self.rest_force[data.start[k]], self.rest_force[data.end[k]]]
+            reading += [self.stationary_force[data.start[k]], self.stationary_force[data.end[k]]]
         return np.array(nominal).reshape(-1, 3), np.array(reading).reshape(-1, 3)
 
     @cached_property
-    def accel_fit(self) -> Fit:
+    def accel_fit(self) -> LinearFit:
         """Readings at rest against the nominal vertical: raw accelerometer matrix and bias, m/s²."""
         return _fit(*self.poses, with_offset=True)
 
     def sequence_angle(self, sequence: int) -> float:
         """Magnitude of the summed gyro reading of one leg over the stated one, the largest of a sequence."""
-        numbers, nominal, turned = self.legs
+        numbers, nominal, turned = self.rotation_angles
         mine = numbers == sequence
         ratio = np.linalg.norm(turned[mine], axis=1) / np.linalg.norm(nominal[mine], axis=1)
         return float(ratio.max(initial=np.nan))
@@ -252,16 +252,16 @@ class Evidence:
             return None
 
 
-def _fit(x: Array, y: Array, *, with_offset: bool) -> Fit:
+def _fit(x: Array, y: Array, *, with_offset: bool) -> LinearFit:
     if len(x) == 0:
-        return Fit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
+        return LinearFit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
     scale = float(np.linalg.norm(x, axis=1).mean())
     design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_offset else x / scale
     rank = int(np.linalg.matrix_rank(x / scale, tol=0.1))
     solution = np.linalg.lstsq(design, y, rcond=_RIDGE)[0]
     matrix = solution[:3].T / scale
     offset = solution[3] if with_offset else np.zeros(3)
-    return Fit(np.asarray(matrix), np.asarray(offset), np.asarray(y - design @ solution), rank)
+    return LinearFit(np.asarray(matrix), np.asarray(offset), np.asarray(y - design @ solution), rank)
 
 
 def plain(value: Any) -> Any:

@@ -40,28 +40,28 @@ class Finding:
         return FAULTS[self.fault].stage
 
 
-def found(fault: str, **details: Any) -> Finding:
+def finding(fault: str, **details: Any) -> Finding:
     """State a fault; the fields of its sentence are given by name."""
     return Finding(fault, FAULTS[fault].sentence.format(**details), details)
 
 
-Check = Callable[["Evidence"], Iterable[Finding]]
+CheckFunction = Callable[["Evidence"], Iterable[Finding]]
 
 
 @dataclass(frozen=True, slots=True)
-class Registered:
+class Check:
     """A check and what it can name; ``needs_result`` tells that it looks at a calibration of the recording."""
 
-    run: Check
+    run: CheckFunction
     faults: tuple[str, ...]
     stage: str
     needs_result: bool
 
 
-CHECKS: Final[list[Registered]] = []
+CHECKS: Final[list[Check]] = []
 
 
-def check(*faults: str, needs_result: bool = False) -> Callable[[Check], Check]:
+def check(*faults: str, needs_result: bool = False) -> Callable[[CheckFunction], CheckFunction]:
     """Register a check that can name these faults, all of one stage.
 
     A check yields at most one finding for each cause that it sees; several sequences with one cause are one finding.
@@ -70,19 +70,19 @@ def check(*faults: str, needs_result: bool = False) -> Callable[[Check], Check]:
     assert len(stages) == 1, "a check belongs to one stage"
     stage = stages.pop()
 
-    def register(run: Check) -> Check:
-        CHECKS.append(Registered(run, faults, stage, needs_result))
+    def register(run: CheckFunction) -> CheckFunction:
+        CHECKS.append(Check(run, faults, stage, needs_result))
         return run
 
     return register
 
 
-def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+def sort_by_cause(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Causes before their consequences."""
     return tuple(sorted(findings, key=lambda finding: RANK[finding.fault]))
 
 
-def checks_of(stage: str) -> list[Registered]:
+def stage_checks(stage: str) -> list[Check]:
     """The checks of one stage."""
     assert stage in STAGES
     return [registered for registered in CHECKS if registered.stage == stage]

@@ -16,7 +16,7 @@ from srt.exceptions import DataError, MissingExtraError
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS, TERMS, AllanDeviation, allan_deviation
-from srt.noise.from_windows import noise_model
+from srt.noise.noise_model import noise_model
 from srt.recording.folder import TOML_NAME
 from srt.recording.recording import Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
@@ -121,7 +121,7 @@ def _summary(recording: Recording, recognition: Recognition) -> str:
 
 
 def _only_rest(recording: Recording) -> Indices:
-    """Stillness where there is too little of it for a turn, as in a log of a unit on a shelf; shape (0 or 1, 2)."""
+    """Longest stationary window of a recording without rotations, such as a log on a shelf; shape (0 or 1, 2)."""
     try:
         check_interval(recording)
         blocks = blocks_of(recording)
@@ -136,14 +136,14 @@ def _only_rest(recording: Recording) -> Indices:
     return first
 
 
-def _stamps(recording: Recording) -> Stamps:
+def _stamps(recording: Recording) -> TimeStampSummary:
     dt, time, gaps = recording.nominal_interval_s, recording.time, recording.gaps
     steps = np.diff(time)
     missing = steps[gaps - 1] - dt
     longest = int(np.argmax(missing)) if gaps.size else None
     steps[gaps - 1] = dt
     deviation = steps - dt
-    return Stamps(
+    return TimeStampSummary(
         samples=len(time),
         first_s=float(time[0]) - dt,
         duration_s=float(time[-1] - time[0]) + dt,
@@ -157,7 +157,7 @@ def _stamps(recording: Recording) -> Stamps:
     )
 
 
-def _stillness(recording: Recording, windows: Indices) -> Stillness | None:
+def _stillness(recording: Recording, windows: Indices) -> StationarySummary | None:
     if len(windows) == 0:
         return None
     dt = recording.nominal_interval_s
@@ -172,7 +172,7 @@ def _stillness(recording: Recording, windows: Indices) -> Stillness | None:
     force = np.linalg.norm(means[:, 1], axis=1) / STANDARD_GRAVITY_M_S2
     lengths = (windows[:, 1] - windows[:, 0]) * dt
     rate = lengths @ means[:, 0] / lengths.sum() / DEG_PER_H
-    return Stillness(
+    return StationarySummary(
         windows_s=tuple((float(recording.time[a] - dt), float(recording.time[b - 1])) for a, b in windows.tolist()),
         total_s=float(lengths.sum()),
         force_g=(float(force.min()), float(np.median(force)), float(force.max())),
@@ -180,7 +180,7 @@ def _stillness(recording: Recording, windows: Indices) -> Stillness | None:
     )
 
 
-def _noise(recording: Recording, windows: Indices) -> tuple[Noise | None, AllanDeviation | None]:
+def _noise(recording: Recording, windows: Indices) -> tuple[NoiseSummary | None, AllanDeviation | None]:
     if len(windows) == 0:
         return None, None
     stated = {
@@ -191,8 +191,8 @@ def _noise(recording: Recording, windows: Indices) -> tuple[Noise | None, AllanD
     try:
         allan = allan_deviation(recording, windows)
     except (DataError, MissingExtraError) as error:
-        return Noise(_short_figures(recording, windows), stated, str(error)), None
-    return Noise(allan.figures(), stated, None), allan
+        return NoiseSummary(_short_figures(recording, windows), stated, str(error)), None
+    return NoiseSummary(allan.figures(), stated, None), allan
 
 
 def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str, Any]]:
@@ -217,7 +217,7 @@ def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str
     return out
 
 
-def _turn(recording: Recording, turn: FoundTurn) -> TurnSeen:
+def _turn(recording: Recording, turn: FoundTurn) -> ManoeuvreSummary:
     dt = recording.nominal_interval_s
     moving = recording.gyro[turn.first : turn.last]
     fastest = float(np.sqrt(np.einsum("na,na->n", moving, moving).max(initial=0.0)))
@@ -226,7 +226,7 @@ def _turn(recording: Recording, turn: FoundTurn) -> TurnSeen:
     middle = 0.5 * (start + end)
     around = (label for label in recording.sequences if label.start_static_s[0] < middle < label.end_static_s[1])
     label = next(around, None)
-    return TurnSeen(
+    return ManoeuvreSummary(
         start_s=start,
         end_s=end,
         legs=tuple(_leg(leg) for leg in turn.legs),
@@ -239,14 +239,14 @@ def _turn(recording: Recording, turn: FoundTurn) -> TurnSeen:
     )
 
 
-def _leg(vector: Array) -> Leg:
+def _leg(vector: Array) -> RotationSummary:
     angle = float(np.linalg.norm(vector))
     direction = vector / max(angle, 1e-12)
     k = int(np.argmax(np.abs(direction)))
     on_axis = bool(abs(direction[k]) >= _ON_AXIS)
     sense = float(np.sign(direction[k])) if on_axis else 1.0
     x, y, z = (direction * sense).tolist()
-    return Leg(AXES[k] if on_axis else None, (x, y, z), angle * sense / DEG)
+    return RotationSummary(AXES[k] if on_axis else None, (x, y, z), angle * sense / DEG)
 
 
 def _net(angles: Array, factor: float) -> Array:
@@ -260,13 +260,13 @@ def _net(angles: Array, factor: float) -> Array:
     return vector
 
 
-def _temperature(recording: Recording) -> Temperature | None:
+def _temperature(recording: Recording) -> TemperatureSummary | None:
     values = recording.temperature
     if values is None:
         return None
     recorded = values.strides != (0,)
     ends = (float(values[0]), float(values[-1]))
-    return Temperature(*ends, *((float(values.min()), float(values.max())) if recorded else ends), recorded)
+    return TemperatureSummary(*ends, *((float(values.min()), float(values.max())) if recorded else ends), recorded)
 
 
 FORMAT: Final = "srt-inspection"
@@ -279,7 +279,7 @@ _NEGLIGIBLE: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class Stamps:
+class TimeStampSummary:
     """Time stamps and what they say of the sampling.
 
     Attributes
@@ -312,7 +312,7 @@ class Stamps:
 
 
 @dataclass(frozen=True, slots=True)
-class Stillness:
+class StationarySummary:
     """The stationary windows, and what the sensors read in them.
 
     Attributes
@@ -338,7 +338,7 @@ class Stillness:
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class RotationSummary:
     """A stretch of a turn about one axis, as the gyros read it.
 
     Attributes
@@ -361,15 +361,15 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True)
-class TurnSeen:
+class ManoeuvreSummary:
     """One turn between two rests.
 
     Attributes
     ----------
     start_s, end_s : float
-    legs : tuple of Leg
+    legs : tuple of RotationSummary
         Stretches about one sensor axis each; many small ones where a hand turned the unit.
-    net : Leg
+    net : RotationSummary
         The whole turn as one rotation from its start.
     fastest_deg_s : float
     sequence : str or None
@@ -383,8 +383,8 @@ class TurnSeen:
 
     start_s: float
     end_s: float
-    legs: tuple[Leg, ...]
-    net: Leg
+    legs: tuple[RotationSummary, ...]
+    net: RotationSummary
     fastest_deg_s: float
     sequence: str | None
     confidence: float
@@ -392,7 +392,7 @@ class TurnSeen:
     labelled: str | None
 
     @property
-    def parts(self) -> tuple[Leg, ...]:
+    def parts(self) -> tuple[RotationSummary, ...]:
         """What tables show: the legs about sensor axes, or the net rotation alone where a hand made it of many."""
         path = sum(abs(leg.angle_deg) for leg in self.legs)
         legs = tuple(leg for leg in self.legs if abs(leg.angle_deg) > _NEGLIGIBLE * path)
@@ -401,8 +401,8 @@ class TurnSeen:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
-    """Noise at rest by channel.
+class NoiseSummary:
+    """NoiseSummary at rest by channel.
 
     Attributes
     ----------
@@ -421,8 +421,8 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
-class Temperature:
-    """Temperature in °C; ``recorded`` is False where one value was stated for all samples."""
+class TemperatureSummary:
+    """TemperatureSummary in °C; ``recorded`` is False where one value was stated for all samples."""
 
     first_c: float
     last_c: float
@@ -441,15 +441,15 @@ class Inspection:
     units : dict
         Of ``gyro``, ``accel`` and ``time`` as the recording declares them; empty where that is not known.
     serial : str or None
-    stamps : Stamps
-    stillness : Stillness or None
+    stamps : TimeStampSummary
+    stillness : StationarySummary or None
         None: no rest was found.
-    noise : Noise or None
+    noise : NoiseSummary or None
     allan : AllanDeviation or None
-    turns : tuple of TurnSeen
+    turns : tuple of ManoeuvreSummary
     summary : str
         What the recording was recognised as, or why it was not, in a sentence.
-    temperature : Temperature or None
+    temperature : TemperatureSummary or None
     diagnosis : Diagnosis
     calibrated : bool
         Whether faults were looked for that only a calibration shows.
@@ -458,13 +458,13 @@ class Inspection:
     kind: str
     units: dict[str, str]
     serial: str | None
-    stamps: Stamps
-    stillness: Stillness | None
-    noise: Noise | None
+    stamps: TimeStampSummary
+    stillness: StationarySummary | None
+    noise: NoiseSummary | None
     allan: AllanDeviation | None
-    turns: tuple[TurnSeen, ...]
+    turns: tuple[ManoeuvreSummary, ...]
     summary: str
-    temperature: Temperature | None
+    temperature: TemperatureSummary | None
     diagnosis: Diagnosis
     calibrated: bool
 

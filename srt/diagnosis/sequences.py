@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, found
-from srt.diagnosis.turn_evidence import blocks, legs, nominal_sums, once, solved, sums, swing, triads
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.rotation_readings import (
+    block_averages,
+    computed_once,
+    invert_readings,
+    nominal_rotation_integrals,
+    raw_triads,
+    rotation_angles,
+    rotation_integrals,
+    stabilised_force,
+)
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
@@ -54,14 +63,14 @@ def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
     """Compare labelled windows in which the unit turns with the stillness found in the samples."""
     seen = _shift(evidence)
     if seen is not None and evidence.data is not None:
-        yield found("labels_shifted", shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
+        yield finding("labels_shifted", shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
 
 
-@once
+@computed_once
 def _shift(evidence: Evidence) -> tuple[float, int] | None:
     """Time by which labels are late, s, and the windows that it spoils; None if the labels are where they belong."""
     data = evidence.data
-    if data is None or not evidence.labelled:
+    if data is None or not evidence.has_labels:
         return None
     turning = _turning(evidence)
     if not turning.any():
@@ -139,26 +148,26 @@ def executed_otherwise(evidence: Evidence) -> Iterator[Finding]:
     data = evidence.data
     if data is None or _shift(evidence) is not None:  # nothing fits labels that lie beside their turns
         return
-    exchanged = _exchanged(evidence) if evidence.labelled else {}
+    exchanged = _exchanged(evidence) if evidence.has_labels else {}
     if exchanged:
-        yield found(
+        yield finding(
             "labels_exchanged",
             labelled=", ".join(data.ids[k] for k in exchanged),
             found=", ".join(exchanged.values()),
             count=len(exchanged),
             of=data.K,
         )
-    numbers, nominal, turned = legs(evidence)
+    numbers, nominal, turned = rotation_angles(evidence)
     angle = np.linalg.norm(nominal, axis=1)
-    matrix = triads(evidence)[0]
-    done = np.einsum("la,la->l", solved(matrix, turned), nominal) / np.maximum(angle, 1e-300)
+    matrix = raw_triads(evidence)[0]
+    done = np.einsum("la,la->l", invert_readings(matrix, turned), nominal) / np.maximum(angle, 1e-300)
     known = ~np.isin(numbers, list(exchanged))
     # What was recognised in the samples has the direction that it has.
-    backwards = known & (done < -_AGREE * angle) & evidence.labelled
+    backwards = known & (done < -_AGREE * angle) & evidence.has_labels
     if backwards.any():
         leg = int(np.flatnonzero(backwards)[0])
         expected = _signed(nominal[leg])
-        yield found(
+        yield finding(
             "wrong_direction",
             title=_turn_title(evidence, leg),
             found=math.degrees(math.copysign(done[leg], -expected)),
@@ -170,13 +179,13 @@ def executed_otherwise(evidence: Evidence) -> Iterator[Finding]:
 
 def _exchanged(evidence: Evidence) -> dict[int, str]:
     """Places in the run whose turn and faces are those of another sequence, with its name."""
-    data, seen = evidence.data, sums(evidence)
+    data, seen = evidence.data, rotation_integrals(evidence)
     assert data is not None
     assert seen is not None
     places = [k for k, name in enumerate(data.ids) if name in SEQUENCES]
     if not places:
         return {}
-    table = [nominal_sums(sequence) for sequence in SEQUENCES.values()]
+    table = [nominal_rotation_integrals(sequence) for sequence in SEQUENCES.values()]
     signed, absolute, before, after = (np.array([row[i] for row in table]) for i in range(4))
     names = list(SEQUENCES)
     own = np.array([names.index(data.ids[k]) for k in places])
@@ -209,7 +218,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     fixture = evidence.recording.fixture
     if fixture is None:
         return
-    numbers, nominal, _ = legs(evidence)
+    numbers, nominal, _ = rotation_angles(evidence)
     allowed = _SIGMAS * math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
     left = _end_mismatch(evidence)
@@ -218,7 +227,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
         return
     leg = int(off[np.argmax(np.abs(excess[off]))])
     expected = _signed(nominal[leg])
-    yield found(
+    yield finding(
         "wrong_angle",
         title=_turn_title(evidence, leg),
         found=math.degrees(expected + math.copysign(1.0, expected) * excess[leg]),
@@ -229,13 +238,13 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
 
 def _end_mismatch(evidence: Evidence) -> dict[int, float]:
     """Angle between the vertical carried through each sequence by the gyros and the one measured at its end, rad."""
-    data, path, turns = evidence.data, swing(evidence), blocks(evidence)
+    data, path, turns = evidence.data, stabilised_force(evidence), block_averages(evidence)
     if data is None or path is None or turns is None:
         return {}
-    _, accel, bias = triads(evidence)
+    _, accel, bias = raw_triads(evidence)
     last = turns.starts[1:] - 1
     sequences = turns.sequence[last]
-    measured = solved(accel, evidence.rest_force[data.end[sequences]] - bias)
+    measured = invert_readings(accel, evidence.stationary_force[data.end[sequences]] - bias)
     measured /= np.maximum(np.linalg.norm(measured, axis=1, keepdims=True), _NOTHING)
     carried = np.einsum("kab,kb->ka", path.attitude[last], measured)
     angle = np.linalg.norm(carried - path.up[last], axis=1)
@@ -249,7 +258,7 @@ def _signed(rotation: Array) -> float:
 
 def _turn_title(evidence: Evidence, leg: int) -> str:
     """What a sentence that begins with a turn calls it."""
-    numbers = legs(evidence)[0]
+    numbers = rotation_angles(evidence)[0]
     k = int(numbers[leg])
     title = evidence.title(k)
     mine = np.flatnonzero(numbers == k)
@@ -264,13 +273,13 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
     ids = _catalogue_ids(evidence)
     if not ids:
         return
-    held = set(evidence.options.held_names)
+    held = set(evidence.options.fixed_names)
     lost = [n for n in closed_form.missing_parameters(closed_form.formulas(set(ids))) if n not in held]
     if not lost:
         return
     missing = [name for name in SEQUENCES if name not in ids]
     several = len(missing) > 1
-    yield found(
+    yield finding(
         "sequence_missing",
         missing=f"Sequences {', '.join(missing)} are" if several else f"Sequence {missing[0]} is",
         found=len(SEQUENCES) - len(missing),
@@ -285,7 +294,7 @@ def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
     often = {name: count for name, count in Counter(_catalogue_ids(evidence)).items() if count > 1}
     if often:
         listed = ", ".join(f"{name} ({count} times)" for name, count in often.items())
-        yield found("sequence_repeated", sequences=listed)
+        yield finding("sequence_repeated", sequences=listed)
 
 
 def _catalogue_ids(evidence: Evidence) -> list[str]:
@@ -307,7 +316,7 @@ def window_short(evidence: Evidence) -> Iterable[Finding]:
     if duration[w] >= _SHORT * typical:
         return
     k = int(np.flatnonzero((data.start == w) | (data.end == w))[0])
-    yield found(
+    yield finding(
         "window_short",
         time=float(evidence.recording.time[data.windows.samples[w, 0]] - evidence.dt),
         duration=float(duration[w]),

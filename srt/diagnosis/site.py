@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtri, ndtri, stdtrit
 
 from srt.constants import DEG, EARTH_RATE_RAD_S, normal_gravity_m_s2
-from srt.diagnosis.findings import Finding, check, found
+from srt.diagnosis.findings import Finding, check, finding
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude
@@ -54,7 +54,7 @@ def gravity(evidence: Evidence) -> Iterator[Finding]:
     low, high = (normal_gravity_m_s2(site.latitude_rad, height) for height in HEIGHTS_M)
     low, high = low - ANOMALY_M_S2, high + ANOMALY_M_S2
     if not low <= site.gravity_m_s2 <= high:
-        yield found(
+        yield finding(
             "gravity", stated=site.gravity_m_s2, latitude=site.latitude_rad / DEG, low=float(low), high=float(high)
         )
 
@@ -69,7 +69,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     site, fixture = evidence.recording.site, evidence.recording.fixture
     if site.latitude_rad is None or fixture is None:
         return
-    fit = rest_fit(evidence)
+    fit = stationary_rate_fit(evidence)
     if fit is None or fit.horizontal is None:
         return
     limit = float(fdtri(1, fit.freedom, 1.0 - FALSE_ALARM))
@@ -90,7 +90,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     latitude = site.latitude_rad
     if float(misfit(np.array([latitude]))[0] - by_latitude[best]) > limit:
         near = latitudes[by_latitude <= by_latitude[best] + 1.0]
-        yield found(
+        yield finding(
             "latitude",
             found=float(latitudes[best] / DEG),
             sigma=float(max(0.5 * np.ptp(near) / DEG, _GRID_DEG)),
@@ -104,7 +104,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     off = float(np.angle(np.exp(1j * (seen - fixture.heading_rad))))
     level = EARTH_RATE_RAD_S * float(np.cos(latitude))
     if 2.0 * size * level * (1.0 - np.cos(off)) / horizontal_sigma**2 > limit:
-        yield found(
+        yield finding(
             "north",
             found=float((fixture.heading_rad + off) / DEG),
             sigma=float(min(horizontal_sigma / size, np.pi) / DEG),
@@ -112,7 +112,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _vertical_sigma(fit: RestFit) -> float:
+def _vertical_sigma(fit: StationaryRateFit) -> float:
     """One sigma of the vertical part, with the share of a g-sensitivity that looks like it.
 
     Were the nine components of Γ alike in size, what the eight others show would tell that of the one that is hidden,
@@ -149,7 +149,7 @@ _BIAS, _DRIFT, _G, _V, _H = slice(0, 3), slice(3, 6), slice(6, 14), 14, slice(15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RestFit:
+class StationaryRateFit:
     """Rates at rest taken apart; all rad/s, raw channels.
 
     Attributes
@@ -186,17 +186,17 @@ class RestFit:
         return matrix
 
 
-_FITS: WeakKeyDictionary[Evidence, RestFit | None] = WeakKeyDictionary()
+_FITS: WeakKeyDictionary[Evidence, StationaryRateFit | None] = WeakKeyDictionary()
 
 
-def rest_fit(evidence: Evidence) -> RestFit | None:
+def stationary_rate_fit(evidence: Evidence) -> StationaryRateFit | None:
     """Take the rates at rest apart; None where the windows are too few or too much alike for it."""
     if evidence not in _FITS:
         _FITS[evidence] = None if evidence.data is None else _fit(evidence, evidence.data)
     return _FITS[evidence]
 
 
-def _fit(evidence: Evidence, data: PlaybackData) -> RestFit | None:
+def _fit(evidence: Evidence, data: PlaybackData) -> StationaryRateFit | None:
     W = len(data.windows.duration_s)
     chosen = np.unique(np.linspace(0, W - 1, min(W, _MOST_WINDOWS)).astype(int))
     rate, force = data.windows.gyro_mean[chosen], data.windows.accel_mean[chosen]
@@ -239,7 +239,7 @@ def _fit(evidence: Evidence, data: PlaybackData) -> RestFit | None:
         solved = _with_flicker(X, rate, covariance, flicker_covariance(start, end), freedom)
         value, P, chi_square = solved
     sigma = np.sqrt(np.diag(P) * max(1.0, chi_square / freedom))
-    return RestFit(
+    return StationaryRateFit(
         value[_DRIFT],
         sigma[_DRIFT],
         value[_G],

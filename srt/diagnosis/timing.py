@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.findings import check, found
-from srt.diagnosis.units import accel_scales, gyro_scales
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.units import accel_scale_ratios, gyro_scale_ratios
 from srt.recording.timing import ROUNDING_FRACTION
 from srt.sequences.plausibility import LEGAL_RATIO, LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
 
@@ -57,18 +57,18 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
     factor, unit, declared = _unit(interval)
     if not SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
         why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"
-        yield found("time_unit", interval=interval, why=why, unit=unit, declared=declared)
+        yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
         return
     if _USUAL_S[0] <= interval <= _USUAL_S[1] or not _USUAL_S[0] <= interval * factor <= _USUAL_S[1]:
         return
     # Summed rates go with the interval, and so do increments that are divided by it.
-    turned, rest = gyro_scales(evidence).typical, accel_scales(evidence).typical
+    turned, rest = gyro_scale_ratios(evidence).typical, accel_scale_ratios(evidence).typical
     rates = evidence.recording.kind == "rate"
     off, other = (1.0 / turned if rates else rest, rest if rates else turned) if turned > 0.0 else (math.nan, math.nan)
     if off > 0.0 and LEGAL_RATIO[0] < other < LEGAL_RATIO[1] and abs(math.log(off / factor)) < _ALIKE:
         what = "turns come out" if rates else "gravity comes out"
         why = f"and {what} {(turned if rates else rest):.3g} times as large as it is"
-        yield found("time_unit", interval=interval, why=why, unit=unit, declared=declared)
+        yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
 
 
 def _jitter(evidence: Evidence) -> tuple[float, float]:
@@ -96,7 +96,7 @@ def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
     """Stamps that scatter by more than rounding are believed one by one, and turns take their scatter in."""
     sigma, interval = _jitter(evidence)
     if sigma > 0.5 * ROUNDING_FRACTION * interval:
-        yield found("stamp_jitter", jitter=sigma / interval, interval=interval)
+        yield finding("stamp_jitter", jitter=sigma / interval, interval=interval)
 
 
 @check("gap_in_sequence")
@@ -107,9 +107,9 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
         return
     sigma, _ = _jitter(evidence)
     gaps = gaps[time[gaps] - time[gaps - 1] - evidence.dt > _NO_GAP * sigma]
-    rows, title, more = _inside_labelled(evidence, gaps) if evidence.labelled else _inside_turns(evidence, gaps)
+    rows, title, more = _inside_labelled(evidence, gaps) if evidence.has_labels else _inside_turns(evidence, gaps)
     if rows.size:
-        yield found(
+        yield finding(
             "gap_in_sequence",
             title=title,
             duration=float(time[rows[0]] - time[rows[0] - 1]) - evidence.dt,

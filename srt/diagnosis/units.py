@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.diagnosis.axes import gravity_relation, turns_of
+from srt.diagnosis.axes import gravity_relation, manoeuvre_readings
 from srt.diagnosis.clipping import clipped_parts
-from srt.diagnosis.findings import check, found
+from srt.diagnosis.findings import check, finding
 from srt.sequences.plausibility import LEGAL_RATIO
 
 if TYPE_CHECKING:
@@ -105,9 +105,9 @@ _MOST_COUNTS: Final = 2.0**52
 )
 def wrong_units(evidence: Evidence) -> Iterator[Finding]:
     """One factor on all readings of a triad: first of both together, then of each."""
-    gyro, accel = gyro_scales(evidence), accel_scales(evidence)
-    if rest_spread(evidence) > _MATCH:
-        accel = Scales(math.nan, np.full(3, np.nan), math.nan)  # windows in motion: nothing is known of rest
+    gyro, accel = gyro_scale_ratios(evidence), accel_scale_ratios(evidence)
+    if stationary_force_scatter(evidence) > _MATCH:
+        accel = ScaleRatios(math.nan, np.full(3, np.nan), math.nan)  # windows in motion: nothing is known of rest
     kind = _wrong_kind(evidence, gyro, accel)
     if kind is not None:
         yield kind
@@ -120,23 +120,23 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
         if not scales.known or LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
             power = _power_of_two(scales)
             if power is not None:
-                yield found(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
+                yield finding(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
             continue
         off = math.log(scales.typical)
         nearest = min((u for u in units if rates or not u.rates_only), key=lambda u: abs(off - math.log(u.factor)))
         distance = abs(off - math.log(nearest.factor))
         step = _common_step(getattr(evidence.recording, sensor), wholes)
         if (step and distance > _TIGHT) or (step == 1 and sensor == "gyro"):
-            yield found(f"{sensor}_counts", **_fields(evidence, sensor, scales, None))
+            yield finding(f"{sensor}_counts", **_fields(evidence, sensor, scales, None))
             continue
         power = _power_of_two(scales)
         if power is not None and abs(scales.common - math.log(power)) < distance:
-            yield found(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
+            yield finding(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
         elif distance < _MATCH:
-            yield found(nearest.fault, **_fields(evidence, sensor, scales, nearest))
+            yield finding(nearest.fault, **_fields(evidence, sensor, scales, nearest))
 
 
-def _wrong_kind(evidence: Evidence, gyro: Scales, accel: Scales) -> Finding | None:
+def _wrong_kind(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Finding | None:
     """Increments and rates taken for each other: both triads are off by the sampling interval."""
     if not (gyro.known and accel.known):
         return None
@@ -146,7 +146,7 @@ def _wrong_kind(evidence: Evidence, gyro: Scales, accel: Scales) -> Finding | No
     illegal = not LEGAL_RATIO[0] < gyro.typical < LEGAL_RATIO[1]
     if not illegal or abs(turned - rest) > _BOTH or max(abs(turned - factor), abs(rest - factor)) > _MATCH:
         return None
-    return found(
+    return finding(
         "increments_as_rates" if rates else "rates_as_increments",
         accel=accel.typical * evidence.recording.site.gravity_m_s2,
         turn=gyro.typical,
@@ -154,7 +154,7 @@ def _wrong_kind(evidence: Evidence, gyro: Scales, accel: Scales) -> Finding | No
     )
 
 
-def _fields(evidence: Evidence, sensor: str, scales: Scales, unit: _Unit | None) -> dict[str, object]:
+def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: _Unit | None) -> dict[str, object]:
     gravity = evidence.recording.site.gravity_m_s2
     names = {} if unit is None else {"unit": unit.unit, "declared": unit.declared}
     if sensor == "accel":
@@ -166,7 +166,7 @@ def _first_turn(evidence: Evidence) -> str:
     """What sentences call the first turn that was compared."""
     if evidence.data is None:
         return "free turns"
-    numbers, _, _ = evidence.legs
+    numbers, _, _ = evidence.rotation_angles
     return evidence.title(int(numbers[0])) if len(numbers) else "free turns"
 
 
@@ -181,7 +181,7 @@ def _common_step(table: Array, units: tuple[float, ...]) -> int:
     return 0
 
 
-def _power_of_two(scales: Scales) -> float | None:
+def _power_of_two(scales: ScaleRatios) -> float | None:
     """Power of two that all axes are off by alike."""
     if not scales.by_axis:
         return None
@@ -194,7 +194,7 @@ def _power_of_two(scales: Scales) -> float | None:
 def sample_rate(evidence: Evidence) -> Iterator[Finding]:
     """All axes of the triad that is multiplied or divided by the interval are off by one factor, no power of two."""
     rates = evidence.recording.kind == "rate"
-    scales = gyro_scales(evidence) if rates else accel_scales(evidence)
+    scales = gyro_scale_ratios(evidence) if rates else accel_scale_ratios(evidence)
     if not scales.by_axis or not LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
         return
     common, unlike = scales.common, scales.unlike
@@ -207,7 +207,7 @@ def sample_rate(evidence: Evidence) -> Iterator[Finding]:
     if rates and any(part.channel.startswith("gyro") for _, parts in clipped_parts(evidence) for part in parts):
         return
     stated, ratio = 1.0 / evidence.dt, math.exp(scales.common)
-    yield found(
+    yield finding(
         "sample_rate",
         sensor="gyros" if rates else "accelerometers",
         ratio=ratio,
@@ -222,7 +222,7 @@ _MAD: Final = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scales:
+class ScaleRatios:
     """Reading over truth of one triad.
 
     Attributes
@@ -264,66 +264,66 @@ _RELATION_SIGMA: Final = 0.02
 """Of the logarithm of an axis, by the turning of gravity: pushes of a hand, and misalignment."""
 _AGREE: Final = 0.2
 _UNSEEN: Final = np.full(3, np.nan)
-NOTHING: Final = Scales(float("nan"), _UNSEEN, float("nan"))
+NOTHING: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
 
 
-def gyro_scales(evidence: Evidence) -> Scales:
+def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
     """Turned against stated angles; of free turns, the gyros against the turning of gravity.
 
     Magnitudes only, each counted for the gyro that read most of it: whatever the axes, their signs and the sense of
     single turns, and by medians, so that a few wrong labels do not matter.
     """
     by_labels = _by_labels(evidence)
-    if evidence.labelled and by_labels.known:
+    if evidence.has_labels and by_labels.known:
         return by_labels
     relation = gravity_relation(evidence)
     if relation is None:
         return by_labels
     axes = 1.0 / np.linalg.norm(relation, axis=0)
-    by_gravity = Scales(float(np.median(axes)), axes, _RELATION_SIGMA)
+    by_gravity = ScaleRatios(float(np.median(axes)), axes, _RELATION_SIGMA)
     # Whoever counts turns in right angles may take half a turn for a quarter.
     agree = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < _AGREE
     return by_labels if agree else by_gravity
 
 
-def _by_labels(evidence: Evidence) -> Scales:
+def _by_labels(evidence: Evidence) -> ScaleRatios:
     if evidence.data is None:
         return NOTHING
-    _, nominal, turned = evidence.legs
+    _, nominal, turned = evidence.rotation_angles
     if len(nominal) == 0:
         return NOTHING
     ratio = np.linalg.norm(turned, axis=1) / np.linalg.norm(nominal, axis=1)
     most = np.argmax(np.abs(turned), axis=1)
     axes = np.array([np.median(ratio[most == i]) if np.any(most == i) else np.nan for i in range(3)])
     if not np.all(ratio > 0.0):
-        return Scales(float(np.median(ratio)), axes, math.inf)
+        return ScaleRatios(float(np.median(ratio)), axes, math.inf)
     off = np.abs(np.log(ratio / axes[most]))
     fixture = evidence.recording.fixture
     executed = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
-    return Scales(float(np.median(ratio)), axes, math.hypot(_MAD * float(np.median(off)), executed))
+    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(_MAD * float(np.median(off)), executed))
 
 
-def accel_scales(evidence: Evidence) -> Scales:
+def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
     """Specific force at rest against gravity; by axis where the stated poses span space."""
-    turns = turns_of(evidence)
+    turns = manoeuvre_readings(evidence)
     if turns is None or len(turns.force) == 0:
         return NOTHING
     gravity = evidence.recording.site.gravity_m_s2
     ratio = np.linalg.norm(turns.force, axis=1) / gravity
     typical = float(np.median(ratio))
     if not np.all(ratio > 0.0):
-        return Scales(typical, _UNSEEN, math.inf)
+        return ScaleRatios(typical, _UNSEEN, math.inf)
     fit = None if evidence.data is None else evidence.accel_fit
     if fit is None or fit.rank < 3:
-        return Scales(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
+        return ScaleRatios(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
     axes = np.linalg.norm(fit.matrix, axis=1)
     off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
-    return Scales(typical, axes, _MAD * float(off.max()))
+    return ScaleRatios(typical, axes, _MAD * float(off.max()))
 
 
-def rest_spread(evidence: Evidence) -> float:
+def stationary_force_scatter(evidence: Evidence) -> float:
     """Logarithm of the upper over the lower quartile of specific force at rest; infinite without rest."""
-    turns = turns_of(evidence)
+    turns = manoeuvre_readings(evidence)
     if turns is None or len(turns.force) == 0:
         return math.inf
     low, high = np.quantile(np.linalg.norm(turns.force, axis=1), (0.25, 0.75))

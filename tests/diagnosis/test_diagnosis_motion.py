@@ -11,19 +11,19 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
+import recorded_sets
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import sims.faults.motion  # noqa: F401 - registers its injections
 import srt.diagnosis.sequences
-import srt.diagnosis.windows  # noqa: F401 - registers its checks
-from sims.accuracy import recorded_sets
+import srt.diagnosis.window_disturbances  # noqa: F401 - registers its checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.sequences import TABLE_1
 from srt.diagnosis.evidence import Evidence
-from srt.diagnosis.findings import checks_of, in_order
-from srt.diagnosis.motion import offset
-from srt.diagnosis.turn_evidence import cross, legs, robust_fit
+from srt.diagnosis.findings import sort_by_cause, stage_checks
+from srt.diagnosis.rotation_readings import cross, robust_fit, rotation_angles
+from srt.diagnosis.sensor_synchronisation import time_offset
 from srt.estimation.options import Options
 from srt.exceptions import InputError
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
@@ -62,10 +62,10 @@ def findings(recording, options=None):
     evidence = Labelled(recording, options)
     found = []
     for stage in STAGES:
-        found += [finding for registered in checks_of(stage) for finding in registered.run(evidence)]
+        found += [finding for registered in stage_checks(stage) for finding in registered.run(evidence)]
         if any(f.effect.startswith("exit") for f in found):
             break
-    return in_order(found)
+    return sort_by_cause(found)
 
 
 @cache
@@ -268,7 +268,7 @@ def test_a_real_bump_is_seen_by_both_units_that_were_turned_together():
 def test_the_offset_of_the_sensors_is_found_to_its_sigma(milliseconds):
     # The injection draws its own sign.
     recording = INJECTIONS["sensor_time_offset"].recording(case("industrial-mems"), milliseconds)
-    seen = offset(Labelled(recording))
+    seen = time_offset(Labelled(recording))
     # t of 11 degrees of freedom: 1e-6 of all samples lie beyond 9.5 sigmas, and 0.1 ms is what interpolation costs.
     assert abs(1e3 * seen.late_s) == pytest.approx(abs(milliseconds), abs=9.5e3 * seen.sigma_s + 0.1)
 
@@ -292,7 +292,7 @@ def test_lost_samples_are_told_with_place_and_duration(samples):
 @pytest.mark.parametrize("dwell", [0.0, 1.0])
 def test_turns_are_told_apart_whether_or_not_the_unit_stands_between_them(dwell):
     run = case("navigation-rlg").changed(schedule={"leg_dwell_s": dwell}).simulation
-    numbers, nominal, turned = legs(Labelled(run.recording))
+    numbers, nominal, turned = rotation_angles(Labelled(run.recording))
     assert numbers.tolist() == [k for k, s in enumerate(TABLE_1.values()) for _ in s.rotations]
     # Six sigmas: about axes 1 mrad off in three ways, angles 1 mrad off, scale factors of 100 ppm, non-orthogonality
     # and frame of 0.5 mrad; all in full turns.

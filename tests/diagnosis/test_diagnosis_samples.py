@@ -24,8 +24,8 @@ from sims.physics.disturbances import tilt_step
 from sims.physics.imu import read_out
 from srt.diagnosis.channels import CHANNELS
 from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.repeat_evidence import stuck_runs
-from srt.diagnosis.spike_evidence import find_spikes
+from srt.diagnosis.repeated_samples import repeated_runs
+from srt.diagnosis.spikes import find_spikes
 from srt.exceptions import SrtError
 from srt.recording.recording import ImuNoise, Recording, SequenceLabel, Site
 
@@ -269,7 +269,7 @@ def test_no_readings_make_a_check_raise(kind, n, scale, seed, labelled):
 
 def test_nothing_is_found_without_windows():
     evidence = WithoutRecognition(case("industrial-mems").recording.with_sequences(()))
-    assert stuck_runs(evidence) == ([], [], [])
+    assert repeated_runs(evidence) == ([], [], [])
     assert find_spikes(evidence).sample.size == 0
 
 

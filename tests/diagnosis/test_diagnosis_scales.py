@@ -23,8 +23,8 @@ from srt.constants import DEG
 from srt.diagnosis.axes import gravity_relation, mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.findings import checks_of, in_order
-from srt.diagnosis.units import accel_scales, gyro_scales
+from srt.diagnosis.findings import sort_by_cause, stage_checks
+from srt.diagnosis.units import accel_scale_ratios, gyro_scale_ratios
 from srt.recording.import_options import parse_axis_map
 
 SEED = 330_000
@@ -64,9 +64,9 @@ def test_scales_are_those_of_the_unit(grade):
     simulation = case(grade).simulation
     evidence = WithoutRecognition(simulation.recording)
     truth = simulation.truth.as_dict()
-    for sensor, scales, allowed in (("gyro", gyro_scales(evidence), 5e-3), ("accel", accel_scales(evidence), 5e-3)):
+    for sensor, scales in (("gyro", gyro_scale_ratios(evidence)), ("accel", accel_scale_ratios(evidence))):
         expected = [1.0 + truth[f"{sensor}_scale_{axis}"] for axis in "xyz"]
-        np.testing.assert_allclose(scales.axes, expected, atol=allowed)
+        np.testing.assert_allclose(scales.axes, expected, atol=5e-3)
 
 
 def test_both_wrong_units_are_found():
@@ -224,5 +224,5 @@ def test_without_labels_recognition_takes_their_place(fault):
     unit = case("industrial-mems").changed(schedule={"moves": "recorded"})
     recording = INJECTIONS[fault].recording(unit).with_sequences(())
     evidence = Evidence(recording)
-    found = [finding for stage in STAGES for registered in checks_of(stage) for finding in registered.run(evidence)]
-    assert in_order(found)[0].fault == fault
+    found = [finding for stage in STAGES for registered in stage_checks(stage) for finding in registered.run(evidence)]
+    assert sort_by_cause(found)[0].fault == fault

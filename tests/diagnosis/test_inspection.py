@@ -8,15 +8,16 @@ import sys
 from dataclasses import replace
 from itertools import combinations
 
+import accuracy_trials
 import matplotlib as mpl
 import numpy as np
 import pytest
+import recorded_sets
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.spatial.transform import Rotation
 
 import sims
 import srt
-from sims.accuracy import campaigns, recorded_sets
 from srt.diagnosis.inspection import declared_units, inspect
 from srt.model.table1 import SEQUENCES
 from srt.reports.figures.inspection import envelope, inspection_figure, save_figure
@@ -65,7 +66,7 @@ def still(n=6000, kind="rate", **changes):
     gyro = 1e-4 + 1e-3 * rng.standard_normal((n, 3))
     accel = np.array([0.0, 0.0, 9.80665]) + 1e-2 * rng.standard_normal((n, 3))
     time = np.arange(1, n + 1) / RATE
-    return srt.Recording(time, gyro * factor, accel * factor, campaigns.SITE, kind, **changes)
+    return srt.Recording(time, gyro * factor, accel * factor, accuracy_trials.SITE, kind, **changes)
 
 
 def test_stamps_and_gaps(table_1, inspected):
@@ -185,7 +186,7 @@ def test_no_rest_at_all():
     n = 3000
     time = np.arange(1, n + 1) / RATE
     sway = np.cumsum(rng.standard_normal((n, 3)), axis=0) * 0.1
-    recording = srt.Recording(time, sway, 9.8 + sway, campaigns.SITE)
+    recording = srt.Recording(time, sway, 9.8 + sway, accuracy_trials.SITE)
     found = inspect(recording)
     json.dumps(found.as_dict(), allow_nan=False)
     assert found.turns == () or found.stillness is not None
@@ -193,7 +194,7 @@ def test_no_rest_at_all():
 
 
 def test_two_samples():
-    recording = srt.Recording(np.array([0.0, 0.01]), np.zeros((2, 3)), np.full((2, 3), 5.0), campaigns.SITE)
+    recording = srt.Recording(np.array([0.0, 0.01]), np.zeros((2, 3)), np.full((2, 3), 5.0), accuracy_trials.SITE)
     found = inspect(recording)
     assert found.stillness is None
     assert found.noise is None

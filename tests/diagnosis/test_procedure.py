@@ -48,7 +48,8 @@ def test_a_fault_that_is_told_stands_with_the_result(recording):
 
 def test_what_only_a_calibration_shows_is_looked_for(recording):
     truth = srt.SensorErrors.from_dict({"gyro_asymmetry_x": 2e-3})
-    from sims.accuracy.campaigns import GRADES
+    from accuracy_trials import GRADES
+
     from sims.physics.imu import read_out
 
     case = Case("tactical-fog", 901)

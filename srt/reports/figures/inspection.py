@@ -37,7 +37,7 @@ from srt.reports.figures.style import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from srt.diagnosis.inspection import Inspection, TurnSeen
+    from srt.diagnosis.inspection import Inspection, ManoeuvreSummary
     from srt.noise.allan import AllanDeviation
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
@@ -194,7 +194,7 @@ def _name_turns(axes: Axes, inspection: Inspection, scale: float) -> None:
                   rotation=90.0 if text.endswith("°") else 0.0, fontsize=SMALL, color=colour)  # fmt: skip
 
 
-def _turn_texts(turns: tuple[TurnSeen, ...]) -> Iterator[tuple[float, str, str]]:
+def _turn_texts(turns: tuple[ManoeuvreSummary, ...]) -> Iterator[tuple[float, str, str]]:
     """Middle, text and colour of turns; where sequences were recognised, they alone."""
     named = any(turn.sequence for turn in turns)
     for turn in turns:

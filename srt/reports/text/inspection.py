@@ -11,7 +11,7 @@ from srt.reports.text.tables import text_table
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from srt.diagnosis.inspection import Inspection, TurnSeen
+    from srt.diagnosis.inspection import Inspection, ManoeuvreSummary
 
 _LABEL: Final = 13
 _MOST_TURNS: Final = 60
@@ -197,7 +197,7 @@ def _turns(inspection: Inspection) -> Iterable[str]:
         yield f" ... and {len(turns) - _MOST_TURNS} more turns; --json FILE holds all."
 
 
-def _leg_lines(turn: TurnSeen) -> list[str]:
+def _leg_lines(turn: ManoeuvreSummary) -> list[str]:
     """Break what a turn was made of into lines."""
     lines = [""]
     whole = turn.parts == (turn.net,)

@@ -12,9 +12,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri, fdtri, ndtri
 
-from srt.diagnosis.findings import check, found
-from srt.diagnosis.turn_evidence import cross, solved, triads
-from srt.diagnosis.window_evidence import ACCEL, GYRO, MAD, Stillness, block_sigma, rest_rate_left, stillness
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.rotation_readings import cross, invert_readings, raw_triads
+from srt.diagnosis.window_averages import (
+    ACCEL,
+    GYRO,
+    MAD,
+    WindowAverages,
+    block_sigma,
+    stationary_rate_residual,
+    window_averages,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,9 +42,9 @@ _NOISIER: Final = 2.25
 _SPREAD: Final = 6.0
 """Sigmas of the logarithm of the windows' own scatter of noise: rests in a hand differ by more than noise has them."""
 _EDGE_BLOCKS: Final = 2
-"""Blocks at both ends of a window in which no step can be told, as one side of it is not seen."""
+"""BlockAverages at both ends of a window in which no step can be told, as one side of it is not seen."""
 _SPANS: Final = (1, 2, 3)
-"""Blocks over which a knock turns the unit; what turns it for longer is none."""
+"""BlockAverages over which a knock turns the unit; what turns it for longer is none."""
 _AGREE: Final = 0.35
 """Share of a tilt by which raw sensors may differ on it: scale factors of 10 %, and a step not quite resolved."""
 _PLAUSIBLE: Final = 1e-3
@@ -48,80 +56,85 @@ _MAD_EFFICIENCY: Final = 0.37
 @check("unsettled", "bump", "creep", "noisy_window")
 def windows_not_still(evidence: Evidence) -> Iterator[Finding]:
     """Look into all windows for what the unit does not do in its others."""
-    view = stillness(evidence)
-    if view is None:
+    averages = window_averages(evidence)
+    if averages is None:
         return
-    ringing, amplitude = _ringing(view)
+    ringing, amplitude = _ringing(averages)
     if evidence.recording.fixture is None:
         ringing[:] = False  # a hand lets go when it does
-    steps = _steps(evidence, view)
+    steps = _steps(evidence, averages)
     # What rings before the step is no knock; a knock in the first seconds is no ringing.
     for v in list(steps):
-        if ringing[v].any() and ringing[v] @ (view.heads <= steps[v].block * view.size):
+        if ringing[v].any() and ringing[v] @ (averages.heads <= steps[v].block * averages.size):
             del steps[v]
     rings: Mask = np.asarray(ringing.any(axis=1))
     rings[list(steps)] = False
     if rings.any():
         worst = int(np.argmax(np.where(rings, amplitude[:, :2].max(axis=1), 0.0)))
-        yield found("unsettled", count=int(rings.sum()), amplitude=_said(view, worst), **_place(evidence, view, worst))
+        yield finding(
+            "unsettled", count=int(rings.sum()), amplitude=_said(averages, worst), **_place(evidence, averages, worst)
+        )
     if steps:
         v = max(steps, key=lambda v: steps[v].size)
-        yield found(
+        yield finding(
             "bump",
-            **_place(evidence, view, v) | {"time": _time(evidence, view, v, (steps[v].block + 0.5) * view.step_s)},
+            **_place(evidence, averages, v)
+            | {"time": _time(evidence, averages, v, (steps[v].block + 0.5) * averages.step_s)},
             angle_mrad=1e3 * steps[v].size,
         )
     done = rings.copy()
     done[list(steps)] = True
-    creep = _creep(evidence, view, done)
+    creep = _creep(evidence, averages, done)
     if creep is not None:
         v, rate = creep
         done[v] = True
-        yield found("creep", rate_urad_s=1e6 * rate, **_place(evidence, view, v))
-    noisy = _noisy(view, done)
+        yield finding("creep", rate_urad_s=1e6 * rate, **_place(evidence, averages, v))
+    noisy = _noisy(averages, done)
     if noisy is not None:
         v, ratio, sensor = noisy
-        yield found("noisy_window", ratio=ratio, sensor=sensor, **_place(evidence, view, v))
+        yield finding("noisy_window", ratio=ratio, sensor=sensor, **_place(evidence, averages, v))
 
 
-def _time(evidence: Evidence, view: Stillness, v: int, later_s: float = 0.0) -> float:
+def _time(evidence: Evidence, averages: WindowAverages, v: int, later_s: float = 0.0) -> float:
     data = evidence.data
     assert data is not None
-    first = int(data.windows.samples[view.window[v], 0])
+    first = int(data.windows.samples[averages.window[v], 0])
     return float(evidence.recording.time[first]) - evidence.dt + later_s
 
 
-def _place(evidence: Evidence, view: Stillness, v: int) -> dict[str, object]:
+def _place(evidence: Evidence, averages: WindowAverages, v: int) -> dict[str, object]:
     """Where a window begins and whose it is."""
     data = evidence.data
     assert data is not None
-    w = int(view.window[v])
+    w = int(averages.window[v])
     k = int(np.flatnonzero((data.start == w) | (data.end == w))[0])
-    return {"time": _time(evidence, view, v), "sequence": evidence.title(k)}
+    return {"time": _time(evidence, averages, v), "sequence": evidence.title(k)}
 
 
 # --- ringing ---------------------------------------------------------------------------------------------------------
 
 
-def _ringing(view: Stillness) -> tuple[Mask, Array]:
+def _ringing(averages: WindowAverages) -> tuple[Mask, Array]:
     """Starts of windows that are far more powerful than the second halves, by length of the start; shape (V, H).
 
     Also the power over that of noise, of gyros and accelerometers, shape (V, 2).
     """
-    noise = np.maximum(np.maximum(view.late_variance, np.median(view.late_variance, axis=0)), view.least_variance)
-    ratio = view.head_power / noise[:, None]
+    noise = np.maximum(
+        np.maximum(averages.late_variance, np.median(averages.late_variance, axis=0)), averages.least_variance
+    )
+    ratio = averages.head_power / noise[:, None]
     by_sensor = np.stack([ratio[:, :, GYRO].mean(axis=2), ratio[:, :, ACCEL].mean(axis=2)], axis=2)
-    freedom = 3.0 * view.heads
+    freedom = 3.0 * averages.heads
     probability = FALSE_ALARM / max(1, by_sensor.size)
     limit = np.maximum(_TWICE, chdtri(freedom, probability) / freedom)
     loud = by_sensor > limit[:, None]
     return np.asarray(loud.any(axis=2)), np.asarray(by_sensor.max(axis=1, initial=0.0))
 
 
-def _said(view: Stillness, v: int) -> str:
+def _said(averages: WindowAverages, v: int) -> str:
     """Amplitude of the ringing at the start of a window."""
-    excess = np.maximum(view.head_power[v, 0] - view.late_variance[v], 0.0)
-    sigma = excess / np.maximum(view.late_variance[v], view.least_variance)
+    excess = np.maximum(averages.head_power[v, 0] - averages.late_variance[v], 0.0)
+    sigma = excess / np.maximum(averages.late_variance[v], averages.least_variance)
     by_gyros = sigma[GYRO].max() >= sigma[ACCEL].max()
     size = np.sqrt(2.0 * excess[GYRO if by_gyros else ACCEL].sum())
     return f"{1e3 * size:.2g} mrad/s" if by_gyros else f"{size:.2g} m/s²"
@@ -138,28 +151,28 @@ class _Step:
     size: float
 
 
-def _steps(evidence: Evidence, view: Stillness) -> dict[int, _Step]:
+def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _Step]:
     """Windows in which the gyros turn within a few blocks, and the accelerometers do not deny it."""
-    gyro, accel, bias = triads(evidence)
+    gyro, accel, bias = raw_triads(evidence)
     data = evidence.data
     assert data is not None
-    sigma = block_sigma(view)
-    tests = len(_SPANS) * int(view.blocks.sum())
+    sigma = block_sigma(averages)
+    tests = len(_SPANS) * int(averages.blocks.sum())
     limit, z = float(chdtri(3.0, FALSE_ALARM / tests)), -float(ndtri(0.5 * FALSE_ALARM / tests))
-    noise = _step_noise(view, accel)
+    noise = _step_noise(averages, accel)
     own = np.maximum(1.0, (sigma[:, ACCEL] / np.median(sigma[:, ACCEL], axis=0)).max(axis=1))
     out = {}
-    for windows, means in view.groups:
+    for windows, means in averages.groups:
         rate = means[:, :, GYRO] - np.median(means[:, :, GYRO], axis=1, keepdims=True)
-        power = _turning_power(rate, sigma[windows, None, GYRO], view.block_doubt[GYRO])
+        power = _turning_power(rate, sigma[windows, None, GYRO], averages.block_doubt[GYRO])
         for i in np.flatnonzero([any((p[i] > limit).any() for p in power) for i in range(len(windows))]).tolist():
             v, count = int(windows[i]), means.shape[1]
             span = _turning_span([p[i] for p in power], limit)
             if span is None or span[0] < _EDGE_BLOCKS or span[1] > count - _EDGE_BLOCKS:
                 continue
             first, last = span
-            angle = np.linalg.solve(gyro, rate[i, first:last].sum(axis=0) * view.step_s)
-            force = solved(accel, means[i, :, ACCEL] - bias)
+            angle = np.linalg.solve(gyro, rate[i, first:last].sum(axis=0) * averages.step_s)
+            force = invert_readings(accel, means[i, :, ACCEL] - bias)
             before, after = force[:first], force[last:]
             change = after.mean(axis=0) - before.mean(axis=0)
             expected = cross(before.mean(axis=0), angle)
@@ -182,9 +195,9 @@ def _turning_power(rate: Array, sigma: Array, doubt: Array) -> list[Array]:
 
 
 def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
-    """Blocks, first and one past the last, over which a window turns at once; None if it does so more than once.
+    """First block of a step of attitude and one past its last; None if the window holds more than one step.
 
-    One block more on each side, as what it does not show for itself belongs to the step all the same.
+    One block is added on each side: its share of the step may be below the threshold.
     """
     at = np.concatenate([np.arange(len(p))[:, None] + [0, span] for p, span in zip(power, _SPANS, strict=True)])
     every = np.concatenate(power)
@@ -194,44 +207,44 @@ def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
     return None if elsewhere.any() else (first - 1, last + 1)
 
 
-def _step_noise(view: Stillness, accel: Array) -> float:
+def _step_noise(averages: WindowAverages, accel: Array) -> float:
     """One sigma of the difference of the two halves of a window, robustly over all windows, m/s²."""
-    change = np.empty((len(view.window), 3))
-    for v, means in view.groups:
+    change = np.empty((len(averages.window), 3))
+    for v, means in averages.groups:
         half = means.shape[1] // 2
         change[v] = means[:, half:, ACCEL].mean(axis=1) - means[:, :half, ACCEL].mean(axis=1)
-    return float(MAD * np.median(np.abs(solved(accel, change))))
+    return float(MAD * np.median(np.abs(invert_readings(accel, change))))
 
 
 # --- creep -----------------------------------------------------------------------------------------------------------
 
 
-def _creep(evidence: Evidence, view: Stillness, done: Mask) -> tuple[int, float] | None:
+def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[int, float] | None:
     """The window that tilts fastest at a steady rate, and that rate, rad/s; None if none does.
 
     The accelerometers see the vertical drift, the gyros a rate beyond bias, g-sensitivity and the Earth's. Each has
     its own scatter over the windows, bias instability included; together they must be far outside of it, and neither
     may be within what is common or deny the other.
     """
-    _, accel, bias = triads(evidence)
-    V = len(view.window)
+    _, accel, bias = raw_triads(evidence)
+    V = len(averages.window)
     force, slope = np.empty((V, 3)), np.empty((V, 3))
-    for v, means in view.groups:
+    for v, means in averages.groups:
         count = means.shape[1]
-        time = view.step_s * (np.arange(count) - 0.5 * (count - 1))
+        time = averages.step_s * (np.arange(count) - 0.5 * (count - 1))
         force[v] = means[:, :, ACCEL].mean(axis=1)
         slope[v] = np.einsum("b,gbc->gc", time / (time @ time), means[:, :, ACCEL])
-    up = solved(accel, force - bias)
+    up = invert_readings(accel, force - bias)
     square = np.sum(up**2, axis=1, keepdims=True)
     if not np.all(square > 0.0):
         return None
     # A body that turns by ω sees df/dt = -ω × f, which tells the part of ω across f.
-    across = -cross(up, solved(accel, slope)) / square
+    across = -cross(up, invert_readings(accel, slope)) / square
     plane = _horizontal(up / np.sqrt(square))
     by_accel = np.einsum("vjc,vc->vj", plane, across)
-    by_gyro = np.einsum("vjc,vc->vj", plane, rest_rate_left(evidence)[view.window])
+    by_gyro = np.einsum("vjc,vc->vj", plane, stationary_rate_residual(evidence)[averages.window])
     freedom = max(4.0, _MAD_EFFICIENCY * by_accel.size)
-    sigma = block_sigma(view)
+    sigma = block_sigma(averages)
     noisier = np.maximum(1.0, (sigma / np.median(sigma, axis=0)).max(axis=1))
     a, g = (np.maximum(MAD * float(np.median(np.abs(x))), 1e-12) ** 2 * noisier**2 for x in (by_accel, by_gyro))
     both = (by_accel / a[:, None] + by_gyro / g[:, None]) / (1.0 / a + 1.0 / g)[:, None]
@@ -263,15 +276,15 @@ def _horizontal(up: Array) -> Array:
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-def _noisy(view: Stillness, done: Mask) -> tuple[int, float, str] | None:
+def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | None:
     """The window that is noisier than the others by most, by how much, and in which sensor."""
-    blocks = np.empty((len(view.window), 6))
-    for v, means in view.groups:
+    blocks = np.empty((len(averages.window), 6))
+    for v, means in averages.groups:
         blocks[v] = 0.5 * np.mean(np.diff(means, axis=1) ** 2, axis=1)
     # First differences of n white values have two thirds of n degrees of freedom.
     for variance, floor, freedom in (
-        (view.sample_variance, 2.0 * view.least_variance, 2.0 * view.count),
-        (blocks, view.least_variance / view.size**2 + view.block_doubt**2, 2.0 * view.blocks),
+        (averages.sample_variance, 2.0 * averages.least_variance, 2.0 * averages.count),
+        (blocks, averages.least_variance / averages.size**2 + averages.block_doubt**2, 2.0 * averages.blocks),
     ):
         ratio = variance / np.maximum(np.median(variance, axis=0), floor)
         told = []

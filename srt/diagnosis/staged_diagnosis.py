@@ -5,10 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.diagnosis import axes, channels, clipping, motion, sequences, site, timing, unit, units, windows
+from srt.diagnosis import (
+    axes,
+    channels,
+    clipping,
+    imu_properties,
+    sensor_synchronisation,
+    sequences,
+    site,
+    timing,
+    units,
+    window_disturbances,
+)
 from srt.diagnosis.evidence import Evidence, plain
 from srt.diagnosis.faults import FAULTS, STAGES
-from srt.diagnosis.findings import Finding, checks_of, found, in_order
+from srt.diagnosis.findings import Finding, finding, sort_by_cause, stage_checks
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
@@ -17,7 +28,18 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.sequences.recognition import Recognition
 
-_MODULES: Final = (timing, channels, units, clipping, axes, sequences, windows, motion, site, unit)
+_MODULES: Final = (
+    timing,
+    channels,
+    units,
+    clipping,
+    axes,
+    sequences,
+    window_disturbances,
+    sensor_synchronisation,
+    site,
+    imu_properties,
+)
 """Modules with checks, which register themselves on import."""
 
 
@@ -56,7 +78,7 @@ class Diagnosis:
         ]
 
 
-class Examination:
+class StagedDiagnosis:
     """Checks of one recording, in two parts: before a calibration, and with one.
 
     Parameters
@@ -76,26 +98,26 @@ class Examination:
             self.evidence.recognition = recognition
         self._findings: list[Finding] = []
 
-    def screen(self) -> Diagnosis:
+    def before_calibration(self) -> Diagnosis:
         """Run all checks that need no calibration, up to the first stage that refuses the recording."""
         for stage in STAGES:
-            for registered in checks_of(stage):
+            for registered in stage_checks(stage):
                 if not registered.needs_result:
                     self._findings += registered.run(self.evidence)
             if self._refused:
                 break
-        return Diagnosis(in_order(self._findings))
+        return Diagnosis(sort_by_cause(self._findings))
 
-    def complete(self, result: Calibration | None = None) -> Diagnosis:
+    def with_calibration(self, result: Calibration | None = None) -> Diagnosis:
         """Run the checks that look at a calibration, of this recording and these options; it is made if not given."""
         if not self._refused:
             if result is not None:
                 self.evidence.result = result
             for stage in STAGES:
-                for registered in checks_of(stage):
+                for registered in stage_checks(stage):
                     if registered.needs_result:
                         self._findings += registered.run(self.evidence)
-        return Diagnosis(in_order(self._findings))
+        return Diagnosis(sort_by_cause(self._findings))
 
     @property
     def _refused(self) -> bool:
@@ -125,9 +147,9 @@ def diagnose(
     -------
     Diagnosis
     """
-    examination = Examination(recording, options, recognition)
-    screened = examination.screen()
-    return examination.complete() if calibrating else screened
+    examination = StagedDiagnosis(recording, options, recognition)
+    screened = examination.before_calibration()
+    return examination.with_calibration() if calibrating else screened
 
 
 def from_error(error: SrtError) -> Diagnosis:
@@ -135,4 +157,4 @@ def from_error(error: SrtError) -> Diagnosis:
     if error.fault is None:
         return Diagnosis(())
     assert error.fault in FAULTS
-    return Diagnosis((found(error.fault, message=str(error)),))
+    return Diagnosis((finding(error.fault, message=str(error)),))

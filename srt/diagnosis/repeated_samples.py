@@ -41,14 +41,14 @@ _GOES_ON: Final = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RepeatRun:
     """Rows that repeat: ``count`` samples hold what sample ``first`` reads."""
 
     first: int
     count: int
 
 
-def stuck_runs(evidence: Evidence) -> tuple[list[Run], list[Run], list[Run]]:
+def repeated_runs(evidence: Evidence) -> tuple[list[RepeatRun], list[RepeatRun], list[RepeatRun]]:
     """Runs too long for chance, of rows in all six channels, in the gyros and in the accelerometers.
 
     Runs of one sensor are given only where the other goes on. Nothing is found without windows.
@@ -56,7 +56,7 @@ def stuck_runs(evidence: Evidence) -> tuple[list[Run], list[Run], list[Run]]:
     if evidence.data is None:
         return [], [], []
     data, windows = evidence.data, evidence.data.windows.samples
-    runs: tuple[list[Run], list[Run], list[Run]] = ([], [], [])
+    runs: tuple[list[RepeatRun], list[RepeatRun], list[RepeatRun]] = ([], [], [])
     likes = np.zeros((3, 3, data.K), dtype=np.intp)
     for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
         first, edges = int(windows[s, 0]), (int(windows[s, 1]), int(windows[e, 0]), int(windows[e, 1]))
@@ -67,12 +67,12 @@ def stuck_runs(evidence: Evidence) -> tuple[list[Run], list[Run], list[Run]]:
             start, count = _longest(same)
             other = (None, accel, gyro)[which]
             held = other is not None and count > 0 and other[start : start + count].mean() >= _GOES_ON
-            runs[which].append(Run(first + start, 0 if held else count))
+            runs[which].append(RepeatRun(first + start, 0 if held else count))
             if same.any():
                 parts = np.split(same, [edge - first - 1 for edge in edges[:2]])
                 likes[which, :, k] = [_longest(part)[1] for part in parts]
     total = int((windows[data.end, 1] - windows[data.start, 0]).sum())
-    found: tuple[list[Run], list[Run], list[Run]] = ([], [], [])
+    found: tuple[list[RepeatRun], list[RepeatRun], list[RepeatRun]] = ([], [], [])
     for which, longest in enumerate(runs):
         like = max(_ordinary(likes[which, (0, 2)].ravel()), _ordinary(likes[which, 1]))
         found[which].extend(
@@ -104,7 +104,7 @@ def _longest(same: Mask) -> tuple[int, int]:
     return int(edges[2 * k]), int(lengths[k])
 
 
-def _by_chance(evidence: Evidence, which: int, run: Run, total: int) -> float:
+def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> float:
     """Repeats in a row that rows like those beside a run form once in so many recordings, by the more frequent side."""
     recording = evidence.recording
     n, after = len(recording.time), run.first + run.count + 1

@@ -17,12 +17,12 @@ import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri, stdtrit
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
-from srt.diagnosis.findings import Finding, check, found
-from srt.diagnosis.site import RestFit, rest_fit
+from srt.diagnosis.findings import Finding, check, finding
+from srt.diagnosis.site import StationaryRateFit, stationary_rate_fit
 from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
-from srt.noise.from_windows import smallest_step
+from srt.noise.noise_model import smallest_step
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
     low, high = float(T.min()), float(T.max())
     if low < BENCH_C[0] or high > BENCH_C[1]:
         unit = "raw counts" if low < BENCH_C[0] else next(name for limit, name in _OTHER_UNITS if high <= limit)
-        yield found("temperature_unit", low=low, high=high, unit=unit)
+        yield finding("temperature_unit", low=low, high=high, unit=unit)
         return
     data = evidence.data
     if data is None:
@@ -73,7 +73,7 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
     first, last = samples[data.start, 0], samples[data.end, 1]
     by_sequence = np.array([T[a:b].mean() for a, b in zip(first.tolist(), last.tolist(), strict=True)])
     if np.ptp(by_sequence) > STEADY_C:
-        yield found(
+        yield finding(
             "temperature_drift",
             first=float(by_sequence[np.argmin(first)]),
             last=float(by_sequence[np.argmax(last)]),
@@ -85,13 +85,13 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
 @check("gyro_bias_drift")
 def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
     """Trend of the rates at rest over time, once g-sensitivity and the Earth's rate are taken off."""
-    fit = rest_fit(evidence)
+    fit = stationary_rate_fit(evidence)
     if fit is None:
         return
     ratio = np.abs(fit.drift) / fit.drift_sigma
     axis = int(np.argmax(ratio))
     if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
-        yield found("gyro_bias_drift", axis=AXES[axis], change_deg_h=float(fit.drift[axis] / DEG_PER_H))
+        yield finding("gyro_bias_drift", axis=AXES[axis], change_deg_h=float(fit.drift[axis] / DEG_PER_H))
 
 
 @check("gyro_noise")
@@ -107,7 +107,7 @@ def accel_noise(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str, str]) -> Iterator[Finding]:
-    shown = shown_noise(evidence, sensor)
+    shown = white_noise_test(evidence, sensor)
     if shown is None:
         return
     ratio = shown.found / shown.stated
@@ -119,7 +119,7 @@ def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str,
     # The triad is named if it is odd as a whole, else the channel that is farthest off.
     distance = np.abs(np.log(np.maximum(ratio, 1e-9)))
     which = 3 if odd[3] else int(np.argmax(np.where(odd, distance, -1.0)))
-    yield found(
+    yield finding(
         f"{sensor}_noise",
         who=subjects[1] if which == 3 else subjects[0].format(AXES[which]),
         found=float(shown.found[which] / unit),
@@ -130,10 +130,10 @@ def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str,
 @check("asymmetry_omitted", needs_result=True)
 def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
     """Asymmetry of the gyros as a calibration with it finds it, where the one made holds it."""
-    if not set(_NO_ASYMMETRY) <= set(evidence.options.held_names) or evidence.data is None:
+    if not set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) or evidence.data is None:
         return
     held = evidence.result
-    fit = rest_fit(evidence)
+    fit = stationary_rate_fit(evidence)
     if held is None or held.status not in ("converged", "partial") or fit is None:
         return
     free = _with_asymmetry(evidence, fit)
@@ -148,7 +148,7 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
         ratio = np.nan_to_num(np.abs(off) / sigma)  # an asymmetry that is not observed has no sigma
     axis = int(np.argmax(ratio))
     if ratio[axis] > -stdtrit(fit.freedom, FALSE_ALARM / 6.0):
-        yield found(
+        yield finding(
             "asymmetry_omitted",
             axis=AXES[axis],
             found_ppm=float(free.errors.vector[part][axis] * 1e6),
@@ -157,7 +157,7 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _with_asymmetry(evidence: Evidence, fit: RestFit) -> Calibration | None:
+def _with_asymmetry(evidence: Evidence, fit: StationaryRateFit) -> Calibration | None:
     """Calibrate with asymmetry, from gyro readings less their g-sensitivity.
 
     A g-sensitivity is a bias that the windows show and the turn, over which gravity turns too, does not: of a pair of
@@ -179,7 +179,7 @@ def _with_asymmetry(evidence: Evidence, fit: RestFit) -> Calibration | None:
         return None
 
 
-def _of_g_sensitivity(data: PlaybackData, fit: RestFit) -> float:
+def _of_g_sensitivity(data: PlaybackData, fit: StationaryRateFit) -> float:
     """One sigma of asymmetry from that of the g-sensitivity: a rate through a full turn."""
     samples, rotation = data.windows.samples, data.rotation
     duration = float(np.median(rotation[:, 1] - rotation[:, 0])) * data.recording.nominal_interval_s
@@ -202,7 +202,7 @@ _COARSE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class ShownNoise:
+class WhiteNoiseTest:
     """White noise of one triad against the one stated, SI.
 
     Attributes
@@ -221,7 +221,7 @@ class ShownNoise:
     less: Array
 
 
-def shown_noise(evidence: Evidence, sensor: Sensor) -> ShownNoise | None:
+def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | None:
     """Noise of a triad at rest; None where none is stated, or the windows cannot show it."""
     data = evidence.data
     stated = getattr(evidence.recording.noise, f"{sensor}_noise")
@@ -260,7 +260,7 @@ def shown_noise(evidence: Evidence, sensor: Sensor) -> ShownNoise | None:
         freedom = 2.0 * mean**2 * information
         at = float(weight @ shown) / information / mean * freedom
         more[i], less[i] = chdtrc(freedom, at), chdtr(freedom, at)
-    return ShownNoise(float(stated), found, more, less)
+    return WhiteNoiseTest(float(stated), found, more, less)
 
 
 def _step(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> Array:

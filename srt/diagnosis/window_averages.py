@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.turn_evidence import end_of, once, robust_fit, solved, triads
-from srt.noise.from_windows import ACCEL_FLOOR, GYRO_FLOOR, smallest_step
+from srt.diagnosis.rotation_readings import computed_once, invert_readings, nominal_end_attitude, raw_triads, robust_fit
+from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, smallest_step
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 BLOCKS: Final = 80
-"""Blocks of a window of median length: an eighth of a second in ten, about as long as a knock lasts."""
+"""BlockAverages of a window of median length: an eighth of a second in ten, about as long as a knock lasts."""
 FEWEST_BLOCKS: Final = 12
 HEADS_S: Final = (0.25, 0.5, 1.0, 2.0)
 """How long a fixture may ring on, s."""
@@ -34,7 +34,7 @@ _RESOLUTION_SAMPLES: Final = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stillness:
+class WindowAverages:
     """The windows that are long enough to be looked at, V of W.
 
     Attributes
@@ -79,8 +79,8 @@ class Stillness:
     block_doubt: Array
 
 
-@once
-def stillness(evidence: Evidence) -> Stillness | None:
+@computed_once
+def window_averages(evidence: Evidence) -> WindowAverages | None:
     """Look into the windows; None if fewer than four are long enough to be compared."""
     data = evidence.data
     if data is None:
@@ -123,7 +123,7 @@ def stillness(evidence: Evidence) -> Stillness | None:
     pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
     # A running sum in pulses is off by one of them at most; words that noise does not move, by half a bit each.
     coarse = np.where(pulses, resolution / size, np.where(typical < resolution, 0.5 * resolution, 0.0))
-    return Stillness(
+    return WindowAverages(
         chosen,
         size,
         size * evidence.dt,
@@ -154,26 +154,26 @@ def _resolution(evidence: Evidence, samples: Indices) -> Array:
     return out * evidence.per_rate
 
 
-def block_sigma(view: Stillness) -> Array:
+def block_sigma(averages: WindowAverages) -> Array:
     """One sigma of a block mean, (V, 6): of all windows, or of the window's own where that is noisier.
 
     From first differences of neighbouring blocks by their median, which neither a drift nor a single step moves.
     """
-    own = np.empty((len(view.window), 6))
-    for v, means in view.groups:
+    own = np.empty((len(averages.window), 6))
+    for v, means in averages.groups:
         own[v] = MAD / np.sqrt(2.0) * np.median(np.abs(np.diff(means, axis=1)), axis=1)
-    floor = np.sqrt(view.least_variance) / view.size
+    floor = np.sqrt(averages.least_variance) / averages.size
     return np.maximum(np.maximum(own, np.median(own, axis=0)), floor)
 
 
-def rest_rate_left(evidence: Evidence) -> Array:
+def stationary_rate_residual(evidence: Evidence) -> Array:
     """Rate at rest less what bias, g-sensitivity and the Earth explain over all windows; (W, 3), rad/s, true axes."""
     data = evidence.data
     assert data is not None
-    gyro = triads(evidence)[0]
-    rate = evidence.rest_rate - _earth(evidence) @ gyro.T
-    design = np.hstack([evidence.rest_force / data.gravity, np.ones((len(rate), 1))])
-    return solved(gyro, rate - design @ robust_fit(design, rate))
+    gyro = raw_triads(evidence)[0]
+    rate = evidence.stationary_rate - _earth(evidence) @ gyro.T
+    design = np.hstack([evidence.stationary_force / data.gravity, np.ones((len(rate), 1))])
+    return invert_readings(gyro, rate - design @ robust_fit(design, rate))
 
 
 def _earth(evidence: Evidence) -> Array:
@@ -187,5 +187,5 @@ def _earth(evidence: Evidence) -> Array:
     out[data.start] = at_start
     for k, sequence in enumerate(data.catalogue):
         if sequence is not None:
-            out[data.end[k]] = end_of(sequence).T @ at_start[k]
+            out[data.end[k]] = nominal_end_attitude(sequence).T @ at_start[k]
     return out

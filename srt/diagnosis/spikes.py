@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.noise.from_windows import smallest_step
+from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
@@ -69,7 +69,7 @@ def find_spikes(evidence: Evidence) -> Spikes:
     parts = [_NONE]
     if data is not None:
         least, windows = _least_noise(evidence), data.windows.samples
-        for k in np.flatnonzero(evidence.whole).tolist():
+        for k in np.flatnonzero(evidence.contiguous).tolist():
             (a, turn), (still, b) = windows[data.start[k]].tolist(), windows[data.end[k]].tolist()
             parts.append(_in_sequence(evidence, (a, turn, still, b), least))
     sample, channel, jump = (
@@ -92,7 +92,7 @@ def _windows_in_motion(evidence: Evidence) -> int:
         count = (b - a) // size
         return np.asarray(np.median(evidence.recording.gyro[a : a + count * size].reshape(count, size, 3), axis=1))
 
-    rest = np.median(evidence.rest_rate, axis=0) / evidence.per_rate
+    rest = np.median(evidence.stationary_rate, axis=0) / evidence.per_rate
     fastest = [np.abs(blocks(a, b) - rest).max() for a, b in evidence.data.rotation.tolist() if b - a >= size]
     slow = _SLOW * max(fastest, default=0.0)
     windows = [blocks(a, b) for a, b in evidence.data.windows.samples.tolist() if b - a >= size]

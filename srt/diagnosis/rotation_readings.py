@@ -1,7 +1,7 @@
-"""What was turned: sums of every turn, the triads by robust linear fits, and specific force carried back by the gyros.
+"""Readings of the rotations: integrals, raw triads by robust fits, and gyro-stabilised specific force.
 
-Nothing here trusts a single label: fits are by absolute deviations first, so that a few sequences that were run
-otherwise than labelled do not bend them.
+No single label is trusted: the fits minimise absolute deviations, so that a few sequences that were run otherwise than
+labelled do not bias them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SOUND: Final = 10.0
 """Condition of a triad's matrix beyond which the fit has gone wrong."""
 
 
-def once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
+def computed_once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
     """Keep what was worked out with the evidence that it was worked out from."""
     key = f"_{work.__module__}.{work.__name__}"
 
@@ -64,19 +64,19 @@ def cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., ahead] * b[..., behind] - a[..., behind] * b[..., ahead])
 
 
-def solved(matrix: Array, readings: Array) -> Array:
+def invert_readings(matrix: Array, readings: Array) -> Array:
     """True values of readings ``matrix @ value``, both of shape (n, 3)."""
     return np.asarray(readings @ np.linalg.inv(matrix).T)
 
 
 @cache
-def end_of(sequence: Sequence) -> Array:
+def nominal_end_attitude(sequence: Sequence) -> Array:
     """Nominal attitude at the end of a sequence, worked out once; not to be changed."""
     return end_attitude(sequence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sums:
+class RotationIntegrals:
     """Every turn as a whole, raw.
 
     Attributes
@@ -93,13 +93,13 @@ class Sums:
     after: Array
 
 
-@once
-def sums(evidence: Evidence) -> Sums | None:
-    """Sums of all sequences; None if there are none."""
+@computed_once
+def rotation_integrals(evidence: Evidence) -> RotationIntegrals | None:
+    """RotationIntegrals of all sequences; None if there are none."""
     data = evidence.data
     if data is None:
         return None
-    recording, rest = evidence.recording, evidence.rest_rate
+    recording, rest = evidence.recording, evidence.stationary_rate
     signed, absolute = np.empty((data.K, 3)), np.empty((data.K, 3))
     for k, (a, b) in enumerate(data.rotation.tolist()):
         bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
@@ -108,19 +108,19 @@ def sums(evidence: Evidence) -> Sums | None:
         angle = recording.gyro[a:b] * (steps if recording.kind == "rate" else 1.0) - bias * steps
         signed[k] = angle.sum(axis=0)
         absolute[k] = np.abs(angle, out=angle).sum(axis=0)
-    force = evidence.rest_force
-    return Sums(signed, absolute, force[data.start], force[data.end])
+    force = evidence.stationary_force
+    return RotationIntegrals(signed, absolute, force[data.start], force[data.end])
 
 
 @cache
-def nominal_sums(sequence: Sequence) -> tuple[Array, Array, Array, Array]:
+def nominal_rotation_integrals(sequence: Sequence) -> tuple[Array, Array, Array, Array]:
     """What a perfect unit shows of a sequence: signed and absolute sums (rad), and up before and after it."""
     vectors = sequence.axes * sequence.angles_rad[:, None]
     up = -nominal_attitude(sequence)[2]
-    return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, end_of(sequence).T @ up
+    return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, nominal_end_attitude(sequence).T @ up
 
 
-@once
+@computed_once
 def bias_per_force(evidence: Evidence) -> Array:
     """Change of the raw rate at rest with the raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, Earth's rate.
 
@@ -128,16 +128,16 @@ def bias_per_force(evidence: Evidence) -> Array:
     them has.
     """
     data = evidence.data
-    if data is None or len(evidence.rest_force) < _MANY_WINDOWS:
+    if data is None or len(evidence.stationary_force) < _MANY_WINDOWS:
         return np.zeros((3, 3))
-    design = np.hstack([evidence.rest_force / data.gravity, np.ones((len(evidence.rest_force), 1))])
+    design = np.hstack([evidence.stationary_force / data.gravity, np.ones((len(evidence.stationary_force), 1))])
     if np.linalg.matrix_rank(design, tol=0.1) < design.shape[1]:
         return np.zeros((3, 3))
-    return robust_fit(design, evidence.rest_rate)[:3].T / data.gravity
+    return robust_fit(design, evidence.stationary_rate)[:3].T / data.gravity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
+class BlockAverages:
     """Raw readings through the turns, in means over about 10 ms, with half a second of stillness around each turn.
 
     Attributes
@@ -162,17 +162,17 @@ class Blocks:
     force: Array
 
 
-@once
-def blocks(evidence: Evidence) -> Blocks | None:
+@computed_once
+def block_averages(evidence: Evidence) -> BlockAverages | None:
     """Readings through all turns; None if there are none."""
     data = evidence.data
-    if data is None or not evidence.whole.any():
+    if data is None or not evidence.contiguous.any():
         return None
     recording, per_force = evidence.recording, bias_per_force(evidence)
-    rest = evidence.rest_rate - evidence.rest_force @ per_force.T
+    rest = evidence.stationary_rate - evidence.stationary_force @ per_force.T
     size = max(1, round(_STEP_S / evidence.dt))
     margin = round(_MARGIN_S / evidence.dt)
-    sequences = np.flatnonzero(evidence.whole)
+    sequences = np.flatnonzero(evidence.contiguous)
     first: list[Indices] = []
     rate: list[Array] = []
     force: list[Array] = []
@@ -186,7 +186,7 @@ def blocks(evidence: Evidence) -> Blocks | None:
         rate[-1] -= force[-1] @ per_force.T + 0.5 * (rest[data.start[k]] + rest[data.end[k]])
         first.append(begin + size * np.arange(count))
     lengths = [len(part) for part in first]
-    return Blocks(
+    return BlockAverages(
         np.repeat(sequences, lengths),
         np.concatenate([[0], np.cumsum(lengths)]),
         np.concatenate(first),
@@ -196,8 +196,8 @@ def blocks(evidence: Evidence) -> Blocks | None:
     )
 
 
-@once
-def legs(evidence: Evidence) -> tuple[Indices, Array, Array]:
+@computed_once
+def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
     """Single rotations of the sequences that have the number of them that their label says.
 
     A rotation begins where the turning axis changes, or where the unit stood between two about one axis.
@@ -208,7 +208,7 @@ def legs(evidence: Evidence) -> tuple[Indices, Array, Array]:
     nominal, turned : ndarray, shape (L, 3), rad
         Stated rotation, signed angle times axis, and the raw reading of it.
     """
-    data, path = evidence.data, blocks(evidence)
+    data, path = evidence.data, block_averages(evidence)
     numbers, nominal, turned = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 3))], [np.zeros((0, 3))]
     if data is None or path is None:
         return numbers[0], nominal[0], turned[0]
@@ -236,8 +236,8 @@ def _cuts(rate: Array) -> Indices:
     return np.array([0, *((before[1] + after[0]) // 2 for before, after in pairwise(runs))], dtype=np.intp)
 
 
-@once
-def triads(evidence: Evidence) -> tuple[Array, Array, Array]:
+@computed_once
+def raw_triads(evidence: Evidence) -> tuple[Array, Array, Array]:
     """Raw gyro matrix, and raw accelerometer matrix and bias (m/s²), over the nominal frame.
 
     The unit matrix and zero where no fixture says what was turned, or too few directions were seen.
@@ -247,7 +247,7 @@ def triads(evidence: Evidence) -> tuple[Array, Array, Array]:
     bias: Array = np.zeros(3)
     if evidence.data is None:
         return gyro, accel, bias
-    _, nominal, turned = legs(evidence)
+    _, nominal, turned = rotation_angles(evidence)
     angle = np.linalg.norm(nominal, axis=1, keepdims=True)
     if len(angle) and np.linalg.matrix_rank(nominal, tol=0.1) == 3:
         # By angle: full turns shall not outweigh the many half ones.
@@ -284,7 +284,7 @@ def robust_fit(x: Array, y: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Swing:
+class StabilisedForce:
     """Specific force through the turns, carried back to the start of each sequence by the gyros, block by block.
 
     Attributes
@@ -299,7 +299,7 @@ class Swing:
         Measured vertical at the start of the block's sequence, unit vectors in B_Strt.
     up_body : ndarray, shape (m, 3)
         The same in B, as the gyros have it.
-    carried : ndarray, shape (m, 3)
+    force_start : ndarray, shape (m, 3)
         Specific force in B_Strt over gravity, which a perfect unit sees constant.
     """
 
@@ -308,26 +308,26 @@ class Swing:
     force: Array
     up: Array
     up_body: Array
-    carried: Array
+    force_start: Array
 
 
-@once
-def swing(evidence: Evidence) -> Swing | None:
+@computed_once
+def stabilised_force(evidence: Evidence) -> StabilisedForce | None:
     """Specific force through all turns; None if there are none."""
-    data, path = evidence.data, blocks(evidence)
+    data, path = evidence.data, block_averages(evidence)
     if data is None or path is None:
         return None
-    gyro, accel, bias = triads(evidence)
-    rate = solved(gyro, path.rate)
+    gyro, accel, bias = raw_triads(evidence)
+    rate = invert_readings(gyro, path.rate)
     angle = rate * path.step_s
     attitude = _attitudes(angle, path.starts)
-    vertical = solved(accel, evidence.rest_force[data.start] - bias)
+    vertical = invert_readings(accel, evidence.stationary_force[data.start] - bias)
     size = np.linalg.norm(vertical, axis=1, keepdims=True)
     up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)
-    force = solved(accel, path.force - bias) / data.gravity
+    force = invert_readings(accel, path.force - bias) / data.gravity
     up = up[path.sequence]
     up_body = np.einsum("ma,mab->mb", up, attitude)
-    return Swing(attitude, rate, force, up, up_body, np.einsum("mab,mb->ma", attitude, force))
+    return StabilisedForce(attitude, rate, force, up, up_body, np.einsum("mab,mb->ma", attitude, force))
 
 
 def _attitudes(angle: Array, starts: Indices) -> Array:

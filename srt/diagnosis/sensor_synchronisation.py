@@ -15,8 +15,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import stdtrit
 
-from srt.diagnosis.findings import check, found
-from srt.diagnosis.turn_evidence import Blocks, Swing, blocks, cross, once, swing
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.rotation_readings import (
+    BlockAverages,
+    StabilisedForce,
+    block_averages,
+    computed_once,
+    cross,
+    stabilised_force,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,18 +39,18 @@ _FEWEST_TURNS: Final = 4
 _LEAST_OFFSET: Final = 0.02
 """Of the sampling interval: where within a sample a reading counts is not known better than that."""
 _COARSE: Final = 5
-"""Blocks that are taken together to find an offset, which lasts for the whole turn."""
+"""BlockAverages that are taken together to find an offset, which lasts for the whole turn."""
 _MOVING: Final = 0.2
 """Share of the highest rate above which a block belongs to a turn."""
 _SIDE: Final = 20
-"""Blocks on each side of a step that are looked at."""
+"""BlockAverages on each side of a step that are looked at."""
 _HALF_A_SAMPLE: Final = 0.5
 """Of the angle turned in one sample: fewer than one cannot be lost."""
 _RAYLEIGH_MEDIAN: Final = 1.1774
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Offset:
+class TimeOffset:
     """Time between the sensors, with what else the turns show of the accelerometers.
 
     Attributes
@@ -65,10 +72,10 @@ class Offset:
     errors: Array
 
 
-@once
-def offset(evidence: Evidence) -> Offset | None:
+@computed_once
+def time_offset(evidence: Evidence) -> TimeOffset | None:
     """Time between the sensors; None if fewer than four turns show it."""
-    path, turns = swing(evidence), blocks(evidence)
+    path, turns = stabilised_force(evidence), block_averages(evidence)
     if path is None or turns is None:
         return None
     chosen = [
@@ -96,10 +103,10 @@ def offset(evidence: Evidence) -> Offset | None:
         ]
     )
     sigma = float(late.std(ddof=1)) / math.sqrt(n)
-    return Offset(float(late.mean()), sigma, float(np.median(late)), n, np.asarray(common))
+    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), n, np.asarray(common))
 
 
-def _equations(path: Swing, turns: Blocks, s: int, e: int) -> tuple[Array, Array] | None:
+def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> tuple[Array, Array] | None:
     """Equations of a sequence that is one turn about one horizontal axis: columns offset, start, scale, errors; angle.
 
     None if it is not such a turn.
@@ -119,7 +126,7 @@ def _equations(path: Swing, turns: Blocks, s: int, e: int) -> tuple[Array, Array
     about = rate @ (total / size)
     own = np.stack([about * horizontal, np.ones(e - s), np.cumsum(about) * turns.step_s], axis=1)
     seen = _error_columns(across @ path.attitude[s:e], path.up_body[s:e], path.rate[s:e], turns.step_s)
-    return _coarser(np.concatenate([own, seen], axis=1)), _coarser(path.carried[s:e] @ across)
+    return _coarser(np.concatenate([own, seen], axis=1)), _coarser(path.force_start[s:e] @ across)
 
 
 def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array:
@@ -135,7 +142,7 @@ def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array
     return np.concatenate([along * up, mixed, along, along * np.abs(up), lever], axis=1)
 
 
-def _expected(path: Swing, turns: Blocks, seen: Offset) -> Array:
+def _expected(path: StabilisedForce, turns: BlockAverages, seen: TimeOffset) -> Array:
     """What an offset in time and the errors of the accelerometers change of the specific force in B, shape (m, 3)."""
     e, up, rate = seen.errors, path.up_body, path.rate
     symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
@@ -152,24 +159,24 @@ def _coarser(values: Array) -> Array:
 @check("sensor_time_offset")
 def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
     """Ask whether the accelerometers see gravity turn later than the gyros do, in all turns alike."""
-    seen = offset(evidence)
+    seen = time_offset(evidence)
     if seen is None:
         return
     limit = -float(stdtrit(seen.turns - 1.0, 0.5 * FALSE_ALARM))
     if abs(seen.late_s) > max(limit * seen.sigma_s, _LEAST_OFFSET * evidence.dt):
-        yield found("sensor_time_offset", offset_ms=1e3 * seen.late_s, sigma_ms=1e3 * seen.sigma_s)
+        yield finding("sensor_time_offset", offset_ms=1e3 * seen.late_s, sigma_ms=1e3 * seen.sigma_s)
 
 
 @check("samples_lost")
 def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     """Look for steps in what the gyros carry back; on a fixture, as a hand accelerates the unit in steps, too."""
-    path, turns = swing(evidence), blocks(evidence)
+    path, turns = stabilised_force(evidence), block_averages(evidence)
     if path is None or turns is None or evidence.recording.fixture is None:
         return
-    seen = offset(evidence)
+    seen = time_offset(evidence)
     speed = np.linalg.norm(cross(path.rate, path.up_body), axis=1)
     moving = speed > _MOVING * speed.max()
-    left = path.carried - path.up
+    left = path.force_start - path.up
     if seen is not None:
         # An offset in time would make steps of the beginning and the end of a turn.
         left -= np.einsum("mab,mb->ma", path.attitude, _expected(path, turns, seen))
@@ -186,7 +193,7 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     block = int(places[best])
     if height[best] <= max(limit, _HALF_A_SAMPLE * speed[block] * evidence.dt):
         return
-    yield found(
+    yield finding(
         "samples_lost",
         sequence=evidence.title(int(turns.sequence[block])),
         time=float(evidence.recording.time[turns.first_sample[block]]) - evidence.dt,
