@@ -15,7 +15,7 @@ import pytest
 
 import sims
 from srt.estimation.options import Options
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.table1 import SEQUENCES
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
@@ -118,7 +118,7 @@ def simulated():
             recording = sims.read_out(motion, SensorErrors(vector))
             data = prepare(recording, recording.sequences, options.average)
             integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")
-            return data, Player(data, options, integrated).play(SensorErrors()).z
+            return data, SrtProcessor(data, options, integrated).process(SensorErrors()).z
 
         data, z = measure(np.zeros(N_PARAMETERS))
         columns = [(measure(step)[1] - measure(-step)[1]) / (2.0 * step.max()) for step in np.diag(STEPS)]

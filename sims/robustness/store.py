@@ -20,9 +20,9 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from sims.robustness.config import AXES
-from srt.estimation.assembly import software
 from srt.exceptions import InputError, MissingExtraError
 from srt.recording.atomic import atomic_path, atomic_write_text, unwritable
+from srt.result.calibration import software
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:

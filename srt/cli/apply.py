@@ -212,7 +212,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
     import numpy as np
 
-    from srt.estimation.g_sensitivity import KEY, insensitive_readings
+    from srt.estimation.g_sensitivity import KEY, compensate_g_sensitivity
     from srt.result.applier import Applier
 
     applier = Applier(calibration, frame=frame)
@@ -231,7 +231,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
         )
     dt, raw = recording.interval_s if increments else None, recording.gyro
     if KEY in calibration.diagnostics:
-        raw = insensitive_readings(calibration, raw, recording.accel, kind=recording.kind, dt=dt)
+        raw = compensate_g_sensitivity(calibration, raw, recording.accel, kind=recording.kind, dt=dt)
     gyro, accel = applier.apply(raw, recording.accel, dt=dt)
     noise = replace(recording.noise, gyro_range=None, accel_range=None)
     return replace(recording, gyro=gyro, accel=accel, noise=noise)

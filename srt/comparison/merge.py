@@ -10,12 +10,11 @@ from scipy.special import chdtrc
 
 from srt.comparison.merge_model import GROUP_OF, Stack, between_sigma, estimate, stack_of
 from srt.comparison.repeatability import repeatability
-from srt.estimation.assembly import software
 from srt.estimation.g_sensitivity import KEY
-from srt.estimation.leave_one_out import Evidence, against_others, verdict, without_groups
+from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
-from srt.result.calibration import Calibration
+from srt.result.calibration import Calibration, software
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
@@ -100,7 +99,7 @@ def _merged(used: Mapping[str, Calibration], left_out: Mapping[str, str], stack:
     return Calibration(
         estimator=ESTIMATOR,
         status="partial" if held else "converged",
-        message=message + (f" Held, not observed: {', '.join(held)}." if held else ""),
+        message=message + (f" Fixed, not observed: {', '.join(held)}." if held else ""),
         errors=SensorErrors(vector),
         covariance=covariance,
         held=held,
@@ -128,7 +127,7 @@ def _merged(used: Mapping[str, Calibration], left_out: Mapping[str, str], stack:
 
 def _evidence(
     stack: Stack, within: Array, total: Array, titles: Sequence[str], estimate_: Array
-) -> tuple[Evidence, ...]:
+) -> tuple[SequenceDiagnostics, ...]:
     """Every recording against the others by the sigmas within, and the merged values without it by their weights."""
     if len(titles) < 2:
         return ()
@@ -136,11 +135,11 @@ def _evidence(
     left, X = stack.y - stack.design @ estimate_, stack.design
     pairs = zip(
         titles,
-        against_others(left, X, within, groups),
-        without_groups(left, X, total, groups),
+        consistency_tests(left, X, within, groups),
+        leave_one_out_estimates(left, X, total, groups),
         strict=True,
     )
-    return tuple(Evidence(title, 1, against, without) for title, against, without in pairs)
+    return tuple(SequenceDiagnostics(title, 1, against, without) for title, against, without in pairs)
 
 
 def _spread(values: Array, at: Indices) -> Array:

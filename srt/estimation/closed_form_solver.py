@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.estimation.assembly import assemble, outcome_of
-from srt.estimation.fixed_parameters import held_sigma, request_reason
-from srt.estimation.initial_estimates import first_estimate
+from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.iteration import iterate
-from srt.estimation.leave_one_out import LeftOut, pools_left
+from srt.estimation.leave_one_out import LeaveOneOutEstimate, pooling_weights_without
+from srt.estimation.solver_result import solver_result
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import AXES, SEQUENCES
@@ -20,10 +21,10 @@ from srt.sequences.preparation import open_session
 
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution
-    from srt.estimation.leave_one_out import Owned
+    from srt.estimation.leave_one_out import SequenceRows
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
-    from srt.estimation.srt_measurements import Playback
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PlaybackData
@@ -49,7 +50,7 @@ class ClosedFormSolver:
 
     def __init__(self, data: PlaybackData, options: Options) -> None:
         self.data = data
-        held = set(options.held_names)
+        held = set(options.fixed_names)
         supported = closed_form.formulas(set(data.ids), asymmetry=not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= held)
         self.formulas = tuple(f for f in supported if f.parameter not in held)
         if not self.formulas:
@@ -105,11 +106,11 @@ class ClosedFormSolver:
         assert sequence is not None
         return 2 * k + sequence.horizontal.index(kind)
 
-    def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:  # noqa: ARG002 - no weights here
+    def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:  # noqa: ARG002 - no weights here
         """G of δ = G z: the full Jacobian of the selected components, inverted."""
         S = self.selection
         G = np.zeros((N_PARAMETERS, S.shape[1]))
-        G[self.kept] = np.linalg.solve(S @ playback.H[:, self.kept], S)
+        G[self.kept] = np.linalg.solve(S @ measurements.H[:, self.kept], S)
         return G
 
     @cached_property
@@ -138,10 +139,10 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         )
     data = open_session(recording, labels, options.average)
     solver = ClosedFormSolver(data, options)
-    start, U = first_estimate(data, options)
-    uncertain = held_sigma(data, options)
-    solution = iterate(data, options, solver, start, U, progress, held_sigma=uncertain)
-    held = {name: request_reason(name, uncertain) for name in options.held_names}
+    start, U = initial_estimate(data, options)
+    uncertain = fixed_sigma(data, options)
+    solution = iterate(data, options, solver, start, U, progress, fixed_sigma=uncertain)
+    held = {name: reason_on_request(name, uncertain) for name in options.fixed_names}
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
         held[name] = (
@@ -151,25 +152,27 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         )
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    outcome = outcome_of(data, options, solution, held, without_sequences)
-    return assemble("closed-form", data, options, outcome, held, warnings=warnings)
+    result = solver_result(data, options, solution, held, without_sequences)
+    return build_calibration("closed-form", data, options, result, held, warnings=warnings)
 
 
-def without_sequences(data: PlaybackData, options: Options, solution: Solution, owned: list[Owned]) -> list[LeftOut]:
+def without_sequences(
+    data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
+) -> list[LeaveOneOutEstimate]:
     """Without a sequence, the formulas that the others support are solved."""
-    playback, n = solution.playback, len(solution.playback.z)
-    held = options.held_names
+    measurements, n = solution.measurements, len(solution.measurements.z)
+    held = options.fixed_names
     axes = [i for i in range(3) if NAMES[_BIAS.start + i] not in held]
     rates = np.eye(n)[[n - 3 + i for i in axes]]
     # Of uncorrelated measurements, what a sequence has of the variance goes with it.
     weight = solution.gain**2 * np.diag(solution.measurement_covariance)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
-    pools = pools_left(data, solution, owned)
-    shifts = (pools - playback.pool) @ playback.rest_rate
+    pools = pooling_weights_without(data, solution, rows_by_sequence)
+    shifts = (pools - measurements.pool) @ measurements.rest_rate
     measured = _measured(data)
     out = []
-    for k, (rows, windows) in enumerate(owned):
+    for k, (rows, windows) in enumerate(rows_by_sequence):
         again = data.ids.count(data.ids[k]) > 1
         ids = frozenset(data.ids) if again else frozenset(data.ids) - {data.ids[k]}
         parameters, coefficients = _supported(ids, held)
@@ -178,15 +181,15 @@ def without_sequences(data: PlaybackData, options: Options, solution: Solution, 
         if pools[k].any():
             kept += [_BIAS.start + i for i in axes]
             S = np.concatenate([S, rates])
-        z = playback.z.copy()
+        z = measurements.z.copy()
         z[n - 3 :] += shifts[k]
         lost = estimated.copy()
         lost[kept] = False
         change = np.zeros(N_PARAMETERS)
         if kept:
-            change[kept] = np.linalg.solve(S @ playback.H[:, kept], S @ z)
-        share = weight[:, rows].sum(axis=1) + weight[:, n - 3 :].sum(axis=1) * playback.pool[windows].sum()
-        out.append(LeftOut(np.where(estimated, change, 0.0), lost, np.where(lost, 1.0, share)))
+            change[kept] = np.linalg.solve(S @ measurements.H[:, kept], S @ z)
+        share = weight[:, rows].sum(axis=1) + weight[:, n - 3 :].sum(axis=1) * measurements.pool[windows].sum()
+        out.append(LeaveOneOutEstimate(np.where(estimated, change, 0.0), lost, np.where(lost, 1.0, share)))
     return out
 
 

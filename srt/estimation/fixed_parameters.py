@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
-def held_sigma(data: PlaybackData, options: Options) -> Array:
+def fixed_sigma(data: PlaybackData, options: Options) -> Array:
     """One sigma of every parameter's start value, should it be held, shape (27,), SI.
 
     Values given by the user, and asymmetries held on request, are taken as exact. A start from the fixture is as good
@@ -32,11 +32,11 @@ def held_sigma(data: PlaybackData, options: Options) -> Array:
             sigma[GROUP_SLICES[group]] = accuracy
         sigma[GROUP_SLICES["accel_bias"]] = data.gravity * float(np.hypot(accuracy, PRIOR_SIGMA["accel_asymmetry"]))
         sigma[GROUP_SLICES["gyro_bias"]] = EARTH_RATE_RAD_S
-    exact = [INDEX[name] for name in options.held_names if "asymmetry" in name]
+    exact = [INDEX[name] for name in options.fixed_names if "asymmetry" in name]
     sigma[exact] = 0.0
     return sigma
 
 
-def request_reason(name: str, sigma: Array) -> str:
+def reason_on_request(name: str, sigma: Array) -> str:
     """Why a parameter is held that the user asked to hold."""
     return "held on request" + (", taken as exact" if sigma[INDEX[name]] == 0.0 else "")

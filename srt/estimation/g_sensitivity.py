@@ -84,7 +84,7 @@ def pose_regression(force: Array, pool: Array, gravity: float) -> PoseRegression
     return PoseRegression(pool[:, None] * (spread @ inverse), axes[:, ~seen].T)
 
 
-def insensitive(stream: GyroStream, force: Array, accel: Triad, matrix: Array) -> GyroStream:
+def compensate_stream(stream: GyroStream, force: Array, accel: Triad, matrix: Array) -> GyroStream:
     """Take Γ f off raw gyro samples, and leave f with them.
 
     Parameters
@@ -103,7 +103,7 @@ def insensitive(stream: GyroStream, force: Array, accel: Triad, matrix: Array) -
     return replace(stream, increments=stream.increments - followed, smooth=stream.smooth - followed, velocity=velocity)
 
 
-def insensitive_readings(
+def compensate_g_sensitivity(
     calibration: Calibration,
     gyro: ArrayLike,
     accel: ArrayLike,

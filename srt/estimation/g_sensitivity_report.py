@@ -19,7 +19,7 @@ from srt.estimation.g_sensitivity import KEY, LEAST_SPREAD, MODE
 
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution
-    from srt.estimation.srt_measurements import Playback
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array
 
@@ -31,18 +31,18 @@ _EARTH_SIGMAS: Final = 3.0
 _DEG_PER_H_PER_G: Final = STANDARD_GRAVITY_M_S2 / DEG_PER_H
 
 
-def rate_disturbances(playback: Playback, data: PlaybackData, wander: Array) -> Array:
+def rate_disturbances(measurements: SrtMeasurements, data: PlaybackData, wander: Array) -> Array:
     """What disturbs the rates of the windows, by unit draws of all sources, shape (W, 3, S), rad/s.
 
     Parameters
     ----------
-    playback : Playback
+    measurements : SrtMeasurements
         With its noise integrals.
     data : PlaybackData
     wander : ndarray, shape (3,), rad/s
         One sigma of a sequence's gyro bias about the test's, raw channels.
     """
-    sources = measurement_covariance.disturbances(playback, data, wander).values()
+    sources = measurement_covariance.disturbances(measurements, data, wander).values()
     return np.concatenate([source.rate for source in sources if source.rate is not None], axis=2)
 
 
@@ -53,18 +53,18 @@ def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
     ``rest_rate_scatter_rad_s`` is the rms of the windows' rates at rest about their mean with Γ in them and without,
     and what noise explains of the latter.
     """
-    playback = solution.playback
-    if playback.poses is None:
+    measurements = solution.measurements
+    if measurements.poses is None:
         return {}
-    disturbed = rate_disturbances(playback, data, solution.wander)
-    by_draw = np.einsum("ab,bcs->acs", playback.gyro.matrix, playback.poses.fit(disturbed)).reshape(9, -1)
+    disturbed = rate_disturbances(measurements, data, solution.wander)
+    by_draw = np.einsum("ab,bcs->acs", measurements.gyro.matrix, measurements.poses.fit(disturbed)).reshape(9, -1)
     P = by_draw @ by_draw.T
     sigma = np.sqrt(np.diag(P)).reshape(3, 3)
-    rate = playback.after_g_sensitivity(disturbed)[0]
-    expected = playback.pool @ np.sum((rate - np.tensordot(playback.pool, rate, 1)) ** 2, axis=2)
-    left = playback.rest_rate - playback.pool @ playback.rest_rate
-    spread = playback.force - playback.pool @ playback.force
-    followed = np.linalg.solve(playback.gyro.matrix, solution.g_sensitivity)
+    rate = measurements.after_g_sensitivity(disturbed)[0]
+    expected = measurements.pool @ np.sum((rate - np.tensordot(measurements.pool, rate, 1)) ** 2, axis=2)
+    left = measurements.rest_rate - measurements.pool @ measurements.rest_rate
+    spread = measurements.force - measurements.pool @ measurements.force
+    followed = np.linalg.solve(measurements.gyro.matrix, solution.g_sensitivity)
     return {
         KEY: {
             "matrix": solution.g_sensitivity.tolist(),
@@ -73,28 +73,28 @@ def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
             "unit": "rad/s per m/s^2",
             "matrix_deg_per_h_per_g": (solution.g_sensitivity * _DEG_PER_H_PER_G).tolist(),
             "sigma_deg_per_h_per_g": (sigma * _DEG_PER_H_PER_G).tolist(),
-            "not_seen_along": playback.poses.unseen.tolist(),
+            "not_seen_along": measurements.poses.unseen.tolist(),
             "rest_rate_scatter_rad_s": {
-                "before": np.sqrt(playback.pool @ (left + spread @ followed.T) ** 2).tolist(),
-                "after": np.sqrt(playback.pool @ left**2).tolist(),
+                "before": np.sqrt(measurements.pool @ (left + spread @ followed.T) ** 2).tolist(),
+                "after": np.sqrt(measurements.pool @ left**2).tolist(),
                 "expected": np.sqrt(expected).tolist(),
             },
         }
     }
 
 
-def warnings(data: PlaybackData, playback: Playback) -> tuple[str, ...]:
+def warnings(data: PlaybackData, measurements: SrtMeasurements) -> tuple[str, ...]:
     """Directions that the poses do not show; or that the gyros follow the specific force, where that is not asked."""
-    if playback.poses is not None:
-        if not len(playback.poses.unseen):
+    if measurements.poses is not None:
+        if not len(measurements.poses.unseen):
             return ()
-        along = " and ".join("(" + ", ".join(f"{x:.2f}" for x in axis) + ")" for axis in playback.poses.unseen)
+        along = " and ".join("(" + ", ".join(f"{x:.2f}" for x in axis) + ")" for axis in measurements.poses.unseen)
         return (
             f"The windows do not show how the gyros follow specific force along {along}, where it varies by less than "
             f"{LEAST_SPREAD:g} g: g-sensitivity is zero there and its error in no sigma; add sequences with these axes "
             "up and down.",
         )
-    size = follows_force(playback, data)
+    size = significant_g_sensitivity(measurements, data)
     if size is None:
         return ()
     return (
@@ -104,20 +104,20 @@ def warnings(data: PlaybackData, playback: Playback) -> tuple[str, ...]:
     )
 
 
-def follows_force(playback: Playback, data: PlaybackData) -> float | None:
+def significant_g_sensitivity(measurements: SrtMeasurements, data: PlaybackData) -> float | None:
     """Largest element of Γ, rad/s per m/s², if the F-test says that there is one; else None.
 
     Where the Earth's rate is not known, part of it is fixed to the vertical and looks the same: what is smaller than
     three sigmas of that says nothing.
     """
-    at_rest = ~(playback.integrated[data.start] | playback.integrated[data.end])
-    if playback.integrated.all():  # integrated on request, not because they moved
+    at_rest = ~(measurements.integrated[data.start] | measurements.integrated[data.end])
+    if measurements.integrated.all():  # integrated on request, not because they moved
         at_rest[:] = True
     start, end = data.start[at_rest], data.end[at_rest]
     T = data.windows.duration_s
     root = np.sqrt(T[start] * T[end] / (T[start] + T[end]))[:, None]
-    change = root * (playback.force[end] - playback.force[start])
-    rate = root * (playback.rest_rate[end] - playback.rest_rate[start])
+    change = root * (measurements.force[end] - measurements.force[start])
+    rate = root * (measurements.rest_rate[end] - measurements.rest_rate[start])
     if len(rate) <= _LEAST_FREEDOM:
         return None
     constant = root / np.linalg.norm(root)
@@ -134,5 +134,5 @@ def follows_force(playback: Playback, data: PlaybackData) -> float | None:
     if np.min(fdtrc(count, freedom, F)) > FALSE_ALARM / 3.0:
         return None
     size = float(np.abs((right[seen].T / singular[seen]) @ by_force).max())
-    doubt = _EARTH_SIGMAS * measurement_covariance.earth_rate_doubt(data)
+    doubt = _EARTH_SIGMAS * measurement_covariance.earth_rate_sigma(data)
     return size if size * data.gravity > doubt else None

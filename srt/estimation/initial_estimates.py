@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import gyro_stream
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, Array]:
+def initial_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, Array]:
     """Errors to begin with and the rotation from the table-mounted frame to MARS.
 
     Parameters
@@ -53,11 +53,11 @@ def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, 
         ``start``: "auto", "zero", or the errors themselves.
     """
     if options.start != "auto":
-        errors = options.start if isinstance(options.start, SensorErrors) else start_in_stages(data, options)
+        errors = options.start if isinstance(options.start, SensorErrors) else estimate_in_stages(data, options)
         # How MARS lies on the table is as the data show it under these errors.
-        return errors, Player(data, options).play(errors, nominal_vertical=True).U
+        return errors, SrtProcessor(data, options).process(errors, nominal_vertical=True).U
     if data.nominal is None:
-        return start_from_gravity(data), np.eye(3)
+        return estimate_from_gravity(data), np.eye(3)
     stream = gyro_stream(
         data.recording.gyro,
         data.recording.interval_s,
@@ -65,7 +65,7 @@ def first_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, 
         data.rotation,
         rates=data.recording.kind == "rate",
     )
-    return start_from_fixture(data, stream)
+    return estimate_from_fixture(data, stream)
 
 
 _RIDGE: Final = 1e-6
@@ -74,7 +74,7 @@ _MOVING: Final = 0.2
 """Share of a sequence's highest rate above which a leg is taken to turn."""
 
 
-def start_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorErrors, Array]:
+def estimate_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorErrors, Array]:
     """First estimate of the errors, and the orientation of MARS on the table.
 
     Parameters
@@ -101,7 +101,7 @@ def start_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorEr
         if sequence is None:
             continue
         bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
-        legs = split_legs(stream, k, sequence, bias)
+        legs = rotation_angles(stream, k, sequence, bias)
         if legs is not None:
             turned.append(legs)
             angles.append(sequence.axes * sequence.angles_rad[:, None])
@@ -126,7 +126,7 @@ def start_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorEr
     return type(errors)(vector), U
 
 
-def split_legs(stream: GyroStream, k: int, sequence: Sequence, bias: Array) -> Array | None:
+def rotation_angles(stream: GyroStream, k: int, sequence: Sequence, bias: Array) -> Array | None:
     """Summed raw gyro angle of each leg, less bias, shape (number of legs, 3), rad.
 
     Returns None where the standstills between the legs cannot be told: other sequences then serve.
@@ -192,7 +192,7 @@ def _layout() -> Array:
     return E
 
 
-def start_from_gravity(data: PlaybackData) -> SensorErrors:
+def estimate_from_gravity(data: PlaybackData) -> SensorErrors:
     """First estimate for free turns.
 
     Parameters
@@ -243,7 +243,7 @@ _FIRST_STEP: Final = 0.1
 _EVALUATIONS: Final = 60
 
 
-def start_in_stages(data: PlaybackData, options: Options) -> SensorErrors:
+def estimate_in_stages(data: PlaybackData, options: Options) -> SensorErrors:
     """First estimate from the recorded stillness and turns alone.
 
     Parameters
@@ -257,7 +257,7 @@ def start_in_stages(data: PlaybackData, options: Options) -> SensorErrors:
         Near enough for a play-back to go on from; held parameters are zero.
     """
     sizes = _PRIOR.copy()
-    sizes[[INDEX[name] for name in options.held_names]] = 0.0
+    sizes[[INDEX[name] for name in options.fixed_names]] = 0.0
     u = np.zeros(N_PARAMETERS)
     length = _turned(data)
     for limit in _limits(length):
@@ -310,7 +310,7 @@ class _Stage:
             start=data.start[chosen],
             end=data.end[chosen],
         )
-        self.player, self.sizes = Player(self.data, options), sizes
+        self.processor, self.sizes = SrtProcessor(self.data, options), sizes
         self.windows = np.unique(np.concatenate([self.data.start, self.data.end]))
         self._at: Array | None = None
 
@@ -341,7 +341,7 @@ class _Stage:
         if outside_model(errors) is not None:
             n = 3 * K + len(self.windows) + 3 + N_PARAMETERS
             return np.full(n, np.inf), np.zeros((n, N_PARAMETERS))
-        played = self.player.play(errors)
+        played = self.processor.process(errors)
         change = played.carried[:, 1] - played.carried[:, 0]
         force, axes = played.force, np.broadcast_to(np.eye(3), (K, 3, 3))
         H = model.horizontal_jacobian(played.integrals, axes, force[data.start], force[data.end], played.accel)

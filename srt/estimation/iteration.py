@@ -14,7 +14,7 @@ import numpy as np
 
 from srt.estimation import measurement_covariance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
 from srt.model.sensor_model import compose, outside_model
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from srt.estimation.options import Options
-    from srt.estimation.srt_measurements import Playback
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array, Mask
 
@@ -42,7 +42,7 @@ _LEAST_SCATTER: Final = 0.1
 class Solver(Protocol):
     """Turns measurements into corrections; the closed form and least squares differ in this alone."""
 
-    def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
+    def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         """Matrix G of the correction δ = G z, shape (27, n_z); rows of held parameters are zero.
 
         ``covariance`` is that of z, a rough one until the iteration is ``near`` the solution.
@@ -59,7 +59,7 @@ class Solver(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Outcome of the iteration.
+    """SolverResult of the iteration.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Solution:
     measurement_covariance, residual_covariance : ndarray, shape (n_z, n_z)
         Of z before the estimate, and of what the estimate leaves of it.
     gain : ndarray, shape (27, n_z)
-    playback : Playback
+    measurements : SrtMeasurements
         The last one.
     corrections : tuple of float
         Largest correction of each play-back (biases of accelerometers in g).
@@ -91,7 +91,7 @@ class Solution:
     measurement_covariance: Array
     residual_covariance: Array
     gain: Array
-    playback: Playback
+    measurements: SrtMeasurements
     corrections: tuple[float, ...]
     status: str
     message: str
@@ -116,21 +116,21 @@ class Iteration:
         start: SensorErrors,
         excess: tuple[float, float],
         resume: Solution | None,
-        held_sigma: Array,
+        fixed_sigma: Array,
     ) -> None:
         self.data, self.options, self.solver, self.start, self.excess = data, options, solver, start, excess
-        self.held_sigma = held_sigma
+        self.fixed_sigma = fixed_sigma
         self.noise: tuple[Array | None, Array | None] = None, None
         self.offset, self.g_sensitivity = np.zeros((data.K, 3)), np.zeros((3, 3))
         self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         if resume is not None:
-            self.integrated, self.offset = resume.playback.integrated, resume.bias_by_sequence
+            self.integrated, self.offset = resume.measurements.integrated, resume.bias_by_sequence
             self.wander, self.g_sensitivity = resume.wander, resume.g_sensitivity
         self.first = start if resume is None else resume.errors
         self.resumed = resume is not None
         self.before = () if resume is None else resume.corrections
-        self.player = Player(data, options, self.integrated)
+        self.processor = SrtProcessor(data, options, self.integrated)
 
     def run(self, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
         """Play back until the correction is negligible."""
@@ -140,23 +140,23 @@ class Iteration:
         weights: Array | None = None
         near = self.resumed
         status, message = "not_converged", ""
-        final: Playback | None = None
+        final: SrtMeasurements | None = None
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
             # Once near, the full weights are taken, and kept: they change with the estimate by parts in a thousand.
             near = near or (bool(corrections) and corrections[-1] < _NEAR)
             fresh = near and weights is None
-            playback = self._play(errors, U, nominal=nominal, with_noise=fresh)
-            if fresh and self._release_moving(playback):
+            measurements = self._play(errors, U, nominal=nominal, with_noise=fresh)
+            if fresh and self._release_moving(measurements):
                 continue
             try:
                 if fresh:
-                    self.noise = playback.integrals.noise, playback.integrals.time_parts
-                    weights = self._total(playback)
-                gain = self._gain(playback, self._rough(playback) if weights is None else weights, near=near)
+                    self.noise = measurements.integrals.noise, measurements.integrals.time_parts
+                    weights = self._total(measurements)
+                gain = self._gain(measurements, self._rough(measurements) if weights is None else weights, near=near)
                 if weights is not None:
                     sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
-                errors, U, correction = self._correct(errors, playback, gain)
+                errors, U, correction = self._correct(errors, measurements, gain)
                 size = float(np.max(np.abs(correction) / _UNIT))
                 corrections.append(size)
                 if progress is not None:
@@ -165,20 +165,20 @@ class Iteration:
             except _DivergenceError as reason:
                 status, message = "outside_model", f"After play-back {i + 1} {reason}."
                 break
-            settled = self._update_offsets(playback, sigma)
+            settled = self._update_offsets(measurements, sigma)
             negligible = np.all(
                 np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
             )
-            if near and negligible and settled and not self._release_moving(playback):
+            if near and negligible and settled and not self._release_moving(measurements):
                 status, message = (
                     "converged",
                     f"Converged after {len(self.before) + len(corrections)} play-backs.",
                 )
                 # The correction just made is a hundredth of a sigma: what it leaves of z is known without a replay.
-                integrals = replace(playback.integrals, noise=self.noise[0], time_parts=self.noise[1])
-                final = replace(playback, z=playback.z - playback.H @ correction, integrals=integrals)
+                integrals = replace(measurements.integrals, noise=self.noise[0], time_parts=self.noise[1])
+                final = replace(measurements, z=measurements.z - measurements.H @ correction, integrals=integrals)
                 break
-            if self.player.integrated is not playback.integrated:
+            if self.processor.integrated is not measurements.integrated:
                 weights = None
         else:
             message = (
@@ -189,8 +189,8 @@ class Iteration:
             final = self._play(errors, U, nominal=not self.options.measured_vertical, with_noise=True)
         return self._finish(final, errors, U, corrections, status, message)
 
-    def _play(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> Playback:
-        return self.player.play(
+    def _play(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:
+        return self.processor.process(
             errors,
             U=U,
             nominal_vertical=nominal,
@@ -199,21 +199,23 @@ class Iteration:
             with_noise=with_noise,
         )
 
-    def _gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
+    def _gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         try:
-            gain = self.solver.gain(playback, covariance, near=near)
+            gain = self.solver.gain(measurements, covariance, near=near)
         except (np.linalg.LinAlgError, ValueError):
-            gain = np.full((N_PARAMETERS, len(playback.z)), np.nan)
+            gain = np.full((N_PARAMETERS, len(measurements.z)), np.nan)
         if not np.all(np.isfinite(gain)):
             raise _DivergenceError("the equations are singular (a sequence labelled wrongly, or not turned?)")
         return gain
 
-    def _correct(self, errors: SensorErrors, playback: Playback, gain: Array) -> tuple[SensorErrors, Array, Array]:
+    def _correct(
+        self, errors: SensorErrors, measurements: SrtMeasurements, gain: Array
+    ) -> tuple[SensorErrors, Array, Array]:
         # U follows the data (axes and verticals), so that no mounting error is left in the nominal attitudes.
-        U = playback.U
+        U = measurements.U
         composed = self.options.step == "coefficients" and self.solver.coefficients is not None
         coefficients = self.solver.coefficients
-        delta = (coefficients if composed and coefficients is not None else gain) @ playback.z
+        delta = (coefficients if composed and coefficients is not None else gain) @ measurements.z
         if not np.all(np.isfinite(delta)):
             raise _DivergenceError("the correction is not finite")
         largest = float(np.max(np.abs(delta) / _UNIT))
@@ -230,83 +232,83 @@ class Iteration:
         vector[self.solver.held] = self.start.vector[self.solver.held]
         return SensorErrors(vector), U, vector - errors.vector
 
-    def _update_offsets(self, playback: Playback, sigma: Array) -> bool:
+    def _update_offsets(self, measurements: SrtMeasurements, sigma: Array) -> bool:
         """Renew g-sensitivity and the sequences' own biases; True once they have stopped moving."""
         followed = 0.0
-        if playback.poses is not None:
-            left = playback.poses.fit(playback.rest_rate)
-            playback = replace(playback, rest_rate=playback.rest_rate - playback.force @ left.T)
-            self.g_sensitivity = self.g_sensitivity + playback.gyro.matrix @ left
+        if measurements.poses is not None:
+            left = measurements.poses.fit(measurements.rest_rate)
+            measurements = replace(measurements, rest_rate=measurements.rest_rate - measurements.force @ left.T)
+            self.g_sensitivity = self.g_sensitivity + measurements.gyro.matrix @ left
             followed = self.data.gravity * float(np.abs(left).max())
         if self.data.noise.gyro_wander is None and self.options.gyro_bias in ("auto", G_SENSITIVE):
-            self.wander = self._scatter(playback)
-        gain = self._bias_gain(playback)
-        new = gain * playback.bias_by_sequence
+            self.wander = self._scatter(measurements)
+        gain = self._bias_gain(measurements)
+        new = gain * measurements.bias_by_sequence
         change = max(np.abs(new - self.offset).max() if new.size else 0.0, followed)
         self.offset = new
         return bool(change <= max(CONVERGED_CORRECTION, CONVERGED_SIGMAS * sigma[GROUP_SLICES["gyro_bias"]].max()))
 
-    def _bias_gain(self, playback: Playback) -> Array:
+    def _bias_gain(self, measurements: SrtMeasurements) -> Array:
         return measurement_covariance.bias_gain(
-            playback, self.data, self.options.gyro_bias, self._compensated(playback)
+            measurements, self.data, self.options.gyro_bias, self._compensated(measurements)
         )
 
-    def _compensated(self, playback: Playback) -> Array:
-        return np.asarray(np.sqrt(np.linalg.inv(playback.gyro.matrix) ** 2 @ self.wander**2))
+    def _compensated(self, measurements: SrtMeasurements) -> Array:
+        return np.asarray(np.sqrt(np.linalg.inv(measurements.gyro.matrix) ** 2 @ self.wander**2))
 
-    def _scatter(self, playback: Playback) -> Array:
+    def _scatter(self, measurements: SrtMeasurements) -> Array:
         """Wander of the bias that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
-        left = playback.scatter_left()
-        if len(playback.share) < 3 or left < _LEAST_SCATTER:
+        left = measurements.scatter_left()
+        if len(measurements.share) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
-        deviation = playback.bias_by_sequence / np.sqrt(left)
-        doubt = measurement_covariance.earth_rate_doubt(self.data)
-        expected = measurement_covariance.rest_rate_variance(playback, self.data) + doubt**2
+        deviation = measurements.bias_by_sequence / np.sqrt(left)
+        doubt = measurement_covariance.earth_rate_sigma(self.data)
+        expected = measurement_covariance.rest_rate_variance(measurements, self.data) + doubt**2
         excess = measurement_covariance.excess_scatter(deviation, expected)
-        return np.asarray(np.sqrt(playback.gyro.matrix**2 @ excess))
+        return np.asarray(np.sqrt(measurements.gyro.matrix**2 @ excess))
 
-    def _release_moving(self, playback: Playback) -> bool:
+    def _release_moving(self, measurements: SrtMeasurements) -> bool:
         """Stop holding the attitude in windows that turned beyond their noise; True if there are new ones."""
-        rest = playback.rest_rate - playback.pool @ playback.rest_rate
-        moving = moved_windows(self.data, playback.gyro, playback.accel, rest, self._compensated(playback))
+        rest = measurements.rest_rate - measurements.pool @ measurements.rest_rate
+        moving = moved_windows(self.data, measurements.gyro, measurements.accel, rest, self._compensated(measurements))
         moving &= ~self.integrated
         if not moving.any():
             return False
         self.integrated = self.integrated | moving
-        self.player = Player(self.data, self.options, self.integrated)
+        self.processor = SrtProcessor(self.data, self.options, self.integrated)
         return True
 
-    def _total(self, playback: Playback) -> Array:
-        return np.asarray(sum(self._by_source(playback).values()))
+    def _total(self, measurements: SrtMeasurements) -> Array:
+        return np.asarray(sum(self._by_source(measurements).values()))
 
-    def _rough(self, playback: Playback) -> Array:
+    def _rough(self, measurements: SrtMeasurements) -> Array:
         """Covariance for the first, coarse steps: weights only need to be of the right order there."""
-        K, W = self.data.K, len(playback.pool)
+        K, W = self.data.K, len(measurements.pool)
         return np.diag(np.concatenate([np.full(2 * K + W, 1e-4), np.full(3, 1e-12)]))
 
-    def _by_source(self, playback: Playback) -> dict[str, Array]:
+    def _by_source(self, measurements: SrtMeasurements) -> dict[str, Array]:
         return measurement_covariance.covariances(
-            playback, self.data, self.wander, self._bias_gain(playback), self.excess
+            measurements, self.data, self.wander, self._bias_gain(measurements), self.excess
         )
 
     def _finish(
         self,
-        playback: Playback,
+        measurements: SrtMeasurements,
         errors: SensorErrors,
         U: Array,
         corrections: list[float],
         status: str,
         message: str,
     ) -> Solution:
-        by_source = self._by_source(playback)
+        by_source = self._by_source(measurements)
         total = np.asarray(sum(by_source.values()))
         try:
-            gain = self._gain(playback, total, near=True)
+            gain = self._gain(measurements, total, near=True)
         except _DivergenceError:
-            gain, status = np.zeros((N_PARAMETERS, len(playback.z))), "outside_model"
+            gain, status = np.zeros((N_PARAMETERS, len(measurements.z))), "outside_model"
         covariance = {name: gain @ R @ gain.T for name, R in by_source.items()}
         # What is held is not known exactly, and its error goes into what is estimated with it.
-        by_held = playback.H * np.where(self.solver.held, self.held_sigma, 0.0)
+        by_held = measurements.H * np.where(self.solver.held, self.fixed_sigma, 0.0)
         covariance["held_values"] = gain @ by_held @ by_held.T @ gain.T
         total = total + by_held @ by_held.T
         if self.data.noise.gyro_flicker is None:
@@ -314,7 +316,7 @@ class Iteration:
             # already: what all windows have of it in common is an error of the bias and of nothing else.
             bias = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
             covariance["gyro_bias_instability"][bias, bias] += self.wander**2
-        left = np.eye(len(playback.z)) - playback.H @ gain
+        left = np.eye(len(measurements.z)) - measurements.H @ gain
         return Solution(
             errors,
             U,
@@ -322,7 +324,7 @@ class Iteration:
             total,
             left @ total @ left.T,
             gain,
-            playback,
+            measurements,
             (*self.before, *corrections),
             status,
             message,
@@ -350,7 +352,7 @@ def iterate(
     *,
     excess: tuple[float, float] = (0.0, 0.0),
     resume: Solution | None = None,
-    held_sigma: Array | None = None,
+    fixed_sigma: Array | None = None,
 ) -> Solution:
     """Iterate play-backs from a first estimate.
 
@@ -369,8 +371,8 @@ def iterate(
         Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
     resume : Solution, optional
         Go on from where this solution on the same data ended (its errors, windows, biases and nearness).
-    held_sigma : ndarray, shape (27,), optional
+    fixed_sigma : ndarray, shape (27,), optional
         One sigma of each parameter's first value, for those that are held; zero means exact.
     """
-    uncertain = np.zeros(N_PARAMETERS) if held_sigma is None else held_sigma
+    uncertain = np.zeros(N_PARAMETERS) if fixed_sigma is None else fixed_sigma
     return Iteration(data, options, solver, errors, excess, resume, uncertain).run(U, progress)

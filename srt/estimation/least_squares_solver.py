@@ -13,12 +13,14 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt.estimation import measurement_covariance
-from srt.estimation.assembly import assemble, chi_square, is_misfit, outcome_of
-from srt.estimation.fixed_parameters import held_sigma, request_reason
-from srt.estimation.initial_estimates import first_estimate
+from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.goodness_of_fit import chi_square, is_misfit
+from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.iteration import iterate
-from srt.estimation.leave_one_out import LeftOut, pools_left, reestimate
+from srt.estimation.leave_one_out import LeaveOneOutEstimate, leave_one_out_estimate, pooling_weights_without
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
+from srt.estimation.solver_result import solver_result
 from srt.model import measurement_model as model
 from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import N_PARAMETERS, NAMES
@@ -27,10 +29,10 @@ from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution
-    from srt.estimation.leave_one_out import Owned
+    from srt.estimation.leave_one_out import SequenceRows
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
-    from srt.estimation.srt_measurements import Playback
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
@@ -58,13 +60,13 @@ class LeastSquaresSolver:
         self._prior = admission_sigma()
         self._selected = False
 
-    def gain(self, playback: Playback, covariance: Array, *, near: bool) -> Array:
+    def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         """G of δ = G z; the first, coarse steps lean on the prior for what the data do not show."""
         R = covariance
         scale = 1.0 / np.sqrt(np.diag(R))
         factor = cho_factor(R * np.outer(scale, scale), lower=True)
         L = factor[0]
-        A = solve_triangular(L, playback.H * scale[:, None] * self._prior, lower=True)
+        A = solve_triangular(L, measurements.H * scale[:, None] * self._prior, lower=True)
         if near and not self._selected:
             self.held = self.requested | ~admit(A, ~self.requested)
             self._selected = True
@@ -93,9 +95,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     options.refuse(("step", "loss", "prior", "fixture_states", "live", "targets"), "Least squares")
     labels = recording.sequences or find_turns(recording)
     data = open_session(recording, labels, options.average)
-    first = first_estimate(data, options)
-    uncertain = held_sigma(data, options)
-    held = {n: request_reason(n, uncertain) for n in options.held_names}
+    first = initial_estimate(data, options)
+    uncertain = fixed_sigma(data, options)
+    held = {n: reason_on_request(n, uncertain) for n in options.fixed_names}
     for _ in range(_ROUNDS):
         solution, solver, excess = _solve(data, options, tuple(held), first, uncertain, progress)
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
@@ -112,8 +114,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
         )
     inflation = _inflation(solution, solver.held)
-    outcome = outcome_of(data, options, solution, held, without_sequences)
-    return assemble("least-squares", data, options, outcome, held, warnings=warnings, inflation=inflation)
+    result = solver_result(data, options, solution, held, without_sequences)
+    return build_calibration("least-squares", data, options, result, held, warnings=warnings, inflation=inflation)
 
 
 def _solve(
@@ -126,7 +128,7 @@ def _solve(
 ) -> tuple[Solution, LeastSquaresSolver, tuple[float, float]]:
     """Iterate with given parameters held; where residuals ask for it again, with noise beyond the sensors' own."""
     solver = LeastSquaresSolver(requested)
-    solution = iterate(data, options, solver, *first, progress, held_sigma=uncertain)
+    solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
     excess = (0.0, 0.0)
     for _ in range(_ROUNDS):
         if solution.status != "converged" or not _misfit(solution, solver.held):
@@ -145,7 +147,7 @@ def _solve(
             progress,
             excess=excess,
             resume=solution,
-            held_sigma=uncertain,
+            fixed_sigma=uncertain,
         )
     return solution, solver, excess
 
@@ -164,35 +166,37 @@ def _inflation(solution: Solution, held: Mask) -> float:
 
 def _excess(solution: Solution, data: PlaybackData, held: Mask, present: tuple[float, float]) -> tuple[float, float]:
     """One sigma of attitude per turn and of specific force per pose, by restricted maximum likelihood."""
-    playback = solution.playback
-    unit = measurement_covariance.covariances(playback, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
+    measurements = solution.measurements
+    unit = measurement_covariance.covariances(measurements, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
     parts = (unit["turn_excess"], unit["pose_excess"])
     known = solution.measurement_covariance - sum(size**2 * part for size, part in zip(present, parts, strict=True))
-    a, b = restricted_likelihood(playback.z, playback.H[:, ~held], known, parts)
+    a, b = restricted_likelihood(measurements.z, measurements.H[:, ~held], known, parts)
     return float(np.sqrt(a)), float(np.sqrt(b))
 
 
-def without_sequences(data: PlaybackData, options: Options, solution: Solution, owned: list[Owned]) -> list[LeftOut]:
+def without_sequences(
+    data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
+) -> list[LeaveOneOutEstimate]:
     """Weighted least squares on what is left: the block of a sequence taken out of the inverse covariance.
 
     The measurements are the rows u of horizontal and down components, and a pooled rate p. Of a Gaussian (u, p) the
     information is that of u and that of p given u, so that each sequence costs no more than its own few rows.
     """
-    playback, n = solution.playback, len(solution.playback.z)
+    measurements, n = solution.measurements, len(solution.measurements.z)
     estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
     # The weights are those of the noise; what held values add to the covariance came after them.
-    by_held = playback.H * np.where(estimated, 0.0, held_sigma(data, options))
+    by_held = measurements.H * np.where(estimated, 0.0, fixed_sigma(data, options))
     noise = solution.measurement_covariance - by_held @ by_held.T
     sigma = np.sqrt(np.maximum(np.diag(solution.gain @ noise @ solution.gain.T), 0.0))
     unit = np.where(estimated, sigma, 0.0)
     back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
     # Of the last pool nothing is taken: the estimate with all sequences.
-    pools = np.concatenate([pools_left(data, solution, owned), playback.pool[None]])
+    pools = np.concatenate([pooling_weights_without(data, solution, rows_by_sequence), measurements.pool[None]])
     gain = _bias_gain(data, options, solution)
     with_u, own = _pooled_noise(data, solution, gain, pools)
-    rates = playback.rest_rate
-    H_pools = np.einsum("kw,wap->kap", pools, model.rate_error_jacobian(playback.rate, playback.gyro)) * unit
-    z_pools = playback.z[n - 3 :] + (pools - playback.pool) @ rates
+    rates = measurements.rest_rate
+    H_pools = np.einsum("kw,wap->kap", pools, model.rate_error_jacobian(measurements.rate, measurements.gyro)) * unit
+    z_pools = measurements.z[n - 3 :] + (pools - measurements.pool) @ rates
     pooled = np.concatenate([H_pools, z_pools[:, :, None]], axis=2)
     # Taking off whole biases instead of their differences from the pooled one changes no estimate, and leaves the
     # pooled rate to its own rows.
@@ -201,11 +205,11 @@ def without_sequences(data: PlaybackData, options: Options, solution: Solution, 
     R = T @ noise @ T.T
     scale = 1.0 / np.sqrt(np.diag(R))
     A = np.linalg.inv(R * np.outer(scale, scale)) * np.outer(scale, scale)
-    X = np.concatenate([T @ playback.H * unit, (T @ playback.z)[:, None], T @ with_u], axis=1)
+    X = np.concatenate([T @ measurements.H * unit, (T @ measurements.z)[:, None], T @ with_u], axis=1)
     AX = A @ X
     F = X.T @ AX
     found = []
-    for k, D in enumerate([rows for rows, _ in owned] + [np.array([], dtype=np.intp)]):
+    for k, D in enumerate([rows for rows, _ in rows_by_sequence] + [np.array([], dtype=np.intp)]):
         at = np.concatenate([np.arange(N_PARAMETERS + 1), N_PARAMETERS + 1 + 3 * k + np.arange(3)])
         block = AX[np.ix_(D, at)]
         left = F[np.ix_(at, at)] - block.T @ np.linalg.solve(A[np.ix_(D, D)], block)
@@ -215,33 +219,33 @@ def without_sequences(data: PlaybackData, options: Options, solution: Solution, 
             seen = seen + innovation.T @ np.linalg.solve(own[k] - left[-3:, -3:], innovation)
         found.append(((seen[:-1, :-1] * np.outer(back, back)), seen[:-1, -1] * back))
     full = found[-1][0]
-    return [reestimate(np.stack([full, N]), g, estimated) for N, g in found[:-1]]
+    return [leave_one_out_estimate(np.stack([full, N]), g, estimated) for N, g in found[:-1]]
 
 
 def _bias_gain(data: PlaybackData, options: Options, solution: Solution) -> Array:
     """Share of a sequence's own rest rate that was taken as its bias."""
-    compensated = np.sqrt(np.linalg.inv(solution.playback.gyro.matrix) ** 2 @ solution.wander**2)
-    return measurement_covariance.bias_gain(solution.playback, data, options.gyro_bias, compensated)
+    compensated = np.sqrt(np.linalg.inv(solution.measurements.gyro.matrix) ** 2 @ solution.wander**2)
+    return measurement_covariance.bias_gain(solution.measurements, data, options.gyro_bias, compensated)
 
 
 def _offset_effect(data: PlaybackData, solution: Solution, gain: Array) -> Array:
     """What a pooled rate does to the horizontal components through the biases less it, shape (2 K, 3)."""
-    playback = solution.playback
-    per_rate = playback.integrals.time @ playback.gyro.matrix
-    M = model.attitude_to_horizontal(playback.basis, playback.acceleration)
+    measurements = solution.measurements
+    per_rate = measurements.integrals.time @ measurements.gyro.matrix
+    M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)
     return np.asarray((M @ per_rate * gain).reshape(2 * data.K, 3))
 
 
 def _pooled_noise(data: PlaybackData, solution: Solution, gain: Array, pools: Array) -> tuple[Array, Array]:
     """Covariance of rates pooled in P ways with the measurements, shape (n_z, 3 P), and of each, shape (P, 3, 3)."""
-    playback = solution.playback
-    with_z = np.zeros((len(playback.z), 3 * len(pools)))
+    measurements = solution.measurements
+    with_z = np.zeros((len(measurements.z), 3 * len(pools)))
     own = np.zeros((len(pools), 3, 3))
-    for source in measurement_covariance.disturbances(playback, data, solution.wander).values():
+    for source in measurement_covariance.disturbances(measurements, data, solution.wander).values():
         if source.rate is not None:
-            pooled = np.tensordot(pools, playback.after_g_sensitivity(source.rate)[0], 1)
+            pooled = np.tensordot(pools, measurements.after_g_sensitivity(source.rate)[0], 1)
             with_z += (
-                measurement_covariance.project(playback, data, source, gain) @ pooled.reshape(3 * len(pools), -1).T
+                measurement_covariance.project(measurements, data, source, gain) @ pooled.reshape(3 * len(pools), -1).T
             )
             own += pooled @ np.swapaxes(pooled, 1, 2)
     return with_z, own

@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array, Indices, Mask
 
-    Owned = tuple[Indices, Indices]
+    SequenceRows = tuple[Indices, Indices]
 
 SUSPECT_PROBABILITY: Final = 1e-4
 """Chance below which a sequence is said to contradict the others; over 17 sequences, about once in 600 recordings."""
 
 _LOST: Final = 100.0
 _INDEPENDENT: Final = 1e-10
-REDUNDANT: Final = 1.0 / _LOST**2
+LEAST_PREDICTED_SHARE: Final = 1.0 / _LOST**2
 """Where the others predict a measurement a hundred times less surely than it is made, they do not check it."""
 
 _NAMED: Final = 0.05
@@ -55,7 +55,7 @@ _RANK: Final = np.array([next((i for i, g in enumerate(_LAST, 1) if n.startswith
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contradiction:
+class ConsistencyTest:
     """A group of measurements against all the others.
 
     Attributes
@@ -76,7 +76,7 @@ class Contradiction:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LeftOut:
+class LeaveOneOutEstimate:
     """The estimate without a group of measurements.
 
     Attributes
@@ -95,22 +95,22 @@ class LeftOut:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class SequenceDiagnostics:
     """A sequence, or a recording among merged ones, and what the verdict has of it."""
 
     title: str
     occurrence: int
-    contradiction: Contradiction
-    left_out: LeftOut
+    consistency: ConsistencyTest
+    without: LeaveOneOutEstimate
 
     @property
     def finite(self) -> bool:
         """Whether all of it are numbers."""
-        parts = (self.left_out.change, self.left_out.information, np.array(self.contradiction.chi_square))
+        parts = (self.without.change, self.without.information, np.array(self.consistency.chi_square))
         return all(bool(np.all(np.isfinite(part))) for part in parts)
 
 
-def against_others(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[Contradiction]:
+def consistency_tests(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[ConsistencyTest]:
     """Every group of measurements against all the others.
 
     Parameters
@@ -139,7 +139,7 @@ def against_others(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> l
     sigma = np.linalg.norm(solve_triangular(triangle, np.eye(len(size))), axis=1) / size
     left = whitener - Q @ (Q.T @ whitener)  # M is its square: the projector is idempotent
     Mz = left.T @ (left @ z)
-    out: list[Contradiction | None] = [None] * len(groups)
+    out: list[ConsistencyTest | None] = [None] * len(groups)
     # Groups of one size go through the eigenvalues together: one by one, most of the time would be overhead.
     for count in {len(D) for D in groups}:
         which = [i for i, D in enumerate(groups) if len(D) == count]
@@ -148,7 +148,7 @@ def against_others(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> l
         columns = np.swapaxes(left.T[at], 1, 2) @ own
         values, vectors = np.linalg.eigh(np.swapaxes(columns, 1, 2) @ columns)
         u = np.einsum("gdi,gd->gi", own @ vectors, Mz[at])
-        seen = values > REDUNDANT
+        seen = values > LEAST_PREDICTED_SHARE
         statistics = np.sum(np.where(seen, u**2 / np.where(seen, values, 1.0), 0.0), axis=1)
         for i, D, root, V, there, statistic in zip(which, at, own, vectors, seen, statistics, strict=True):
             witnessed = np.zeros(N_PARAMETERS, dtype=np.bool_)
@@ -156,7 +156,7 @@ def against_others(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> l
                 # M E_D u = 0 says E_D u = H c: c is what this group alone shows.
                 c = solve_triangular(triangle, Q.T @ (whitener[:, D] @ root @ V[:, ~there])) / size[:, None]
                 witnessed[estimated] = named(c / sigma[:, None])
-            out[i] = Contradiction(float(statistic), int(there.sum()), int((~there).sum()), witnessed)
+            out[i] = ConsistencyTest(float(statistic), int(there.sum()), int((~there).sum()), witnessed)
     return [c for c in out if c is not None]
 
 
@@ -166,7 +166,7 @@ def named(directions: Array) -> Mask:
     return np.asarray(np.any(size > _NAMED * np.max(size, axis=0, initial=1e-300), axis=1))
 
 
-def reestimate(information: Array, gradient: Array, estimated: Mask) -> LeftOut:
+def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask) -> LeaveOneOutEstimate:
     """Estimate again from what is left.
 
     Parameters
@@ -177,7 +177,7 @@ def reestimate(information: Array, gradient: Array, estimated: Mask) -> LeftOut:
         Of what is left, at the solution with all.
     estimated : ndarray of bool, shape (27,)
     """
-    out = LeftOut(np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS, dtype=np.bool_), np.zeros(N_PARAMETERS))
+    out = LeaveOneOutEstimate(np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS, dtype=np.bool_), np.zeros(N_PARAMETERS))
     e = np.flatnonzero(estimated)
     if not len(e):
         return out
@@ -217,13 +217,13 @@ def reestimate(information: Array, gradient: Array, estimated: Mask) -> LeftOut:
     return out
 
 
-def without_groups(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[LeftOut]:
+def leave_one_out_estimates(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[LeaveOneOutEstimate]:
     """Weighted least squares without each group of measurements.
 
     Parameters
     ----------
     z, H, R, groups
-        As in :func:`against_others`, z being residuals at the estimate of all.
+        As in :func:`consistency_tests`, z being residuals at the estimate of all.
     """
     estimated = np.asarray(H.any(axis=0), dtype=np.bool_)
     scale = 1.0 / np.sqrt(np.diag(R))
@@ -234,7 +234,7 @@ def without_groups(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> l
         block = A[D] @ np.column_stack([H, z])
         taken = block.T @ np.linalg.solve(A[np.ix_(D, D)], block)
         gradient = H.T @ (A @ z) - taken[:-1, -1]
-        out.append(reestimate(np.stack([full, full - taken[:-1, :-1]]), gradient, estimated))
+        out.append(leave_one_out_estimate(np.stack([full, full - taken[:-1, :-1]]), gradient, estimated))
     return out
 
 
@@ -250,7 +250,7 @@ def _admitted(values: Array, vectors: Array, limit: Array, members: Indices) -> 
 
 
 def verdict(
-    evidence: Iterable[Evidence],
+    evidence: Iterable[SequenceDiagnostics],
     covariance: Array,
     observed: Mask,
     statistic: float,
@@ -260,7 +260,7 @@ def verdict(
 
     Parameters
     ----------
-    evidence : iterable of Evidence
+    evidence : iterable of SequenceDiagnostics
         In the order of the sequences; none if only the whole is known.
     covariance : ndarray, shape (27, 27)
         As reported.
@@ -290,7 +290,7 @@ def verdict(
     }
 
 
-def suspect(sequences: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
+def most_contradicted(sequences: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
     """Find the sequence that contradicts the others most, if its chance is small."""
     checked = [row for row in sequences if row["degrees_of_freedom"]]
     if not checked:
@@ -304,8 +304,8 @@ def _probability(statistic: float, freedom: int) -> float | None:
     return float(chdtrc(freedom, statistic)) if freedom > 0 else None
 
 
-def _sequence(row: Evidence, sigma: Array, observed: Mask) -> dict[str, Any]:
-    against, without = row.contradiction, row.left_out
+def _sequence(row: SequenceDiagnostics, sigma: Array, observed: Mask) -> dict[str, Any]:
+    against, without = row.consistency, row.without
     kept = observed & ~without.lost & (sigma > 0.0)
     influence = np.zeros(N_PARAMETERS)
     influence[kept] = without.change[kept] / sigma[kept]
@@ -327,7 +327,7 @@ def _sequence(row: Evidence, sigma: Array, observed: Mask) -> dict[str, Any]:
     }
 
 
-def _parameters(rows: Sequence[Evidence], covariance: Array, seen: Indices) -> list[dict[str, Any]]:
+def _parameters(rows: Sequence[SequenceDiagnostics], covariance: Array, seen: Indices) -> list[dict[str, Any]]:
     sigma = np.sqrt(np.maximum(np.diag(covariance)[seen], 0.0))
     if not len(seen) or not np.all(sigma > 0.0):
         return []
@@ -338,7 +338,7 @@ def _parameters(rows: Sequence[Evidence], covariance: Array, seen: Indices) -> l
     inflation = np.einsum("ij,j,ij->i", vectors, 1.0 / values, vectors)
     apart = np.abs(C - np.diag(np.diag(C)))
     partner = np.argmax(apart, axis=1)
-    shares = np.array([row.left_out.information for row in rows]).reshape(len(rows), N_PARAMETERS)
+    shares = np.array([row.without.information for row in rows]).reshape(len(rows), N_PARAMETERS)
     out = []
     for n, i in enumerate(seen.tolist()):
         share = shares[:, i]
@@ -381,21 +381,23 @@ def _names(mask: Mask) -> list[str]:
     return [NAMES[i] for i in np.flatnonzero(mask)]
 
 
-class WithoutSequences(Protocol):
+class LeaveOneOutEstimator(Protocol):
     """Leave-one-out of a solver."""
 
-    def __call__(self, data: PlaybackData, options: Options, solution: Solution, owned: list[Owned]) -> list[LeftOut]:
-        """Estimate without each sequence; ``owned`` as of :func:`owned_by_sequences`."""
+    def __call__(
+        self, data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
+    ) -> list[LeaveOneOutEstimate]:
+        """Estimate without each sequence; ``rows_by_sequence`` as of :func:`rows_of_sequences`."""
 
 
-def evidence_of(
-    without_sequences: WithoutSequences, data: PlaybackData, options: Options, solution: Solution, held: Mask
-) -> tuple[Evidence, ...]:
+def sequence_diagnostics(
+    without_sequences: LeaveOneOutEstimator, data: PlaybackData, options: Options, solution: Solution, held: Mask
+) -> tuple[SequenceDiagnostics, ...]:
     """Compare every sequence of a solution with all others.
 
     Parameters
     ----------
-    without_sequences : WithoutSequences
+    without_sequences : LeaveOneOutEstimator
         Of the solver.
     data : PlaybackData
     options : Options
@@ -404,21 +406,23 @@ def evidence_of(
 
     Returns
     -------
-    tuple of Evidence
+    tuple of SequenceDiagnostics
         In the order of the sequences; empty where the linear model is singular.
     """
     if held.all():
         return ()
-    H, owned = np.where(held, 0.0, solution.playback.H), owned_by_sequences(data)
+    H, rows_by_sequence = np.where(held, 0.0, solution.measurements.H), rows_of_sequences(data)
     try:
-        against = against_others(solution.playback.z, H, solution.measurement_covariance, [rows for rows, _ in owned])
-        without = without_sequences(data, options, solution, owned)
+        against = consistency_tests(
+            solution.measurements.z, H, solution.measurement_covariance, [rows for rows, _ in rows_by_sequence]
+        )
+        without = without_sequences(data, options, solution, rows_by_sequence)
     except np.linalg.LinAlgError:
         return ()
-    return tuple(Evidence(*row) for row in zip(data.ids, data.occurrences, against, without, strict=True))
+    return tuple(SequenceDiagnostics(*row) for row in zip(data.ids, data.occurrences, against, without, strict=True))
 
 
-def owned_by_sequences(data: PlaybackData) -> list[Owned]:
+def rows_of_sequences(data: PlaybackData) -> list[SequenceRows]:
     """Rows of z that a sequence alone brings, and the windows that no other one uses."""
     used = np.bincount(data.start, minlength=len(data.windows.duration_s))
     used += np.bincount(data.end, minlength=len(used))
@@ -429,10 +433,10 @@ def owned_by_sequences(data: PlaybackData) -> list[Owned]:
     return out
 
 
-def pools_left(data: PlaybackData, solution: Solution, owned: list[Owned]) -> Array:
+def pooling_weights_without(data: PlaybackData, solution: Solution, rows_by_sequence: list[SequenceRows]) -> Array:
     """Weights of the windows in the pooled rest rate without each sequence, shape (K, W); zeros if none is left."""
-    pools = np.tile(solution.playback.pool, (data.K, 1))
-    for pool, (_, windows) in zip(pools, owned, strict=True):
+    pools = np.tile(solution.measurements.pool, (data.K, 1))
+    for pool, (_, windows) in zip(pools, rows_by_sequence, strict=True):
         pool[windows] = 0.0
     total = pools.sum(axis=1, keepdims=True)
     left = total > 1e-9

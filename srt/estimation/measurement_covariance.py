@@ -20,7 +20,7 @@ from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
-    from srt.estimation.srt_measurements import Playback
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array, Mask
@@ -48,46 +48,46 @@ class Disturbance:
     force: Array | None = None
 
 
-def project(playback: Playback, data: PlaybackData, source: Disturbance, bias_gain: Array) -> Array:
+def project(measurements: SrtMeasurements, data: PlaybackData, source: Disturbance, bias_gain: Array) -> Array:
     """What a source does to the measurement vector z, shape (n_z, S).
 
     Parameters
     ----------
-    playback, data : Playback, PlaybackData
+    measurements, data : SrtMeasurements, PlaybackData
     source : Disturbance
     bias_gain : ndarray, shape (3,)
         Share of a sequence's own rest rate that is taken as its bias (0: pooled, 1: its own).
     """
-    K, W = data.K, len(playback.pool)
+    K, W = data.K, len(measurements.pool)
     S = next(a.shape[2] for a in (source.phi, source.rate, source.force) if a is not None)
     phi = np.zeros((K, 3, S)) if source.phi is None else source.phi
     rest = np.zeros((3, S))
     if source.rate is not None:
-        rate, by_g_sensitivity = playback.after_g_sensitivity(source.rate)
-        rest = np.tensordot(playback.pool, rate, 1)
-        own = np.tensordot(playback.share, rate, 1) - rest
+        rate, by_g_sensitivity = measurements.after_g_sensitivity(source.rate)
+        rest = np.tensordot(measurements.pool, rate, 1)
+        own = np.tensordot(measurements.share, rate, 1) - rest
         # The offset taken off in a sequence is in units of the compensated rate.
-        phi = phi + by_g_sensitivity - _per_rate(playback) @ (bias_gain[:, None] * own)
-    M = model.attitude_to_horizontal(playback.basis, playback.acceleration)
+        phi = phi + by_g_sensitivity - _per_rate(measurements) @ (bias_gain[:, None] * own)
+    M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)
     z = np.zeros((2 * K + W + 3, S))
     horizontal = M @ phi
     if source.force is not None:
-        C = playback.integrals.C_end
-        horizontal = horizontal + playback.basis @ (C @ source.force[data.end] - source.force[data.start])
-        up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
+        C = measurements.integrals.C_end
+        horizontal = horizontal + measurements.basis @ (C @ source.force[data.end] - source.force[data.start])
+        up = measurements.force / np.linalg.norm(measurements.force, axis=1, keepdims=True)
         z[2 * K : 2 * K + W] = -np.einsum("wa,was->ws", up, source.force)
     z[: 2 * K] = horizontal.reshape(2 * K, S)
     z[2 * K + W :] = rest
     return z
 
 
-def _per_rate(playback: Playback) -> Array:
+def _per_rate(measurements: SrtMeasurements) -> Array:
     """∫ F Ĉ dt: effect on φ of an error of the compensated rate, shape (K, 3, 3)."""
-    out: Array = playback.integrals.time @ playback.gyro.matrix
+    out: Array = measurements.integrals.time @ measurements.gyro.matrix
     return out
 
 
-def bias_gain(playback: Playback, data: PlaybackData, mode: str, wander: Array) -> Array:
+def bias_gain(measurements: SrtMeasurements, data: PlaybackData, mode: str, wander: Array) -> Array:
     """Share of a sequence's own rest rate to be taken as its bias, shape (3,).
 
     With a bias that differs from sequence to sequence by σ and rest rates known to s, the best linear estimate takes
@@ -98,28 +98,28 @@ def bias_gain(playback: Playback, data: PlaybackData, mode: str, wander: Array) 
         return np.full(3, 1.0 if mode == "per-sequence" else 0.0)
     if data.K < 2:
         return np.zeros(3)
-    own = rest_rate_variance(playback, data)
+    own = rest_rate_variance(measurements, data)
     if data.noise.gyro_flicker is not None:
         rest = data.drift.windows
-        pooled = playback.pool @ rest
-        deviation = playback.share @ rest - pooled
+        pooled = measurements.pool @ rest
+        deviation = measurements.share @ rest - pooled
         shared = float(np.mean(np.sum((data.drift.turns - pooled) * deviation, axis=1)))
-        size = np.linalg.inv(playback.gyro.matrix) ** 2 @ data.noise.gyro_flicker**2
+        size = np.linalg.inv(measurements.gyro.matrix) ** 2 @ data.noise.gyro_flicker**2
         variance = size * float(np.mean(np.sum(deviation**2, axis=1))) + own
         return np.clip(size * shared / np.maximum(variance, 1e-300), 0.0, 1.0)
     return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
-def rest_rate_variance(playback: Playback, data: PlaybackData) -> Array:
+def rest_rate_variance(measurements: SrtMeasurements, data: PlaybackData) -> Array:
     """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
-    D2 = np.linalg.inv(playback.gyro.matrix) ** 2
+    D2 = np.linalg.inv(measurements.gyro.matrix) ** 2
     T = data.windows.duration_s
     raw = data.noise.gyro_white**2 / T[:, None] + 2.0 * (data.noise.gyro_edge / T[:, None]) ** 2
-    out: Array = D2 @ np.mean(playback.share**2 @ raw, axis=0)
+    out: Array = D2 @ np.mean(measurements.share**2 @ raw, axis=0)
     return out
 
 
-def earth_rate_doubt(data: PlaybackData) -> float:
+def earth_rate_sigma(data: PlaybackData) -> float:
     """One-sigma error of the Earth's rate in a pose, rad/s."""
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
@@ -156,13 +156,13 @@ def excess_scatter(rates: Array, expected: Array) -> Array:
 
 
 def disturbances(
-    playback: Playback, data: PlaybackData, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
+    measurements: SrtMeasurements, data: PlaybackData, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Disturbance]:
     """All sources of noise by name, in the order they are reported.
 
     Parameters
     ----------
-    playback : Playback
+    measurements : SrtMeasurements
         Played with ``with_noise=True``.
     data : PlaybackData
     wander : ndarray, shape (3,), rad/s
@@ -172,18 +172,18 @@ def disturbances(
     """
     noise, windows = data.noise, data.windows
     T = windows.duration_s
-    D_force = playback.accel.sensitivity(playback.force)
+    D_force = measurements.accel.sensitivity(measurements.force)
     white = noise.accel_white * np.sqrt(windows.white_factor)[:, None]
     edge = noise.accel_edge * np.sqrt(windows.edge_factor)[:, None]
-    up = playback.force / np.linalg.norm(playback.force, axis=1, keepdims=True)
+    up = measurements.force / np.linalg.norm(measurements.force, axis=1, keepdims=True)
     return {
-        "gyro_noise": _gyro_noise(playback, data),
-        "gyro_quantization": _gyro_quantization(playback, data),
-        "gyro_bias_instability": _instability(playback, data, wander),
+        "gyro_noise": _gyro_noise(measurements, data),
+        "gyro_quantization": _gyro_quantization(measurements, data),
+        "gyro_bias_instability": _instability(measurements, data, wander),
         "accel_noise": Disturbance(force=_own_draw(D_force * white[:, None, :])),
         "accel_quantization": Disturbance(force=_own_draw(D_force * edge[:, None, :])),
         "accel_bias_instability": accel_drift(data, D_force),
-        "earth_rate_alignment": _alignment(playback, data),
+        "earth_rate_alignment": _alignment(measurements, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
         "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess[0] * np.eye(3), (data.K, 3, 3)))),
         "pose_excess": Disturbance(force=_own_draw(np.broadcast_to(excess[1] * np.eye(3), (len(T), 3, 3)))),
@@ -191,7 +191,7 @@ def disturbances(
 
 
 def covariances(
-    playback: Playback,
+    measurements: SrtMeasurements,
     data: PlaybackData,
     wander: Array,
     gain: Array,
@@ -199,8 +199,8 @@ def covariances(
 ) -> dict[str, Array]:
     """Covariance of z, source by source; their sum is the covariance of z."""
     out = {}
-    for name, source in disturbances(playback, data, wander, excess).items():
-        G = project(playback, data, source, gain)
+    for name, source in disturbances(measurements, data, wander, excess).items():
+        G = project(measurements, data, source, gain)
         out[name] = G @ G.T
     return out
 
@@ -213,20 +213,20 @@ def _own_draw(blocks: Array) -> Array:
     return out.reshape(n, rows, n * m)
 
 
-def _gyro_noise(playback: Playback, data: PlaybackData) -> Disturbance:
+def _gyro_noise(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
     """White noise of the rotation samples, and of the windows' means (and their share in integrated windows)."""
-    if playback.integrals.noise is None:
+    if measurements.integrals.noise is None:
         raise ValueError("the play-back was made without its noise integrals")
     T, q = data.windows.duration_s, data.noise.gyro_white
-    D = np.linalg.inv(playback.gyro.matrix)
+    D = np.linalg.inv(measurements.gyro.matrix)
     means = _own_draw(D[None] * (q / np.sqrt(T)[:, None])[:, None, :])
     shared = np.zeros((data.K, 3, means.shape[2]))
-    outer = playback.integrals.noise.copy()
+    outer = measurements.integrals.noise.copy()
     for which in (data.start, data.end):
         for k, w in enumerate(which.tolist()):
-            if playback.integrated[w]:
+            if measurements.integrated[w]:
                 # F averages 1/2 over the window: that part of φ is the window's own mean, the rest is independent.
-                C = playback.integrals.C_end[k] if which is data.end else np.eye(3)
+                C = measurements.integrals.C_end[k] if which is data.end else np.eye(3)
                 A = C @ D
                 outer[k] -= 0.25 * T[w] * np.einsum("ab,cb->acb", A, A)
                 shared[k] += 0.5 * T[w] * C @ means[w]
@@ -238,25 +238,25 @@ def _gyro_noise(playback: Playback, data: PlaybackData) -> Disturbance:
     )
 
 
-def _gyro_quantization(playback: Playback, data: PlaybackData) -> Disturbance:
+def _gyro_quantization(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
     """Errors of the readings of the angle at both edges of every window, where the rotations begin and end too."""
     K, W, T = data.K, len(data.windows.duration_s), data.windows.duration_s
-    A = np.linalg.inv(playback.gyro.matrix) * data.noise.gyro_edge
+    A = np.linalg.inv(measurements.gyro.matrix) * data.noise.gyro_edge
     phi, rate = np.zeros((K, 3, W, 2, 3)), np.zeros((W, 3, W, 2, 3))
     windows, turns = np.arange(W), np.arange(K)
     rate[windows, :, windows, 0], rate[windows, :, windows, 1] = -A / T[:, None, None], A / T[:, None, None]
     phi[turns, :, data.start, 1] = -A
-    phi[turns, :, data.end, 0] = playback.integrals.C_end @ A
+    phi[turns, :, data.end, 0] = measurements.integrals.C_end @ A
     return Disturbance(phi=phi.reshape(K, 3, -1), rate=rate.reshape(W, 3, -1))
 
 
-def _instability(playback: Playback, data: PlaybackData, wander: Array) -> Disturbance:
+def _instability(measurements: SrtMeasurements, data: PlaybackData, wander: Array) -> Disturbance:
     """Drift of the bias as stated; a bias of its own in every sequence where the scatter of these shows one."""
-    D = np.asarray(np.linalg.inv(playback.gyro.matrix), dtype=np.float64)
+    D = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
     if data.noise.gyro_flicker is not None:
-        return gyro_drift(data, playback.integrals, D)
+        return gyro_drift(data, measurements.integrals, D)
     own = _own_draw(np.broadcast_to(D * wander, (data.K, 3, 3)))
-    return Disturbance(phi=_per_rate(playback) @ own, rate=own[playback.window_sequence])
+    return Disturbance(phi=_per_rate(measurements) @ own, rate=own[measurements.window_sequence])
 
 
 def gyro_drift(data: PlaybackData, integrals: RotationIntegrals, slope: Array) -> Disturbance:
@@ -291,16 +291,16 @@ def accel_drift(data: PlaybackData, slope: Array) -> Disturbance:
     return Disturbance(force=force.reshape(*force.shape[:2], -1))
 
 
-def _alignment(playback: Playback, data: PlaybackData) -> Disturbance:
+def _alignment(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
     """Error of ω̂e: fixture attitude errors across the Earth's rate, or the part of it that is not known."""
-    axes = _attitude_errors(playback, data)
-    parts = [np.cross(axes, playback.earth_rate[:, :, None], axis=1), _unknown_earth_rate(playback, data)]
+    axes = _attitude_errors(measurements, data)
+    parts = [np.cross(axes, measurements.earth_rate[:, :, None], axis=1), _unknown_earth_rate(measurements, data)]
     delta = np.concatenate(parts, axis=2)
-    seen = np.einsum("wab,was->wbs", playback.window_attitude, delta[playback.window_sequence])
-    return Disturbance(phi=playback.integrals.weight_s[:, None, None] * delta, rate=seen)
+    seen = np.einsum("wab,was->wbs", measurements.window_attitude, delta[measurements.window_sequence])
+    return Disturbance(phi=measurements.integrals.weight_s[:, None, None] * delta, rate=seen)
 
 
-def _attitude_errors(playback: Playback, data: PlaybackData) -> Array:
+def _attitude_errors(measurements: SrtMeasurements, data: PlaybackData) -> Array:
     """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (K, 3, S).
 
     One draw per recording of base level x, y and north; one per sequence of the inner and the outer angle it starts
@@ -309,19 +309,19 @@ def _attitude_errors(playback: Playback, data: PlaybackData) -> Array:
     fixture = data.recording.fixture
     if fixture is None or data.nominal is None:
         return np.zeros((data.K, 3, 0))
-    to_body = playback.U @ np.swapaxes(data.nominal, 1, 2)
+    to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
     base = to_body * fixture.alignment_sigma_rad
-    inner = np.broadcast_to(playback.U[:, 2], (data.K, 3))
+    inner = np.broadcast_to(measurements.U[:, 2], (data.K, 3))
     executed = np.stack([inner, to_body[:, :, 1]], axis=2) * fixture.rotation_sigma_rad
     axes = np.concatenate([base, _own_draw(executed)], axis=2)
-    if playback.nominal_vertical:
+    if measurements.nominal_vertical:
         return axes
-    down = -playback.force[data.start] / np.linalg.norm(playback.force[data.start], axis=1, keepdims=True)
+    down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
     vertical: Array = down[:, :, None] * np.einsum("ka,kas->ks", down, axes)[:, None, :]
     return vertical
 
 
-def _unknown_earth_rate(playback: Playback, data: PlaybackData) -> Array:
+def _unknown_earth_rate(measurements: SrtMeasurements, data: PlaybackData) -> Array:
     """What is not known of the Earth's rate, as unit draws in B_Strt, shape (K, 3, S), rad/s."""
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
@@ -331,10 +331,10 @@ def _unknown_earth_rate(playback: Playback, data: PlaybackData) -> Array:
     else:
         return np.zeros((data.K, 3, 0))
     if data.nominal is not None:
-        frames = playback.U @ np.swapaxes(data.nominal, 1, 2)
+        frames = measurements.U @ np.swapaxes(data.nominal, 1, 2)
         return np.asarray(size * frames[:, :, :directions])
     # Free turns: the Earth-fixed frame is carried along where one turn starts from the window another ended with.
-    down = -playback.force[data.start] / np.linalg.norm(playback.force[data.start], axis=1, keepdims=True)
+    down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
     chains = 0
     carried: dict[int, tuple[int, Array]] = {}
     found: list[tuple[int, Array]] = []
@@ -347,7 +347,7 @@ def _unknown_earth_rate(playback: Playback, data: PlaybackData) -> Array:
             chain, frame = chains, np.stack([first, np.cross(down[k], first), down[k]], axis=1)
             chains += 1
         found.append((chain, frame))
-        carried[int(data.end[k])] = chain, playback.integrals.C_end[k].T @ frame
+        carried[int(data.end[k])] = chain, measurements.integrals.C_end[k].T @ frame
     out = np.zeros((data.K, 3, chains, directions))
     for k, (chain, frame) in enumerate(found):
         out[k, :, chain] = size * frame[:, :directions]

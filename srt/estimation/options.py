@@ -104,7 +104,7 @@ class Options:
             raise InputError(f"max_playbacks is {self.max_playbacks}; at least one play-back is needed.")
 
     @property
-    def held_names(self) -> tuple[str, ...]:
+    def fixed_names(self) -> tuple[str, ...]:
         """Parameters held on request."""
         extra = () if self.asymmetry else ("gyro_asymmetry",)
         return expand_names((*self.hold, *extra))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.estimation.g_sensitivity import MODE, insensitive, pose_regression
+from srt.estimation.g_sensitivity import MODE, compensate_stream, pose_regression
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate
 from srt.model.rotations import cross_matrix, smallest_rotation
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Playback:
+class SrtMeasurements:
     """What one play-back measured, and the linear model around it.
 
     Attributes
@@ -135,7 +135,7 @@ class Playback:
         return float(np.sum((deviation @ left) ** 2)) / whole if whole > 0.0 else 1.0
 
 
-class Player:
+class SrtProcessor:
     """Plays a recording back with any errors.
 
     Holds what does not depend on them: the gyro samples of the rotations and the averages of the windows.
@@ -182,7 +182,7 @@ class Player:
         """The gyro samples that are integrated."""
         return self._stream
 
-    def play(
+    def process(
         self,
         errors: SensorErrors,
         *,
@@ -191,7 +191,7 @@ class Player:
         bias_offset: Array | None = None,
         g_sensitivity: Array | None = None,
         with_noise: bool = False,
-    ) -> Playback:
+    ) -> SrtMeasurements:
         """Play back once.
 
         Parameters
@@ -216,7 +216,7 @@ class Player:
         stream, gyro_mean, poses = self._stream, data.windows.gyro_mean, None
         if self._follows and self._force is not None:
             matrix = np.zeros((3, 3)) if g_sensitivity is None else g_sensitivity
-            stream = insensitive(stream, self._force, accel, matrix)
+            stream = compensate_stream(stream, self._force, accel, matrix)
             gyro_mean = gyro_mean - force @ matrix.T
             poses = pose_regression(force, self._pool, data.gravity)
         rate = gyro.compensate(gyro_mean)
@@ -249,7 +249,7 @@ class Player:
                 np.tensordot(self._pool, model.rate_error_jacobian(rate, gyro), 1),
             ]
         )
-        return Playback(
+        return SrtMeasurements(
             z,
             H,
             integrals,

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri
 
-from srt.estimation.assembly import software
 from srt.exceptions import DataError, InputError
 from srt.model.measurement_model import force_error_jacobian
 from srt.model.sensor_model import accel_triad, outside_model
 from srt.model.table1 import SEQUENCES
 from srt.mount.alignment import MountAlignment, align_mount, poses, require_both
-from srt.noise.from_windows import noise_model
+from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture
+from srt.result.calibration import software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.plausibility import check_interval, check_rest, clipped_samples, clipping_levels, gap_inside
 from srt.sequences.stationary_windows import find_windows, window_times
@@ -24,7 +24,7 @@ from srt.sequences.window_means import average_windows
 
 if TYPE_CHECKING:
     from srt.model.sensor_model import Triad
-    from srt.noise.from_windows import NoiseModel
+    from srt.noise.noise_model import NoiseModel
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.window_means import Windows

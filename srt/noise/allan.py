@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 CHANNELS: Final = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 SHORTEST_WINDOW_S: Final = 30.0
-"""Stillness of this length at least; a shorter one shows no more than :mod:`srt.noise.from_windows` finds."""
+"""Stillness of this length at least; a shorter one shows no more than :mod:`srt.noise.noise_model` finds."""
 
 _MOST_SAMPLES: Final = 1 << 17
 """Samples of a channel at which deviations are taken; more are averaged in blocks first."""

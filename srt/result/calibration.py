@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -302,3 +304,12 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         verdict=document.get("verdict", {}),
         warnings=tuple(document.get("warnings", ())),
     )
+
+
+@cache
+def software() -> str:
+    """Name and version of this software, for the provenance of a result."""
+    try:
+        return f"strapdown-rotation-test {version('strapdown-rotation-test')}"
+    except ModuleNotFoundError:  # importlib.metadata.PackageNotFoundError: a source tree that is not installed
+        return "strapdown-rotation-test (not installed)"

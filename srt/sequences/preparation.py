@@ -13,7 +13,7 @@ from srt.exceptions import DataError
 from srt.model.analytic_platform import GyroStream, gyro_stream
 from srt.model.table1 import SEQUENCES, Sequence, axis_vector
 from srt.noise.bias_instability import DriftDraws, drift_draws, window_draws
-from srt.noise.from_windows import NoiseModel, noise_model
+from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.plausibility import (
     check_interval,
     check_rest,

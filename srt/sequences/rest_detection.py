@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
-from srt.noise.from_windows import smallest_step
+from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording

@@ -6,13 +6,13 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import accuracy_trials
 import numpy as np
 import pytest
 from scipy.special import chdtri
 from scipy.stats import kstest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
@@ -229,18 +229,18 @@ def test_a_recording_that_differs_stands_out():
 def recordings(seed, count=3):
     """One unit in several recordings: gravity is the same, fixture and noise are new in each."""
     rng = np.random.default_rng(seed)
-    truth = campaigns.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
-    site = campaigns.SITE
+    truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+    site = accuracy_trials.SITE
     true_site = replace(site, gravity_m_s2=site.gravity_m_s2 + rng.standard_normal() * site.gravity_sigma_m_s2)
     out = []
     for _ in range(count):
         motion = table1_motion(
             site=true_site,
             sample_rate_hz=100.0,
-            fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+            fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
             stated_fixture=Fixture(0.0, 1e-3, 1e-3),
         )
-        out.append(read_out(motion.stated_as(site=site), truth, campaigns.GRADES["navigation"], rng))
+        out.append(read_out(motion.stated_as(site=site), truth, accuracy_trials.GRADES["navigation"], rng))
     return out, truth
 
 
@@ -267,7 +267,7 @@ def test_merged_units_are_consistent(estimator, count):
         truth = recordings(seed, 0)[1]
         calibrations = calibrations_of(seed, estimator)
         merged = merge_calibrations(calibrations, between=False)
-        nees += campaigns.score(merged, truth).nees * N_PARAMETERS
+        nees += accuracy_trials.score(merged, truth).nees * N_PARAMETERS
         table = merged.diagnostics["repeatability"]
         assert table["degrees_of_freedom"] == 2 * N_PARAMETERS
         statistics.append(table["chi_square"])
@@ -302,7 +302,7 @@ def test_held_in_all_stays_held():
     assert merged.status == "partial"
     assert set(merged.held) == set(NAMES[GROUP_SLICES["gyro_asymmetry"]])
     assert np.all(merged.covariance[~merged.observed] == 0.0)
-    assert "Held, not observed" in merged.message
+    assert "Fixed, not observed" in merged.message
 
 
 # Mounting, temperature, what is refused

@@ -6,11 +6,11 @@ Bounds are the claims themselves, or statistical: value plus 3.5 standard errors
 
 from functools import partial
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.sensor_errors import GROUP_SLICES, NAMES
@@ -47,7 +47,7 @@ def sized(small, full):
 )
 def test_noise_free_on_a_perfect_fixture_is_exact(case, count):
     """24 errors of 1e-3, gyro bias up to 1 °/s: every parameter within 1e-8, whatever the rate, kind and options."""
-    trials = campaigns.run(partial(campaigns.exact_trial, **case), range(count))
+    trials = accuracy_trials.run(partial(accuracy_trials.exact_trial, **case), range(count))
     assert {t.status for t in trials} == {"converged"}
     assert worst(trials) < 1e-8
 
@@ -55,7 +55,7 @@ def test_noise_free_on_a_perfect_fixture_is_exact(case, count):
 @sized(10, 200)
 def test_one_milliradian_fixture(count):
     """Levelling, north, mounting and every rotation off by 1 mrad: the bar is 2e-6 in every draw."""
-    trials = campaigns.run(campaigns.fixture_trial, range(count))
+    trials = accuracy_trials.run(accuracy_trials.fixture_trial, range(count))
     assert {t.status for t in trials} == {"converged"}
     assert worst(trials) < 2e-6
 
@@ -63,8 +63,8 @@ def test_one_milliradian_fixture(count):
 def test_remainder_is_earth_rate_times_alignment():
     """The remainder scales with the alignment error, and vanishes with the Earth's rate."""
     seeds = range(6)
-    one, three = (campaigns.run(partial(campaigns.fixture_trial, sigma_rad=s), seeds) for s in (1e-3, 3e-3))
-    still = campaigns.run(partial(campaigns.fixture_trial, earth_rate=False), seeds)
+    one, three = (accuracy_trials.run(partial(accuracy_trials.fixture_trial, sigma_rad=s), seeds) for s in (1e-3, 3e-3))
+    still = accuracy_trials.run(partial(accuracy_trials.fixture_trial, earth_rate=False), seeds)
     ratio = np.linalg.norm([t.error[ERRORS] for t in three]) / np.linalg.norm([t.error[ERRORS] for t in one])
     # Linear with a factor 3; the quadratic part of 3 mrad is a thousandth of it.
     assert 2.9 < ratio < 3.1
@@ -72,14 +72,14 @@ def test_remainder_is_earth_rate_times_alignment():
 
 
 def test_ten_milliradian_fixture_leaves_accelerometer_scale_alone():
-    trials = campaigns.run(partial(campaigns.fixture_trial, sigma_rad=1e-2), range(10))
+    trials = accuracy_trials.run(partial(accuracy_trials.fixture_trial, sigma_rad=1e-2), range(10))
     assert worst(trials, GROUP_SLICES["accel_scale"]) < 1e-6
 
 
 @sized(10, 200)
 def test_half_turns_off_by_thirty_degrees(count):
     """150° to 210° in place of 180°: the recorded rotation counts, not the nominal one."""
-    trials = campaigns.run(partial(campaigns.fixture_trial, stretch_rad=np.radians(30.0)), range(count))
+    trials = accuracy_trials.run(partial(accuracy_trials.fixture_trial, stretch_rad=np.radians(30.0)), range(count))
     assert {t.status for t in trials} == {"converged"}
     assert worst(trials) < 2e-6
 
@@ -87,7 +87,7 @@ def test_half_turns_off_by_thirty_degrees(count):
 @sized(20, 1000)
 def test_large_errors_converge_to_the_right_fixed_point(count):
     """±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 °/s, ±1 m/s², fixture 5 mrad: all within 6 play-backs."""
-    trials = campaigns.run(campaigns.large_trial, range(count))
+    trials = accuracy_trials.run(accuracy_trials.large_trial, range(count))
     assert {t.status for t in trials} == {"converged"}
     assert max(t.playbacks for t in trials) <= 6
     # Converged to the point that is also reached from the truth, within max(1e-8, 0.01 sigma).
@@ -101,14 +101,14 @@ def variance_band(n):
 
 
 @sized(40, 300)
-@pytest.mark.parametrize("grade", list(campaigns.GRADES))
+@pytest.mark.parametrize("grade", list(accuracy_trials.GRADES))
 def test_sigmas_are_true(grade, count):
     """Random walks, quantisation, constant bias, 1 mrad fixture: error over sigma has unit variance, each parameter.
 
     27 parameters are looked at, so the band is family-wise: a normal quantile of 1 % over 27 two-sided tests is 3.56.
     """
-    trials = campaigns.run(partial(campaigns.noisy_trial, grade=grade), range(1000, 1000 + count))
-    ratio = np.mean(campaigns.normalised(trials) ** 2, axis=0)
+    trials = accuracy_trials.run(partial(accuracy_trials.noisy_trial, grade=grade), range(1000, 1000 + count))
+    ratio = np.mean(accuracy_trials.normalised(trials) ** 2, axis=0)
     low, high = variance_band(count)
     outside = {NAMES[i]: round(float(ratio[i]), 3) for i in np.flatnonzero((ratio < low) | (ratio > high))}
     assert not outside, f"variance of error over sigma outside {low:.2f}-{high:.2f}: {outside}"
@@ -120,10 +120,10 @@ def test_sigmas_are_true(grade, count):
 @sized(30, 300)
 def test_sigmas_are_true_when_the_noise_is_estimated(count):
     """Noise not stated: a navigation unit whose pulses hide its random walk ten times over."""
-    trials = campaigns.run(
-        partial(campaigns.noisy_trial, grade="navigation", state_noise=False), range(2000, 2000 + count)
+    trials = accuracy_trials.run(
+        partial(accuracy_trials.noisy_trial, grade="navigation", state_noise=False), range(2000, 2000 + count)
     )
-    ratio = np.mean(campaigns.normalised(trials) ** 2, axis=0)
+    ratio = np.mean(accuracy_trials.normalised(trials) ** 2, axis=0)
     # The random walk itself is known to about 10 % of its variance from the pulses of 340 s of rest.
     low, high = variance_band(count)
     assert np.all(ratio < high * 1.2)
@@ -138,22 +138,22 @@ def test_large_asymmetry_does_not_rectify_pulses():
     nees = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        truth = campaigns.normal_errors(rng, 0.05, 1e-3)
-        motion = table1_motion(site=campaigns.SITE, sample_rate_hz=100.0)
-        recording = read_out(motion, truth, campaigns.GRADES["navigation"], rng)
-        nees.append(campaigns.score(srt.calibrate(recording), truth).nees)
+        truth = accuracy_trials.normal_errors(rng, 0.05, 1e-3)
+        motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=100.0)
+        recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
+        nees.append(accuracy_trials.score(srt.calibrate(recording), truth).nees)
     assert abs(np.mean(nees) - 1.0) < 3.5 * np.sqrt(2.0 / 27.0 / 8)
 
 
 @sized(15, 300)
 def test_free_recordings_are_consistent(count):
     """Hand-turned MEMS, no fixture, no labels, noise estimated: NEES of all 27 parameters."""
-    trials = campaigns.run(campaigns.free_trial, range(3000, 3000 + count))
+    trials = accuracy_trials.run(accuracy_trials.free_trial, range(3000, 3000 + count))
     assert {t.status for t in trials} <= {"converged", "partial"}
     nees = np.array([t.nees for t in trials])
     assert abs(nees.mean() - 1.0) < 3.5 * np.sqrt(2.0 / 27.0 / count)
 
 
 def test_same_seed_same_numbers():
-    first, second = (campaigns.fixture_trial(5) for _ in range(2))
+    first, second = (accuracy_trials.fixture_trial(5) for _ in range(2))
     np.testing.assert_array_equal(first.error, second.error)

@@ -6,15 +6,15 @@ import json
 import math
 from dataclasses import replace
 
+import accuracy_trials
 import numpy as np
 import pytest
+from g_sensitivity import BIAS_DEG_PER_S, MODES, mems_scenario, study
 from scipy.stats import binom, chi2
 
 import sims
 import srt
-from sims.accuracy import campaigns
 from sims.accuracy.budget import G_SENSITIVITY
-from sims.accuracy.g_sensitivity import BIAS_DEG_PER_S, MODES, mems_scenario, study
 from sims.physics.imu import ImuModel, read_out
 from sims.scenarios.simulation import draw_errors
 from srt import exporters
@@ -23,7 +23,7 @@ from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICR
 from srt.estimation import g_sensitivity, g_sensitivity_report
 from srt.estimation.iteration import CONVERGED_CORRECTION
 from srt.estimation.options import Options
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import InputError
 from srt.model.measurement_model import attitude_to_horizontal
 from srt.recording.recording import Fixture, Site
@@ -57,13 +57,13 @@ MEMS = {f"gyro_bias_{a}": BIAS_DEG_PER_S * DEG for a in "xyz"}
 
 def motion_of(*, fixture=0.0, earth_rate=True, sequences=tuple(sims.TABLE_1), dwell_s=2.0, rate_hz=50.0):
     rng = np.random.default_rng(11)
-    return campaigns.table1_motion(
+    return accuracy_trials.table1_motion(
         site=SITE if earth_rate else Site(SITE.gravity_m_s2),
         sample_rate_hz=rate_hz,
         dwell_s=dwell_s,
         sequences=sequences,
         earth_rate=earth_rate,
-        fixture_draw=campaigns.fixture_errors(rng, fixture) if fixture else None,
+        fixture_draw=accuracy_trials.fixture_errors(rng, fixture) if fixture else None,
         stated_fixture=Fixture(0.0, fixture, fixture) if fixture else Fixture(0.0, 1e-6, 1e-6),
     )
 
@@ -78,8 +78,8 @@ def played(recording, matrix=None, errors=None, **options):
     chosen = Options(gyro_bias="g-sensitive", **options)
     data = prepare(recording, recording.sequences, chosen.average)
     whole = np.full(len(data.windows.duration_s), chosen.window_attitude == "integrated")
-    player = Player(data, chosen, whole)
-    return data, player.play(errors or SensorErrors(), g_sensitivity=matrix, with_noise=True)
+    processor = SrtProcessor(data, chosen, whole)
+    return data, processor.process(errors or SensorErrors(), g_sensitivity=matrix, with_noise=True)
 
 
 # --- what it does in the turns -----------------------------------------------------------------------------------
@@ -105,7 +105,7 @@ def test_effect_on_all_17_sequences_is_that_of_the_integral(window_attitude):
 
 
 def test_taken_off_nothing_is_left():
-    """What play-backs of an insensitive unit leave, too: the simulator's gyros sample f by the same intervals."""
+    """Residual errors of a g-insensitive unit, too: the simulator samples f over the same intervals."""
     motion = motion_of(earth_rate=False)
     _, clean = played(read_out(motion, SensorErrors()))
     _, found = played(read_out(motion, SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA)), GAMMA)
@@ -307,11 +307,13 @@ def test_rates_that_noise_alone_moves_raise_no_alarm_more_often_than_stated(monk
     monkeypatch.setattr(g_sensitivity_report, "FALSE_ALARM", 0.3)
     recording = read_out(motion_of(fixture=1e-9), SensorErrors())
     data = prepare(recording, recording.sequences)
-    found = Player(data, Options()).play(SensorErrors())
+    found = SrtProcessor(data, Options()).process(SensorErrors())
     rng, n = np.random.default_rng(7), 2000
     own = rng.standard_normal((n, data.K, 3))[:, found.window_sequence] * 10.0
     rates = 1e-4 * (own + rng.standard_normal((n, *found.rest_rate.shape)))
-    alarms = sum(g_sensitivity_report.follows_force(replace(found, rest_rate=r), data) is not None for r in rates)
+    alarms = sum(
+        g_sensitivity_report.significant_g_sensitivity(replace(found, rest_rate=r), data) is not None for r in rates
+    )
     # A third of the rate for each of three gyros.
     low, high = binom.ppf([2.5e-4, 1 - 2.5e-4], n, 1.0 - 0.9**3)
     assert low <= alarms <= high
@@ -387,7 +389,7 @@ def test_what_takes_it_off_and_what_says_that_it_does_not(calibrated, capsys):
     found.save(file)
     assert main(["apply", str(file), str(calibrated / "rec"), "-o", str(out), "--c-header", str(header), "-q"]) == 0
     assert "does not hold what the gyros follow specific force by" in capsys.readouterr().err
-    raw = g_sensitivity.insensitive_readings(found, recording.gyro, recording.accel)
+    raw = g_sensitivity.compensate_g_sensitivity(found, recording.gyro, recording.accel)
     expected, _ = found.apply(raw, recording.accel)
     np.testing.assert_allclose(srt.load_recording(out).gyro, expected, rtol=1e-12)
     made = exporters.export(found, "kalibr")
@@ -406,13 +408,13 @@ def test_readings_without_it(kind):
     )
     found = srt.calibrate(sensitive, "closed-form", gyro_bias="g-sensitive")
     dt = {"dt": 0.02} if kind == "increment" else {}
-    gyro = g_sensitivity.insensitive_readings(found, sensitive.gyro, sensitive.accel, kind=kind, **dt)
+    gyro = g_sensitivity.compensate_g_sensitivity(found, sensitive.gyro, sensitive.accel, kind=kind, **dt)
     size = np.abs(sensitive.gyro - plain.gyro).max()
     # A sample in which f changes its sign has no one sign of the asymmetry: half of what f changes by at 1 rad/s.
     asymmetry = np.abs(truth.vector[GROUP_SLICES["accel_asymmetry"]]).sum()
     assert np.abs(gyro - plain.gyro).max() < size * asymmetry * 0.5 * 0.02
     with pytest.raises(InputError, match="holds no g-sensitivity"):
-        g_sensitivity.insensitive_readings(
+        g_sensitivity.compensate_g_sensitivity(
             srt.calibrate(plain, "closed-form"), plain.gyro, plain.accel, kind=kind, **dt
         )
 

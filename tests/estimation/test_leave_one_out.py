@@ -9,17 +9,23 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import accuracy_trials
 import numpy as np
 import pytest
 from scipy.special import chdtri
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
 from srt.estimation.iteration import CONVERGED_SIGMAS
-from srt.estimation.leave_one_out import Evidence, against_others, suspect, verdict, without_groups
+from srt.estimation.leave_one_out import (
+    SequenceDiagnostics,
+    consistency_tests,
+    leave_one_out_estimates,
+    most_contradicted,
+    verdict,
+)
 from srt.reports.text.calibration import report
 from srt.reports.text.leave_one_out import overall
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES
@@ -35,7 +41,7 @@ def noisy(seed):
     A fixture's own errors are drawn anew, in effect, by every change of the set of sequences: what they do to the start
     attitudes is no part of a linear model. With 10 µrad that is below what is tested.
     """
-    return campaigns.noisy_recording(seed, "navigation", sigma_rad=1e-5)[0]
+    return accuracy_trials.noisy_recording(seed, "navigation", sigma_rad=1e-5)[0]
 
 
 @cache
@@ -82,7 +88,9 @@ def test_linear_problem_without_each_group():
     z, H, R, groups = linear(np.random.default_rng(1))
     P, statistic = solved(z, H, R)[1:]
     assert max(np.linalg.cond(R), np.linalg.cond(P)) < 1e4
-    for D, against, left in zip(groups, against_others(z, H, R, groups), without_groups(z, H, R, groups), strict=True):
+    for D, against, left in zip(
+        groups, consistency_tests(z, H, R, groups), leave_one_out_estimates(z, H, R, groups), strict=True
+    ):
         rest = np.setdiff1d(np.arange(len(z)), D)
         x, P_rest, statistic_rest = solved(z[rest], H[rest], R[np.ix_(rest, rest)])
         np.testing.assert_allclose(left.change, x, rtol=0.0, atol=1e-8 * np.abs(x).max())
@@ -102,7 +110,7 @@ def test_what_one_group_alone_shows_is_lost_and_not_checkable():
     alone = [3, 10]
     H[np.ix_(np.setdiff1d(np.arange(len(z)), groups[2]), alone)] = 0.0
     z = z - H @ solved(z, H, R)[0]
-    against, left = (f(z, H, R, groups)[2] for f in (against_others, without_groups))
+    against, left = (f(z, H, R, groups)[2] for f in (consistency_tests, leave_one_out_estimates))
     assert (against.freedom, against.unchecked) == (4, 2)
     assert np.flatnonzero(left.lost).tolist() == alone
     assert set(alone) <= set(np.flatnonzero(against.witnessed).tolist())
@@ -119,9 +127,9 @@ def test_what_one_group_alone_shows_is_lost_and_not_checkable():
 def test_a_group_of_all_measurements_leaves_nothing():
     z, H, R, _ = linear(np.random.default_rng(3))
     everything = [np.arange(len(z))]
-    (left,) = without_groups(z, H, R, everything)
+    (left,) = leave_one_out_estimates(z, H, R, everything)
     assert left.lost.all()
-    (against,) = against_others(z, H, R, everything)
+    (against,) = consistency_tests(z, H, R, everything)
     # Of its own surplus it is checkable: the residuals of all.
     assert against.chi_square == pytest.approx(solved(z, H, R)[2], rel=1e-8)
     assert against.freedom == len(z) - N_PARAMETERS
@@ -220,7 +228,7 @@ def test_influence_with_other_gyro_biases_and_windows(options):
 
 def test_influence_where_the_bias_wanders_in_part():
     """A stated instability takes a sequence's own rest rate in part: what is pooled hangs on all sequences."""
-    recording, _ = campaigns.noisy_recording(13, "tactical", sigma_rad=1e-5, instability=True)
+    recording, _ = accuracy_trials.noisy_recording(13, "tactical", sigma_rad=1e-5, instability=True)
     calibration = srt.calibrate(recording, "least-squares")
     wander = np.array(calibration.noise["gyro_bias_wander_rad_s"])
     assert np.all(wander > 0.0)
@@ -232,9 +240,9 @@ def test_influence_where_the_bias_wanders_in_part():
 
 def test_a_repeated_sequence_is_two_witnesses():
     """Of sequence 10, run twice, either occurrence does: half of what it shows hangs on each."""
-    truth = campaigns.normal_errors(np.random.default_rng(14), 1e-3)
-    motion = table1_motion(site=campaigns.SITE, sample_rate_hz=100.0, sequences=(*TABLE_1, "10"))
-    recording = read_out(motion, truth, campaigns.GRADES["navigation"], np.random.default_rng(14))
+    truth = accuracy_trials.normal_errors(np.random.default_rng(14), 1e-3)
+    motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=100.0, sequences=(*TABLE_1, "10"))
+    recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], np.random.default_rng(14))
     for estimator in PLAYBACK:
         calibration = srt.calibrate(recording, estimator)
         first, second = (r for r in calibration.verdict["sequences"] if r["sequence"] == "10")
@@ -256,14 +264,14 @@ def test_turns_that_share_windows():
     from sims.physics.free_motion import free_motion, random_attitude, random_turns
 
     rng = np.random.default_rng(15)
-    truth = campaigns.normal_errors(rng, 1e-3)
+    truth = accuracy_trials.normal_errors(rng, 1e-3)
     motion = free_motion(
         random_turns(rng, 30, smallest_rad=0.8, largest_rad=3.0),
-        site=replace(campaigns.SITE, latitude_rad=0.5 * np.pi),
+        site=replace(accuracy_trials.SITE, latitude_rad=0.5 * np.pi),
         attitude=random_attitude(rng),
         sample_rate_hz=100.0,
     )
-    recording = read_out(motion, truth, campaigns.GRADES["navigation"], rng)
+    recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
     recording = recording.with_sequences(srt.find_turns(recording))
     calibration = srt.calibrate(recording, "least-squares")
     rows = calibration.verdict["sequences"]
@@ -281,7 +289,7 @@ def test_turns_that_share_windows():
 
 
 def clean(seed, estimator):
-    recording, _ = campaigns.noisy_recording(4000 + seed, "navigation")
+    recording, _ = accuracy_trials.noisy_recording(4000 + seed, "navigation")
     return srt.calibrate(recording, estimator).verdict
 
 
@@ -330,10 +338,10 @@ def test_a_disturbed_sequence_stands_out(estimator, name):
     accel = recording.accel.copy()
     accel[recording.window_indices(*label.end_static_s)] += 50e-6 * 9.80665
     result = srt.calibrate(replace(recording, accel=accel), estimator).verdict
-    worst = suspect(result["sequences"])
+    worst = most_contradicted(result["sequences"])
     assert worst is not None
     assert worst["sequence"] == name
-    assert suspect(calibrated(11, estimator).verdict["sequences"]) is None
+    assert most_contradicted(calibrated(11, estimator).verdict["sequences"]) is None
 
 
 def test_single_witnesses_are_named():
@@ -358,14 +366,14 @@ def test_a_sequence_that_nothing_checks_is_said_to_be_so():
     z, H, R, _ = linear(np.random.default_rng(7))
     z, H, R = z[:N_PARAMETERS], H[:N_PARAMETERS], R[:N_PARAMETERS, :N_PARAMETERS]
     groups = [np.arange(a, a + 9) for a in (0, 9, 18)]
-    pairs = zip(against_others(0.0 * z, H, R, groups), without_groups(0.0 * z, H, R, groups), strict=True)
-    rows = [Evidence(str(k), 1, *pair) for k, pair in enumerate(pairs)]
+    pairs = zip(consistency_tests(0.0 * z, H, R, groups), leave_one_out_estimates(0.0 * z, H, R, groups), strict=True)
+    rows = [SequenceDiagnostics(str(k), 1, *pair) for k, pair in enumerate(pairs)]
     P = solved(z, H, R)[1]
     result = verdict(rows, P, np.ones(N_PARAMETERS, dtype=bool), 0.0, 0)
     for row in result["sequences"]:
         assert (row["checkable"], row["degrees_of_freedom"], row["probability"]) == ("no", 0, None)
         assert len(row["lost_without"]) >= 9
-    assert suspect(result["sequences"]) is None
+    assert most_contradicted(result["sequences"]) is None
     text = report(replace(calibrated(11, "closed-form"), verdict=result), title="unit")
     assert text.count("not checkable  ") == 3
     assert "whether the measurements agree cannot be checked" in text.replace("\n  ", " ")
@@ -454,14 +462,16 @@ def test_no_verdict_outside_the_model():
 def test_evidence_is_in_the_order_of_the_sequences():
     z, H, R, groups = linear(np.random.default_rng(6))
     rows = [
-        Evidence(str(i), 1, *pair)
-        for i, pair in enumerate(zip(against_others(z, H, R, groups), without_groups(z, H, R, groups), strict=True))
+        SequenceDiagnostics(str(i), 1, *pair)
+        for i, pair in enumerate(
+            zip(consistency_tests(z, H, R, groups), leave_one_out_estimates(z, H, R, groups), strict=True)
+        )
     ]
     P = solved(z, H, R)[1]
     result = verdict(rows, P, np.ones(N_PARAMETERS, dtype=bool), 1.0, 1)
     assert [row["sequence"] for row in result["sequences"]] == [str(i) for i in range(len(groups))]
     for row, left in zip(result["sequences"], rows, strict=True):
-        expected = left.left_out.change / np.sqrt(np.diag(P))
+        expected = left.without.change / np.sqrt(np.diag(P))
         np.testing.assert_allclose([row["influence"][name] for name in NAMES], expected, rtol=1e-12)
         largest = row["largest_influence"]
         assert abs(largest["sigmas"]) == pytest.approx(np.abs(expected).max())

@@ -10,13 +10,13 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 
+import accuracy_trials
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import sims
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from srt.model.table1 import SIGNED_AXES, Sequence, axis_vector
 from srt.recording.folder import load_recording, write_recording
@@ -48,7 +48,7 @@ def all_starts():
     """Every start attitude once, on a faultless fixture, each sequence with turns about all three IMU axes."""
     sequences = tuple(sims.TurnSequence(f"{down}/{along}", down, along, turns(along)) for down, along in STARTS)
     schedule = sims.Schedule(sequences, PROFILE, dwell_s=0.5, leg_dwell_s=LEG_DWELL_S)
-    return sims.run_schedule(schedule, site=campaigns.SITE, sample_rate_hz=50.0, heading_rad=HEADING)
+    return sims.run_schedule(schedule, site=accuracy_trials.SITE, sample_rate_hz=50.0, heading_rad=HEADING)
 
 
 def test_there_are_sixteen():
@@ -112,8 +112,8 @@ def unit(shift):
     rng = np.random.default_rng(2100 + shift)
     sequences = tuple(mirrored(s, (k + shift) % 4) for k, s in enumerate(sims.TABLE_1.values()))
     schedule = sims.Schedule(sequences, PROFILE, dwell_s=2.0, leg_dwell_s=LEG_DWELL_S)
-    motion = sims.run_schedule(schedule, site=campaigns.SITE, sample_rate_hz=100.0, heading_rad=HEADING)
-    truth = campaigns.normal_errors(rng, 1e-3, math.radians(1.0))
+    motion = sims.run_schedule(schedule, site=accuracy_trials.SITE, sample_rate_hz=100.0, heading_rad=HEADING)
+    truth = accuracy_trials.normal_errors(rng, 1e-3, math.radians(1.0))
     return read_out(motion, truth), truth
 
 
@@ -135,9 +135,9 @@ def test_a_noise_free_unit_is_recovered(estimator, shift):
     calibration = srt.calibrate(recording, estimator)
     assert calibration.status == "converged"
     assert calibration.observed.all()
-    assert np.abs(campaigns.error_in_quoted_units(calibration, truth)[:24]).max() < 1e-8
+    assert np.abs(accuracy_trials.error_in_quoted_units(calibration, truth)[:24]).max() < 1e-8
     # Only that noise-free data have no noise: no turn, pole or axis is found to contradict its label.
-    assert all("raised to the floor" in warning for warning in calibration.warnings), calibration.warnings
+    assert all("raised to the lower limit" in warning for warning in calibration.warnings), calibration.warnings
 
 
 @pytest.mark.parametrize("estimator", ["least-squares", "ekf", "graph"])
@@ -151,7 +151,7 @@ def test_axes_not_square_do_no_harm(estimator):
     if estimator == "graph":
         pytest.importorskip("gtsam")
     rng = np.random.default_rng(2120)
-    truth = campaigns.normal_errors(rng, 1e-3, math.radians(1.0))
+    truth = accuracy_trials.normal_errors(rng, 1e-3, math.radians(1.0))
     sequences = tuple(mirrored(s, k % 4) for k, s in enumerate(sims.TABLE_1.values()))
     sigmas = ("level_sigma_rad", "north_sigma_rad", "mounting_sigma_rad", "rotation_sigma_rad")
     draw = sims.draw_fixture(rng, sequences, **dict.fromkeys(sigmas, 1e-3))
@@ -159,11 +159,13 @@ def test_axes_not_square_do_no_harm(estimator):
     def calibrated(lean_rad):
         motion = sims.run_schedule(
             sims.Schedule(sequences, leg_dwell_s=LEG_DWELL_S),
-            site=campaigns.SITE,
+            site=accuracy_trials.SITE,
             sample_rate_hz=50.0,
             fixture_draw=replace(draw, non_orthogonality=lean_rad),
         )
-        return srt.calibrate(replace(read_out(motion, truth), noise=campaigns.GRADES["navigation"].stated()), estimator)
+        return srt.calibrate(
+            replace(read_out(motion, truth), noise=accuracy_trials.GRADES["navigation"].stated()), estimator
+        )
 
     square, leaning = calibrated(0.0), calibrated(1e-3)
     assert leaning.status == "converged"
@@ -182,13 +184,13 @@ def test_residuals_are_named_by_axes_without_sign():
 def test_the_closed_form_takes_those_of_table_1_and_names_the_others():
     """Sequences from other attitudes beside Table 1 change nothing in it; alone they are none of its own."""
     rng = np.random.default_rng(2110)
-    truth = campaigns.normal_errors(rng, 1e-3, math.radians(1.0))
+    truth = accuracy_trials.normal_errors(rng, 1e-3, math.radians(1.0))
     others = (mirrored(sims.TABLE_1["8"], 3), mirrored(sims.TABLE_1["7"], 1))
     schedule = sims.Schedule((*sims.TABLE_1.values(), *others), PROFILE, dwell_s=2.0, leg_dwell_s=LEG_DWELL_S)
-    recording = read_out(sims.run_schedule(schedule, site=campaigns.SITE, sample_rate_hz=100.0), truth)
+    recording = read_out(sims.run_schedule(schedule, site=accuracy_trials.SITE, sample_rate_hz=100.0), truth)
     calibration = srt.calibrate(recording, "closed-form")
     assert calibration.status == "converged"
-    assert np.abs(campaigns.error_in_quoted_units(calibration, truth)[:24]).max() < 1e-8
+    assert np.abs(accuracy_trials.error_in_quoted_units(calibration, truth)[:24]).max() < 1e-8
     assert any("'8 of -z/-x'" in w and "'7 of -y/-x'" in w for w in calibration.warnings)
     with pytest.raises(srt.DataError, match="least-squares"):
         srt.calibrate(recording.with_sequences(recording.sequences[-2:]), "closed-form")

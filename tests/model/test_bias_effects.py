@@ -16,7 +16,7 @@ from conftest import RAMP_S, RATE_RAD_S, SAMPLE_RATE_HZ, WINDOW_S, G
 import sims
 from srt.constants import DEG
 from srt.estimation.options import Options
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.rotations import cross_matrix, rotation_matrix
 from srt.model.table1 import AXES, SEQUENCES
@@ -49,7 +49,7 @@ def horizontal(motion, bias):
     errors = SensorErrors.from_dict({f"gyro_bias_{a}": float(b) for a, b in zip("xyz", bias, strict=True)})
     recording = sims.read_out(motion, errors)
     data = prepare(recording, recording.sequences)
-    z = Player(data, Options()).play(SensorErrors()).z[: 2 * data.K].reshape(-1, 2)
+    z = SrtProcessor(data, Options()).process(SensorErrors()).z[: 2 * data.K].reshape(-1, 2)
     down = [AXES.index(SEQUENCES[name].down) for name in data.ids]
     out = np.zeros((data.K, 3))
     for row, values, d in zip(out, z, down, strict=True):

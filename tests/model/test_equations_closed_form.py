@@ -10,7 +10,7 @@ from test_equations_signatures import G, ideal_jacobian
 import sims
 from srt.estimation.closed_form_solver import ClosedFormSolver
 from srt.estimation.options import Options
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
 from srt.recording.recording import Site
@@ -205,7 +205,7 @@ def test_a_repeated_sequence_is_averaged():
     truth[GROUP_SLICES["gyro_bias"]] = 0.0  # the coefficients know of none
     recording = sims.read_out(motion, SensorErrors(truth))
     data = prepare(recording, recording.sequences, options.average)
-    playback = Player(data, options).play(SensorErrors())
+    playback = SrtProcessor(data, options).process(SensorErrors())
     solver = ClosedFormSolver(data, options)
     by_coefficients = (solver.coefficients @ playback.z)[solver.kept]
     S = solver.selection

@@ -15,7 +15,7 @@ from conftest import G, component_rows
 import sims
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.options import Options
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.recording.recording import SequenceLabel, Site
 from srt.sensor_errors import SensorErrors
 from srt.sequences.preparation import prepare
@@ -42,7 +42,7 @@ def player_of(recording, **options):
     chosen = Options(**options)
     data = prepare(recording, recording.sequences, chosen.average)
     integrated = np.full(len(data.windows.duration_s), chosen.window_attitude == "integrated")
-    return data, Player(data, chosen, integrated)
+    return data, SrtProcessor(data, chosen, integrated)
 
 
 def longest_s(data):
@@ -59,7 +59,7 @@ ROUNDING = 1e-14 * G
 def test_a_faultless_unit_measures_nothing(window_attitude, nominal_vertical):
     """On a faultless fixture, on the turning Earth."""
     data, player = player_of(sims.read_out(motion_of(), NONE), window_attitude=window_attitude)
-    played = player.play(NONE, nominal_vertical=nominal_vertical)
+    played = player.process(NONE, nominal_vertical=nominal_vertical)
     assert np.abs(played.z[: 2 * data.K]).max() < G * ATTITUDE
     assert np.abs(played.z[2 * data.K : -3]).max() < ROUNDING
     # A wrong sign of the Earth's rate would leave 2 ω_e over a second and more.
@@ -73,7 +73,7 @@ def test_a_faultless_unit_measures_nothing(window_attitude, nominal_vertical):
 def test_earth_rate_and_acceleration_are_the_true_ones():
     motion = motion_of()
     data, player = player_of(sims.read_out(motion, NONE))
-    played = player.play(NONE)
+    played = player.process(NONE)
     ned = EARTH_RATE_RAD_S * np.array([math.cos(LATITUDE), 0.0, -math.sin(LATITUDE)])
     start = motion.attitudes[:, 0]
     np.testing.assert_allclose(played.earth_rate, np.einsum("kab,a->kb", start, ned), rtol=0, atol=1e-18)
@@ -96,7 +96,7 @@ def test_the_measured_vertical_takes_the_tilt_out_of_the_earth_rate(level):
     data, player = player_of(sims.read_out(motion, NONE))
     ned = EARTH_RATE_RAD_S * np.array([math.cos(LATITUDE), 0.0, -math.sin(LATITUDE)])
     true = np.einsum("kab,a->kb", motion.attitudes[:, 0], ned)
-    measured, nominal = (player.play(NONE, nominal_vertical=flag) for flag in (False, True))
+    measured, nominal = (player.process(NONE, nominal_vertical=flag) for flag in (False, True))
     np.testing.assert_allclose(measured.earth_rate, true, rtol=0, atol=1e-16)
     tilt = np.linalg.norm(level)
     off = np.linalg.norm(nominal.earth_rate - true, axis=1)
@@ -112,10 +112,10 @@ def test_down_of_the_paper_with_a_tilted_base():
     tilt = 0.01
     recording = sims.read_out(motion_of(sims.FixtureDraw(base=np.array([tilt, 0.0, 0.0]))), NONE)
     data, player = player_of(recording, down="paper")
-    nominal = player.play(NONE, nominal_vertical=True).z[2 * data.K : -3]
+    nominal = player.process(NONE, nominal_vertical=True).z[2 * data.K : -3]
     # û from the fixture at the start; at the end it is carried on by the attitude, so that the tilt is the same.
     np.testing.assert_allclose(nominal, G * tilt**2 / 2, rtol=tilt**2, atol=G * tilt * 2 * ATTITUDE + 1e-3 * 5e-4 * G)
-    measured = player.play(NONE).z[2 * data.K : -3]
+    measured = player.process(NONE).z[2 * data.K : -3]
     assert np.abs(measured).max() < ROUNDING + G * ATTITUDE**2 + 1e-12
     # And it sees an accelerometer's scale with the same sign as ours.
     truth = SensorErrors.from_dict({"accel_scale_z": 1e-5})
@@ -123,7 +123,7 @@ def test_down_of_the_paper_with_a_tilted_base():
     by_definition = {}
     for down in ("paper", "tilt-immune"):
         data, player = player_of(level, down=down)
-        by_definition[down] = player.play(NONE).z[component_rows(data)["1", "start"]]
+        by_definition[down] = player.process(NONE).z[component_rows(data)["1", "start"]]
     assert by_definition["paper"] == pytest.approx(-1e-5 * G, rel=1e-8)
     assert by_definition["tilt-immune"] == pytest.approx(-1e-5 * G, rel=1e-8)
 
@@ -133,11 +133,11 @@ def test_orientation_of_mars_is_read_off_the_axes_and_verticals():
     U = sims.rotation([0.4, -0.3, 0.5])
     _, player = player_of(sims.read_out(motion_of(U=U, earth_rate=False), NONE))
     for guess in (U, np.eye(3)):
-        played = player.play(NONE, U=guess)
+        played = player.process(NONE, U=guess)
         np.testing.assert_allclose(played.U, U, rtol=0, atol=1e-12)
     # On the Earth: its rate over the turns is taken off to the accuracy that it is known to (the guess's error).
     _, player = player_of(sims.read_out(motion_of(U=U), NONE))
-    np.testing.assert_allclose(player.play(NONE, U=U).U, U, rtol=0, atol=EARTH_RATE_RAD_S * 0.1)
+    np.testing.assert_allclose(player.process(NONE, U=U).U, U, rtol=0, atol=EARTH_RATE_RAD_S * 0.1)
 
 
 def test_rest_rates_pool_and_share():
@@ -153,7 +153,7 @@ def test_rest_rates_pool_and_share():
     first, last = data.windows.samples[data.start[k], 0], data.windows.samples[data.end[k], 1]
     gyro[first:last] += extra
     data, player = player_of(replace(recording, gyro=gyro))
-    played = player.play(NONE)
+    played = player.process(NONE)
     pooled = bias + extra / data.K  # windows of equal length, two of 34
     np.testing.assert_allclose(played.z[-3:], pooled, rtol=0, atol=1e-16)
     expected = np.zeros((data.K, 3))
@@ -161,9 +161,9 @@ def test_rest_rates_pool_and_share():
     np.testing.assert_allclose(played.bias_by_sequence, expected - extra / data.K, rtol=0, atol=1e-16)
     # With the pooled bias and each sequence's own taken off, the turns are right again.
     found = NONE.plus(np.concatenate([np.zeros(24), pooled]))
-    again = player.play(found, bias_offset=played.bias_by_sequence)
+    again = player.process(found, bias_offset=played.bias_by_sequence)
     assert np.abs(again.z[: 2 * data.K]).max() < 1e-12 * G
-    assert np.abs(player.play(found).z[: 2 * data.K]).max() > 1e-6 * G
+    assert np.abs(player.process(found).z[: 2 * data.K]).max() > 1e-6 * G
 
 
 def test_turns_that_share_their_windows():
@@ -176,7 +176,7 @@ def test_turns_that_share_their_windows():
     # Without latitude the Earth's rate is taken as none, as it is here.
     recording = replace(sims.read_out(motion, NONE), site=Site(G), fixture=None).with_sequences(labels)
     data, player = player_of(recording)
-    played = player.play(NONE)
+    played = player.process(NONE)
     np.testing.assert_array_equal(data.end[:-1], data.start[1:])
     np.testing.assert_array_equal(played.window_sequence, [0, 1, 2, 3, 3])
     expected = [np.eye(3)] * 4 + [played.integrals.C_end[3]]
@@ -198,7 +198,7 @@ def test_free_turns_take_off_the_vertical_part_of_the_earth_rate():
     labels = tuple(SequenceLabel(first, second) for first, second in motion.windows)
     recording = replace(sims.read_out(motion, NONE), fixture=None).with_sequences(labels)
     data, player = player_of(recording)
-    played = player.play(NONE)
+    played = player.process(NONE)
     down = -played.force[data.start] / G
     expected = -EARTH_RATE_RAD_S * math.sin(LATITUDE) * down
     np.testing.assert_allclose(played.earth_rate, expected, rtol=0, atol=1e-16)

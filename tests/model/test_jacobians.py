@@ -12,7 +12,7 @@ from conftest import G, component_rows
 
 import sims
 from srt.estimation.options import Options
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate
 from srt.model.rotations import cross_matrix
@@ -88,7 +88,7 @@ def differences(player, errors, steps):
     columns = []
     for i, step in enumerate(steps):
         d = step * np.eye(N_PARAMETERS)[i]
-        plus, minus = (player.play(errors.plus(sign * d), U=U).z for sign in (1.0, -1.0))
+        plus, minus = (player.process(errors.plus(sign * d), U=U).z for sign in (1.0, -1.0))
         columns.append((minus - plus) / (2.0 * step))
     return np.stack(columns, axis=1)
 
@@ -98,7 +98,7 @@ def play_back(motion, errors, window_attitude):
     options = Options(window_attitude=window_attitude)
     data = prepare(recording, recording.sequences, options.average)
     integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")
-    return data, Player(data, options, integrated)
+    return data, SrtProcessor(data, options, integrated)
 
 
 def kink(errors):
@@ -122,7 +122,7 @@ def turning(data):
 def test_playback_jacobian_without_earth_rate(motions, size, window_attitude):
     errors = draw(size)
     data, player = play_back(motions[False], errors, window_attitude)
-    found = player.play(errors, U=U).H
+    found = player.process(errors, U=U).H
     expected = differences(player, errors, STEPS)
     angle, seconds = turning(data)
     # Slope of the compensation, D = (M + diag(s sign))⁻¹; every derivative scales with it.
@@ -155,7 +155,7 @@ def test_playback_jacobian_with_earth_rate(motions, size):
     """
     errors = draw(size)
     data, player = play_back(motions[True], errors, "held")
-    found = player.play(errors, U=U).H
+    found = player.process(errors, U=U).H
     expected = differences(player, errors, STEPS)
     angle, seconds = turning(data)
     K = data.K
@@ -275,8 +275,8 @@ def test_predicted_and_measured_change_of_tiny_errors(motions):
     """z(x̂) = H (truth − x̂) to second order, the statement that all estimators rest on."""
     truth = draw("tiny")
     data, player = play_back(motions[False], truth, "held")
-    playback = player.play(SensorErrors(), U=U)
-    perfect = play_back(motions[False], SensorErrors(), "held")[1].play(SensorErrors(), U=U)
+    playback = player.process(SensorErrors(), U=U)
+    perfect = play_back(motions[False], SensorErrors(), "held")[1].process(SensorErrors(), U=U)
     predicted = playback.H @ truth.vector
     # Second order: (2·3π · 1e-6)² g; first order: the sample's share (1/200)²/12 of 6π · 1e-6 g.
     tolerance = G * ((6 * np.pi * 1e-6) ** 2 + 6 * np.pi * 1e-6 * (RATE / SAMPLE_RATE_HZ) ** 2 / 12 * 3)

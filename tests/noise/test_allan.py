@@ -6,6 +6,7 @@ import subprocess
 import sys
 from math import sqrt
 
+import accuracy_trials
 import numpy as np
 import pytest
 from scipy.special import bdtr, chdtri
@@ -13,7 +14,6 @@ from scipy.stats import norm
 
 import sims
 import srt
-from sims.accuracy import campaigns
 from srt.noise import allan
 from srt.noise.allan import CHANNELS, TERMS, allan_deviation, interval
 
@@ -22,7 +22,7 @@ WALK, FLAT = 1, 2
 
 
 def recording(gyro, accel, kind="rate"):
-    return srt.Recording(np.arange(1, len(gyro) + 1) / RATE, gyro, accel, campaigns.SITE, kind)
+    return srt.Recording(np.arange(1, len(gyro) + 1) / RATE, gyro, accel, accuracy_trials.SITE, kind)
 
 
 def white(rng, n, walk):
@@ -38,7 +38,7 @@ def simulated(model, dwell_s, rng):
     """Two rests of a simulated unit, with the indices of their samples."""
     motion = sims.run_schedule(
         sims.Schedule(sims.table_sequences(("7",)), sims.RateProfile(1.0, 10.0), dwell_s=dwell_s),
-        site=campaigns.SITE,
+        site=accuracy_trials.SITE,
         sample_rate_hz=RATE,
         earth_rate=False,
     )

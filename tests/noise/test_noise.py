@@ -1,11 +1,11 @@
 """Noise estimated from the windows, its floors, and noise components estimated from residuals."""
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
-from srt.noise.from_windows import ACCEL_FLOOR, GYRO_FLOOR, _fit_one, flicker_spread, noise_model
+from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, _fit_one, flicker_spread, noise_model
 from srt.noise.variance_components import restricted_likelihood
 
 N, RATE = 2000, 200.0
@@ -14,7 +14,7 @@ WINDOWS = np.array([[k * N, (k + 1) * N] for k in range(34)])
 
 def recording(gyro, accel, **noise):
     time = np.arange(1, len(gyro) + 1) / RATE
-    return srt.Recording(time, gyro, accel, campaigns.SITE, noise=srt.ImuNoise(**noise))
+    return srt.Recording(time, gyro, accel, accuracy_trials.SITE, noise=srt.ImuNoise(**noise))
 
 
 def still(rng, white, pulse=0.0, drift=3.3e-5):

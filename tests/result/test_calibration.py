@@ -2,11 +2,11 @@
 
 import json
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
@@ -17,8 +17,8 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 @pytest.fixture(scope="module")
 def unit():
     rng = np.random.default_rng(11)
-    truth = campaigns.normal_errors(rng, 1e-2, 1e-3)
-    motion = table1_motion(site=campaigns.SITE, sample_rate_hz=50.0, dwell_s=4.0)
+    truth = accuracy_trials.normal_errors(rng, 1e-2, 1e-3)
+    motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=50.0, dwell_s=4.0)
     return read_out(motion, truth), truth
 
 
@@ -147,28 +147,28 @@ def test_a_missing_sequence_costs_only_its_parameters(unit, calibration):
     seen = result.observed
     assert np.all(result.covariance[~seen] == 0.0)
     # The others do not read what is held to first order; here the held values come from a perfect fixture's start.
-    error = np.abs(campaigns.error_in_quoted_units(result, truth))
+    error = np.abs(accuracy_trials.error_in_quoted_units(result, truth))
     assert error[seen][:22].max() < 1e-4
 
 
 def test_repeated_sequences_are_all_used(unit):
     """Sequence 1 run twice; the same samples labelled twice are refused, as they are no independent data."""
     recording, truth = unit
-    motion = table1_motion(site=campaigns.SITE, sample_rate_hz=50.0, dwell_s=4.0, sequences=(*TABLE_1, "1"))
+    motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=50.0, dwell_s=4.0, sequences=(*TABLE_1, "1"))
     result = srt.calibrate(read_out(motion, truth))
     assert [r.occurrence for r in result.residuals if r.sequence == "1"] == [1] * 4 + [2] * 4
-    assert np.abs(campaigns.error_in_quoted_units(result, truth))[:24].max() < 1e-8
+    assert np.abs(accuracy_trials.error_in_quoted_units(result, truth))[:24].max() < 1e-8
     with pytest.raises(srt.DataError, match="labelled twice"):
         srt.calibrate(recording.with_sequences(recording.sequences + recording.sequences[:1]))
 
 
 def test_held_values_widen_what_reads_them():
     """Without 1a-3a a true asymmetry of 1e-3 falls on the scale factors: their sigma says so (prior 1e-3)."""
-    recording, truth = campaigns.noisy_recording(7, "navigation")
+    recording, truth = accuracy_trials.noisy_recording(7, "navigation")
     result = srt.calibrate(without(recording, "1a", "2a", "3a"))
     scale = GROUP_SLICES["gyro_scale"]
     assert np.all(result.sigma[scale] > 0.9e-3)
-    trial = campaigns.score(result, truth)
+    trial = accuracy_trials.score(result, truth)
     assert np.all(np.abs(trial.error[scale] / trial.sigma[scale]) < 3.5)
 
 
@@ -200,5 +200,5 @@ def test_unknown_options_and_estimators_are_named(unit):
 def test_estimators_agree_noise_free(unit, calibration):
     """All 68 components by least squares, 24 of them in closed form: the same 27 errors."""
     other = srt.calibrate(unit[0], "least-squares")
-    difference = np.abs(other.errors.vector - calibration.errors.vector) / campaigns.IN_G
+    difference = np.abs(other.errors.vector - calibration.errors.vector) / accuracy_trials.IN_G
     assert difference[:24].max() < 1e-8

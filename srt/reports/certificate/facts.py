@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.estimation.assembly import software
 from srt.estimation.options import Options
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.reports.certificate.tables import Cell, Table, plain
-from srt.result.calibration import VERSION
+from srt.result.calibration import VERSION, software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:

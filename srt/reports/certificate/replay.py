@@ -13,7 +13,7 @@ import numpy as np
 
 from srt.constants import DEG
 from srt.estimation.options import Options
-from srt.estimation.srt_measurements import Player
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError, InputError, clipped
 from srt.model import rotations
 from srt.model.table1 import SEQUENCES
@@ -25,7 +25,7 @@ from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
-    from srt.estimation.srt_measurements import Playback
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
     from srt.reports.certificate.checked import Source
     from srt.result.calibration import Calibration
@@ -173,7 +173,7 @@ def _follows(calibration: Calibration, data: PlaybackData, options: Options) -> 
         "g_sensitivity": _array((calibration.diagnostics.get("g_sensitivity") or {}).get("matrix"), (3, 3)),
     }
     whole = options.window_attitude == "integrated"
-    playback = Player(data, options, np.full(W, whole)).play(calibration.errors, **how)
+    playback = SrtProcessor(data, options, np.full(W, whole)).process(calibration.errors, **how)
     first = _within(calibration, playback, stated, data)
     # The iteration integrates the attitude over windows that moved, by estimates of the time: which ones they were is
     # not in the file. What hangs on it, a sequence's horizontal components, may fit with either of its windows so.
@@ -184,7 +184,7 @@ def _follows(calibration: Calibration, data: PlaybackData, options: Options) -> 
     for integrated in (moved, np.ones(W, dtype=np.bool_), np.arange(W) % 2 == 0, np.arange(W) % 2 == 1):
         if whole or turns.all():
             break
-        again = Player(data, options, integrated).play(calibration.errors, **how)
+        again = SrtProcessor(data, options, integrated).process(calibration.errors, **how)
         turns |= _within(calibration, again, stated, data)[: 2 * K].reshape(K, 2).all(axis=1)
     # The rate at rest is not in the file; the closed form alone leaves nothing of it, if all windows are at rest.
     checked = calibration.estimator == "closed-form" and calibration.observed[GROUP_SLICES["gyro_bias"]].all()
@@ -192,7 +192,7 @@ def _follows(calibration: Calibration, data: PlaybackData, options: Options) -> 
     return bool(turns.all() and first[2 * K : -3].all() and rates)
 
 
-def _within(calibration: Calibration, playback: Playback, stated: Array, data: PlaybackData) -> Mask:
+def _within(calibration: Calibration, playback: SrtMeasurements, stated: Array, data: PlaybackData) -> Mask:
     """Which measurements of a play-back are as near to the residuals stated as the sigmas ask for."""
     by_sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", playback.H, calibration.covariance, playback.H), 0.0))
     unit = np.append(np.full(len(stated), data.gravity), [1e-3, 1e-3, 1e-3])

@@ -268,7 +268,7 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
     serial = calibration.provenance.get("serial")
     yield from wrap(f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}")
     # Only the first sentence: what is held follows the table, with the reasons.
-    message = calibration.message.split(" Held, not observed:")[0]
+    message = calibration.message.split(" Fixed, not observed:")[0]
     steps = ", ".join(f"{c:.1e}" for c in calibration.corrections)
     status = "" if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: "
     yield from wrap(f"{status}{message}")

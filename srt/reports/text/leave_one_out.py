@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.estimation.leave_one_out import suspect
+from srt.estimation.leave_one_out import most_contradicted
 from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, SYMBOLS
 
@@ -119,7 +119,7 @@ def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> l
     if innovations:
         notes.append(f"as it came: the same with only the {word}s before it known.")
     out = [line for note in notes for line in _wrap(note, " ")]
-    worst = suspect(rows)
+    worst = most_contradicted(rows)
     if worst is not None:
         out += _wrap(
             f"{word.capitalize()} {_title(worst)} contradicts the others: chance {probability(worst['probability'])}.",

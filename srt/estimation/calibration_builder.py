@@ -1,0 +1,225 @@
+"""Construction of a calibration from a solver result: status, covariance, warnings and provenance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from srt.estimation import g_sensitivity_report
+from srt.estimation.goodness_of_fit import is_misfit
+from srt.estimation.leave_one_out import verdict
+from srt.result.calibration import Calibration, software
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
+from srt.sequences.manoeuvres import wrong_turns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from srt.estimation.options import Options
+    from srt.estimation.solver_result import SolverResult
+    from srt.sequences.preparation import PlaybackData
+    from srt.types import Mask
+
+
+def build_calibration(
+    estimator: str,
+    data: PlaybackData,
+    options: Options,
+    result: SolverResult,
+    fixed: Mapping[str, str],
+    *,
+    warnings: tuple[str, ...] = (),
+    inflation: float = 1.0,
+) -> Calibration:
+    """Build the calibration of a solver result.
+
+    Parameters
+    ----------
+    estimator : str
+    data : PlaybackData
+    options : Options
+    result : SolverResult
+    fixed : mapping of str to str
+        Parameters not observed, with the reason.
+    warnings : tuple of str
+    inflation : float
+        Factor on all sigmas (least squares with residuals larger than the noise explains).
+    """
+    if result.status == "outside_model":
+        fixed = dict.fromkeys(NAMES, "the iteration ended where the model does not hold")
+    observed = np.array([name not in fixed for name in NAMES])
+    mask = np.outer(observed, observed)
+    total = sum(result.covariance.values()) if result.total is None else result.total
+    covariance = np.where(mask, total, 0.0) * inflation**2
+    covariance = 0.5 * (covariance + covariance.T)
+    status, message, misfit_warnings = _status(result, fixed, inflation)
+    fixture = data.recording.fixture
+    chi_square, freedom = result.chi_square, result.degrees_of_freedom
+    return Calibration(
+        estimator=estimator,
+        status=status,
+        message=message,
+        errors=result.errors,
+        covariance=covariance,
+        corrections=result.corrections,
+        held={name: fixed[name] for name in NAMES if name in fixed},
+        contributions={
+            source: np.where(observed, np.sqrt(np.maximum(np.diag(P), 0.0)) * inflation, 0.0)
+            for source, P in result.covariance.items()
+        },
+        U=None if data.nominal is None else result.U,
+        U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
+        residuals=result.residuals,
+        site=_site(data),
+        noise=_noise(data, result, inflation)
+        | {"chi_square": chi_square, "degrees_of_freedom": freedom}
+        | _shared_errors(result, mask, inflation),
+        alignment=_alignment(data),
+        temperature=_temperature(data),
+        provenance=_provenance(data, options),
+        diagnostics=result.diagnostics,
+        verdict=verdict(result.sequences, covariance, observed, chi_square, freedom) if observed.any() else {},
+        warnings=(*warnings, *misfit_warnings, *_warnings(data, result, observed)),
+    )
+
+
+def _status(result: SolverResult, fixed: Mapping[str, str], inflation: float) -> tuple[str, str, tuple[str, ...]]:
+    """Status and message of the calibration, and the warnings about residuals that the noise does not explain."""
+    status, message = result.status, result.message
+    chi_square, freedom = result.chi_square, result.degrees_of_freedom
+    misfit = inflation == 1.0 and status == "converged" and is_misfit(chi_square, freedom)
+    warnings: tuple[str, ...] = ()
+    if misfit and result.gross_misfit:
+        status = "not_converged"
+        message = (
+            f"The corrections became negligible after {len(result.corrections)} iterations, but the residuals are far too "
+            f"large (chi-square {chi_square:.2g} for {freedom} degrees of freedom): a wrong minimum, a wrong label, or "
+            "a unit that the sensor model does not describe."
+        )
+    elif misfit:
+        warnings = (
+            f"The residuals are larger than the noise explains (chi-square {chi_square:.0f} for {freedom} degrees of "
+            f"freedom, p < 0.001). An error source is missing from the sigmas, which are too small by a factor of "
+            f"about {np.sqrt(chi_square / freedom):.2g} or more. Possible causes: bias instability, g-sensitivity, a "
+            "disturbed window.",
+        )
+    if status == "converged" and fixed:
+        status = "partial"
+        message = f"{message} Fixed, not observed: {', '.join(fixed)}."
+    return status, message, warnings
+
+
+def _provenance(data: PlaybackData, options: Options) -> dict[str, Any]:
+    return {
+        "data_sha256": data.recording.data_sha256,
+        "software": software(),
+        "serial": data.recording.serial,
+        "date": data.recording.date,
+        "options": options.as_dict(),
+        "voided": dict(data.voided),
+    }
+
+
+def _site(data: PlaybackData) -> dict[str, Any]:
+    site = data.recording.site
+    return {
+        "latitude_deg": None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
+        "gravity_m_s2": site.gravity_m_s2,
+        "gravity_sigma_m_s2": site.gravity_sigma_m_s2,
+    }
+
+
+def _noise(data: PlaybackData, result: SolverResult, inflation: float) -> dict[str, Any]:
+    noise = data.noise
+    return {
+        "gyro_noise_rad_per_sqrt_s": noise.gyro_white.tolist(),
+        "accel_noise_m_s2_sqrt_s": noise.accel_white.tolist(),
+        "gyro_reading_error_rad": noise.gyro_edge.tolist(),
+        "accel_reading_error_m_s": noise.accel_edge.tolist(),
+        "gyro_bias_wander_rad_s": result.wander.tolist(),
+        "accel_bias_wander_m_s2": noise.accel_wander.tolist(),
+        "estimated": list(noise.estimated),
+        "floored": list(noise.floored),
+        "sigma_inflation": inflation,
+        "gyro_bias_by_sequence_rad_s": result.bias_by_sequence.tolist(),
+    }
+
+
+def _shared_errors(result: SolverResult, mask: Mask, inflation: float) -> dict[str, Any]:
+    """Errors that all recordings of the unit share, so that averaging recordings does not reduce them.
+
+    ``gravity_effect`` is the effect of 1 sigma of gravity on every parameter; fixed values bring a covariance.
+    """
+    out: dict[str, Any] = {}
+    gravity, by_fixed = (
+        np.where(mask, result.covariance.get(source, 0.0), 0.0) * inflation**2 for source in ("gravity", "held_values")
+    )
+    most = int(np.argmax(np.diag(gravity)))
+    if gravity[most, most] > 0.0:
+        effect = gravity[most] / np.sqrt(gravity[most, most])
+        scale = effect[GROUP_SLICES["accel_scale"]].sum()
+        out["gravity_effect"] = (effect * (-1.0 if scale < 0.0 else 1.0)).tolist()
+    if by_fixed.any():
+        out["held_values_covariance"] = by_fixed.tolist()
+    return out
+
+
+def _alignment(data: PlaybackData) -> dict[str, Any]:
+    fixture = data.recording.fixture
+    if fixture is None:
+        return {"fixture": False}
+    wobble = {} if fixture.wobble_sigma_rad is None else {"wobble_sigma_mrad": fixture.wobble_sigma_rad * 1e3}
+    return {
+        "fixture": True,
+        "heading_deg": None if fixture.heading_rad is None else float(np.degrees(fixture.heading_rad)),
+        "alignment_sigma_mrad": fixture.alignment_sigma_rad * 1e3,
+        "rotation_sigma_mrad": fixture.rotation_sigma_rad * 1e3,
+        **wobble,
+    }
+
+
+def _temperature(data: PlaybackData) -> dict[str, Any] | None:
+    T = data.recording.temperature
+    if T is None:
+        return None
+    samples = data.windows.samples
+    rows = []
+    for k, name in enumerate(data.ids):
+        part = T[samples[data.start[k], 0] : samples[data.end[k], 1]]
+        low, high = float(part.min()), float(part.max())
+        rows.append(
+            {
+                "sequence": name,
+                "occurrence": data.occurrences[k],
+                "mean_c": float(part.mean()),
+                "range_c": high - low,
+            }
+        )
+    return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
+
+
+def _warnings(data: PlaybackData, result: SolverResult, observed: Mask) -> tuple[str, ...]:
+    messages = [f"{title} is void: {reason}." for title, reason in data.voided.items()]
+    if result.integrated and len(result.integrated) < len(data.windows.duration_s):
+        times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in result.integrated)
+        messages.append(
+            f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
+        )
+    if result.status in ("converged", "partial", "not_converged"):
+        messages += wrong_turns(data, result.end_attitude, result.U)
+    if result.solution is not None and result.status in ("converged", "partial"):
+        messages += g_sensitivity_report.warnings(data, result.solution.measurements)
+    if data.recording.site.latitude_rad is None:
+        messages.append("No latitude is given: the gyro-bias sigma includes the whole Earth rate as an unknown.")
+    if data.noise.floored:
+        messages.append(
+            f"The {', '.join(data.noise.floored)} was raised to the lower limit (resolution of the readings, or 1e-10 "
+            "rad/√s and 1e-9 g·√s)."
+        )
+    fixed = int(N_PARAMETERS - observed.sum())
+    if fixed:
+        messages.append(
+            f"{fixed} of {N_PARAMETERS} parameters are not observed; they keep the values of the initial estimate."
+        )
+    return tuple(messages)

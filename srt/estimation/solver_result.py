@@ -1,0 +1,144 @@
+"""Solver result: the common form in which every estimator hands over its solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.estimation import g_sensitivity_report
+from srt.estimation.goodness_of_fit import chi_square, is_gross
+from srt.estimation.leave_one_out import sequence_diagnostics
+from srt.result.calibration import Residual
+from srt.sensor_errors import NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from srt.estimation.iteration import Solution
+    from srt.estimation.leave_one_out import LeaveOneOutEstimator, SequenceDiagnostics
+    from srt.estimation.options import Options
+    from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PlaybackData
+    from srt.types import Array
+
+
+_SOLVED_EXACTLY: Final = 1e-6
+"""Residual sigma over measurement sigma below which a component is solved exactly and its residual sigma is zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SolverResult:
+    """Solution of an estimator, complete enough to build a calibration.
+
+    Attributes
+    ----------
+    errors : SensorErrors
+    U : ndarray, shape (3, 3)
+        T to MARS components; ignored without a fixture.
+    covariance : mapping of str to ndarray, shape (27, 27)
+        By source of error.
+    corrections : tuple of float
+        Largest correction of each iteration.
+    status, message : str
+    residuals : tuple of Residual
+    chi_square : float
+        Smallest weighted square sum of the residuals.
+    degrees_of_freedom : int
+    gross_misfit : bool
+        True if the residuals are too large for any noise.
+    integrated : tuple of int
+        Windows whose attitude was integrated.
+    wander : ndarray, shape (3,), rad/s
+        1-sigma of a sequence's gyro bias about that of the test, raw channels.
+    bias_by_sequence : ndarray, shape (K, 3), rad/s
+    end_attitude : ndarray, shape (K, 3, 3)
+        C_End of every sequence as the gyros measured it.
+    total : ndarray, shape (27, 27), optional
+        Covariance as the estimator itself computes it; default the sum over the sources.
+    diagnostics : mapping
+        Further output of the estimator, as JSON values.
+    sequences : tuple of SequenceDiagnostics
+        Leave-one-out diagnostics of every sequence, where the estimator computes them.
+    solution : Solution, optional
+        Solution of an iterated solver; None for joint estimators.
+    """
+
+    errors: SensorErrors
+    U: Array
+    covariance: Mapping[str, Array]
+    corrections: tuple[float, ...]
+    status: str
+    message: str
+    residuals: tuple[Residual, ...]
+    chi_square: float
+    degrees_of_freedom: int
+    gross_misfit: bool
+    integrated: tuple[int, ...]
+    wander: Array
+    bias_by_sequence: Array
+    end_attitude: Array
+    total: Array | None = None
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    sequences: tuple[SequenceDiagnostics, ...] = ()
+    solution: Solution | None = None
+
+
+def solver_result(
+    data: PlaybackData,
+    options: Options,
+    solution: Solution,
+    fixed_reasons: Mapping[str, str],
+    leave_one_out: LeaveOneOutEstimator,
+) -> SolverResult:
+    """Solver result of an iterated solution.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    options : Options
+    solution : Solution
+    fixed_reasons : mapping of str to str
+        Parameters not observed, with the reason.
+    leave_one_out : LeaveOneOutEstimator
+        Leave-one-out estimator of the solver.
+    """
+    fixed = np.array([name in fixed_reasons for name in NAMES])
+    statistic, freedom = chi_square(solution, fixed)
+    outside = solution.status == "outside_model"
+    return SolverResult(
+        errors=solution.errors,
+        U=solution.U,
+        covariance=solution.covariance,
+        corrections=solution.corrections,
+        status=solution.status,
+        message=solution.message,
+        residuals=_residuals(data, solution),
+        chi_square=statistic,
+        degrees_of_freedom=freedom,
+        gross_misfit=is_gross(solution, statistic, freedom, data.gravity),
+        integrated=solution.integrated,
+        wander=solution.wander,
+        bias_by_sequence=solution.bias_by_sequence,
+        end_attitude=solution.measurements.integrals.C_end,
+        diagnostics=g_sensitivity_report.diagnostics(data, solution),
+        sequences=() if outside else sequence_diagnostics(leave_one_out, data, options, solution, fixed),
+        solution=solution,
+    )
+
+
+def _residuals(data: PlaybackData, solution: Solution) -> tuple[Residual, ...]:
+    """Residuals after the last iteration with their predicted sigma, zero where a component is solved exactly."""
+    z, sigma = solution.measurements.z, np.sqrt(np.maximum(np.diag(solution.residual_covariance), 0.0))
+    measurement_sigma = np.sqrt(np.diag(solution.measurement_covariance))
+    sigma[sigma < _SOLVED_EXACTLY * measurement_sigma] = 0.0
+    rows = []
+    for k, name in enumerate(data.ids):
+        sequence = data.catalogue[k]
+        horizontal = ("1", "2") if sequence is None else sequence.horizontal
+        for j, axis in enumerate(horizontal):
+            rows.append((name, data.occurrences[k], f"horizontal_{axis}", 2 * k + j))
+        for label, w in (("start_down", data.start[k]), ("end_down", data.end[k])):
+            rows.append((name, data.occurrences[k], label, 2 * data.K + int(w)))
+    return tuple(Residual(n, o, c, float(z[i]), float(sigma[i])) for n, o, c, i in rows)
