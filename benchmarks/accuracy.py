@@ -7,12 +7,12 @@ takes a tenth of the draws, ``--workers N`` that many processes.
 import argparse
 from functools import partial
 
+import accuracy_trials
 import numpy as np
+from accuracy_trials import GRADES, Trial, normalised, run
 from rich.console import Console
 from rich.table import Table
 
-from sims.accuracy import campaigns
-from sims.accuracy.campaigns import GRADES, Trial, normalised, run
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.sensor_errors import GROUP_SLICES, GROUPS, NAMES
 
@@ -42,7 +42,7 @@ def exact(n: float, workers: int) -> None:
         {"kind": "increment"},
         {"turned_rad": 0.2},
     ):
-        trials = run(partial(campaigns.exact_trial, **case), range(max(2, int(20 * n))), workers=workers)
+        trials = run(partial(accuracy_trials.exact_trial, **case), range(max(2, int(20 * n))), workers=workers)
         summary(f"noise-free, perfect fixture {case or '200 Hz'}", trials)
 
 
@@ -56,7 +56,7 @@ def fixture(n: float, workers: int) -> None:
         ("10 mrad", {"sigma_rad": 1e-2}),
         ("1 mrad, half turns of 150°-210°", {"stretch_rad": 30.0 * DEG}),
     ):
-        trials = run(partial(campaigns.fixture_trial, **case), range(count), workers=workers)
+        trials = run(partial(accuracy_trials.fixture_trial, **case), range(count), workers=workers)
         scale = worst(trials, GROUP_SLICES["accel_scale"])
         rms = np.sqrt(np.mean([t.error[ERRORS] ** 2 for t in trials]))
         summary(label, trials, f", rms {rms:.1e}, accelerometer scale {scale:.1e}")
@@ -64,7 +64,7 @@ def fixture(n: float, workers: int) -> None:
 
 def large(n: float, workers: int) -> None:
     """±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 °/s, ±1 m/s², fixture 5 mrad."""
-    trials = run(campaigns.large_trial, range(max(2, int(1000 * n))), workers=workers)
+    trials = run(accuracy_trials.large_trial, range(max(2, int(1000 * n))), workers=workers)
     distance = max(t.distance for t in trials)
     redrawn = sum(t.redrawn for t in trials)
     summary("large errors", trials, f", largest distance {distance:.2e} of max(1e-8, 0.01 sigma), {redrawn} redrawn")
@@ -96,7 +96,7 @@ def sigmas(n: float, workers: int) -> None:
     outside = []
     for grade in GRADES:
         for stated in (True, False):
-            unit = partial(campaigns.noisy_trial, grade=grade, state_noise=stated)
+            unit = partial(accuracy_trials.noisy_trial, grade=grade, state_noise=stated)
             trials = run(unit, range(1000, 1000 + count), workers=workers)
             ratio = np.mean(normalised(trials) ** 2, axis=0)
             table.add_row(
@@ -123,7 +123,7 @@ def honesty(n: float, workers: int) -> None:
             (f"g-sensitivity {sensitivity[grade]} °/h/g", {"g_sensitivity": g_sensitivity}),
         ):
             trials = run(
-                partial(campaigns.noisy_trial, grade=grade, **unit), range(1000, 1000 + count), workers=workers
+                partial(accuracy_trials.noisy_trial, grade=grade, **unit), range(1000, 1000 + count), workers=workers
             )
             ratio = np.mean(normalised(trials) ** 2, axis=0)
             table.add_row(f"{grade}, {label}", *_by_group(ratio), f"{np.mean([t.nees for t in trials]):.2f}")
@@ -132,7 +132,7 @@ def honesty(n: float, workers: int) -> None:
 
 def free(n: float, workers: int) -> None:
     """Free recordings: NEES of simulated hand-turned units."""
-    trials = run(campaigns.free_trial, range(3000, 3000 + max(10, int(300 * n))), workers=workers)
+    trials = run(accuracy_trials.free_trial, range(3000, 3000 + max(10, int(300 * n))), workers=workers)
     nees = np.array([t.nees for t in trials])
     expected = np.sqrt(2.0 / 27.0 / len(nees))
     summary("free recordings", trials, f", NEES/27 {nees.mean():.3f} ± {expected:.3f} (one standard error)")

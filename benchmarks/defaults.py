@@ -6,11 +6,11 @@
 import argparse
 from functools import partial
 
+import accuracy_trials
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sims.accuracy import campaigns
 from srt.sensor_errors import GROUP_SLICES
 
 ALTERNATIVES = (
@@ -43,15 +43,15 @@ def main() -> None:
         table.add_column(column)
     for choice in ALTERNATIVES:
         one, ten = (
-            campaigns.run(
-                partial(campaigns.fixture_trial, sigma_rad=s, **choice),
+            accuracy_trials.run(
+                partial(accuracy_trials.fixture_trial, sigma_rad=s, **choice),
                 range(arguments.draws),
                 workers=arguments.workers,
             )
             for s in (1e-3, 1e-2)
         )
-        noisy = campaigns.run(
-            partial(campaigns.noisy_trial, grade="navigation", calibration=choice),
+        noisy = accuracy_trials.run(
+            partial(accuracy_trials.noisy_trial, grade="navigation", calibration=choice),
             range(1000, 1000 + arguments.draws),
             workers=arguments.workers,
         )

@@ -1,17 +1,169 @@
-"""A MEMS unit of 0.5 °/s bias and 30 °/h/g: what three ways to take the gyro bias off leave, predicted and observed.
+"""Three corrections of a gyro bias that depends on specific force (g-sensitivity): residual predicted and observed.
 
 ``python benchmarks/g_sensitivity.py --units 2500`` prints the table of docs/g-sensitivity.md.
+
+At rest a gyro reads ``κ + Γ f_w + n_w`` in window w beyond the Earth's rate, n_w of variance ``s² = N² / T``. After the
+correction, the residual bias over the W windows of K sequences of two has for each gyro the mean square
+
+    pooled:        ``σ² Σ_w |f_w − f̄|² / W  + s² / W``       one bias for all
+    per-sequence:  ``σ² Σ_w |f_w − f̄_k|² / W + s² / 2``      each sequence's own two windows
+    g-sensitive:   ``4 s² / W``                               bias and Γ, four unknowns for each gyro
+
+with σ the 1-sigma size of the elements of Γ. :mod:`sims.accuracy.budget` predicts the effect on the parameters; units
+simulated with all sensor and fixture errors show it.
 """
 
-import argparse
+from __future__ import annotations
 
-from sims.accuracy.g_sensitivity import MODES, mems_scenario, study
-from srt.constants import DEG_PER_H
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, NAMES, SYMBOLS
+import argparse
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+import srt
+from sims.accuracy.budget import Budget, budget
+from sims.scenarios.scenario import load_scenario
+from sims.scenarios.simulation import simulate
+from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
+
+if TYPE_CHECKING:
+    from sims.scenarios.scenario import Scenario
+    from sims.scenarios.simulation import Simulation
+    from srt.estimation.options import GyroBias
+    from srt.result.calibration import Calibration
+    from srt.types import Array
+
+
+MODES: Final[tuple[GyroBias, ...]] = ("pooled", "per-sequence", "g-sensitive")
+NOISE: Final = {
+    "gyro_noise_deg_per_sqrt_h": 0.15,
+    "accel_noise_ug_per_sqrt_hz": 102.0,
+    "gyro_g_sensitivity_deg_per_h_per_g": 30.0,
+}
+"""White noise of the industrial grade, and the g-sensitivity of its gyros without compensation."""
+BIAS_DEG_PER_S: Final = 0.5
+"""Bias of every gyro, °/s: typical of industrial MEMS gyros before calibration."""
+_BIAS: Final = GROUP_SLICES["gyro_bias"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BiasCorrection:
+    """Prediction and observation of one correction of the gyro bias.
+
+    Attributes
+    ----------
+    predicted : Budget
+    observed : ndarray, shape (27,)
+        Rms error over the units, SI.
+    left_predicted, left_observed : float
+        Rms of the residual gyro bias in the windows, rad/s.
+    nees : float
+        Mean of the squared error of Γ over its covariance, by its nine elements; NaN where it is not estimated.
+    """
+
+    predicted: Budget
+    observed: Array
+    left_predicted: float
+    left_observed: float
+    nees: float
+
+
+def mems_scenario(*, dwell_s: float = 10.0, sample_rate_hz: float = 100.0) -> Scenario:
+    """Scenario of Table 1 with an industrial MEMS unit: bias 0.5 °/s in every gyro, Γ of 30 °/h/g, white noise only.
+
+    Parameters
+    ----------
+    dwell_s : float
+        Length of each window, s.
+    sample_rate_hz : float
+    """
+    base = load_scenario("industrial-mems")
+    assert base.schedule is not None
+    bias = {f"gyro_bias_{axis}": BIAS_DEG_PER_S * DEG for axis in "xyz"}
+    imu = base.imu.model_copy(update={"noise": type(base.imu.noise)(**NOISE)})
+    recording = {"sample_rate_hz": sample_rate_hz, "label_sequences": True, "kind": "rate"}
+    schedule = {"dwell_s": dwell_s, "moves": "skipped", "settle_s": 0.5}
+    return base.model_copy(
+        update={
+            "imu": imu,
+            "errors": base.errors.model_copy(update={"values": base.errors.values | bias}),
+            "recording": base.recording.model_copy(update=recording),
+            "schedule": base.schedule.model_copy(update=schedule),
+        }
+    )
+
+
+def study(plan: Scenario, units: int, *, first_seed: int, draws: int = 30) -> dict[GyroBias, BiasCorrection]:
+    """Predict and observe all three corrections.
+
+    Parameters
+    ----------
+    plan : Scenario
+        Labelled, with windows of one length; gyro noise and g-sensitivity alone disturb its rates at rest.
+    units : int
+        Simulated, each with its own sensor errors, Γ, fixture and noise.
+    first_seed : int
+        Of the units, which count on from it.
+    draws : int
+        Of the fixture, for the prediction.
+    """
+    squares = {mode: np.zeros(27) for mode in MODES}
+    left = {mode: np.zeros(2) for mode in MODES}
+    nees = dict.fromkeys(MODES, math.nan) | {"g-sensitive": 0.0}
+    for seed in range(first_seed, first_seed + units):
+        unit = simulate(plan.model_copy(update={"seed": seed}))
+        for mode in MODES:
+            found = srt.calibrate(unit.recording, "closed-form", gyro_bias=mode, checks=False)
+            squares[mode] += (found.errors.vector - unit.truth.vector) ** 2 / units
+            left[mode] += np.array([_predicted(plan, unit, mode), _observed(unit, found)]) / units
+            if mode == "g-sensitive":
+                nees[mode] += _nees(unit, found) / units
+    predicted = {mode: budget(plan, draws=draws, gyro_bias=mode)[0] for mode in MODES}
+    rms = {mode: np.sqrt(left[mode]).tolist() for mode in MODES}
+    return {m: BiasCorrection(predicted[m], np.sqrt(squares[m]), rms[m][0], rms[m][1], nees[m]) for m in MODES}
+
+
+def _forces(unit: Simulation) -> Array:
+    """Specific force at the start and the end of every sequence, shape (K, 2, 3), m/s², in B."""
+    g = unit.recording.site.gravity_m_s2
+    return -g * unit.motion.attitudes[:, :, 2]
+
+
+def _predicted(plan: Scenario, unit: Simulation, mode: GyroBias) -> float:
+    """Predicted mean square of the residual bias of each gyro of a unit, (rad/s)²."""
+    force = _forces(unit)
+    first, last = unit.recording.sequences[0].start_static_s
+    noise = (plan.imu.noise.gyro_noise_deg_per_sqrt_h * DEG_PER_SQRT_H) ** 2 / (last - first)
+    sigma2, W = plan.imu.noise.g_sensitivity_sigma**2, 2 * len(force)
+    if mode == "g-sensitive":
+        return float(4.0 * noise / W)
+    pooled = mode == "pooled"
+    mean = force.mean(axis=(0, 1)) if pooled else force.mean(axis=1, keepdims=True)
+    return float(sigma2 * np.sum((force - mean) ** 2) / W + noise / (W if pooled else 2.0))
+
+
+def _observed(unit: Simulation, found: Calibration) -> float:
+    """Observed mean square of the residual bias of each gyro in the windows, (rad/s)²."""
+    force = _forces(unit)
+    Gamma = unit.imu.gyro_g_sensitivity.copy()
+    if "g_sensitivity" in found.diagnostics:
+        Gamma -= np.array(found.diagnostics["g_sensitivity"]["matrix"])
+    own = np.array(found.noise["gyro_bias_by_sequence_rad_s"])
+    bias = unit.truth.vector[_BIAS] - found.errors.vector[_BIAS]
+    return float(np.mean((bias - own[:, None] + force @ Gamma.T) ** 2))
+
+
+def _nees(unit: Simulation, found: Calibration) -> float:
+    stated = found.diagnostics["g_sensitivity"]
+    error = (np.array(stated["matrix"]) - unit.imu.gyro_g_sensitivity).ravel()
+    return float(error @ np.linalg.solve(np.array(stated["covariance"]), error)) / 9.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--units", type=int, default=300)
     parser.add_argument("--seed", type=int, default=5000)
     parser.add_argument("--dwell", type=float, default=4.0, metavar="S", help="of each window")

@@ -26,12 +26,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-
-import srt
-from sims.accuracy.campaigns import GRADES, SITE, fixture_errors, normal_errors
-from sims.accuracy.ferraris import (
+from accuracy_trials import GRADES, SITE, fixture_errors, normal_errors
+from ferraris import (
     TABLE_1_FACES,
     TABLE_1_TURN_RAD,
     TABLE_1_TURNS,
@@ -44,6 +40,10 @@ from sims.accuracy.ferraris import (
     non_orthogonality,
     signal_regions,
 )
+from rich.console import Console
+from rich.table import Table
+
+import srt
 from sims.physics.imu import accel_matrix, read_out
 from sims.physics.motion import RateProfile
 from sims.physics.table_motion import table1_motion
@@ -330,7 +330,7 @@ The same for units with an asymmetry of 1e-3, which imucal does not know:
 
 ## Set-up
 
-- **Units**: grade `{grade}` of `sims/accuracy/campaigns.py` (gyros {gyro_noise:.4f} °/√h, accelerometers
+- **Units**: grade `{grade}` of `benchmarks/accuracy_trials.py` (gyros {gyro_noise:.4f} °/√h, accelerometers
 {accel_noise:.0f}
   µg/√Hz, white noise alone), every error drawn with a sigma of 1e-3 (accelerometer biases 1 mg), gyro biases within
   ±10 °/h; {rate:g} Hz. Each unit comes with and without its asymmetry, with the same noise.
@@ -349,7 +349,7 @@ The same for units with an asymmetry of 1e-3, which imucal does not know:
   samples too.
 
 imucal's result has the fixture's axes. It is taken to MARS axes, in which the gyro matrix is symmetric, by its own
-polar decomposition (`sims/accuracy/ferraris.py`), so that a turn of the whole unit on the fixture costs it nothing. The
+polar decomposition (`benchmarks/ferraris.py`), so that a turn of the whole unit on the fixture costs it nothing. The
 rows of orthogonality depend on no frame. On a perfect fixture, without noise and on an Earth at rest, its result equals
 the truth to rounding (`tests/sims/test_rivals.py`).
 

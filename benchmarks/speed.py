@@ -13,10 +13,11 @@ import time
 import tracemalloc
 from collections.abc import Callable
 
+import accuracy_trials
 import numpy as np
+import recorded_sets
 
 import srt
-from sims.accuracy import campaigns, recorded_sets
 from srt.comparison.estimators import default_estimators, run_estimators
 from srt.model.analytic_platform import gyro_stream, integrate
 from srt.model.sensor_model import gyro_triad
@@ -35,7 +36,7 @@ def timed(call: Callable[[], object], repeats: int = REPEATS) -> float:
 
 
 def table_1() -> None:
-    recording, _ = campaigns.noisy_recording(1, "navigation", sample_rate_hz=200.0)
+    recording, _ = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=200.0)
     srt.calibrate(recording, checks=False)
     whole = timed(lambda: srt.calibrate(recording, checks=False))
     playbacks = len(srt.calibrate(recording, checks=False).corrections)
@@ -47,7 +48,7 @@ def table_1() -> None:
 
 
 def side_by_side() -> None:
-    recording, _ = campaigns.noisy_recording(1, "navigation", sample_rate_hz=200.0)
+    recording, _ = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=200.0)
     names, left_out = default_estimators(recording)
     run_estimators(recording, names)
     spans = [run_estimators(recording, names)[1] for _ in range(REPEATS)]
@@ -60,7 +61,7 @@ def side_by_side() -> None:
 
 
 def play_back() -> None:
-    recording, truth = campaigns.noisy_recording(1, "navigation", sample_rate_hz=200.0)
+    recording, truth = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=200.0)
     n = len(recording.time)
     spans = np.linspace(0, n, 18).astype(int)
     spans = np.stack([spans[:-1], spans[1:]], axis=1)
@@ -111,7 +112,9 @@ def scaling(sizes: tuple[int, ...]) -> None:
 def long_recording(n: int, rng: np.random.Generator) -> srt.Recording:
     """The 17 sequences at the sample rate that gives about n samples."""
     rate = n / 456.0
-    recording, _ = campaigns.noisy_recording(int(rng.integers(1 << 30)), "tactical", sample_rate_hz=float(round(rate)))
+    recording, _ = accuracy_trials.noisy_recording(
+        int(rng.integers(1 << 30)), "tactical", sample_rate_hz=float(round(rate))
+    )
     return recording
 
 

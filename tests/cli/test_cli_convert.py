@@ -6,9 +6,9 @@ import tomllib
 
 import numpy as np
 import pytest
+import recorded_sets
 
 import srt
-from sims.accuracy import recorded_sets
 from srt.cli import main
 from srt.constants import DEG, STANDARD_GRAVITY_M_S2, normal_gravity_m_s2
 

@@ -10,11 +10,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.cli import main
@@ -34,17 +34,17 @@ def lot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lot")
     rng = np.random.default_rng(12)
     motion = table1_motion(
-        site=campaigns.SITE,
+        site=accuracy_trials.SITE,
         sample_rate_hz=50.0,
         dwell_s=4.0,
-        fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+        fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
         stated_fixture=Fixture(0.0, 1e-3, 1e-3),
     )
     for number, name in enumerate(UNITS):
-        truth = campaigns.normal_errors(rng, 1e-4)
+        truth = accuracy_trials.normal_errors(rng, 1e-4)
         if name == ODD:
             truth = truth.plus(np.eye(len(NAMES))[INDEX["accel_scale_y"]] * SHIFT)
-        recording = replace(read_out(motion, truth, campaigns.GRADES["navigation"], rng), serial=f"SN-{number}")
+        recording = replace(read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng), serial=f"SN-{number}")
         srt.write_recording(recording, folder / name, samples_format="npz")
     (folder / BROKEN / "samples.npz").write_bytes(b"no samples")
     return folder

@@ -8,12 +8,12 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import sims
 import srt
-from sims.accuracy import campaigns
 from srt.cli import main
 from srt.model.table1 import SEQUENCES
 from srt.reports.text.inspection import significant
@@ -44,7 +44,7 @@ def shelf(tmp_path_factory):
     gyro = 1e-3 * rng.standard_normal((6000, 3))
     accel = np.array([0.0, 0.0, 9.80665]) + 1e-2 * rng.standard_normal((6000, 3))
     path = tmp_path_factory.mktemp("inspect") / "shelf"
-    srt.write_recording(srt.Recording(np.arange(1, 6001) / RATE, gyro, accel, campaigns.SITE), path)
+    srt.write_recording(srt.Recording(np.arange(1, 6001) / RATE, gyro, accel, accuracy_trials.SITE), path)
     return path
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
 import srt.estimation.registry
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.cli import main
@@ -24,17 +24,17 @@ def folders(tmp_path_factory):
     """Make three recordings of one unit, each with its own fixture errors and noise, date and temperature."""
     folder = tmp_path_factory.mktemp("unit")
     rng = np.random.default_rng(31)
-    truth = campaigns.normal_errors(rng, 1e-3)
+    truth = accuracy_trials.normal_errors(rng, 1e-3)
     paths = []
     for n, name in enumerate(("monday", "tuesday", "friday")):
         motion = table1_motion(
-            site=campaigns.SITE,
+            site=accuracy_trials.SITE,
             sample_rate_hz=50.0,
             dwell_s=4.0,
-            fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+            fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
             stated_fixture=Fixture(0.0, 1e-3, 1e-3),
         )
-        recording = read_out(motion, truth, campaigns.GRADES["navigation"], rng)
+        recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
         recording = replace(
             recording,
             serial="SN-9",

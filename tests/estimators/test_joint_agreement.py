@@ -17,16 +17,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from accuracy_trials import noisy_recording
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 import sims
-from sims.accuracy.campaigns import noisy_recording
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import iteration
 from srt.estimation.closed_form_solver import ClosedFormSolver
-from srt.estimation.initial_estimates import first_estimate
+from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.least_squares_solver import LeastSquaresSolver
 from srt.estimation.options import Options
 from srt.model.prior import Prior
@@ -42,12 +42,12 @@ from threadpoolctl import threadpool_limits
 
 from estimators.dense_solution import solve
 from estimators.ekf import default_prior
-from estimators.graph import GraphStep
+from estimators.graph import GraphSolver
 from estimators.iteration import iterate
-from estimators.joint_problem import Problem, open_problem
-from estimators.kalman_filter import EkfStep, run_filter
+from estimators.joint_model import JointModel, open_joint_model
+from estimators.kalman_filter import KalmanSolver, run_filter
 from estimators.linear_system import linearise
-from estimators.step import Solved, State, Step
+from estimators.solver import IterationState, LinearSolution, Solver
 
 EPS = np.finfo(float).eps
 G = 9.80665
@@ -61,7 +61,7 @@ IN_G = np.ones(N_PARAMETERS)
 IN_G[GROUP_SLICES["accel_bias"]] = G
 
 
-class SolveStep(Step):
+class SolveStep(Solver):
     """The linearised problem solved at once, with numpy alone."""
 
     name = "solve"
@@ -69,11 +69,11 @@ class SolveStep(Step):
     def __init__(self, prior=None):
         self.prior = prior
 
-    def solve(self, problem, system, point):
-        rows = system if self.prior is None else linearise(problem, point, system.played, system.free, self.prior)
+    def solve(self, joint, system, state):
+        rows = system if self.prior is None else linearise(joint, state, system.compensated, system.free, self.prior)
         solution, E = solve(rows), system.parameter_map()
         spread = E @ solution.root
-        return Solved(point, system, solution.delta, E @ solution.delta, spread @ spread.T)
+        return LinearSolution(state, system, solution.delta, E @ solution.delta, spread @ spread.T)
 
 
 @dataclass(frozen=True)
@@ -153,17 +153,17 @@ def record(seed, *, noise, share, errors=1e-11, sample_rate_hz=200.0, dwell_s=2.
 
 def by_play_back(data, solver):
     """The srt package's iteration with one of its solvers."""
-    found = iteration.iterate(data, OPTIONS, solver, *first_estimate(data, OPTIONS))
+    found = iteration.iterate(data, OPTIONS, solver, *initial_estimate(data, OPTIONS))
     assert found.status == "converged"
     return Found(found.errors.vector, np.asarray(sum(found.covariance.values())))
 
 
-def jointly(problem, step, converged=RESOLVED):
-    state = State(problem.start, ALL.copy())
-    state = iterate(problem, step, state, requested=~ALL, converged=converged)
-    assert state.status == "converged"
-    assert state.free.all()
-    return Found(state.point.errors.vector, state.covariance)
+def jointly(joint, step, converged=RESOLVED):
+    iteration = IterationState(joint.start, ALL.copy())
+    iteration = iterate(joint, step, iteration, requested=~ALL, converged=converged)
+    assert iteration.status == "converged"
+    assert iteration.free.all()
+    return Found(iteration.state.errors.vector, iteration.covariance)
 
 
 def used_components(data):
@@ -186,14 +186,14 @@ def blind(monkeypatch, data, horizontal, down, big):
     A horizontal component lives in the end window, as the start window's only levels its attitude. A variance 1e12
     times the others' leaves 1e-12 of the information.
     """
-    play = Problem.play
+    play = JointModel.compensate
 
-    def played(self, point):
-        out = play(self, point)
+    def compensated(self, state):
+        out = play(self, state)
         unused = np.zeros((len(out.force), 3, 3))
         basis = horizontal_basis(data, out.force[data.start])
         for k, i in np.argwhere(~horizontal).tolist():
-            b = out.turned[k].T @ basis[k, i]
+            b = out.rotation[k].T @ basis[k, i]
             unused[data.end[k]] += np.outer(b, b)
         for w in np.flatnonzero(~down).tolist():
             u = out.force[w] / np.linalg.norm(out.force[w])
@@ -201,7 +201,7 @@ def blind(monkeypatch, data, horizontal, down, big):
         out.force_noise["unused"] = big**2 * unused
         return out
 
-    monkeypatch.setattr(Problem, "play", played)
+    monkeypatch.setattr(JointModel, "compensate", compensated)
 
 
 # --- brute force ----------------------------------------------------------------------------------------------------
@@ -228,7 +228,7 @@ class BruteForce:
         turn = G * noise.gyro_noise * np.sqrt(self.turning_s)
         both = np.sqrt(turn**2 + window[data.start] ** 2 + window[data.end] ** 2)
         self.sigma = np.concatenate([np.repeat(both, 2), window, np.repeat(noise.gyro_noise / np.sqrt(T), 3)])
-        self.turned = {}
+        self.rotation = {}
 
     @staticmethod
     def matrices(x):
@@ -252,13 +252,13 @@ class BruteForce:
     def rotations(self, Mg, asymmetry, bias):
         """C_End of every sequence; kept, as accelerometer errors do not change it."""
         key = (Mg.tobytes(), asymmetry.tobytes(), bias.tobytes())
-        if key not in self.turned:
+        if key not in self.rotation:
             angle = self.compensate(self.samples, Mg, asymmetry, bias) * self.dt * self.moving[..., None]
             C = Rotation.from_rotvec(angle.reshape(-1, 3)).as_matrix().reshape(*angle.shape[:2], 3, 3)
             while C.shape[1] > 1:
                 C = C[:, 0::2] @ C[:, 1::2]
-            self.turned = {key: C[:, 0]}
-        return self.turned[key]
+            self.rotation = {key: C[:, 0]}
+        return self.rotation[key]
 
     def residuals(self, x):
         data = self.data
@@ -336,11 +336,11 @@ class Linear:
     def by_joint_estimation(self, sigma):
         """The filter's prior is 1e5 times wider than the result: 1e-10 of the information."""
         prior = Prior.from_sigma(1e5 * sigma, SensorErrors(self.truth))
-        steps = {"solve": SolveStep(), "graph": GraphStep("squared", None), "ekf": EkfStep(prior)}
-        return {name: jointly(self.problem(), step) for name, step in steps.items()}
+        steps = {"solve": SolveStep(), "graph": GraphSolver("squared", None), "ekf": KalmanSolver(prior)}
+        return {name: jointly(self.joint(), step) for name, step in steps.items()}
 
-    def problem(self):
-        return Problem(self.data, OPTIONS, first_estimate(self.data, OPTIONS))
+    def joint(self):
+        return JointModel(self.data, OPTIONS, initial_estimate(self.data, OPTIONS))
 
 
 @pytest.fixture(params=[200.0, pytest.param(1000.0, marks=pytest.mark.slow)])
@@ -413,11 +413,11 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     for seed in range(1, count + 1):
         recording, _ = record(seed, noise=1e-7, share=1.0, sample_rate_hz=50.0)
         data = open_session(recording, recording.sequences, OPTIONS.average)
-        first = first_estimate(data, OPTIONS)
+        first = initial_estimate(data, OPTIONS)
         closed = iteration.iterate(data, OPTIONS, ClosedFormSolver(data, OPTIONS), *first)
         if closed.integrated:  # one still window in a thousand is taken for moving, and what it says is used otherwise
             continue
-        best = jointly(Problem(data, OPTIONS, first), SolveStep(), (1e-18, 1e-6))
+        best = jointly(JointModel(data, OPTIONS, first), SolveStep(), (1e-18, 1e-6))
         z.append((closed.errors.vector - best.x) / best.sigma / np.sqrt(variance))
     z = np.array(z)
     assert len(z) >= 0.9 * count
@@ -432,7 +432,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
 
 def navigation_problem(seed, **unit):
     recording, _ = noisy_recording(seed, "navigation", sample_rate_hz=50.0, **unit)
-    return lambda: open_problem(recording, Options(max_playbacks=30))
+    return lambda: open_joint_model(recording, Options(max_playbacks=30))
 
 
 def rounding(found):
@@ -444,8 +444,8 @@ def rounding(found):
 def test_full_model_with_navigation_noise(seed):
     """Fixture, gravity and attitudes estimated; the filter has its weak default prior, a third of full scale."""
     make = navigation_problem(seed)
-    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphStep("squared", None))
-    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), EkfStep(default_prior()))
+    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphSolver("squared", None))
+    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), KalmanSolver(default_prior()))
     for a, b in ((graph, dense), (ekf, informed)):
         estimate, covariance = difference(a, b)
         assert estimate <= AGREE + rounding(dense)
@@ -463,10 +463,10 @@ def test_full_model_with_navigation_noise(seed):
 def test_full_model_where_the_bias_drifts():
     """A stated instability of both sensors: filter, graph and dense solution at one, iterated to the end."""
     make = navigation_problem(1, instability=True)
-    problem = make()
-    assert not problem.walks
-    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphStep("squared", None))
-    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), EkfStep(default_prior()))
+    joint = make()
+    assert not joint.bias_walks
+    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphSolver("squared", None))
+    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), KalmanSolver(default_prior()))
     for a, b in ((graph, dense), (ekf, informed)):
         assert max(difference(a, b)) <= AGREE + rounding(b)
     # What drifts is known worse for it.
@@ -485,24 +485,24 @@ def test_filter_and_dense_solution_where_the_bias_walks():
     quiet = replace(recording, noise=replace(recording.noise, gyro_bias_instability=None))
 
     def make():
-        problem = open_problem(quiet, Options(max_playbacks=30))
-        problem.wander = np.full(3, recording.noise.gyro_bias_instability)
-        problem.update_wander = lambda *_: None
-        return problem
+        joint = open_joint_model(quiet, Options(max_playbacks=30))
+        joint.bias_scatter = np.full(3, recording.noise.gyro_bias_instability)
+        joint.update_bias_scatter = lambda *_: None
+        return joint
 
-    problem = make()
-    assert problem.walks
-    state = State(problem.start, ALL.copy())
-    state = iterate(problem, EkfStep(default_prior()), state, requested=~ALL, converged=RESOLVED)
-    point, system = state.linearised_at, state.system
-    once = run_filter(problem, system, point, default_prior())
-    dense = SolveStep(default_prior()).solve(problem, system, point)
+    joint = make()
+    assert joint.bias_walks
+    iteration = IterationState(joint.start, ALL.copy())
+    iteration = iterate(joint, KalmanSolver(default_prior()), iteration, requested=~ALL, converged=RESOLVED)
+    state, system = iteration.linearisation_point, iteration.system
+    once = run_filter(joint, system, state, default_prior())
+    dense = SolveStep(default_prior()).solve(joint, system, state)
     a, b = (Found(r.correction, r.covariance) for r in (once, dense))
     assert max(difference(a, b)) <= AGREE + rounding(b)
-    ekf = Found(state.point.errors.vector, state.covariance)
-    smooth = State(problem.start, ALL.copy())
+    ekf = Found(iteration.state.errors.vector, iteration.covariance)
+    smooth = IterationState(joint.start, ALL.copy())
     smooth = iterate(make(), SolveStep(default_prior()), smooth, requested=~ALL, converged=RESOLVED)
-    found = Found(smooth.point.errors.vector, smooth.covariance)
-    spread = np.ptp(smooth.point.bias_deviation, axis=0).max()
+    found = Found(smooth.state.errors.vector, smooth.covariance)
+    spread = np.ptp(smooth.state.bias_deviation, axis=0).max()
     heading = spread / (EARTH_RATE_RAD_S * math.cos(math.radians(45.0)))
     assert AGREE < max(difference(ekf, found)) <= heading

@@ -12,11 +12,11 @@ import re
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics import disturbances
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
@@ -28,7 +28,7 @@ from srt.sensor_errors import NAMES
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
 
-IMU = campaigns.GRADES["navigation"]
+IMU = accuracy_trials.GRADES["navigation"]
 RATE_HZ = 100.0
 SEQUENCES = ("1", "4", "7", "13")
 LOOK_ALIKE = ("7", "13")
@@ -48,8 +48,8 @@ class Unit:
     def run(self, draw=lambda d: d, motion=lambda m: m):
         """Recordings with and without noise, truth, and the pieces' first samples."""
         rng = np.random.default_rng(self.seed)
-        truth = campaigns.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
-        site = campaigns.SITE
+        truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+        site = accuracy_trials.SITE
         true_site = replace(site, gravity_m_s2=site.gravity_m_s2 + rng.standard_normal() * site.gravity_sigma_m_s2)
         moved = motion(
             table1_motion(
@@ -57,7 +57,7 @@ class Unit:
                 rate_rad_s=TURN_RATE_RAD_S,
                 accel_rad_s2=TURN_ACCEL_RAD_S2,
                 sample_rate_hz=RATE_HZ,
-                fixture_draw=draw(campaigns.fixture_errors(rng, 1e-3)),
+                fixture_draw=draw(accuracy_trials.fixture_errors(rng, 1e-3)),
                 stated_fixture=Fixture(0.0, 1e-3, 1e-3),
             )
         ).stated_as(site=site)
@@ -169,7 +169,7 @@ def named_windows(calibration, recording):
     times = [
         float(number)
         for w in calibration.warnings
-        if "did not stand quite still" in w
+        if "moved in the stationary windows" in w
         for number in re.findall(r"([0-9][0-9.e+]*) s\b", w)
     ]
     spans = [(s.id, span) for s in recording.sequences for span in (s.start_static_s, s.end_static_s)]

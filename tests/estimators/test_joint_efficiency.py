@@ -1,7 +1,7 @@
 """Factor graph and Kalman filter against the Cramér-Rao bound: nearly efficient, with honest sigmas and innovations.
 
 300 units over the three grades here, 2,000 with ``-m slow``; ``benchmarks/efficiency.py`` runs 2,000 of each grade.
-Claims and their statistical bounds are those of :mod:`sims.accuracy.efficiency`: limit plus 3.5 standard errors at this
+Claims and their statistical bounds are those of :mod:`efficiency`: limit plus 3.5 standard errors at this
 size.
 """
 
@@ -9,12 +9,12 @@ import math
 from dataclasses import replace
 from functools import partial
 
+import efficiency
 import numpy as np
 import pytest
+from accuracy_trials import GRADES, Trial, run
+from efficiency import LIMITS, Criterion, UnitTrials, bound_sigma, criteria, innovation_criteria, summarise
 
-from sims.accuracy import efficiency
-from sims.accuracy.campaigns import GRADES, Trial, run
-from sims.accuracy.efficiency import LIMITS, Criterion, Unit, bound_sigma, criteria, innovation_criteria, summarise
 from srt.sensor_errors import N_PARAMETERS
 
 pytest.importorskip("gtsam")
@@ -33,7 +33,9 @@ def missed(claims):
 @pytest.mark.parametrize("grade", GRADES)
 def test_graph_and_filter_are_nearly_efficient(grade, count):
     """All criteria in one test, or each worker would simulate the units anew; 50 Hz shows the same as 100 Hz."""
-    trial = partial(efficiency.unit, grade=grade, estimators=ESTIMATORS, innovations_every=10, sample_rate_hz=50.0)
+    trial = partial(
+        efficiency.calibrate_unit, grade=grade, estimators=ESTIMATORS, innovations_every=10, sample_rate_hz=50.0
+    )
     # The runner uses every core: threads waiting for each other over matrices this small would take most of the time.
     with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
         units = run(trial, range(FIRST_SEED[grade], FIRST_SEED[grade] + count))
@@ -63,7 +65,7 @@ def made_up(count, *, error=1.0, sigma=1.0, colour=0.0, seed=1):
         trial = Trial(z * bound, sigma * bound, float(z @ z) / sigma**2 / N_PARAMETERS, "converged", 3)
         v = rng.standard_normal(17 * 12 + 1)
         v = (v[1:] + colour * v[:-1]) / math.hypot(1.0, colour)
-        units.append(Unit({"graph": trial}, tuple(v.reshape(17, 12))))
+        units.append(UnitTrials({"graph": trial}, tuple(v.reshape(17, 12))))
     return units
 
 

@@ -5,11 +5,11 @@ import math
 import re
 import sys
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.cli import main
@@ -43,17 +43,17 @@ def estimator(request):
 def unit():
     """A navigation unit without gyro asymmetry on a 1 mrad fixture: recording and truth."""
     rng = np.random.default_rng(201)
-    vector = campaigns.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H).vector.copy()
+    vector = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H).vector.copy()
     vector[GROUP_SLICES["gyro_asymmetry"]] = 0.0
     truth = SensorErrors(vector)
     motion = table1_motion(
-        site=campaigns.SITE,
+        site=accuracy_trials.SITE,
         sample_rate_hz=50.0,
         dwell_s=5.0,
-        fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+        fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
         stated_fixture=Fixture(0.0, 1e-3, 1e-3),
     )
-    return read_out(motion, truth, campaigns.GRADES["navigation"], rng), truth
+    return read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng), truth
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from accuracy_trials import large_errors
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 import sims
-from sims.accuracy.campaigns import large_errors
 from sims.physics.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
 from srt.estimation.options import Options
 from srt.model import analytic_platform, rotations
@@ -34,10 +34,10 @@ pytest.importorskip("gtsam")
 import gtsam
 
 from estimators.dense_solution import solve
+from estimators.factor_graph import FactorGraph
 from estimators.graph import solve_linear
-from estimators.graph_builder import GraphBuilder
-from estimators.iteration import corrected
-from estimators.joint_problem import Problem, open_problem
+from estimators.iteration import apply_correction
+from estimators.joint_model import JointModel, open_joint_model
 from estimators.linear_system import N_ERRORS, edge_numbers, linearise
 
 EPS = np.finfo(float).eps
@@ -333,7 +333,7 @@ class Variant:
     walk: bool = True
     fixture_states: bool = True
     prior: bool = True
-    drift: bool = False
+    instability: bool = False
 
 
 VARIANTS = {
@@ -343,7 +343,7 @@ VARIANTS = {
     "no heading": Variant(heading=False),
     "no latitude": Variant(latitude=False, walk=False),
     "free": Variant(free=True),
-    "drift": Variant(walk=False, drift=True),
+    "drift": Variant(walk=False, instability=True),
 }
 
 
@@ -391,8 +391,8 @@ def motions():
 
 @dataclass(frozen=True)
 class Case:
-    problem: Problem
-    point: object
+    joint: JointModel
+    state: object
     system: object
     prior: Prior | None
     errors: SensorErrors
@@ -408,31 +408,31 @@ def make(motions, variant, size, noise=NOISE, off=True):
     if variant.free:
         recording = recording.with_sequences(tuple(SequenceLabel(a, b) for a, b in motion.windows))
     # Of one bias per sequence, of one with the drift that is stated, and of one alone.
-    mode = "per-sequence" if variant.walk else "auto" if variant.drift else "pooled"
+    mode = "per-sequence" if variant.walk else "auto" if variant.instability else "pooled"
     options = Options(gyro_bias=mode, fixture_states=variant.fixture_states, start=errors)
-    problem = open_problem(recording, options)
+    joint = open_joint_model(recording, options)
     rng = np.random.default_rng(11)
-    point = replace(problem.start, U=motion.U)
-    point = problem.place(point, problem.play(point))
+    state = replace(joint.start, U=motion.U)
+    state = joint.initial_attitudes(state, joint.compensate(state))
     if off:
         a = 0.3 if size == "large" else 1e-3
-        deviation = 1e-8 * rng.standard_normal(point.bias_deviation.shape) * variant.walk
-        unknown = np.stack([c.unknown_sigma > 0.0 for c in problem.chains])
-        point = replace(
-            point,
+        deviation = 1e-8 * rng.standard_normal(state.bias_deviation.shape) * variant.walk
+        unknown = np.stack([c.unknown_sigma > 0.0 for c in joint.level_frames])
+        state = replace(
+            state,
             bias_deviation=deviation - deviation.mean(axis=0),
-            base=point.base @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
-            U=point.U @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
+            base=state.base @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
+            U=state.U @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
             gravity=1e-3 * variant.fixture_states,
-            earth_rate=1e-5 * rng.standard_normal(point.earth_rate.shape) * unknown,
-            attitude=point.attitude @ away(a, len(point.attitude), 12),
+            earth_rate=1e-5 * rng.standard_normal(state.earth_rate.shape) * unknown,
+            attitude=state.attitude @ away(a, len(state.attitude), 12),
         )
     prior = None
     if variant.prior:
         root = np.diag(rng.uniform(0.5, 2.0, N_PARAMETERS)) @ (np.eye(N_PARAMETERS) + 0.1)
         prior = Prior(SensorErrors(errors.vector + 0.01), root @ root.T)
-    system = linearise(problem, point, problem.play(point), np.ones(N_PARAMETERS, dtype=bool), prior)
-    return Case(problem, point, system, prior, errors)
+    system = linearise(joint, state, joint.compensate(state), np.ones(N_PARAMETERS, dtype=bool), prior)
+    return Case(joint, state, system, prior, errors)
 
 
 def unwhitened(system):
@@ -471,15 +471,15 @@ def allowed(case, kind, name, shape):
     D = np.linalg.norm(gyro.inverses, 2, axis=(1, 2)).max()
     D_accel = np.linalg.norm(accel.inverses, 2, axis=(1, 2)).max()
     two_sided = np.linalg.norm(gyro.inverses - np.linalg.inv(gyro.matrix), 2, axis=(1, 2)).max()
-    deviation = np.linalg.norm(case.point.bias_deviation, axis=1).max()
+    deviation = np.linalg.norm(case.state.bias_deviation, axis=1).max()
     ω = 1e-4
-    seconds = case.system.played.duration_s.max()
+    seconds = case.system.compensated.duration_s.max()
     angle = RATE * seconds
     h = np.array([step_of(name, i) for i in range(shape[-1])])
     # Left when the residual turns with a vector of the size given, by the angle h.
     turning = {"force": G, "rate": ω, "turn": 2.0, "start": 4.0, "base": 1.0, "mounting": 1.0}.get(kind, 0.0)
     rounding = {"force": G * D_accel, "rate": 1e-2 * D, "turn": 10.0}.get(kind, 10.0) * 10.0 * EPS / h
-    own = two_sided * (name == "bias" and case.problem.walks)
+    own = two_sided * (name == "bias" and case.joint.bias_walks)
     size = D * (seconds if name == "bias" else angle)
     of_errors = {
         "force": 3.0 * G * D_accel**4 * h**2,
@@ -504,12 +504,12 @@ CASES = [
 def test_system_against_played_back_differences(motions, variant, size):
     """Every column but the edges', whose unknowns are in no residual."""
     case = make(motions, VARIANTS[variant], size)
-    problem, system = case.problem, case.system
+    joint, system = case.joint, case.system
     found = unwhitened(system)
 
     def residuals(delta):
-        point = corrected(case.point, system, delta)
-        return unwhitened(linearise(problem, point, problem.play(point), system.free, case.prior))
+        state = apply_correction(case.state, system, delta)
+        return unwhitened(linearise(joint, state, joint.compensate(state), system.free, case.prior))
 
     seen = set()
     for name in ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "attitude"):
@@ -548,9 +548,9 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
     Away from the data it was taken from, the problem's residual is minus what its unknown takes off.
     """
     case = make(motions, VARIANTS[variant], size)
-    problem, system = case.problem, case.system
-    data = problem.data
-    edges = edge_numbers(problem, system.played)
+    joint, system = case.joint, case.system
+    data = joint.data
+    edges = edge_numbers(joint, system.compensated)
     assert edges.max() + 1 == 2 * data.K
     found = unwhitened(system)
     dt, e = 1.0 / HZ, 1e-8
@@ -564,8 +564,8 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
         rates = data.recording.gyro.copy()
         rates[sample - 1, axis] += size / dt
         rates[sample, axis] -= size / dt
-        other = open_problem(replace(data.recording, gyro=rates), problem.options)
-        return unwhitened(linearise(other, case.point, other.play(case.point), system.free, case.prior))
+        other = open_joint_model(replace(data.recording, gyro=rates), joint.options)
+        return unwhitened(linearise(other, case.state, other.play(case.state), system.free, case.prior))
 
     sigma = data.noise.gyro_edge
     for w, side in np.argwhere(edges >= 0).tolist():
@@ -592,22 +592,22 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     """
     monkeypatch.setattr(analytic_platform, "_PARTS", (2, 3))
     case = make(motions, VARIANTS[variant], size)
-    problem, system = case.problem, case.system
-    data, draws = problem.data, problem.data.drift
+    joint, system = case.joint, case.system
+    data, draws = joint.data, joint.data.instability
     windows = data.windows.samples
     ends = analytic_platform.equal_parts(data.rotation, draws.parts.shape[1])
     spans = [*windows.tolist(), *np.stack([ends[:, :-1], ends[:, 1:]], axis=2).reshape(-1, 2).tolist()]
     values = np.concatenate([draws.windows, draws.parts.reshape(-1, draws.parts.shape[2])])
     found, kinds = unwhitened(system), ("force", "rate", "turn")
-    columns = np.concatenate([found[kind][1][..., system.of("drift")] for kind in kinds])
+    columns = np.concatenate([found[kind][1][..., system.of("instability")] for kind in kinds])
     columns = columns.reshape(-1, columns.shape[2])
 
-    def residuals(drift, sensor, axis):
+    def residuals(instability, sensor, axis):
         table = getattr(data.recording, sensor).copy()
-        for (a, b), value in zip(spans, drift.tolist(), strict=True):
+        for (a, b), value in zip(spans, instability.tolist(), strict=True):
             table[a:b, axis] += value
-        other = open_problem(replace(data.recording, **{sensor: table}), problem.options)
-        rows = unwhitened(linearise(other, case.point, other.play(case.point), system.free, case.prior))
+        other = open_joint_model(replace(data.recording, **{sensor: table}), joint.options)
+        rows = unwhitened(linearise(other, case.state, other.play(case.state), system.free, case.prior))
         return np.concatenate([rows[kind][0] for kind in kinds]).ravel()
 
     effects = []
@@ -615,8 +615,8 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
         floor = {"gyro": data.noise.gyro_flicker, "accel": data.noise.accel_flicker}[sensor]
         for axis in range(3):
             for draw in np.eye(values.shape[1]):
-                drift = step * values @ draw
-                change = residuals(drift, sensor, axis) - residuals(-drift, sensor, axis)
+                instability = step * values @ draw
+                change = residuals(instability, sensor, axis) - residuals(-instability, sensor, axis)
                 effects.append(change * floor[axis] / (2.0 * step))
     effects = np.array(effects).T
     expected, own = effects @ effects.T, columns @ columns.T
@@ -645,9 +645,9 @@ def columns_of(case, built, key):
     if letter == "b":
         return part("bias")[built.axes], np.eye(len(built.axes))
     if letter == "d":
-        return system.of("drift"), np.eye(system.played.drift.size)
+        return system.of("instability"), np.eye(system.compensated.instability.size)
     if letter == "a":
-        return part("attitude"), case.point.attitude[number].T
+        return part("attitude"), case.state.attitude[number].T
     name = {"f": "base", "u": "mounting", "g": "gravity", "e": "earth_rate", "q": "edge"}[letter]
     columns = part(name, 1 if letter == "g" else 3)
     return columns, np.eye(len(columns))
@@ -681,9 +681,9 @@ def measured_rows(built, rows, kind, number):
 
 def drift_rows(case, rows):
     """Rows of the draws of the drift in the order of their columns."""
-    is_gyro = case.system.played.drift.is_gyro
+    is_gyro = case.system.compensated.instability.is_gyro
     out = np.empty((len(is_gyro), 3), dtype=np.intp)
-    for kind, members in (("gyro_drift", is_gyro), ("accel_drift", ~is_gyro)):
+    for kind, members in (("gyro_instability", is_gyro), ("accel_instability", ~is_gyro)):
         if members.any():
             out[members] = rows[kind].index
     return out.ravel()
@@ -699,7 +699,7 @@ def rows_of_factor(case, built, i):
     if letters == "d":
         return drift_rows(case, rows)
     if letters == "bb":
-        order = case.problem.order.tolist()
+        order = case.joint.order.tolist()
         return rows["walk"].index[order.index(number)]
     if letters == "a":
         return None
@@ -708,7 +708,7 @@ def rows_of_factor(case, built, i):
 
 
 def build(case):
-    return GraphBuilder(case.problem, case.point, case.system.played, case.system.free, prior=case.prior)
+    return FactorGraph(case.joint, case.state, case.system.compensated, case.system.free, prior=case.prior)
 
 
 @pytest.mark.parametrize(("variant", "size"), CASES)
@@ -745,7 +745,7 @@ GRADE = ImuNoise(5.8e-7, 5e-5, 2.4e-6, 1e-5, 5e-9, 1e-5)
 def known(motions, variant):
     case = make(motions, VARIANTS[variant], "tiny", GRADE, off=False)
     prior = Prior.from_sigma(np.full(N_PARAMETERS, 1e-5))
-    system = linearise(case.problem, case.point, case.system.played, case.system.free, prior)
+    system = linearise(case.joint, case.state, case.system.compensated, case.system.free, prior)
     return replace(case, prior=prior, system=system)
 
 
@@ -770,7 +770,7 @@ def test_elimination_is_the_dense_solution(motions, variant):
     rounding = 100.0 * EPS * np.linalg.cond(A / np.linalg.norm(A, axis=0))
     P = (E @ dense.root) @ (E @ dense.root).T
     sigma = np.sqrt(np.diag(P))
-    known_rate = 1e-6 * max(float(c.unknown_sigma.max()) for c in case.problem.chains)
+    known_rate = 1e-6 * max(float(c.unknown_sigma.max()) for c in case.joint.level_frames)
     held = (known_rate / sigma[GROUP_SLICES["gyro_bias"]].min()) ** 2
     assert np.abs((parameters(case, built, solution) - P) / np.outer(sigma, sigma)).max() <= rounding + held
     found = np.zeros(len(case.system.active))

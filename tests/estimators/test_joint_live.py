@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.exceptions import InputError
@@ -22,19 +22,19 @@ TARGETS = {"gyro_scale": 1e-6, "accel_scale": 2e-6}
 def large(seed):
     """±50 %, ±0.3 rad, ±1 % asymmetry on a 5 mrad fixture, navigation-grade noise."""
     rng = np.random.default_rng(seed)
-    truth, _ = campaigns.large_errors(rng)
+    truth, _ = accuracy_trials.large_errors(rng)
     motion = table1_motion(
-        site=campaigns.SITE,
+        site=accuracy_trials.SITE,
         sample_rate_hz=100.0,
-        fixture_draw=campaigns.fixture_errors(rng, 5e-3),
+        fixture_draw=accuracy_trials.fixture_errors(rng, 5e-3),
         stated_fixture=Fixture(0.0, 5e-3, 5e-3),
     )
-    return read_out(motion, truth, campaigns.GRADES["navigation"], rng), truth
+    return read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng), truth
 
 
 @pytest.fixture(scope="module")
 def small():
-    return campaigns.noisy_recording(301, "navigation")
+    return accuracy_trials.noisy_recording(301, "navigation")
 
 
 def run(recording, **options):
@@ -67,7 +67,7 @@ def test_what_it_knows_along_the_way_is_true(small):
     recording, truth = small
     reports = run(recording).diagnostics["live"]
     settled = [
-        r for r in reports if r["status"] == "converged" and np.max(np.array(r["sigma"]) / campaigns.IN_G) < 1e-3
+        r for r in reports if r["status"] == "converged" and np.max(np.array(r["sigma"]) / accuracy_trials.IN_G) < 1e-3
     ]
     assert len(settled) >= 5
     # 27 parameters of 17 reports, two-sided 1 % in all.

@@ -7,12 +7,13 @@ import math
 from dataclasses import replace
 from functools import cache, partial
 
+import accuracy_trials
 import numpy as np
 import pytest
+import recorded_sets
 from scipy.linalg import rq
 
 import srt
-from sims.accuracy import campaigns, recorded_sets
 from sims.physics.fixture import rotation
 from sims.physics.free_motion import free_motion, random_attitude, random_turns
 from sims.physics.imu import ImuModel, read_out
@@ -28,7 +29,7 @@ pytest.importorskip("gtsam")
 
 JOINT = ("ekf", "graph")
 ERRORS = slice(0, 24)  # gyro bias is a nuisance
-SITE = campaigns.SITE
+SITE = accuracy_trials.SITE
 
 
 def sized(small, full):
@@ -39,21 +40,21 @@ def sized(small, full):
 def distance(found, reference):
     """Largest difference over max(1e-8, 0.01 sigma), of the parameters that are estimated."""
     seen = found.observed & reference.observed
-    difference = np.abs(found.errors.vector - reference.errors.vector) / campaigns.IN_G
-    return float(np.max((difference / np.maximum(1e-8, 0.01 * found.sigma / campaigns.IN_G))[seen]))
+    difference = np.abs(found.errors.vector - reference.errors.vector) / accuracy_trials.IN_G
+    return float(np.max((difference / np.maximum(1e-8, 0.01 * found.sigma / accuracy_trials.IN_G))[seen]))
 
 
 # Large errors before the test
 
 
 def large(seed):
-    """As campaigns.large_trial: ±50 %, ±0.3 rad, ±1 % asymmetry, ±1 m/s², ±1 °/s, fixture 5 mrad, noise-free."""
+    """As accuracy_trials.large_trial: ±50 %, ±0.3 rad, ±1 % asymmetry, ±1 m/s², ±1 °/s, fixture 5 mrad, noise-free."""
     rng = np.random.default_rng(seed)
-    truth, _ = campaigns.large_errors(rng)
+    truth, _ = accuracy_trials.large_errors(rng)
     motion = table1_motion(
         site=SITE,
         sample_rate_hz=100.0,
-        fixture_draw=campaigns.fixture_errors(rng, 5e-3),
+        fixture_draw=accuracy_trials.fixture_errors(rng, 5e-3),
         stated_fixture=Fixture(0.0, 5e-3, 5e-3),
     )
     return read_out(motion, truth), truth
@@ -104,11 +105,11 @@ def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mo
     rng = np.random.default_rng(50)
     cases = []
     for _ in range(4):
-        truth, _ = campaigns.large_errors(rng)
+        truth, _ = accuracy_trials.large_errors(rng)
         motion = table1_motion(
             site=SITE,
             sample_rate_hz=100.0,
-            fixture_draw=campaigns.fixture_errors(rng, 5e-3),
+            fixture_draw=accuracy_trials.fixture_errors(rng, 5e-3),
             stated_fixture=Fixture(0.0, 5e-3, 5e-3),
             U=rotation(0.1 * np.array([0.6, -0.48, 0.64])),
         )
@@ -122,8 +123,8 @@ def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mo
 
     renewed = farthest()
     # The class that the registered estimator uses, whatever other tests import anew.
-    problem = find_estimator("graph").__globals__["open_problem"].__globals__["Problem"]
-    monkeypatch.setattr(problem, "update_mounting", lambda self, point: None)
+    joint = find_estimator("graph").__globals__["open_joint_model"].__globals__["JointModel"]
+    monkeypatch.setattr(joint, "update_mounting_prior", lambda self, state: None)
     assert renewed <= 1.0
     assert farthest() > 10.0 * renewed
 
@@ -135,16 +136,16 @@ def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mo
 def fine(seed):
     """1e-9 rad/√s and 1e-8 g·√s, every alignment and angle off by 1 mrad; worst error of graph and closed form."""
     rng = np.random.default_rng(seed)
-    truth = campaigns.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+    truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
     # Gravity is known, as a common error of it is none of an estimator's.
     motion = table1_motion(
         site=replace(SITE, gravity_sigma_m_s2=1e-9),
         sample_rate_hz=200.0,
-        fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+        fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
         stated_fixture=Fixture(0.0, 1e-3, 1e-3),
     )
     recording = read_out(motion, truth, ImuModel(gyro_noise=1e-9, accel_noise=1e-8 * STANDARD_GRAVITY_M_S2), rng)
-    return {e: campaigns.score(srt.calibrate(recording, e), truth) for e in ("graph", "ekf", "closed-form")}
+    return {e: accuracy_trials.score(srt.calibrate(recording, e), truth) for e in ("graph", "ekf", "closed-form")}
 
 
 @sized(5, 50)
@@ -166,7 +167,7 @@ def test_fine_noise_shows_what_joint_estimation_buys(count):
 
 
 def free(seed, *, latitude=True):
-    """The hand-turned MEMS unit of campaigns.free_trial, with or without a latitude."""
+    """The hand-turned MEMS unit of accuracy_trials.free_trial, with or without a latitude."""
     rng = np.random.default_rng(seed)
     sizes = {"gyro_scale": 0.01, "gyro_asymmetry": 1e-3, "gyro_orthogonality": 0.01, "accel_bias": 0.2}
     sizes |= {"accel_scale": 0.01, "accel_asymmetry": 1e-3, "accel_misalignment": 0.01, "gyro_bias": 0.01}
@@ -187,19 +188,19 @@ def free(seed, *, latitude=True):
 def table(seed, *, latitude=True, heading=True, labels=True, U=None):
     """A navigation unit on a 1 mrad fixture of which less is stated than there is."""
     rng = np.random.default_rng(seed)
-    truth = campaigns.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+    truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
     true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
     motion = table1_motion(
         site=true_site,
         sample_rate_hz=100.0,
         heading_rad=0.0 if heading else 0.7,
-        fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+        fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
         stated_fixture=Fixture(0.0 if heading else None, 1e-3, 1e-3),
         moves="skipped" if labels else "recorded",
         U=U,
     )
     stated = SITE if latitude else replace(SITE, latitude_rad=None)
-    recording = read_out(motion.stated_as(site=stated), truth, campaigns.GRADES["navigation"], rng)
+    recording = read_out(motion.stated_as(site=stated), truth, accuracy_trials.GRADES["navigation"], rng)
     return (recording if labels else recording.with_sequences(())), truth
 
 
@@ -234,7 +235,7 @@ def test_filter_and_graph_are_consistent_and_agree(case, count):
         found = {e: srt.calibrate(recording, e) for e in JOINT}
         for estimator, calibration in found.items():
             assert calibration.status in ("converged", "partial"), calibration.message
-            nees[estimator].append(campaigns.score(calibration, truth).nees)
+            nees[estimator].append(accuracy_trials.score(calibration, truth).nees)
         both = found["ekf"].observed & found["graph"].observed
         apart = np.abs(found["ekf"].errors.vector - found["graph"].errors.vector)[both] / found["graph"].sigma[both]
         ratio = found["ekf"].sigma[both] / found["graph"].sigma[both]
@@ -306,11 +307,11 @@ def test_a_short_end_window_is_a_window(estimator, left):
 
 def lean(seed, non_orthogonality):
     rng = np.random.default_rng(seed)
-    truth = campaigns.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
-    draw = replace(campaigns.fixture_errors(rng, 1e-3), non_orthogonality=non_orthogonality)
+    truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+    draw = replace(accuracy_trials.fixture_errors(rng, 1e-3), non_orthogonality=non_orthogonality)
     motion = table1_motion(site=SITE, sample_rate_hz=100.0, fixture_draw=draw, stated_fixture=Fixture(0.0, 1e-3, 1e-3))
     # Noise-free data with the noise stated: what moves is the axes' doing alone.
-    return replace(read_out(motion, truth), noise=campaigns.GRADES["navigation"].stated())
+    return replace(read_out(motion, truth), noise=accuracy_trials.GRADES["navigation"].stated())
 
 
 @sized(1, 5)
@@ -339,11 +340,13 @@ WOBBLE = 10e-6
 def wobbling(seed):
     """A navigation-grade unit, 50 Hz, whose fixture's inner axis tilts by 10 µrad from start to start."""
     rng = np.random.default_rng(seed)
-    truth = campaigns.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+    truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
     site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
-    draw = replace(campaigns.fixture_errors(rng, 1e-3), wobble=WOBBLE * rng.standard_normal(len(campaigns.TABLE_1)))
+    draw = replace(
+        accuracy_trials.fixture_errors(rng, 1e-3), wobble=WOBBLE * rng.standard_normal(len(accuracy_trials.TABLE_1))
+    )
     motion = table1_motion(site=site, sample_rate_hz=50.0, fixture_draw=draw, stated_fixture=Fixture(0.0, 1e-3, 1e-3))
-    return read_out(motion.stated_as(site=SITE), truth, campaigns.GRADES["navigation"], rng), truth
+    return read_out(motion.stated_as(site=SITE), truth, accuracy_trials.GRADES["navigation"], rng), truth
 
 
 @sized(4, 200)

@@ -6,11 +6,11 @@ import json
 import math
 from dataclasses import replace
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.mount_stand import LEVEL_AND_NOSE_DOWN_RAD, StandDraw, draw_stand, mount_matrix, stand_motion
 from sims.physics.table_motion import table1_motion
@@ -297,10 +297,10 @@ class TestPlayback:
     def run(self, rng, sigma=1e-3):
         U = rotation_matrix(rng.normal(size=3) * 0.05)
         motion = table1_motion(
-            site=campaigns.SITE, sample_rate_hz=50.0, dwell_s=2.0, U=U,
-            fixture_draw=campaigns.fixture_errors(rng, sigma), stated_fixture=srt.Fixture(0.0, sigma, sigma),
+            site=accuracy_trials.SITE, sample_rate_hz=50.0, dwell_s=2.0, U=U,
+            fixture_draw=accuracy_trials.fixture_errors(rng, sigma), stated_fixture=srt.Fixture(0.0, sigma, sigma),
         )  # fmt: skip
-        recording = read_out(motion, campaigns.normal_errors(rng), campaigns.GRADES["navigation"], rng)
+        recording = read_out(motion, accuracy_trials.normal_errors(rng), accuracy_trials.GRADES["navigation"], rng)
         return U, recording, srt.calibrate(recording)
 
     @pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.slow)])

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+import recorded_sets
 from scipy.linalg import rq
 
 import srt
-from sims.accuracy import recorded_sets
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.stationary_windows import find_windows

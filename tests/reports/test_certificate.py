@@ -9,12 +9,12 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
+import accuracy_trials
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.free_motion import free_motion, random_attitude, random_turns
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
@@ -512,18 +512,18 @@ def test_nothing_is_certified_by_what_did_not_converge(saved, status):
 def recordings():
     """Two tests of one unit on the table, with the noise of a navigation unit."""
     rng = np.random.default_rng(5)
-    truth = campaigns.normal_errors(rng, gyro_bias=1e-6)
+    truth = accuracy_trials.normal_errors(rng, gyro_bias=1e-6)
     out = []
     for k in range(2):
         motion = table1_motion(
-            site=campaigns.SITE,
+            site=accuracy_trials.SITE,
             sample_rate_hz=50.0,
             rate_rad_s=2.0,
             dwell_s=4.0,
-            fixture_draw=campaigns.fixture_errors(rng, 1e-3),
+            fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
             stated_fixture=Fixture(0.0, 1e-3, 1e-3),
         )
-        made = read_out(motion, truth, campaigns.GRADES["navigation"], rng, serial="SN-1")
+        made = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng, serial="SN-1")
         out.append(replace(made, data_sha256=f"{k + 1:064x}"))
     return out
 
@@ -617,8 +617,10 @@ def test_a_free_recording(saved, plain_page):
     """No fixture, no heading, no labels: turned by hand, told so, and its values still follow from it."""
     rng = np.random.default_rng(11)
     turns = random_turns(rng, 24, smallest_rad=1.0, largest_rad=3.0)
-    motion = free_motion(turns, attitude=random_attitude(rng), site=campaigns.SITE, sample_rate_hz=50.0, dwell_s=3.0)
-    made = read_out(motion, campaigns.normal_errors(rng, 3e-3, 1e-5), campaigns.GRADES["tactical"], rng)
+    motion = free_motion(
+        turns, attitude=random_attitude(rng), site=accuracy_trials.SITE, sample_rate_hz=50.0, dwell_s=3.0
+    )
+    made = read_out(motion, accuracy_trials.normal_errors(rng, 3e-3, 1e-5), accuracy_trials.GRADES["tactical"], rng)
     recording = replace(made, data_sha256="1" * 64)
     result = srt.calibrate(recording)
     assert result.estimator == "least-squares"

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import recognition_trials
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import srt
-from sims.accuracy import recognition as study
 from sims.faults.injection import GRADES, Case
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sequences.manoeuvres import face_vector, quarter_turn
@@ -31,18 +31,18 @@ def assert_recognised(test):
 
 @pytest.mark.parametrize("seed", range(16))
 def test_any_order_with_repeats_moves_and_joins_of_units_off_by_30_percent(seed):
-    assert_recognised(study.hard_test(seed))
+    assert_recognised(recognition_trials.hard_test(seed))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1000, 1300))
 def test_many_orders_with_repeats_moves_and_joins(seed):
-    assert_recognised(study.hard_test(seed))
+    assert_recognised(recognition_trials.hard_test(seed))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_noise_free_labels_change_nothing(seed):
-    pair = study.pair(study.fair_test(seed, "tactical-fog", noise=False))
+    pair = recognition_trials.label_effect(recognition_trials.fair_test(seed, "tactical-fog", noise=False))
     assert np.max(np.abs(pair.difference)) < 1e-9
 
 
@@ -56,13 +56,17 @@ def assert_labels_hardly_matter(pairs):
 
 @pytest.mark.parametrize("grade", GRADES)
 def test_labels_hardly_matter(grade):
-    assert_labels_hardly_matter([study.pair(study.fair_test(seed, grade)) for seed in range(100, 104)])
+    assert_labels_hardly_matter(
+        [recognition_trials.label_effect(recognition_trials.fair_test(seed, grade)) for seed in range(100, 104)]
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("grade", GRADES)
 def test_labels_hardly_matter_over_200_recordings(grade):
-    assert_labels_hardly_matter([study.pair(study.fair_test(seed, grade)) for seed in range(2000, 2200)])
+    assert_labels_hardly_matter(
+        [recognition_trials.label_effect(recognition_trials.fair_test(seed, grade)) for seed in range(2000, 2200)]
+    )
 
 
 def test_the_result_says_what_was_recognised():

@@ -1,10 +1,10 @@
 """Stillness and turns of unlabelled recordings: noise from none to a consumer unit's, biases that look like turning."""
 
+import accuracy_trials
 import numpy as np
 import pytest
 
 import srt
-from sims.accuracy import campaigns
 from sims.physics.free_motion import free_motion, random_attitude, random_turns
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.table_motion import table1_motion
@@ -14,7 +14,7 @@ from srt.sequences.stationary_windows import find_turns, find_windows
 
 UNITS = {
     "noise-free": ImuModel(),
-    "navigation": campaigns.GRADES["navigation"],
+    "navigation": accuracy_trials.GRADES["navigation"],
     "consumer": ImuModel(gyro_noise=0.6 * DEG_PER_SQRT_H, accel_noise=300.0 * MICRO_G),
     "coarse": ImuModel(gyro_noise=0.3 * DEG_PER_SQRT_H, accel_noise=100.0 * MICRO_G, gyro_resolution=1e-3),
 }
@@ -31,7 +31,7 @@ def test_free_turns_are_found(name, peak):
     rng = np.random.default_rng(17)
     motion = free_motion(
         random_turns(rng, 12, smallest_rad=0.8, largest_rad=2.0),
-        site=campaigns.SITE,
+        site=accuracy_trials.SITE,
         attitude=random_attitude(rng),
         peak_rate_rad_s=peak,
         dwell_s=4.0,
@@ -47,7 +47,7 @@ def test_free_turns_are_found(name, peak):
 
 
 def test_windows_of_the_seventeen_sequences():
-    motion = table1_motion(site=campaigns.SITE, sample_rate_hz=100.0, dwell_s=5.0)
+    motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=100.0, dwell_s=5.0)
     recording = read_out(motion, BIASED, UNITS["navigation"], np.random.default_rng(3)).with_sequences(())
     windows = find_windows(recording)
     true = [w for pair in motion.windows for w in pair]
@@ -63,7 +63,7 @@ def test_a_recording_without_turns_is_refused():
         np.arange(1, n + 1) * 0.01,
         1e-3 * rng.standard_normal((n, 3)),
         np.array([0.0, 0.0, -9.8]) + 1e-2 * rng.standard_normal((n, 3)),
-        campaigns.SITE,
+        accuracy_trials.SITE,
     )
     with pytest.raises(srt.DataError, match=r"stationary window"):
         srt.calibrate(still)
@@ -75,12 +75,12 @@ def test_a_recording_without_rest_is_refused():
     gyro = np.stack([np.sin(2.1 * t), np.cos(1.7 * t), np.sin(1.3 * t + 1.0)], axis=1)
     accel = 9.8 * np.stack([np.sin(t), np.cos(t), 0.0 * t], axis=1)
     with pytest.raises(srt.DataError):
-        srt.calibrate(srt.Recording(t, gyro, accel, campaigns.SITE))
+        srt.calibrate(srt.Recording(t, gyro, accel, accuracy_trials.SITE))
 
 
 def test_a_bump_between_two_rests_in_one_pose_makes_no_turn():
     rng = np.random.default_rng(8)
     turns = np.array([[1.2, 0.0, 0.0], [0.004, 0.0, 0.0], [0.0, 1.3, 0.0]])
-    motion = free_motion(turns, site=campaigns.SITE, dwell_s=4.0, peak_rate_rad_s=0.5, sample_rate_hz=100.0)
+    motion = free_motion(turns, site=accuracy_trials.SITE, dwell_s=4.0, peak_rate_rad_s=0.5, sample_rate_hz=100.0)
     recording = read_out(motion, SensorErrors(), UNITS["navigation"], rng)
     assert len(find_turns(recording)) == 2

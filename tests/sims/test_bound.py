@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from accuracy_trials import GRADES, SITE, noisy_recording, normal_errors
 from scipy.spatial.transform import Rotation
 
 import sims
@@ -20,7 +21,6 @@ from sims.accuracy.bound import (
     linearise,
     scenario_bound,
 )
-from sims.accuracy.campaigns import GRADES, SITE, noisy_recording, normal_errors
 from sims.physics.imu import ImuModel, exact_increments, gyro_matrix
 from sims.physics.motion import RateProfile
 from sims.scenarios.simulation import schedule_of

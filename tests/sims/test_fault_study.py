@@ -10,25 +10,25 @@ import math
 import sys
 from pathlib import Path
 
+import fault_study
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from sims.faults import study as fault_study
-from sims.faults.injection import GRADES, Injection
-from sims.faults.study import (
+from fault_study import (
     ALL_OR_NOTHING,
     CLEAN,
     FACTORS,
     LEAST_ONE,
     SHARES,
-    Row,
-    Study,
+    DiagnosedRecording,
+    FaultStudy,
     all_injections,
+    diagnose_unit,
     severity_at,
-    trial,
 )
-from sims.faults.table import markdown, missed_targets
+from faults import markdown, missed_targets
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sims.faults.injection import GRADES, Injection
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
 
@@ -55,27 +55,29 @@ def trials(monkeypatch):
         rows = []
         for fault, rung in asked:
             if fault == CLEAN:
-                rows.append(Row(CLEAN, grade, seed, 0, 0.0, "spikes" if (grade, seed) == (FIRST, 1) else None))
+                rows.append(
+                    DiagnosedRecording(CLEAN, grade, seed, 0, 0.0, "spikes" if (grade, seed) == (FIRST, 1) else None)
+                )
                 continue
             severity = severity_at(fault_study.all_injections()[fault], grade, rung)
             # Below the smallest one a unit here and there is named all the same.
             named = fault if severity >= smallest[fault, grade] or seed % 7 == 0 else "creep"
-            rows.append(Row(fault, grade, seed, rung, severity, named))
+            rows.append(DiagnosedRecording(fault, grade, seed, rung, severity, named))
         return rows
 
     monkeypatch.setattr(fault_study, "all_injections", lambda: catalogue)
-    monkeypatch.setattr(fault_study, "trial", stand_in)
+    monkeypatch.setattr(fault_study, "diagnose_unit", stand_in)
     return ran
 
 
 def study(path, **changes):
-    return Study(path, grades=(FIRST, SECOND), **({"injections": 50, "clean": 3} | changes))
+    return FaultStudy(path, grades=(FIRST, SECOND), **({"injections": 50, "clean": 3} | changes))
 
 
 def test_smallest_severity_and_counts(tmp_path, trials):
     run = study(tmp_path / "results")
     run.run()
-    pairs = {(pair.fault, pair.grade): pair for pair in run.pairs()}
+    pairs = {(pair.fault, pair.grade): pair for pair in run.detections()}
     bump, missed, north, dark = (
         pairs[key] for key in (("bump", FIRST), ("bump", SECOND), ("north", FIRST), ("north", SECOND))
     )
@@ -98,7 +100,7 @@ def test_every_recording_is_asked_once_and_what_is_done_is_not_done_again(tmp_pa
     again = study(path)
     again.run()
     assert len(trials) == count
-    assert next(again.pairs()).smallest == 2.0
+    assert next(again.detections()).smallest == 2.0
 
 
 def test_an_interrupted_study_goes_on(tmp_path, trials):
@@ -106,15 +108,15 @@ def test_an_interrupted_study_goes_on(tmp_path, trials):
     path = tmp_path / "results"
     whole = study(path)
     whole.run()
-    expected, content, count = list(whole.pairs()), path.read_bytes(), len(trials)
+    expected, content, count = list(whole.detections()), path.read_bytes(), len(trials)
     for share in (0.01, 0.3, 0.8, 0.999):
         path.write_bytes(content[: int(share * len(content))])
         trials.clear()
         resumed = study(path)
         resumed.run()
-        assert list(resumed.pairs()) == expected
+        assert list(resumed.detections()) == expected
         assert len(trials) < count or share < 0.02
-        assert list(study(path).pairs()) == expected
+        assert list(study(path).detections()) == expected
 
 
 def test_a_severity_that_is_stated_anew_is_run_anew(tmp_path, trials, monkeypatch):
@@ -123,11 +125,11 @@ def test_a_severity_that_is_stated_anew_is_run_anew(tmp_path, trials, monkeypatc
     catalogue = fault_study.all_injections() | {"bump": injection("bump", {FIRST: 4.0, SECOND: 20.0})}
     monkeypatch.setattr(fault_study, "all_injections", lambda: catalogue)
     run = study(path)
-    assert [pair.of for pair in run.pairs()] == [0, 0, 50, 0]
+    assert [pair.of for pair in run.detections()] == [0, 0, 50, 0]
     trials.clear()
     run.run()
     assert {fault for _, _, fault, _ in trials} == {"bump"}
-    assert [pair.smallest for pair in run.pairs()] == [2.0, 10.0, 3.0, None]
+    assert [pair.smallest for pair in run.detections()] == [2.0, 10.0, 3.0, None]
 
 
 def test_the_file_of_something_else_is_refused(tmp_path, trials):
@@ -143,7 +145,7 @@ def test_the_file_of_something_else_is_refused(tmp_path, trials):
 @pytest.mark.parametrize(("key", "value"), [("faults", ("gremlins",)), ("grades", ("toy",))])
 def test_unknown_names_are_refused(tmp_path, trials, key, value):
     with pytest.raises(InputError, match=f"no {key[:-1]} '{value[0]}'"):
-        Study(tmp_path / "results", **{key: value})
+        FaultStudy(tmp_path / "results", **{key: value})
     assert trials == []
 
 
@@ -194,11 +196,13 @@ def test_a_share_that_is_left_nears_the_whole(stated):
 
 def test_real_trials():
     """What the injections name: a refusal on reading, a warning, and nothing where there is nothing."""
-    rows = trial("tactical-fog", 320_000, [(CLEAN, 0), ("gravity", 0), ("not_finite", 0), ("temperature_drift", 1)])
+    rows = diagnose_unit(
+        "tactical-fog", 320_000, [(CLEAN, 0), ("gravity", 0), ("not_finite", 0), ("temperature_drift", 1)]
+    )
     assert [row.named for row in rows] == [None, "gravity", "not_finite", "temperature_drift"]
     stated = all_injections()["temperature_drift"].severity["tactical-fog"]
     assert [row.severity for row in rows[1:]][2] == 0.5 * stated
-    assert trial("tactical-fog", 320_000, [("gravity", 0)]) == rows[1:2]
+    assert diagnose_unit("tactical-fog", 320_000, [("gravity", 0)]) == rows[1:2]
 
 
 def test_every_fault_is_injected_or_said_to_be_unseen():

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from sims.accuracy.campaigns import SITE, normal_errors
-from sims.accuracy.ferraris import (
+from accuracy_trials import SITE, normal_errors
+from ferraris import (
     TABLE_1_FACES,
     TABLE_1_TURN_RAD,
     TABLE_1_TURNS,
@@ -25,6 +24,7 @@ from sims.accuracy.ferraris import (
     non_orthogonality,
     signal_regions,
 )
+
 from sims.physics.fixture import FixtureDraw, earth_rate_ned, rotation
 from sims.physics.imu import read_out
 from sims.physics.motion import RateProfile

@@ -1,12 +1,11 @@
-"""How reliably faults are named: many injections of each, clean recordings, and ever smaller severities.
+"""Detection study of the faults: many injections of each, clean recordings, and decreasing severities.
 
-A trial is one unit, the case of a grade and a seed, with all faults that are asked for put into it one after another.
-It is a function of grade and seed; results are appended to a file as they come, so that a study that was interrupted
-goes on where it stopped.
+A trial is one unit of a grade and a seed, with the requested faults injected one after another. It is a function of
+grade and seed. Results are appended to a file, and an interrupted study resumes from it.
 
-Severities are halved step by step for as long as a fault is still seen (:func:`severity_at`). The smallest severity
-seen is that of the last step at which all of :data:`LADDER_UNITS` units are named. It is called seen at 99 % as the
-stated severity is (198 of 200); 40 of 40 alone leave 92.8 % as the lower limit, at 95 % confidence.
+The severity is halved step by step while the fault is still detected (:func:`severity_at`). The smallest severity
+detected is that of the last step at which all of :data:`LADDER_UNITS` units are named. The stated severity counts as
+detected at 99 % (198 of 200); 40 of 40 alone give a lower limit of 92.8 % at 95 % confidence.
 """
 
 from __future__ import annotations
@@ -24,59 +23,62 @@ from typing import TYPE_CHECKING, Any, Final
 from sims.faults import motion, samples, statements
 from sims.faults.injection import GRADES, INJECTIONS, Case, Injection
 from srt.diagnosis.faults import FAULTS
-from srt.diagnosis.run import diagnose
+from srt.diagnosis.staged_diagnosis import diagnose
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from srt.diagnosis.run import Diagnosis
+    from srt.diagnosis.staged_diagnosis import Diagnosis
 
 Report = Callable[[int, int], None]
-"""Told the number of a rung and of the units left in it."""
+"""Callback with the number of the severity step (rung) and of the units left in it."""
 
 FORMAT: Final = "srt-fault-study 1"
 SEEN: Final = 0.99
-"""Share of the injections that must be named for a fault to be seen."""
+"""Share of the injections that must be named for a fault to count as detected."""
 LADDER_UNITS: Final = 40
+"""Units of each severity below the stated one."""
 MOST_RUNGS: Final = 12
+"""Largest number of halvings: a factor of 4096."""
 _FIRST_UNITS: Final = 8
+"""Units run first at each step: an undetected severity mostly shows within these."""
 CLEAN: Final = ""
-"""Stands for the fault of a recording that has none."""
+"""Fault name of a clean recording."""
 
 LEAST_ONE: Final = ("sequences", "samples", "columns", "channels", "windows")
-"""Units of severity that count things: a step leaves half of them, at least one, and one is the last."""
+"""Severity units that are counts: a step halves them, rounded up; one is the last."""
 FACTORS: Final = ("times", "times the noise")
-"""Units of severity that multiply: a step takes the square root."""
+"""Severity units that are factors: a step takes the square root."""
 SHARES: Final = ("of the planned length",)
-"""Units of severity that leave a share of the whole: a step halves what is missing."""
+"""Severity units that are a remaining share of the whole: a step halves the missing part."""
 ALL_OR_NOTHING: Final = ("", "-")
-"""Units of severity of a fault that is there or not: there is no step."""
+"""Severity units of a fault that is present or absent: there is no smaller severity."""
 
 
 _MODULES: Final = (samples, motion, statements)
-"""Modules with injections, which register themselves on import."""
+"""Modules of the injections, which register on import."""
 
 
 def all_injections() -> dict[str, Injection]:
-    """Give all injections by the name of their fault."""
+    """Injections by fault name."""
     return INJECTIONS
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One recording and what was named first in it.
+class DiagnosedRecording:
+    """One recording and the first cause that the diagnosis named.
 
     Attributes
     ----------
     fault : str
-        The one injected; :data:`CLEAN` for none.
+        Fault injected; :data:`CLEAN` for none.
     grade : str
     seed : int
     rung : int
-        0 for the stated severity, n for it halved n times.
+        0 for the stated severity, n for n halvings.
     severity : float
         0 for a clean recording.
     named : str or None
-        The first cause; None if there is no finding but notes.
+        First cause; None without a finding other than notes.
     """
 
     fault: str
@@ -88,23 +90,23 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
-    """What the study says of one fault in one grade.
+class FaultDetection:
+    """Detection of one fault in one grade.
 
     Attributes
     ----------
     fault, grade : str
     severity : float or None
-        As stated; None if the grade cannot show the fault.
+        Stated severity; None if the fault is not detectable in this grade.
     unit : str
     named, of : int
-        Injections at that severity which were named first.
+        Injections at that severity named first, and all.
     smallest : float or None
-        Smallest severity seen; None if the stated one is not, or smaller ones were not tried.
+        Smallest severity detected; None if the stated one is not, or smaller ones were not tried.
     misnamed : mapping of str to int
-        What was named first instead; "nothing" for no finding.
+        Causes named first instead; "nothing" for no finding.
     reason : str
-        Why the grade cannot show it.
+        Reason why the fault is not detectable in this grade.
     """
 
     fault: str
@@ -119,12 +121,12 @@ class Pair:
 
     @property
     def seen(self) -> bool:
-        """Whether enough of the injections were named."""
+        """True if enough of the injections were named."""
         return self.of > 0 and self.named >= SEEN * self.of
 
 
 def severity_at(injection: Injection, grade: str, rung: int) -> float | None:
-    """Severity after so many halvings of the stated one; None where there is no such step."""
+    """Severity after ``rung`` halvings of the stated one; None if there is no such step."""
     stated = injection.severity[grade]
     if rung == 0:
         return stated
@@ -140,24 +142,24 @@ def severity_at(injection: Injection, grade: str, rung: int) -> float | None:
     return stated / 2.0**rung
 
 
-def trial(grade: str, seed: int, asked: Sequence[tuple[str, int]]) -> list[Row]:
-    """Name the faults of one unit.
+def diagnose_unit(grade: str, seed: int, asked: Sequence[tuple[str, int]]) -> list[DiagnosedRecording]:
+    """Inject faults into one unit and diagnose each recording.
 
     Parameters
     ----------
     grade : str
     seed : int
     asked : sequence of (str, int)
-        Faults, or :data:`CLEAN`, each with its rung.
+        Faults, or :data:`CLEAN`, each with its severity step.
     """
     catalogue = all_injections()
     case = Case(grade, seed)
     return [_row(case, catalogue.get(fault), rung) for fault, rung in asked]
 
 
-def _row(case: Case, injection: Injection | None, rung: int) -> Row:
+def _row(case: Case, injection: Injection | None, rung: int) -> DiagnosedRecording:
     if injection is None:
-        return Row(CLEAN, case.grade, case.seed, 0, 0.0, _cause(diagnose(case.recording)))
+        return DiagnosedRecording(CLEAN, case.grade, case.seed, 0, 0.0, _cause(diagnose(case.recording)))
     severity = severity_at(injection, case.grade, rung)
     assert severity is not None
     try:
@@ -169,25 +171,25 @@ def _row(case: Case, injection: Injection | None, rung: int) -> Row:
         named = _cause(diagnosis)
         if named is None and FAULTS[injection.fault].effect == "note" and diagnosis.findings:
             named = diagnosis.findings[0].fault
-    return Row(injection.fault, case.grade, case.seed, rung, severity, named)
+    return DiagnosedRecording(injection.fault, case.grade, case.seed, rung, severity, named)
 
 
 def _cause(diagnosis: Diagnosis) -> str | None:
     return None if diagnosis.first is None else diagnosis.first.fault
 
 
-class Study:
-    """A study and its results so far.
+class FaultStudy:
+    """Detection study and its results so far.
 
     Parameters
     ----------
     path : path-like
-        File of the results, a line of JSON for each; what it holds already is not computed again. Delete it after a
+        File of the results, one line of JSON each. Results that it holds are not computed again: delete it after a
         change of the checks.
     faults, grades : sequence of str, optional
         Default all.
     injections, clean : int
-        Units of each pair at the stated severity, and clean recordings of each grade.
+        Units of each fault and grade at the stated severity, and clean recordings of each grade.
     seed : int
         First seed.
 
@@ -219,10 +221,12 @@ class Study:
             if unknown:
                 raise InputError(f"There is no {name} {unknown[0]!r} to inject: choose of {', '.join(known)}.")
         self.injections, self.clean, self.seed = injections, clean, seed
-        self._rows: dict[tuple[str, str, int, int], Row] = {row_key(row): row for row in _read(self.path)}
+        self._rows: dict[tuple[str, str, int, int], DiagnosedRecording] = {
+            row_key(row): row for row in _read(self.path)
+        }
 
-    def rows(self, fault: str, grade: str, rung: int, count: int) -> list[Row]:
-        """Results of the first units of a pair that were computed, at the severity now stated."""
+    def rows(self, fault: str, grade: str, rung: int, count: int) -> list[DiagnosedRecording]:
+        """Results of the first ``count`` units of a fault and grade, at the severity now stated."""
         severity = self._severity(fault, grade, rung)
         rows = (self._rows.get((fault, grade, rung, self.seed + n)) for n in range(count))
         return [row for row in rows if row is not None and row.severity == severity]
@@ -231,7 +235,7 @@ class Study:
         return 0.0 if fault == CLEAN else severity_at(self.catalogue[fault], grade, rung)
 
     def run(self, *, jobs: int = 1, report: Report | None = None) -> None:
-        """Compute what is missing, rung by rung.
+        """Compute missing results, severity step by severity step.
 
         Parameters
         ----------
@@ -240,7 +244,6 @@ class Study:
         report : callable, optional
             Called after every unit.
         """
-        # A rung that is not seen mostly shows it in the first few units.
         steps = [
             (0, self.injections),
             *((n, m) for n in range(1, MOST_RUNGS + 1) for m in (_FIRST_UNITS, LADDER_UNITS)),
@@ -261,7 +264,7 @@ class Study:
                         report(rung, left)
 
     def _missing(self, rung: int, units: int) -> dict[tuple[str, int], list[tuple[str, int]]]:
-        """What each unit, by grade and seed, is still to be asked."""
+        """Missing trials: (fault, rung) by (grade, seed) of the unit."""
         out: dict[tuple[str, int], list[tuple[str, int]]] = {}
         for grade in self.grades:
             asked = [(fault, units) for fault in self._alive(grade, rung)]
@@ -275,7 +278,7 @@ class Study:
         return out
 
     def _alive(self, grade: str, rung: int) -> list[str]:
-        """Faults that have such a rung, were seen at the one before, and have not been missed at it so far."""
+        """Faults with this severity step, detected at the one before, and not missed at this one so far."""
         out = []
         for fault in self.faults:
             injection = self.catalogue[fault]
@@ -286,7 +289,7 @@ class Study:
         return out
 
     def _tried(self, fault: str, grade: str) -> bool:
-        """Whether smaller severities were tried, or there are none."""
+        """True if smaller severities were tried, or if there are none."""
         return severity_at(self.catalogue[fault], grade, 1) is None or bool(self.rows(fault, grade, 1, LADDER_UNITS))
 
     def _missed(self, fault: str, grade: str, rung: int) -> bool:
@@ -299,7 +302,7 @@ class Study:
         return 0 < len(rows) == count and named >= (count if rung else SEEN * count)
 
     def _opened(self) -> Any:
-        """Open the file to go on with it, without a line that was cut off."""
+        """Open the file for appending, after removing an incomplete last line."""
         if self.path.exists():
             content = self.path.read_bytes()
             whole = content.rfind(b"\n") + 1
@@ -309,20 +312,20 @@ class Study:
             self.path.write_text(json.dumps(FORMAT) + "\n", encoding="utf-8")
         return self.path.open("a", encoding="utf-8")
 
-    def pairs(self) -> Iterator[Pair]:
-        """What is known of every fault in every grade."""
+    def detections(self) -> Iterator[FaultDetection]:
+        """Detection of every fault in every grade."""
         for fault in self.faults:
             injection = self.catalogue[fault]
             for grade in self.grades:
                 if grade not in injection.severity:
-                    yield Pair(fault, grade, None, injection.unit, reason=injection.unseen.get(grade, ""))
+                    yield FaultDetection(fault, grade, None, injection.unit, reason=injection.unseen.get(grade, ""))
                     continue
                 rows = self.rows(fault, grade, 0, self.injections)
                 misnamed = Counter(row.named or "nothing" for row in rows if row.named != fault)
                 rung = 0
                 while rung <= MOST_RUNGS and self._seen(fault, grade, rung):
                     rung += 1
-                yield Pair(
+                yield FaultDetection(
                     fault,
                     grade,
                     injection.severity[grade],
@@ -334,25 +337,25 @@ class Study:
                 )
 
     def alarms(self, grade: str) -> tuple[int, Counter[str]]:
-        """Clean recordings of a grade, and what was named in them."""
+        """Number of clean recordings of a grade, and the causes named in them."""
         rows = self.rows(CLEAN, grade, 0, self.clean)
         return len(rows), Counter(row.named for row in rows if row.named is not None)
 
 
-def row_key(row: Row) -> tuple[str, str, int, int]:
-    """What a result is found by."""
+def row_key(row: DiagnosedRecording) -> tuple[str, str, int, int]:
+    """Key of a result: fault, grade, severity step and seed."""
     return row.fault, row.grade, row.rung, row.seed
 
 
-def _read(path: Path) -> list[Row]:
-    """Results of an earlier run; the last line may be cut off."""
+def _read(path: Path) -> list[DiagnosedRecording]:
+    """Results of an earlier run; an incomplete last line is ignored."""
     if not path.exists():
         return []
     try:
         content = path.read_text(encoding="utf-8")
         lines = content[: content.rfind("\n") + 1].splitlines()
         values = [json.loads(line) for line in lines]
-        rows = [Row(**value) for value in values[1:]]
+        rows = [DiagnosedRecording(**value) for value in values[1:]]
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{path} holds no results of this study ({error}): delete it, or name another file.") from None
     if values and values[0] != FORMAT:
@@ -360,13 +363,15 @@ def _read(path: Path) -> list[Row]:
     return rows
 
 
-def _computed(missing: Mapping[tuple[str, int], list[tuple[str, int]]], jobs: int) -> Iterator[list[Row]]:
+def _computed(
+    missing: Mapping[tuple[str, int], list[tuple[str, int]]], jobs: int
+) -> Iterator[list[DiagnosedRecording]]:
     if jobs <= 1:
         for (grade, seed), asked in missing.items():
-            yield trial(grade, seed, asked)
+            yield diagnose_unit(grade, seed, asked)
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(trial, grade, seed, asked) for (grade, seed), asked in missing.items()]
+        futures = [pool.submit(diagnose_unit, grade, seed, asked) for (grade, seed), asked in missing.items()]
         try:
             for future in as_completed(futures):
                 yield future.result()

@@ -1,7 +1,7 @@
-"""Accuracy campaigns: many simulated units through one estimator, and what is claimed of them.
+"""Trials of simulated units: calibration by one estimator, and comparison with the truth.
 
-A trial is a function of its seed; :func:`run` maps trials over seeds, in as many processes as asked for, with the same
-numbers whatever their count. Estimators are reached through the registry (:func:`srt.calibrate`) alone.
+A trial is a function of its seed. :func:`run` maps trials over seeds in any number of processes, with equal numbers.
+Estimators are reached through the registry (:func:`srt.calibrate`) only.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 
 
 SITE: Final = Site(STANDARD_GRAVITY_M_S2, 5e-6, 45.0 * DEG)
+"""Site of all trials: latitude 45°, standard gravity known to 5e-6 m/s² (1 sigma)."""
 IN_G: Final = np.ones(N_PARAMETERS)
-"""Divides the 27 errors into the units that accuracy is quoted in: accelerometer bias in g, all else SI."""
+"""Divisor of the 27 errors: accelerometer bias in g, all others SI."""
 IN_G[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 
 GRADES: Final = {
@@ -46,12 +47,13 @@ GRADES: Final = {
     "tactical": ImuModel(gyro_noise=0.0667 * DEG_PER_SQRT_H, accel_noise=60.0 * MICRO_G),
     "industrial": ImuModel(gyro_noise=0.15 * DEG_PER_SQRT_H, accel_noise=102.0 * MICRO_G),
 }
-"""White noise and quantisation of three grades (configs/imu), bias instability apart."""
+"""White noise and quantization of three grades (configs/imu), without bias instability."""
 INSTABILITY: Final = {
     "navigation": (0.001 * DEG_PER_H, 1.0 * MICRO_G),
     "tactical": (1.0 * DEG_PER_H, 50.0 * MICRO_G),
     "industrial": (0.5 * DEG_PER_H, 50.0 * MICRO_G),
 }
+"""Bias instability of gyros (rad/s) and accelerometers (m/s²) by grade: the Allan floor."""
 
 
 def run(trial: Callable[[int], Any], seeds: Iterable[int], *, workers: int = 1) -> list[Any]:
@@ -79,16 +81,17 @@ _LARGE: Final = {
     "accel_misalignment": 0.3,
     "gyro_bias": 1.0 * DEG,
 }
+"""Half width of the uniform distribution of large errors by group, SI."""
 
 
 def large_errors(rng: np.random.Generator) -> tuple[SensorErrors, int]:
-    """Draw uniform errors of ±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 m/s² and ±1 °/s; what is no IMU is redrawn.
+    """Draw uniform errors of ±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 m/s² and ±1 °/s; impossible units are redrawn.
 
     Returns
     -------
     errors : SensorErrors
     redrawn : int
-        How many draws had a matrix with det ≤ 0, gyros not positive definite, or a singular value below 0.15.
+        Number of draws that had a matrix with det ≤ 0, gyros not positive definite, or a singular value below 0.15.
     """
     redrawn = 0
     while True:
@@ -102,7 +105,10 @@ def large_errors(rng: np.random.Generator) -> tuple[SensorErrors, int]:
 
 
 def fixture_errors(rng: np.random.Generator, sigma_rad: float, stretch_rad: float = 0.0) -> FixtureDraw:
-    """Draw levelling, north, mounting and rotation errors of one sigma; half turns off by ``stretch_rad`` besides."""
+    """Draw levelling, north, mounting and rotation errors of one sigma.
+
+    Half turns have an additional uniform error within ± ``stretch_rad``.
+    """
     draw = draw_fixture(
         rng,
         table_sequences(tuple(TABLE_1)),
@@ -124,7 +130,7 @@ def fixture_errors(rng: np.random.Generator, sigma_rad: float, stretch_rad: floa
 
 
 def error_in_quoted_units(calibration: Calibration, truth: SensorErrors) -> Array:
-    """Estimate less truth, shape (27,), accelerometer bias in g."""
+    """Estimate minus truth, shape (27,), accelerometer bias in g."""
     return np.asarray((calibration.errors.vector - truth.vector) / IN_G)
 
 
@@ -135,9 +141,9 @@ class Trial:
     Attributes
     ----------
     error : ndarray, shape (27,)
-        Estimate less truth; accelerometer bias in g, else SI.
+        Estimate minus truth; accelerometer bias in g, else SI.
     sigma : ndarray, shape (27,)
-        Reported, in the same units.
+        Reported 1-sigma value, in the same units.
     nees : float
         Normalised estimation error squared of the observed parameters, divided by their number.
     status : str
@@ -176,7 +182,7 @@ def exact_trial(
     earth_rate: bool = True,
     **options: Any,
 ) -> Trial:
-    """Noise-free, perfect fixture; MARS turned from the mount by ``turned_rad`` about a random axis."""
+    """Noise-free trial on a perfect fixture; MARS turned from the mount by ``turned_rad`` about a random axis."""
     rng = np.random.default_rng(seed)
     truth = normal_errors(rng, sigma, 1.0 * DEG)
     axis = rng.standard_normal(3)
@@ -194,7 +200,7 @@ def fixture_trial(
     sample_rate_hz: float = 100.0,
     **options: Any,
 ) -> Trial:
-    """Noise-free on a fixture with errors."""
+    """Noise-free trial on a fixture with errors."""
     rng = np.random.default_rng(seed)
     truth = normal_errors(rng, 1e-3, 1.0 * DEG)
     motion = table1_motion(
@@ -208,7 +214,7 @@ def fixture_trial(
 
 
 def large_trial(seed: int, *, sigma_rad: float = 5e-3, sample_rate_hz: float = 100.0, **options: Any) -> Trial:
-    """Large pre-calibration errors, noise-free, on a 5 mrad fixture; also from the truth, for the fixed point."""
+    """Noise-free trial with large pre-calibration errors on a 5 mrad fixture; started from the truth too (fixed point)."""
     rng = np.random.default_rng(seed)
     truth, redrawn = large_errors(rng)
     motion = table1_motion(
@@ -235,7 +241,7 @@ def noisy_recording(
     sigma_rad: float = 1e-3,
     sample_rate_hz: float = 100.0,
 ) -> tuple[Recording, SensorErrors]:
-    """One noisy unit on a 1 mrad fixture: random walks, quantisation, constant bias, gravity known to its sigma.
+    """Recording of a noisy unit on a 1 mrad fixture: random walks, quantization, constant bias, gravity with its sigma.
 
     ``instability`` and ``g_sensitivity`` (rad/s per m/s², one sigma of each matrix element) are off by default.
     """

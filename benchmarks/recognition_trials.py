@@ -1,6 +1,6 @@
-"""Recordings to be recognised: random orders, repeats, rates, dwells, moves and joins, on good and bad units.
+"""Recordings for sequence recognition: random orders, repeats, rates, dwells, moves and joins; units of all grades.
 
-What a trial compares is the recording calibrated without its labels with the same recording calibrated with them.
+A trial compares the calibration of a recording without its labels with the calibration of the same recording with them.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ _LARGE = {
     "accel_misalignment": 0.1,
     "gyro_bias": 1.0 * DEG,
 }
-"""Largest errors of a unit before calibration that a sequence is recognised through, SI."""
+"""Largest sensor errors before calibration, SI."""
 
 
 @dataclass(frozen=True, slots=True)
-class Test:
-    """One test and what was run.
+class RecognitionTest:
+    """One recording and the sequences that were run.
 
     Attributes
     ----------
     recording : Recording
         Labelled.
     order : tuple of str
-        Ids in the order run.
+        Sequence ids in the order of execution.
     truth : SensorErrors
     joined : bool
-        Whether it was put end to end from one recording per sequence, without a gap in the time stamps.
+        True if it is one recording per sequence joined end to end, without gaps in the time stamps.
     """
 
     recording: Recording
@@ -57,16 +57,16 @@ class Test:
 
 
 def random_order(rng: np.random.Generator, repeats: int = 3) -> tuple[str, ...]:
-    """All sequences of Table 1 in random order, up to so many of them once more at the end."""
+    """All sequences of Table 1 in random order, and up to ``repeats`` of them once more at the end."""
     ids = np.array(list(TABLE_1))
     again = rng.choice(ids, int(rng.integers(0, repeats + 1)))
     return tuple(str(name) for name in np.concatenate([rng.permutation(ids), again]))
 
 
-def hard_test(seed: int) -> Test:
-    """Draw a test of a unit off by up to 30 % and 1 °/s, at 0.1 to 2 rad/s, dwells and stops between legs drawn too.
+def hard_test(seed: int) -> RecognitionTest:
+    """Recording of a unit with errors up to 30 % and 1 °/s, at 0.1-2 rad/s, with random dwells and stops between legs.
 
-    Moves between sequences are recorded, or left out with a gap, or left out without one.
+    Moves between sequences are recorded, or omitted with or without a gap in the time stamps.
     """
     rng = np.random.default_rng(seed)
     order = random_order(rng)
@@ -89,11 +89,11 @@ def hard_test(seed: int) -> Test:
     return _test(case, order, joined=schedule["moves"] == "skipped" and bool(rng.integers(2)))
 
 
-def fair_test(seed: int, grade: str, *, noise: bool = True) -> Test:
-    """Draw a test whose labels are just the stillness there is, of a unit with the errors that the sigmas speak of.
+def fair_test(seed: int, grade: str, *, noise: bool = True) -> RecognitionTest:
+    """Recording whose labels are exactly the stationary windows, of a unit with the modelled noise only.
 
-    That is random walks and quantisation; bias instability and g-sensitivity are left out. Every other seed has its
-    moves recorded; the others are put end to end.
+    That is random walks and quantization; bias instability and g-sensitivity are zero. Even seeds have recorded moves;
+    odd ones are joined end to end.
     """
     rng = np.random.default_rng(seed)
     order = random_order(rng)
@@ -115,13 +115,13 @@ def fair_test(seed: int, grade: str, *, noise: bool = True) -> Test:
     return _test(Case(grade, seed, changes), order, joined=joined)
 
 
-def _test(case: Case, order: tuple[str, ...], *, joined: bool) -> Test:
+def _test(case: Case, order: tuple[str, ...], *, joined: bool) -> RecognitionTest:
     recording = case.recording
-    return Test(end_to_end(recording) if joined else recording, order, case.simulation.truth, joined)
+    return RecognitionTest(end_to_end(recording) if joined else recording, order, case.simulation.truth, joined)
 
 
 def end_to_end(recording: Recording) -> Recording:
-    """Close all gaps: stamps go on evenly, labels go with their samples."""
+    """Recording without gaps: evenly spaced time stamps, labels moved with their samples."""
     dt = recording.nominal_interval_s
 
     def moved(window: tuple[float, float]) -> tuple[float, float]:
@@ -137,13 +137,13 @@ def end_to_end(recording: Recording) -> Recording:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
-    """Without labels against with them.
+class LabelEffect:
+    """Difference between the calibrations without and with labels.
 
     Attributes
     ----------
     difference : ndarray, shape (27,), SI
-        Unlabelled less labelled.
+        Unlabelled minus labelled.
     sigma : ndarray, shape (27,), SI
         Of the labelled calibration.
     nees : float
@@ -155,12 +155,12 @@ class Pair:
     nees: float
 
 
-def pair(test: Test) -> Pair:
-    """Calibrate a test with its labels and without, by the estimator that is chosen for it."""
+def label_effect(test: RecognitionTest) -> LabelEffect:
+    """Calibrate a recording with its labels and without them, by the default estimator."""
     labelled = srt.calibrate(test.recording, checks=False)
     found = srt.calibrate(test.recording.with_sequences(()), checks=False)
     error = found.errors.vector - test.truth.vector
     scaled = error / found.sigma
     correlation = found.covariance / np.outer(found.sigma, found.sigma)
     nees = float(scaled @ np.linalg.solve(correlation, scaled)) / N_PARAMETERS
-    return Pair(found.errors.vector - labelled.errors.vector, labelled.sigma, nees)
+    return LabelEffect(found.errors.vector - labelled.errors.vector, labelled.sigma, nees)
