@@ -9,12 +9,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 if TYPE_CHECKING:
-    from estimators.linear_system import System
+    from estimators.linear_system import LinearSystem
     from srt.types import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BatchSolution:
+class DenseSolution:
     """The system solved at once.
 
     Attributes
@@ -29,7 +29,7 @@ class BatchSolution:
     root: Array
 
 
-def solve(system: System) -> BatchSolution:
+def solve(system: LinearSystem) -> DenseSolution:
     """Solve the system by QR.
 
     Raises
@@ -47,23 +47,23 @@ def solve(system: System) -> BatchSolution:
     delta, root = np.zeros(len(scale_all := system.active)), np.zeros((len(scale_all), len(scale)))
     delta[system.active] = -solve_triangular(R, Q.T @ system.b) / scale
     root[system.active] = solve_triangular(R, np.eye(len(scale))) / scale[:, None]
-    return BatchSolution(delta, root)
+    return DenseSolution(delta, root)
 
 
-def by_source(system: System, solution: BatchSolution) -> dict[str, Array]:
+def covariance_by_source(system: LinearSystem, solution: DenseSolution) -> dict[str, Array]:
     """Covariance of the reported parameters by source of error, shape (27, 27) each."""
     E = system.parameter_map()
     P = (E @ solution.root) @ solution.root.T
     out: dict[str, Array] = {}
     for rows in system.rows:
         G = np.einsum("pn,rdn->rpd", P, system.A[rows.index])
-        for source, share in rows.sources.items():
-            part = np.einsum("rpd,rde,rqe->pq", G, share, G)
+        for source, rest_rate_weights in rows.sources.items():
+            part = np.einsum("rpd,rde,rqe->pq", G, rest_rate_weights, G)
             out[source] = out.get(source, 0.0) + part
     return out
 
 
-def weighted(system: System, weights: dict[tuple[str, int], float]) -> System:
+def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -> LinearSystem:
     """Scale rows by the square roots of their weights.
 
     Parameters

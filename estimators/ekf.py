@@ -9,8 +9,8 @@ import numpy as np
 
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.iteration import default_prior, run
-from estimators.joint_problem import open_problem
-from estimators.kalman_filter import EkfStep
+from estimators.joint_model import open_joint_model
+from estimators.kalman_filter import KalmanSolver
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
@@ -30,9 +30,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         As :func:`srt.sequences.preparation.open_session`.
     """
     options.refuse(("loss",), "The Kalman filter")
-    step = EkfStep(options.prior or default_prior())
+    solver = KalmanSolver(options.prior or default_prior())
     if not options.live:
-        return run(open_problem(recording, options), step, options, progress)
+        return run(open_joint_model(recording, options), solver, options, progress)
     from estimators.live_filter import LiveFilter, run_live
 
     live = LiveFilter(options)
@@ -41,6 +41,6 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         reports.append(report.as_dict())
         if progress is not None:
             progress(len(reports), float(np.max(report.sigma / PARAMETER_UNITS)))
-    assert live.problem is not None
-    calibration = run(live.problem, step, options, None)
+    assert live.joint is not None
+    calibration = run(live.joint, solver, options, None)
     return replace(calibration, diagnostics={**calibration.diagnostics, "live": reports})

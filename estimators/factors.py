@@ -34,7 +34,7 @@ def gaussian(covariance: Array) -> Any:
     return gaussians(covariance[None])[0]
 
 
-class Terms:
+class ErrorFunction:
     """Residual of a factor: constant Jacobians of some variables, and a function of the others.
 
     Parameters
@@ -69,7 +69,7 @@ class Terms:
         return np.ascontiguousarray(residual)
 
 
-class Kind(ABC):
+class FactorGroup(ABC):
     """All factors of one kind: what depends on attitudes and site, computed for any of them at once.
 
     gtsam asks factor by factor, and a model made for arrays spends its time on overhead then. :meth:`prepare` computes
@@ -122,7 +122,7 @@ class _Earth:
         return out
 
 
-class Poses(Kind):
+class WindowFactors(FactorGroup):
     """Force (m/s²) and rate (rad/s) of windows: attitude, then gravity if free, then the Earth's rate if unknown.
 
     Parameters
@@ -175,7 +175,7 @@ class Poses(Kind):
         return np.concatenate([r_force, r_rate], axis=1), jacobians
 
 
-class Turns(Kind):
+class RotationFactors(FactorGroup):
     """Rotations between two windows, rad: their attitudes, the Earth's rate if unknown, and what scales linear terms.
 
     Parameters
@@ -190,15 +190,15 @@ class Turns(Kind):
 
     def __init__(
         self,
-        turned: Array,
+        rotation: Array,
         starts: Indices,
         ends: Indices,
         known: Array,
         earth_keys: list[int | None],
         duration_s: Array,
     ) -> None:
-        super().__init__(len(turned))
-        self.turned, self.starts, self.ends, self.duration_s = turned, starts, ends, duration_s
+        super().__init__(len(rotation))
+        self.rotation, self.starts, self.ends, self.duration_s = rotation, starts, ends, duration_s
         self.earth = _Earth(known, earth_keys)
 
     def keys(self, row: int) -> list[int]:
@@ -211,7 +211,7 @@ class Turns(Kind):
         start, end = _matrices(values, self.starts[rows]), _matrices(values, self.ends[rows])
         earth = self.earth.rate(values, rows)
         r, by_start, by_end, by_turned, by_earth = model.turn(
-            self.turned[rows], start, end, earth, self.duration_s[rows]
+            self.rotation[rows], start, end, earth, self.duration_s[rows]
         )
         jacobians = [
             [by_start[i], by_end[i], *([] if self.earth.keys[row] is None else [by_earth[i]]), by_turned[i]]
@@ -220,7 +220,7 @@ class Turns(Kind):
         return r, jacobians
 
 
-class Starts(Kind):
+class StartFactors(FactorGroup):
     """Start attitudes on the fixture, rad: attitude, base, mounting.
 
     Parameters

@@ -1,7 +1,7 @@
 """Batch factor graph (gtsam), relinearised by play-back.
 
 Factors: mean specific force and mean rate of every window, the rotation that the gyros integrated between the windows
-of a sequence, and the fixture's attitude at its start; see :mod:`estimators.graph_builder`. Residuals and Jacobians are
+of a sequence, and the fixture's attitude at its start; see :mod:`estimators.factor_graph`. Residuals and Jacobians are
 those of :mod:`srt.model.measurement_model`.
 """
 
@@ -16,18 +16,18 @@ from gtsam.symbol_shorthand import A, D, F, G, Q, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
-from estimators.graph_builder import GraphBuilder
+from estimators.factor_graph import FactorGraph
 from estimators.iteration import default_prior, run
-from estimators.joint_problem import open_problem
-from estimators.step import Solved, Step
+from estimators.joint_model import open_joint_model
+from estimators.solver import LinearSolution, Solver
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from estimators.joint_problem import Problem
-    from estimators.linear_system import System
-    from estimators.linearisation_point import Point
+    from estimators.joint_model import JointModel
+    from estimators.joint_state import JointState
+    from estimators.linear_system import LinearSystem
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.model.prior import Prior
@@ -77,13 +77,13 @@ def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
     sizes = [c.R().shape[0] for c in tail]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     R = np.zeros((int(starts[-1]), int(starts[-1])))
-    place = {key: slice(int(starts[i]), int(starts[i + 1])) for i, key in enumerate(keys)}
+    initial_attitudes = {key: slice(int(starts[i]), int(starts[i + 1])) for i, key in enumerate(keys)}
     for key, conditional in zip(keys, tail, strict=True):
-        R[place[key], place[key]] = conditional.R()
+        R[initial_attitudes[key], initial_attitudes[key]] = conditional.R()
         S, at = conditional.S(), 0
         for parent in list(conditional.keys())[1:]:
-            width = place[int(parent)].stop - place[int(parent)].start
-            R[place[key], place[int(parent)]] = S[:, at : at + width]
+            width = initial_attitudes[int(parent)].stop - initial_attitudes[int(parent)].start
+            R[initial_attitudes[key], initial_attitudes[int(parent)]] = S[:, at : at + width]
             at += width
     if not np.all(np.isfinite(R)):
         raise np.linalg.LinAlgError("the eliminated graph is not finite")
@@ -91,7 +91,7 @@ def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
     return GraphSolution(net.optimize(), inverse @ inverse.T, keys)
 
 
-class GraphStep(Step):
+class GraphSolver(Solver):
     """One relinearisation of the graph; with a robust loss, reweighted until it settles."""
 
     name = "graph"
@@ -111,18 +111,18 @@ class GraphStep(Step):
         """Whether the loss asked for has been reached."""
         return self.calls >= len(self.stages)
 
-    def solve(self, problem: Problem, system: System, point: Point) -> Solved:
+    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
         """Relinearise the attitudes until they settle, once the sensor errors are near, and reweight with them."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
         prior = default_prior() if self.prior is None and self.leaning else self.prior
-        weights = np.ones(problem.data.K)
-        built = GraphBuilder(problem, point, system.played, system.free, prior=prior)
+        weights = np.ones(joint.data.K)
+        built = FactorGraph(joint, state, system.compensated, system.free, prior=prior)
         last = built.reported_keys()
         values, solution = built.values, None
         for i in range(_STEPS[loss]):
             if i and loss != "squared":
-                built = GraphBuilder(problem, point, system.played, system.free, prior=prior, weights=weights)
+                built = FactorGraph(joint, state, system.compensated, system.free, prior=prior, weights=weights)
             try:
                 with built.evaluated(values):
                     solution = solve_linear(built.graph, values, last)
@@ -149,7 +149,7 @@ class GraphStep(Step):
             columns = _columns_of(built, system, key)
             spread[:, at : at + len(columns)] = E[:, columns]
             at += len(columns)
-        return Solved(point, system, delta, E @ delta, spread @ solution.covariance @ spread.T)
+        return LinearSolution(state, system, delta, E @ delta, spread @ solution.covariance @ spread.T)
 
     def restart(self) -> None:
         """Approach the loss by its stages again."""
@@ -159,11 +159,11 @@ class GraphStep(Step):
         """Weights by kind and number of measurement; empty for squares."""
         return {} if self.loss == "squared" else {(kind, number): weight for kind, number, weight in self.measured}
 
-    def diagnostics(self, problem: Problem) -> dict[str, Any]:
+    def diagnostics(self, joint: JointModel) -> dict[str, Any]:
         """Weights of the sequences under a robust loss."""
         if self.loss == "squared" or not self.measured:
             return {}
-        data = problem.data
+        data = joint.data
         return {
             "loss": self.loss,
             "weights": [
@@ -172,18 +172,18 @@ class GraphStep(Step):
                     "occurrence": data.occurrences[k],
                     "weight": float(self.sequence_weights[k]),
                 }
-                for k in problem.order.tolist()
+                for k in joint.order.tolist()
             ],
         }
 
 
-def sequence_weights(built: GraphBuilder, values: Any, loss: str) -> Array:
+def sequence_weights(built: FactorGraph, values: Any, loss: str) -> Array:
     """Weights that a robust loss gives the sequences, shape (K,), by the size of all their whitened residuals.
 
     One loss for a sequence, not one for each of its windows and its turn: what contradicts the others is a change of
     horizontal force, which any of the three may be at fault for, and the parts would share the blame.
     """
-    squares, rows = np.zeros(built.problem.data.K), np.zeros(built.problem.data.K)
+    squares, rows = np.zeros(built.joint.data.K), np.zeros(built.joint.data.K)
     with built.evaluated(values):
         for i, (_, _, k) in enumerate(built.measured):
             factor: Any = built.graph.at(i)
@@ -197,36 +197,36 @@ def sequence_weights(built: GraphBuilder, values: Any, loss: str) -> Array:
     return np.array([ROBUST[loss](float(limit)).weight(float(s)) for limit, s in zip(limits, sizes, strict=True)])
 
 
-def _columns_of(built: GraphBuilder, system: System, key: int) -> Indices:
+def _columns_of(built: FactorGraph, system: LinearSystem, key: int) -> Indices:
     """Columns of the system that a variable of sensor errors or bias stands for."""
     if key == X(0):
         return np.asarray(system.of("errors")[built.errors])
     return np.asarray(system.of("bias").reshape(-1, 3)[gtsam.symbolIndex(key)][built.axes])
 
 
-def _columns(built: GraphBuilder, system: System, values: Any) -> Array:
+def _columns(built: FactorGraph, system: LinearSystem, values: Any) -> Array:
     """Correction of all columns of the system from the graph's values."""
     from srt.model.rotations import rotation_vector
 
-    problem, point = built.problem, built.point
+    joint, state = built.joint, built.state
     delta = np.zeros(system.A.shape[1])
     for key in built.reported_keys():
         delta[_columns_of(built, system, key)] = values.atVector(key)
-    assert point.attitude is not None
-    now = np.stack([values.atRot3(A(w)).matrix() for w in range(len(point.attitude))])
-    turned = rotation_vector(np.swapaxes(point.attitude, 1, 2) @ now)
-    delta[system.columns["attitude"]] = np.einsum("wab,wb->wa", point.attitude, turned).ravel()
-    if problem.fixture_states:
-        for name, key, before in (("base", F(0), point.base), ("mounting", U(0), point.U)):
+    assert state.attitude is not None
+    now = np.stack([values.atRot3(A(w)).matrix() for w in range(len(state.attitude))])
+    rotation = rotation_vector(np.swapaxes(state.attitude, 1, 2) @ now)
+    delta[system.columns["attitude"]] = np.einsum("wab,wb->wa", state.attitude, rotation).ravel()
+    if joint.fixture_states:
+        for name, key, before in (("base", F(0), state.base), ("mounting", U(0), state.U)):
             delta[system.columns[name]] = rotation_vector((before.T @ values.atRot3(key).matrix())[None])[0]
     if built.gravity:
-        delta[system.columns["gravity"]] = values.atVector(G(0)) - point.gravity
-    for c in range(len(problem.chains)):
+        delta[system.columns["gravity"]] = values.atVector(G(0)) - state.gravity
+    for c in range(len(joint.level_frames)):
         earth = built.earth_key(c)
         if earth is not None:
-            delta[system.of("earth_rate").reshape(-1, 3)[c]] = values.atVector(earth) - point.earth_rate[c]
-    if len(drift := system.of("drift")):
-        delta[drift] = values.atVector(D(0))
+            delta[system.of("earth_rate").reshape(-1, 3)[c]] = values.atVector(earth) - state.earth_rate[c]
+    if len(instability := system.of("instability")):
+        delta[instability] = values.atVector(D(0))
     edges = system.of("edge").reshape(-1, 3)
     for number in range(len(edges)):
         delta[edges[number]] = values.atVector(Q(number))
@@ -242,4 +242,4 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         As :func:`srt.sequences.preparation.open_session`.
     """
     options.refuse(("live", "targets"), "The factor graph")
-    return run(open_problem(recording, options), GraphStep(options.loss, options.prior), options, progress)
+    return run(open_joint_model(recording, options), GraphSolver(options.loss, options.prior), options, progress)

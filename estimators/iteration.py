@@ -15,11 +15,11 @@ from threadpoolctl import threadpool_limits
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.dense_solution import solve
 from estimators.linear_system import N_ERRORS, linearise
-from estimators.residual_analysis import deletion_table, excess_noise
-from estimators.result import calibration_of, judge, with_prior
-from estimators.step import State, Step
-from srt.estimation.assembly import is_misfit
-from srt.estimation.fixed_parameters import held_sigma, request_reason
+from estimators.residual_analysis import deletion_table, unmodelled_noise
+from estimators.solution_analysis import analyse_solution, make_calibration, with_prior
+from estimators.solver import IterationState, Solver
+from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.model.prior import Prior
@@ -28,9 +28,9 @@ from srt.model.sensor_model import outside_model
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
-    from estimators.joint_problem import Problem
-    from estimators.linear_system import System
-    from estimators.linearisation_point import Point
+    from estimators.joint_model import JointModel
+    from estimators.joint_state import JointState
+    from estimators.linear_system import LinearSystem
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.result.calibration import Calibration
@@ -45,7 +45,7 @@ _ONE_FAULT: Final = 0.05
 _NEAR: Final = 1e-2
 
 
-def corrected(point: Point, system: System, delta: Array) -> Point:
+def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> JointState:
     """Apply a correction of the columns to a point.
 
     Raises
@@ -56,39 +56,39 @@ def corrected(point: Point, system: System, delta: Array) -> Point:
     c = system.columns
     bias = delta[c["bias"]].reshape(-1, 3)
     common = bias.mean(axis=0)
-    vector = point.errors.vector.copy()
+    vector = state.errors.vector.copy()
     vector[:N_ERRORS] += delta[c["errors"]]
-    deviation = point.bias_deviation
+    deviation = state.bias_deviation
     if len(bias) > 1:
         deviation = deviation + bias - common
         shift = deviation.mean(axis=0)
         deviation, common = deviation - shift, common + shift
     vector[N_ERRORS:] += common
-    assert point.attitude is not None
+    assert state.attitude is not None
     turn = delta[c["attitude"]].reshape(-1, 3)
-    in_body = np.einsum("wba,wb->wa", point.attitude, turn)
+    in_body = np.einsum("wba,wb->wa", state.attitude, turn)
     return replace(
-        point,
+        state,
         errors=SensorErrors(vector),
         bias_deviation=deviation,
-        base=point.base @ rotation_matrix(delta[c["base"]]),
-        U=point.U @ rotation_matrix(delta[c["mounting"]]),
-        gravity=point.gravity + float(delta[c["gravity"]][0]),
-        earth_rate=point.earth_rate + delta[c["earth_rate"]].reshape(-1, 3),
-        attitude=point.attitude @ rotation_matrix(in_body),
+        base=state.base @ rotation_matrix(delta[c["base"]]),
+        U=state.U @ rotation_matrix(delta[c["mounting"]]),
+        gravity=state.gravity + float(delta[c["gravity"]][0]),
+        earth_rate=state.earth_rate + delta[c["earth_rate"]].reshape(-1, 3),
+        attitude=state.attitude @ rotation_matrix(in_body),
     )
 
 
 def iterate(
-    problem: Problem,
-    step: Step,
-    state: State,
+    joint: JointModel,
+    solver: Solver,
+    iteration: IterationState,
     *,
     requested: Mask,
     progress: Progress | None = None,
     converged: tuple[float, float] = (CONVERGED_CORRECTION, CONVERGED_SIGMAS),
     max_step: float = _MAX_STEP,
-) -> State:
+) -> IterationState:
     """Play back, linearise and solve until the correction is negligible.
 
     Parameters
@@ -105,38 +105,38 @@ def iterate(
     max_step : float
         Longest step; longer ones are shortened, as far from the solution they mean nothing but a direction.
     """
-    corrections: list[float] = [] if state.corrections is None else state.corrections
+    corrections: list[float] = [] if iteration.corrections is None else iteration.corrections
     renewed = 0
-    selected = not np.array_equal(state.free, ~requested)
-    for _ in range(problem.options.max_playbacks):
-        played = problem.play(state.point)
-        point = state.point
-        if point.attitude is None:
-            point = problem.place(point, played)
+    selected = not np.array_equal(iteration.free, ~requested)
+    for _ in range(joint.options.max_playbacks):
+        compensated = joint.compensate(iteration.state)
+        state = iteration.state
+        if state.attitude is None:
+            state = joint.initial_attitudes(state, compensated)
         near = bool(corrections) and corrections[-1] < _NEAR
         if near and not renewed:
-            problem.update_mounting(point)
+            joint.update_mounting_prior(state)
         if near and renewed < _RENEWALS:  # no more, or a scatter on the border of being noise would go on and off
-            problem.update_wander(point, played)
+            joint.update_bias_scatter(state, compensated)
             renewed += 1
-            if not problem.walks and point.bias_deviation.any():  # it was a fault's, and there is one bias after all
-                point = replace(point, bias_deviation=np.zeros_like(point.bias_deviation))
-                played = problem.play(point)
-        system = linearise(problem, point, played, state.free)
-        if near and not selected and step.prior is None:
+            if not joint.bias_walks and state.bias_deviation.any():  # it was a fault's, and there is one bias after all
+                state = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
+                compensated = joint.compensate(state)
+        system = linearise(joint, state, compensated, iteration.free)
+        if near and not selected and solver.prior is None:
             selected = True
-            if not np.array_equal(admitted(system, requested), state.free):
+            if not np.array_equal(observable_parameters(system, requested), iteration.free):
                 # Too little is seen to do without one; what it does not narrow down is held in the end.
-                step.prior = default_prior()
-        step.leaning = not selected
+                solver.prior = default_prior()
+        solver.leaning = not selected
         try:
-            solved = step.solve(problem, system, point)
+            solved = solver.solve(joint, system, state)
         except (np.linalg.LinAlgError, ValueError) as error:  # scipy's word for numbers that are not finite
-            state.status, state.message = "outside_model", f"The equations are singular ({error})."
+            iteration.status, iteration.message = "outside_model", f"The equations are singular ({error})."
             break
         delta, correction, covariance = solved.delta, solved.correction, solved.covariance
         if not np.all(np.isfinite(delta)) or not np.all(np.isfinite(covariance)):
-            state.status, state.message = "outside_model", "The correction is not finite."
+            iteration.status, iteration.message = "outside_model", "The correction is not finite."
             break
         size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
         if size > max_step:
@@ -144,27 +144,31 @@ def iterate(
         corrections.append(size)
         if progress is not None:
             progress(len(corrections), size)
-        state.point = corrected(solved.point, solved.system, delta)
-        state.linearised_at, state.played, state.system = solved.point, played, solved.system
-        state.covariance = covariance
-        reason = outside_model(state.point.errors)
+        iteration.state = apply_correction(solved.state, solved.system, delta)
+        iteration.linearisation_point, iteration.compensated, iteration.system = (
+            solved.state,
+            compensated,
+            solved.system,
+        )
+        iteration.covariance = covariance
+        reason = outside_model(iteration.state.errors)
         if reason is not None:
-            state.status, state.message = "outside_model", f"After play-back {len(corrections)} {reason}."
+            iteration.status, iteration.message = "outside_model", f"After play-back {len(corrections)} {reason}."
             break
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         if np.all(np.abs(correction) <= np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)) and (
-            step.settled and (selected or step.prior is not None)
+            solver.settled and (selected or solver.prior is not None)
         ):
-            state.status, state.message = "converged", f"Converged after {len(corrections)} play-backs."
+            iteration.status, iteration.message = "converged", f"Converged after {len(corrections)} play-backs."
             break
     else:
-        state.status = "not_converged"
-        state.message = (
+        iteration.status = "not_converged"
+        iteration.message = (
             f"Not converged after {len(corrections)} play-backs: the last correction was {corrections[-1]:.2e} "
             "(largest parameter, accelerometer bias in g)."
         )
-    state.corrections = corrections
-    return state
+    iteration.corrections = corrections
+    return iteration
 
 
 def default_prior() -> Prior:
@@ -172,7 +176,7 @@ def default_prior() -> Prior:
     return Prior.from_sigma(admission_sigma())
 
 
-def admitted(system: System, requested: Mask) -> Mask:
+def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
     """Which sensor errors the data determine, all other unknowns being estimated with them."""
     E = system.parameter_map()
     A = system.A
@@ -190,7 +194,7 @@ def admitted(system: System, requested: Mask) -> Mask:
     return admit(left * admission_sigma(), ~requested)
 
 
-def run(problem: Problem, step: Step, options: Options, progress: Progress | None) -> Calibration:
+def run(joint: JointModel, solver: Solver, options: Options, progress: Progress | None) -> Calibration:
     """Calibrate: iterate, judge what the data show, and put the result together.
 
     In one thread of linear algebra: matrices of a few hundred rows gain nothing from more, and on a busy machine
@@ -203,66 +207,66 @@ def run(problem: Problem, step: Step, options: Options, progress: Progress | Non
     """
     options.refuse(("step", "down", "measured_vertical"), "Joint estimation")
     with threadpool_limits(limits=1, user_api="blas"):
-        return _run(problem, step, options, progress)
+        return _run(joint, solver, options, progress)
 
 
-def _run(problem: Problem, step: Step, options: Options, progress: Progress | None) -> Calibration:
-    requested = np.array([name in options.held_names for name in NAMES])
-    uncertain = held_sigma(problem.data, options)
-    held = {name: request_reason(name, uncertain) for name in options.held_names}
-    state = State(problem.start, ~requested)
+def _run(joint: JointModel, solver: Solver, options: Options, progress: Progress | None) -> Calibration:
+    requested = np.array([name in options.fixed_names for name in NAMES])
+    uncertain = fixed_sigma(joint.data, options)
+    held = {name: reason_on_request(name, uncertain) for name in options.fixed_names}
+    iteration = IterationState(joint.start, ~requested)
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS):
-        state = iterate(problem, step, state, requested=requested, progress=progress)
-        if state.played is None or state.covariance is None or state.status == "outside_model":
+        iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
+        if iteration.compensated is None or iteration.covariance is None or iteration.status == "outside_model":
             break
-        if state.status == "converged" and _add_excess(problem, step, state):
+        if iteration.status == "converged" and _add_unmodelled_noise(joint, solver, iteration):
             continue
         # A window that moved may be what keeps the iteration from resting.
-        moved = problem.moved(state.point, state.played)
-        if moved.any():
-            diagnostics["held"] = {"sequences": list(judge(problem, step, state, uncertain).table)}
-            diagnostics["held"] |= step.diagnostics(problem)
-            problem.release(moved)
-            step.restart()
+        moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
+        if moving_windows.any():
+            diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
+            diagnostics["held"] |= solver.diagnostics(joint)
+            joint.integrate_windows(moving_windows)
+            solver.restart()
             continue
-        if state.status != "converged":
+        if iteration.status != "converged":
             break
-        sigma = np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
-        weak = state.free & (sigma > OBSERVED_BELOW * admission_sigma())
-        if not weak.any() or step.prior is not None:
+        sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
+        weak = iteration.free & (sigma > OBSERVED_BELOW * admission_sigma())
+        if not weak.any() or solver.prior is not None:
             break
-        state.free = state.free & ~weak
-        state.point = problem.at_start(state.point, weak)
-    return calibration_of(problem, step, options, state, held, uncertain, diagnostics)
+        iteration.free = iteration.free & ~weak
+        iteration.state = joint.with_initial_values(iteration.state, weak)
+    return make_calibration(joint, solver, options, iteration, held, uncertain, diagnostics)
 
 
-def _add_excess(problem: Problem, step: Step, state: State) -> bool:
+def _add_unmodelled_noise(joint: JointModel, solver: Solver, iteration: IterationState) -> bool:
     """Noise beyond the sensors' where the residuals of many sequences ask for it; True if there is more of it.
 
     What one sequence alone contradicts is a fault of that one, to be named and not to be spread over all; a robust loss
     has its own way with it.
     """
-    system = with_prior(problem, step, state)
-    if step.weights():
+    system = with_prior(joint, solver, iteration)
+    if solver.weights():
         return False
     solution = solve(system)
     left = system.b + system.A @ solution.delta
     statistic, freedom = float(left @ left), len(left) - int(system.active.sum())
     # Once some is added it may prove too much, as when a window that moved is released.
-    if not any(problem.excess):
+    if not any(joint.unmodelled_sigma):
         if not is_misfit(statistic, freedom):
             return False
         # Chi-square of all is that without one sequence, and what this one adds to it.
         without = [
             (statistic - row["chi_square"], freedom - row["degrees_of_freedom"])
-            for row in deletion_table(problem, system, solution)
+            for row in deletion_table(joint, system, solution)
         ]
         # Of a gross fault the linearisation leaves something, too.
         if any(rest < _ONE_FAULT * statistic or not is_misfit(rest, number) for rest, number in without):
             return False
-    new = excess_noise(problem, system)
-    if np.allclose(new, problem.excess, rtol=0.1, atol=1e-6):
+    new = unmodelled_noise(joint, system)
+    if np.allclose(new, joint.unmodelled_sigma, rtol=0.1, atol=1e-6):
         return False
-    problem.excess = new
+    joint.unmodelled_sigma = new
     return True

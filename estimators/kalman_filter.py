@@ -19,18 +19,18 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
 from estimators.accuracy_targets import targets_met
-from estimators.iteration import corrected
+from estimators.iteration import apply_correction
 from estimators.linear_system import N_ERRORS, attitude_columns, linearise
-from estimators.sequence_blocks import blocks, global_columns
-from estimators.square_root_filter import RootExtendedKalmanFilter
-from estimators.step import Solved, Step
+from estimators.nuisance_elimination import eliminate_nuisances, global_columns
+from estimators.solver import LinearSolution, Solver
+from estimators.square_root_filter import SquareRootFilter
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
-    from estimators.joint_problem import Problem
-    from estimators.linear_system import System
-    from estimators.linearisation_point import Point
-    from estimators.sequence_blocks import Block
+    from estimators.joint_model import JointModel
+    from estimators.joint_state import JointState
+    from estimators.linear_system import LinearSystem
+    from estimators.nuisance_elimination import SequenceEquations
     from srt.model.prior import Prior
     from srt.types import Array, Indices
 
@@ -78,7 +78,7 @@ class FilterRun:
         return np.array([float(v @ v) for v in self.innovations])
 
 
-def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> FilterRun:
+def run_filter(joint: JointModel, system: LinearSystem, state: JointState, prior: Prior) -> FilterRun:
     """Run the filter once over a linearised problem.
 
     Parameters
@@ -91,30 +91,30 @@ def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> 
     """
     everything = global_columns(system)
     # The draws of the drift join the state with the sequence that needs them first; until then they change nothing.
-    shared = everything[everything < system.columns["drift"].start]
-    L, start = _prior_root(system, point, prior, shared)
+    shared = everything[everything < system.columns["instability"].start]
+    L, start = _prior_root(system, state, prior, shared)
     n = len(shared)
     size = n + _POSE + _MEAN
     inverse = solve_triangular(L, np.eye(n), lower=True)
     root = np.zeros((size, size))
     root[:n, :n] = np.eye(n)
-    ekf = RootExtendedKalmanFilter(np.concatenate([inverse @ start, np.zeros(_POSE + _MEAN)]), root)
+    ekf = SquareRootFilter(np.concatenate([inverse @ start, np.zeros(_POSE + _MEAN)]), root)
     bias = np.flatnonzero((shared >= system.columns["bias"].start) & (shared < system.columns["bias"].stop))
     axes = shared[bias] - system.columns["bias"].start
-    walk = problem.walk_sigma() if problem.walks else None
+    walk = joint.bias_walk_sigma() if joint.bias_walks else None
     E = _report_map(shared, axes, L, bias if walk is None else None)
-    parts = blocks(problem, system)
+    parts = eliminate_nuisances(joint, system)
     innovations, history = [], []
     for i, part in enumerate(parts):
         if i and walk is not None:
             step = np.zeros((len(ekf.x), len(axes)))
             step[:n] = inverse[:, bias] * walk[i - 1][axes]
             # The state is the bias less what the sequence was linearised at.
-            drift = np.zeros(len(ekf.x))
+            instability = np.zeros(len(ekf.x))
             before, after = parts[i - 1].sequence, part.sequence
-            change = point.bias_deviation[after] - point.bias_deviation[before]
-            drift[:n] = -inverse[:, bias] @ change[axes]
-            ekf.predict(drift, F=np.eye(len(ekf.x)), noise_root=step)
+            change = state.bias_deviation[after] - state.bias_deviation[before]
+            instability[:n] = -inverse[:, bias] @ change[axes]
+            ekf.predict(instability, F=np.eye(len(ekf.x)), noise_root=step)
         needed = np.flatnonzero(part.H[:, n:].any(axis=0))
         ekf.grow(max(0, size + int(needed.max(initial=-1)) + 1 - len(ekf.x)))
         by_drift = part.H[:, n : n + len(ekf.x) - size]
@@ -148,13 +148,13 @@ def run_filter(problem: Problem, system: System, point: Point, prior: Prior) -> 
     )
 
 
-def _prior_root(system: System, point: Point, prior: Prior, shared: Indices) -> tuple[Array, Array]:
+def _prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: Indices) -> tuple[Array, Array]:
     """Cholesky factor of the prior covariance of the shared columns, and the prior's mean less the point."""
     n = system.A.shape[1]
     P, mean = np.zeros((n, n)), np.zeros(n)
     at = np.concatenate([system.of("errors"), system.of("bias")[:3]])
     P[np.ix_(at, at)] = prior.covariance
-    mean[at] = prior.mean.vector - point.errors.vector
+    mean[at] = prior.mean.vector - state.errors.vector
     # The priors of the fixture and the site are rows of the system: white, and square on their own columns.
     for rows in system.rows:
         if rows.kind in {"base", "mounting", "gravity"} or rows.kind.startswith("earth_rate"):
@@ -181,24 +181,24 @@ def _report_map(shared: Indices, axes: Indices, L: Array, bias: Indices | None) 
     return E
 
 
-def _hand_on(ekf: RootExtendedKalmanFilter, part: Block, L: Array, n: int) -> None:
+def _hand_on(ekf: SquareRootFilter, part: SequenceEquations, L: Array, n: int) -> None:
     """The attitude handed on takes the place of the one handed in."""
     assert part.pose is not None
     R, G, G_pose, c = part.pose
     inverse = np.linalg.inv(R)
     at = n + np.flatnonzero(part.pose_active)
-    drift = n + _POSE + _MEAN
+    instability = n + _POSE + _MEAN
     F = np.eye(len(ekf.x))
     F[n : n + _POSE] = 0.0
     F[at, :n] = -inverse @ G[:, :n] @ L
-    F[at, drift:] = -inverse @ G[:, n : n + len(ekf.x) - drift]
+    F[at, instability:] = -inverse @ G[:, n : n + len(ekf.x) - instability]
     F[np.ix_(at, np.arange(n, n + _POSE))] = -inverse @ G_pose
     noise, constant = np.zeros((len(ekf.x), len(at))), np.zeros(len(ekf.x))
     noise[at], constant[at] = inverse, -inverse @ c
     ekf.predict(constant, F=F, noise_root=noise)
 
 
-def _take_mean(ekf: RootExtendedKalmanFilter, bias: Array, axes: Indices, count: int, n: int) -> None:
+def _take_mean(ekf: SquareRootFilter, bias: Array, axes: Indices, count: int, n: int) -> None:
     """Keep the mean of the biases of the sequences so far."""
     F = np.eye(len(ekf.x))
     at = n + _POSE + axes
@@ -207,7 +207,7 @@ def _take_mean(ekf: RootExtendedKalmanFilter, bias: Array, axes: Indices, count:
     ekf.predict(F=F)
 
 
-class EkfStep(Step):
+class KalmanSolver(Solver):
     """One iteration of the filter: a pass from the prior over the sequences, linearised anew."""
 
     name = "ekf"
@@ -216,41 +216,41 @@ class EkfStep(Step):
         self.prior: Prior = prior
         self.last: FilterRun | None = None
 
-    def solve(self, problem: Problem, system: System, point: Point) -> Solved:
+    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
         """Run the filter; once the sensor errors are near, again with the attitudes it found, until these settle.
 
         A heading of milliradians times a lean of milliradians is more than the accelerometers' noise: where the first
         pass was linearised matters, and a play-back is not needed to find out.
         """
-        found = run_filter(problem, system, point, self.prior)
+        found = run_filter(joint, system, state, self.prior)
         for _ in range(_PASSES - 1):
             if np.abs(found.correction).max() > _NEAR:
                 break
-            better = corrected(point, system, np.where(attitude_columns(system), found.delta, 0.0))
-            again = linearise(problem, better, system.played, system.free)
-            before, found = found, run_filter(problem, again, better, self.prior)
-            point, system = better, again
+            better = apply_correction(state, system, np.where(attitude_columns(system), found.delta, 0.0))
+            again = linearise(joint, better, system.compensated, system.free)
+            before, found = found, run_filter(joint, again, better, self.prior)
+            state, system = better, again
             sigma = np.sqrt(np.diag(found.covariance))
             if np.all(np.abs(found.correction - before.correction) <= _SETTLED_SIGMAS * sigma):
                 break
         self.last = found
-        return Solved(point, system, found.delta, found.correction, found.covariance)
+        return LinearSolution(state, system, found.delta, found.correction, found.covariance)
 
-    def diagnostics(self, problem: Problem) -> dict[str, Any]:
+    def diagnostics(self, joint: JointModel) -> dict[str, Any]:
         """Innovations and sigmas, sequence by sequence."""
         if self.last is None:
             return {}
-        out: dict[str, Any] = {"filter": history(problem, self.last)}
-        targets = problem.options.targets
+        out: dict[str, Any] = {"filter": history(joint, self.last)}
+        targets = joint.options.targets
         if targets:
-            ids = [problem.data.ids[k] for k in self.last.sequences]
+            ids = [joint.data.ids[k] for k in self.last.sequences]
             out["targets"] = targets_met(ids, self.last.sigma, targets)
         return out
 
 
-def history(problem: Problem, found: FilterRun) -> list[dict[str, Any]]:
+def history(joint: JointModel, found: FilterRun) -> list[dict[str, Any]]:
     """What the filter reports after every sequence, as JSON values."""
-    data, rows = problem.data, []
+    data, rows = joint.data, []
     for i, k in enumerate(found.sequences):
         nis, freedom = float(found.nis[i]), len(found.innovations[i])
         rows.append(

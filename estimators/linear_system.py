@@ -16,8 +16,8 @@ from srt.model import measurement_model as model
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 if TYPE_CHECKING:
-    from estimators.joint_problem import Problem
-    from estimators.linearisation_point import Played, Point
+    from estimators.joint_model import JointModel
+    from estimators.joint_state import CompensatedData, JointState
     from srt.model.prior import Prior
     from srt.types import Array, Indices, Mask
 
@@ -27,7 +27,7 @@ N_ERRORS: Final = GROUP_SLICES["gyro_bias"].start
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class RowGroup:
     """A group of like rows, three for each of n windows, turns or sequences.
 
     Attributes
@@ -56,7 +56,7 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class System:
+class LinearSystem:
     """Linearised problem: minimise ``|A δ + b|²`` over the active columns.
 
     Attributes
@@ -64,8 +64,8 @@ class System:
     A : ndarray, shape (m, n)
     b : ndarray, shape (m,)
     columns : dict of str to slice
-        "errors" (24), "bias" (3, or 3 per sequence), "base", "mounting", "gravity", "earth_rate" (3 per chain), "drift"
-        (3 per window and turn of a sensor that drifts), "attitude" (3 per window), "edge" (3 per edge that counts).
+        "errors" (24), "bias" (3, or 3 per sequence), "base", "mounting", "gravity", "earth_rate" (3 per level frame),
+        "instability" (:attr:`BiasInstability.size`), "attitude" (3 per window), "edge" (3 per edge that is an unknown).
     active : ndarray of bool, shape (n,)
         Columns that are estimated.
     rows : tuple of Rows
@@ -81,16 +81,16 @@ class System:
     b: Array
     columns: dict[str, slice]
     active: Mask
-    rows: tuple[Rows, ...]
+    rows: tuple[RowGroup, ...]
     free: Mask
     whitening: dict[str, Array]
-    played: Played
+    compensated: CompensatedData
 
     def of(self, name: str) -> Indices:
         """Column numbers of a name."""
         return np.arange(self.columns[name].start, self.columns[name].stop)
 
-    def rows_of(self, kind: str) -> Rows:
+    def rows_of(self, kind: str) -> RowGroup:
         """The group of a kind."""
         return next(r for r in self.rows if r.kind == kind)
 
@@ -104,7 +104,7 @@ class System:
         return E
 
 
-def attitude_columns(system: System) -> Mask:
+def attitude_columns(system: LinearSystem) -> Mask:
     """Columns of fixture, site and attitudes: what a play-back does not depend on, shape (n,)."""
     out = np.zeros(system.A.shape[1], dtype=np.bool_)
     for name in ("base", "mounting", "gravity", "earth_rate", "attitude"):
@@ -131,7 +131,7 @@ class _Builder:
         self.columns, self.n = columns, max(c.stop for c in columns.values())
         self.A: list[Array] = []
         self.b: list[Array] = []
-        self.rows: list[Rows] = []
+        self.rows: list[RowGroup] = []
         self.whitening: dict[str, Array] = {}
         self.m = 0
 
@@ -141,7 +141,7 @@ class _Builder:
         owner: Indices,
         residual: Array,
         noise: dict[str, Array],
-        blocks: list[tuple[str, Indices | int, Array]],
+        eliminate_nuisances: list[tuple[str, Indices | int, Array]],
     ) -> None:
         """Add a group: residuals (n, d), covariances by source, and blocks (column name, number within it, Jacobian).
 
@@ -152,7 +152,7 @@ class _Builder:
             return
         W = whiten(total(noise))
         J = np.zeros((count, size, self.n))
-        for name, number, jacobian in blocks:
+        for name, number, jacobian in eliminate_nuisances:
             width = jacobian.shape[2]
             at = np.broadcast_to(np.asarray(number), count)
             members = np.flatnonzero(at >= 0)
@@ -162,11 +162,13 @@ class _Builder:
         self.b.append(np.einsum("nij,nj->ni", W, residual).ravel())
         self.whitening[kind] = W
         shares = {s: W @ R @ np.swapaxes(W, 1, 2) for s, R in noise.items() if np.any(R)}
-        self.rows.append(Rows(kind, self.m, np.asarray(owner), shares, size))
+        self.rows.append(RowGroup(kind, self.m, np.asarray(owner), shares, size))
         self.m += count * size
 
 
-def linearise(problem: Problem, point: Point, played: Played, free: Mask, prior: Prior | None = None) -> System:
+def linearise(
+    joint: JointModel, state: JointState, compensated: CompensatedData, free: Mask, prior: Prior | None = None
+) -> LinearSystem:
     """Linearise the joint problem.
 
     Parameters
@@ -180,147 +182,149 @@ def linearise(problem: Problem, point: Point, played: Played, free: Mask, prior:
         Sensor errors to estimate; the others stay.
     prior : Prior, optional
     """
-    data = problem.data
-    W, K, C = len(played.force), data.K, len(problem.chains)
-    assert point.attitude is not None
-    edges = edge_numbers(problem, played)
+    data = joint.data
+    W, K, C = len(compensated.force), data.K, len(joint.level_frames)
+    assert state.attitude is not None
+    edges = edge_numbers(joint, compensated)
     sizes = {
         "errors": N_ERRORS,
-        "bias": 3 * (K if problem.walks else 1),
+        "bias": 3 * (K if joint.bias_walks else 1),
         "base": 3,
         "mounting": 3,
         "gravity": 1,
         "earth_rate": 3 * C,
-        "drift": played.drift.size,
+        "instability": compensated.instability.size,
         "attitude": 3 * W,
         "edge": 3 * int(edges.max() + 1),
     }
     stops = np.cumsum(list(sizes.values())).tolist()
     columns = {name: slice(stop - size, stop) for (name, size), stop in zip(sizes.items(), stops, strict=True)}
     build = _Builder(columns)
-    _windows(build, problem, point, played, edges)
-    _turns(build, problem, point, played, edges)
-    _fixture(build, problem, point)
-    _drift(build, played)
-    _priors(build, problem, point, edges, prior)
+    _windows(build, joint, state, compensated, edges)
+    _turns(build, joint, state, compensated, edges)
+    _fixture(build, joint, state)
+    _drift(build, compensated)
+    _priors(build, joint, state, edges, prior)
     active = np.ones(stops[-1], dtype=np.bool_)
     active[columns["errors"]] = free[:N_ERRORS]
     active[columns["bias"]] = np.tile(free[N_ERRORS:], sizes["bias"] // 3)
-    active[columns["earth_rate"]] = np.concatenate([c.unknown_sigma > 0.0 for c in problem.chains])
-    if not problem.fixture_states:
+    active[columns["earth_rate"]] = np.concatenate([c.unknown_sigma > 0.0 for c in joint.level_frames])
+    if not joint.fixture_states:
         for name in ("base", "mounting", "gravity"):
             active[columns[name]] = False
     if data.recording.fixture is None:
         active[columns["base"]] = active[columns["mounting"]] = False
-        active[columns["gravity"]] = problem.options.fixture_states
-    active[columns["attitude"].start + 3 * fixed_headings(problem) + 2] = False
+        active[columns["gravity"]] = joint.options.fixture_states
+    active[columns["attitude"].start + 3 * fixed_headings(joint) + 2] = False
     A, b = np.concatenate(build.A), np.concatenate(build.b)
-    return System(A, b, columns, active, tuple(build.rows), free, build.whitening, played)
+    return LinearSystem(A, b, columns, active, tuple(build.rows), free, build.whitening, compensated)
 
 
-def edge_numbers(problem: Problem, played: Played) -> Indices:
+def edge_numbers(joint: JointModel, compensated: CompensatedData) -> Indices:
     """Number of the unknown reading error at both edges of every window, (W, 2); −1 where it is none of its own."""
-    shared = np.stack([problem.is_end, problem.is_start], axis=1) & bool(played.edge_slope.any())
+    shared = np.stack([joint.is_end, joint.is_start], axis=1) & bool(compensated.edge_slope.any())
     numbers = np.cumsum(shared.ravel()).reshape(shared.shape) - 1
     return np.where(shared, numbers, -1)
 
 
-def fixed_headings(problem: Problem) -> Indices:
+def fixed_headings(joint: JointModel) -> Indices:
     """Windows whose heading is given: of a free chain the first, without fixture states every start."""
-    data, fixed = problem.data, []
+    data, fixed = joint.data, []
     seen: set[int] = set()
-    for k in problem.order.tolist():
-        chain = int(problem.sequence_chain[k])
-        if problem.chains[chain].fixture:
-            if not problem.fixture_states:
+    for k in joint.order.tolist():
+        frame = int(joint.sequence_frame[k])
+        if joint.level_frames[frame].fixture:
+            if not joint.fixture_states:
                 fixed.append(int(data.start[k]))
-        elif chain not in seen:
-            seen.add(chain)
+        elif frame not in seen:
+            seen.add(frame)
             fixed.append(int(data.start[k]))
-    if not problem.fixture_states:
+    if not joint.fixture_states:
         fixed += [w for _, w in data.poses]
     return np.array(sorted(set(fixed)), dtype=np.intp)
 
 
-def _windows(build: _Builder, problem: Problem, point: Point, played: Played, edges: Indices) -> None:
+def _windows(
+    build: _Builder, joint: JointModel, state: JointState, compensated: CompensatedData, edges: Indices
+) -> None:
     """Specific force and rate of every window."""
-    assert point.attitude is not None
-    A, gravity = point.attitude, problem.data.gravity + point.gravity
+    assert state.attitude is not None
+    A, gravity = state.attitude, joint.data.gravity + state.gravity
     to_body = np.swapaxes(A, 1, 2)
-    windows, sequence = np.arange(len(A)), problem.window_sequence
-    bias_number = sequence if problem.walks else np.zeros_like(sequence)
-    residual, by_attitude, by_gravity = model.pose_force(played.force, A, gravity)
+    windows, sequence = np.arange(len(A)), joint.window_sequence
+    bias_number = sequence if joint.bias_walks else np.zeros_like(sequence)
+    residual, by_attitude, by_gravity = model.pose_force(compensated.force, A, gravity)
     build.add(
         "force",
         sequence,
         residual,
-        played.force_noise,
+        compensated.force_noise,
         [
-            ("errors", 0, -played.force_jacobian[:, :, :N_ERRORS]),
+            ("errors", 0, -compensated.force_jacobian[:, :, :N_ERRORS]),
             ("attitude", windows, by_attitude @ to_body),
             ("gravity", 0, by_gravity[:, :, None]),
-            ("drift", 0, -played.drift.force),
+            ("instability", 0, -compensated.instability.force),
         ],
     )
-    residual, by_attitude, by_earth = model.pose_rate(played.rate, A, problem.earth_rate(point))
-    per_rate = played.edge_slope / problem.data.windows.duration_s[:, None, None]
+    residual, by_attitude, by_earth = model.pose_rate(compensated.rate, A, joint.earth_rate(state))
+    per_rate = compensated.edge_slope / joint.data.windows.duration_s[:, None, None]
     build.add(
         "rate",
         sequence,
         residual,
-        played.rate_noise,
+        compensated.rate_noise,
         [
-            ("errors", 0, -played.rate_jacobian[:, :, :N_ERRORS]),
-            ("bias", bias_number, -played.rate_jacobian[:, :, N_ERRORS:]),
+            ("errors", 0, -compensated.rate_jacobian[:, :, :N_ERRORS]),
+            ("bias", bias_number, -compensated.rate_jacobian[:, :, N_ERRORS:]),
             ("attitude", windows, by_attitude @ to_body),
-            ("earth_rate", problem.window_chain, by_earth),
+            ("earth_rate", joint.window_frame, by_earth),
             ("edge", edges[:, 0], per_rate),
             ("edge", edges[:, 1], -per_rate),
-            ("drift", 0, -played.drift.rate),
+            ("instability", 0, -compensated.instability.rate),
         ],
     )
 
 
-def _turns(build: _Builder, problem: Problem, point: Point, played: Played, edges: Indices) -> None:
+def _turns(build: _Builder, joint: JointModel, state: JointState, compensated: CompensatedData, edges: Indices) -> None:
     """Rotation between the windows of every sequence."""
-    assert point.attitude is not None
-    data, sequences = problem.data, np.arange(problem.data.K)
-    A = point.attitude
-    earth = problem.earth_rate(point)[data.start]
+    assert state.attitude is not None
+    data, sequences = joint.data, np.arange(joint.data.K)
+    A = state.attitude
+    earth = joint.earth_rate(state)[data.start]
     residual, by_start, by_end, by_turned, by_earth = model.turn(
-        played.turned, A[data.start], A[data.end], earth, played.duration_s
+        compensated.rotation, A[data.start], A[data.end], earth, compensated.duration_s
     )
-    by_errors = by_turned @ played.turned_jacobian
+    by_errors = by_turned @ compensated.rotation_jacobian
     build.add(
         "turn",
         sequences,
         residual,
-        played.turned_noise,
+        compensated.rotation_noise,
         [
             ("errors", 0, by_errors[:, :, :N_ERRORS]),
-            ("bias", sequences if problem.walks else 0, by_errors[:, :, N_ERRORS:]),
+            ("bias", sequences if joint.bias_walks else 0, by_errors[:, :, N_ERRORS:]),
             ("attitude", data.start, by_start @ np.swapaxes(A[data.start], 1, 2)),
             ("attitude", data.end, by_end @ np.swapaxes(A[data.end], 1, 2)),
-            ("earth_rate", problem.sequence_chain, by_earth),
-            ("edge", edges[data.start, 1], -by_turned @ played.edge_slope),
-            ("edge", edges[data.end, 0], by_turned @ played.turned @ played.edge_slope),
-            ("drift", 0, by_turned @ played.drift.turned),
+            ("earth_rate", joint.sequence_frame, by_earth),
+            ("edge", edges[data.start, 1], -by_turned @ compensated.edge_slope),
+            ("edge", edges[data.end, 0], by_turned @ compensated.rotation @ compensated.edge_slope),
+            ("instability", 0, by_turned @ compensated.instability.rotation),
         ],
     )
 
 
-def _fixture(build: _Builder, problem: Problem, point: Point) -> None:
+def _fixture(build: _Builder, joint: JointModel, state: JointState) -> None:
     """Start attitudes against the fixture's, executed angles being known to their sigma."""
-    found = fixture_starts(problem)
-    if not problem.fixture_states or not found:
+    found = fixture_starts(joint)
+    if not joint.fixture_states or not found:
         return
-    assert point.attitude is not None
+    assert state.attitude is not None
     owner, windows = (np.array(x, dtype=np.intp) for x in ([f[0] for f in found], [f[1] for f in found]))
-    A = point.attitude[windows]
+    A = state.attitude[windows]
     residual, by_attitude, by_base, by_U = model.start_attitude(
-        A, np.stack([f[2] for f in found]), point.base, point.U, problem.heading_rad
+        A, np.stack([f[2] for f in found]), state.base, state.U, joint.heading_rad
     )
-    variance = np.diag(problem.start_sigma**2)
+    variance = np.diag(joint.start_sigma**2)
     build.add(
         "start",
         owner,
@@ -334,72 +338,72 @@ def _fixture(build: _Builder, problem: Problem, point: Point) -> None:
     )
 
 
-def fixture_starts(problem: Problem) -> list[tuple[int, int, Array]]:
+def fixture_starts(joint: JointModel) -> list[tuple[int, int, Array]]:
     """Sequence, window and nominal attitude of every start on the fixture, poses without their turn included."""
-    from estimators.joint_problem import pose_nominal
+    from estimators.joint_model import pose_nominal
 
-    data = problem.data
+    data = joint.data
     found = []
-    for k in problem.order.tolist():
-        nominal = problem.nominal[k]
+    for k in joint.order.tolist():
+        nominal = joint.nominal[k]
         if nominal is not None:
             found.append((k, int(data.start[k]), nominal))
-    found += [(int(problem.window_sequence[w]), w, pose_nominal(label)) for label, w in data.poses]
+    found += [(int(joint.window_sequence[w]), w, pose_nominal(label)) for label, w in data.poses]
     return found
 
 
-def _drift(build: _Builder, played: Played) -> None:
+def _drift(build: _Builder, compensated: CompensatedData) -> None:
     """The draws of the drift, by sensor: independent and of unit variance."""
     for sensor, numbers in (
-        ("gyro", np.flatnonzero(played.drift.is_gyro)),
-        ("accel", np.flatnonzero(~played.drift.is_gyro)),
+        ("gyro", np.flatnonzero(compensated.instability.is_gyro)),
+        ("accel", np.flatnonzero(~compensated.instability.is_gyro)),
     ):
         unit = np.broadcast_to(np.eye(3), (len(numbers), 3, 3))
         none = np.full(len(numbers), -1, dtype=np.intp)
         sources = {f"{sensor}_bias_instability": unit}
-        build.add(f"{sensor}_drift", none, np.zeros((len(numbers), 3)), sources, [("drift", numbers, unit)])
+        build.add(f"{sensor}_instability", none, np.zeros((len(numbers), 3)), sources, [("instability", numbers, unit)])
 
 
-def _priors(build: _Builder, problem: Problem, point: Point, edges: Indices, prior: Prior | None) -> None:
+def _priors(build: _Builder, joint: JointModel, state: JointState, edges: Indices, prior: Prior | None) -> None:
     """What is known before the data: alignments, gravity, Earth's rate, bias walk, edges, sensor errors."""
     from srt.model.rotations import inverse_right_jacobian, rotation_vector
 
     one = np.array([-1], dtype=np.intp)
-    if problem.fixture_states:
-        for name, rotation in (("base", point.base), ("mounting", problem.U_prior.T @ point.U)):
+    if joint.fixture_states:
+        for name, rotation in (("base", state.base), ("mounting", joint.U_prior.T @ state.U)):
             v = rotation_vector(rotation[None])
             build.add(
                 name,
                 one,
                 v,
-                {"earth_rate_alignment": problem.alignment_sigma**2 * np.eye(3)[None]},
+                {"earth_rate_alignment": joint.alignment_sigma**2 * np.eye(3)[None]},
                 [(name, 0, inverse_right_jacobian(v))],
             )
-    if problem.options.fixture_states:
-        sigma = problem.data.recording.site.gravity_sigma_m_s2
+    if joint.options.fixture_states:
+        sigma = joint.data.recording.site.gravity_sigma_m_s2
         build.add(
             "gravity",
             one,
-            np.array([[point.gravity]]),
+            np.array([[state.gravity]]),
             {"gravity": np.array([[[sigma**2]]])},
             [("gravity", 0, np.ones((1, 1, 1)))],
         )
-    for c, chain in enumerate(problem.chains):
-        unknown = chain.unknown_sigma
+    for c, frame in enumerate(joint.level_frames):
+        unknown = frame.unknown_sigma
         if unknown.any():
             sigma3 = np.where(unknown > 0.0, unknown, 1.0)
             build.add(
                 f"earth_rate:{c}",
                 one,
-                point.earth_rate[c][None],
+                state.earth_rate[c][None],
                 {"earth_rate_alignment": np.diag(sigma3**2)[None]},
                 [("earth_rate", c, np.eye(3)[None])],
             )
-    if problem.walks:
-        before, after = problem.order[:-1], problem.order[1:]
-        step = point.bias_deviation[after] - point.bias_deviation[before]
+    if joint.bias_walks:
+        before, after = joint.order[:-1], joint.order[1:]
+        step = state.bias_deviation[after] - state.bias_deviation[before]
         unit = np.broadcast_to(np.eye(3), (len(step), 3, 3))
-        variance = problem.walk_sigma() ** 2
+        variance = joint.bias_walk_sigma() ** 2
         build.add(
             "walk",
             np.full(len(step), -1),
@@ -411,14 +415,14 @@ def _priors(build: _Builder, problem: Problem, point: Point, edges: Indices, pri
     unit = np.broadcast_to(np.eye(3), (count, 3, 3))
     owner = np.empty(count, dtype=np.intp)
     if count:
-        owner[edges[problem.data.end, 0]] = np.arange(problem.data.K)
-        owner[edges[problem.data.start, 1]] = np.arange(problem.data.K)
+        owner[edges[joint.data.end, 0]] = np.arange(joint.data.K)
+        owner[edges[joint.data.start, 1]] = np.arange(joint.data.K)
     build.add("edge", owner, np.zeros((count, 3)), {"gyro_quantization": unit}, [("edge", np.arange(count), unit)])
     if prior is not None:
-        away = point.errors.vector - prior.mean.vector
-        away[N_ERRORS:] += point.bias_deviation.mean(axis=0)
-        number = problem.data.K if problem.walks else 1
+        away = state.errors.vector - prior.mean.vector
+        away[N_ERRORS:] += state.bias_deviation.mean(axis=0)
+        number = joint.data.K if joint.bias_walks else 1
         E = np.eye(N_PARAMETERS)
-        blocks: list[tuple[str, Indices | int, Array]] = [("errors", 0, E[None, :, :N_ERRORS])]
-        blocks += [("bias", i, E[None, :, N_ERRORS:] / number) for i in range(number)]
-        build.add("prior", one, away[None], {"prior": prior.covariance[None]}, blocks)
+        eliminate_nuisances: list[tuple[str, Indices | int, Array]] = [("errors", 0, E[None, :, :N_ERRORS])]
+        eliminate_nuisances += [("bias", i, E[None, :, N_ERRORS:] / number) for i in range(number)]
+        build.add("prior", one, away[None], {"prior": prior.covariance[None]}, eliminate_nuisances)

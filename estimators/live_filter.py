@@ -19,12 +19,12 @@ from threadpoolctl import threadpool_limits
 from estimators.accuracy_targets import judge_targets
 from estimators.dense_solution import solve
 from estimators.iteration import default_prior, iterate
-from estimators.joint_problem import Problem
-from estimators.kalman_filter import EkfStep
-from estimators.result import with_prior
-from estimators.square_root_filter import RootExtendedKalmanFilter
-from estimators.step import State
-from srt.estimation.initial_estimates import first_estimate, split_legs
+from estimators.joint_model import JointModel
+from estimators.kalman_filter import KalmanSolver
+from estimators.solution_analysis import with_prior
+from estimators.solver import IterationState
+from estimators.square_root_filter import SquareRootFilter
+from srt.estimation.initial_estimates import initial_estimate, rotation_angles
 from srt.exceptions import DataError, InputError
 from srt.model.analytic_platform import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
@@ -122,9 +122,9 @@ class LiveFilter:
         self.prior = options.prior or default_prior()
         self.labels: list[SequenceLabel] = []
         self.coarse = CoarseFilter(self.prior)
-        self.state: State | None = None
-        self.problem: Problem | None = None
-        self.step = EkfStep(self.prior)
+        self.iteration: IterationState | None = None
+        self.joint: JointModel | None = None
+        self.solver = KalmanSolver(self.prior)
 
     def add(self, recording: Recording, label: SequenceLabel) -> LiveReport:
         """Take one more sequence.
@@ -151,48 +151,50 @@ class LiveFilter:
         so_far = tuple(self.labels)
         data = open_session(recording.with_sequences(so_far), so_far, self.options.average)
         # While much is known by the prior alone there are several places to come to rest: the likelier one counts.
-        starts = (self.coarse.estimate(), first_estimate(data, self.options))
-        self.problem, self.step, self.state = min((self._replay(data, start) for start in starts), key=_unlikely)
+        starts = (self.coarse.estimate(), initial_estimate(data, self.options))
+        self.joint, self.solver, self.iteration = min((self._replay(data, start) for start in starts), key=_unlikely)
         return self._report(data)
 
-    def _replay(self, data: PlaybackData, start: tuple[SensorErrors, Array]) -> tuple[Problem, EkfStep, State]:
+    def _replay(
+        self, data: PlaybackData, start: tuple[SensorErrors, Array]
+    ) -> tuple[JointModel, KalmanSolver, IterationState]:
         """All sequences so far, from the original prior, linearised from a start on."""
-        problem, step = Problem(data, self.options, start), EkfStep(self.prior)
-        requested = np.array([name in self.options.held_names for name in NAMES])
-        state = State(problem.start, ~requested)
+        joint, solver = JointModel(data, self.options, start), KalmanSolver(self.prior)
+        requested = np.array([name in self.options.fixed_names for name in NAMES])
+        iteration = IterationState(joint.start, ~requested)
         with threadpool_limits(limits=1, user_api="blas"):
-            return problem, step, iterate(problem, step, state, requested=requested, max_step=_MAX_STEP)
+            return joint, solver, iterate(joint, solver, iteration, requested=requested, max_step=_MAX_STEP)
 
     def _report(self, data: PlaybackData) -> LiveReport:
-        assert self.state is not None
-        found = self.step.last
-        if found is None or self.state.covariance is None:
-            raise DataError(f"After {data.labels[-1].title} the filter could not go on: {self.state.message}")
-        sigma = np.sqrt(np.maximum(np.diag(self.state.covariance), 0.0))
+        assert self.iteration is not None
+        found = self.solver.last
+        if found is None or self.iteration.covariance is None:
+            raise DataError(f"After {data.labels[-1].title} the filter could not go on: {self.iteration.message}")
+        sigma = np.sqrt(np.maximum(np.diag(self.iteration.covariance), 0.0))
         promised, met, limiting = judge_targets(sigma, self.options.targets)
         return LiveReport(
             data.ids[-1],
             data.occurrences[-1],
-            self.state.status,
-            self.state.point.errors,
+            self.iteration.status,
+            self.iteration.state.errors,
             sigma,
             float(found.nis[-1]),
             len(found.innovations[-1]),
             found.innovations[-1],
             promised,
-            met and self.state.status == "converged",
+            met and self.iteration.status == "converged",
             limiting,
         )
 
 
-def _unlikely(replay: tuple[Problem, EkfStep, State]) -> tuple[bool, float]:
+def _unlikely(replay: tuple[JointModel, KalmanSolver, IterationState]) -> tuple[bool, float]:
     """Order of replays: those that came to rest first, then by the squares of residuals and prior."""
-    problem, step, state = replay
-    if state.system is None or state.status == "outside_model":
+    joint, solver, iteration = replay
+    if iteration.system is None or iteration.status == "outside_model":
         return True, math.inf
-    system = with_prior(problem, step, state)
+    system = with_prior(joint, solver, iteration)
     left = system.b + system.A @ solve(system).delta
-    return state.status != "converged", float(left @ left)
+    return iteration.status != "converged", float(left @ left)
 
 
 def run_live(recording: Recording, live: LiveFilter) -> Iterator[LiveReport]:
@@ -226,7 +228,7 @@ class CoarseFilter:
             _largest(sigma, "accel_asymmetry"),
         )
         mean = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), np.zeros(6)])
-        self.filter = RootExtendedKalmanFilter(mean, np.diag(spread))
+        self.filter = SquareRootFilter(mean, np.diag(spread))
 
     def add(self, data: PlaybackData) -> None:
         """Take the sequences of a session."""
@@ -244,11 +246,11 @@ class CoarseFilter:
         for k, sequence in enumerate(data.catalogue):
             assert sequence is not None
             start, end = data.start[k], data.end[k]
-            legs = split_legs(stream, k, sequence, 0.5 * (rest[start] + rest[end]))
+            legs = rotation_angles(stream, k, sequence, 0.5 * (rest[start] + rest[end]))
             if legs is not None:
-                for turned, axis, angle in zip(legs, sequence.axes, sequence.angles_rad, strict=True):
+                for rotation, axis, angle in zip(legs, sequence.axes, sequence.angles_rad, strict=True):
                     error = math.hypot(off, self.gyro_asymmetry) * abs(angle) + fixture.rotation_sigma_rad
-                    self._take(turned, _matrix_rows(axis * angle, 0), error)
+                    self._take(rotation, _matrix_rows(axis * angle, 0), error)
             down = nominal[k][2]
             for which, vertical in ((start, down), (end, end_attitude(sequence).T @ down)):
                 H = _matrix_rows(-data.gravity * vertical, 9)

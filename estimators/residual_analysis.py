@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtrc
 
-from srt.estimation.leave_one_out import REDUNDANT, Contradiction, Evidence, LeftOut, named, reestimate, suspect
+from srt.estimation.leave_one_out import (
+    LEAST_PREDICTED_SHARE,
+    ConsistencyTest,
+    LeaveOneOutEstimate,
+    SequenceDiagnostics,
+    leave_one_out_estimate,
+    most_contradicted,
+    named,
+)
 from srt.noise.variance_components import restricted_likelihood
 from srt.result.calibration import Residual
 from srt.sensor_errors import N_PARAMETERS
@@ -15,9 +23,9 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from estimators.dense_solution import BatchSolution
-    from estimators.joint_problem import Problem
-    from estimators.linear_system import System
+    from estimators.dense_solution import DenseSolution
+    from estimators.joint_model import JointModel
+    from estimators.linear_system import LinearSystem
     from srt.types import Indices
 
 
@@ -26,9 +34,9 @@ _INDEPENDENT: Final = 1e-10
 _WITNESSED: Final = 0.05
 
 
-def residuals(problem: Problem, system: System, solution: BatchSolution) -> tuple[Residual, ...]:
+def residuals(joint: JointModel, system: LinearSystem, solution: DenseSolution) -> tuple[Residual, ...]:
     """Residuals of force, rate and turn at the solution, each with the sigma it should have."""
-    data = problem.data
+    data = joint.data
     left = system.b + system.A @ solution.delta
     leverage = np.einsum("ij,ij->i", system.A @ solution.root, system.A @ solution.root)
     out = []
@@ -36,7 +44,7 @@ def residuals(problem: Problem, system: System, solution: BatchSolution) -> tupl
         rows = system.rows_of(kind)
         for member, index in enumerate(rows.index):
             k = int(rows.owner[member])
-            name = kind if kind == "turn" else f"{_which(problem, k, member)}_{kind}"
+            name = kind if kind == "turn" else f"{_which(joint, k, member)}_{kind}"
             for axis, i in zip(axes, index.tolist(), strict=True):
                 sigma = float(np.sqrt(max(1.0 - leverage[i], 0.0)))
                 # Whitened: the value is in units of the measurement's own sigma.
@@ -45,14 +53,14 @@ def residuals(problem: Problem, system: System, solution: BatchSolution) -> tupl
     return tuple(out)
 
 
-def _which(problem: Problem, k: int, window: int) -> str:
+def _which(joint: JointModel, k: int, window: int) -> str:
     """Role of a window in its sequence; one without its turn is named apart."""
-    if window == problem.data.start[k]:
+    if window == joint.data.start[k]:
         return "start"
-    return "end" if window == problem.data.end[k] else "lone"
+    return "end" if window == joint.data.end[k] else "lone"
 
 
-def contradictions(problem: Problem, system: System, solution: BatchSolution) -> list[Contradiction]:
+def contradictions(joint: JointModel, system: LinearSystem, solution: DenseSolution) -> list[ConsistencyTest]:
     """Every sequence against all the others, in time order: chi-square of its residuals as the others predict it."""
     left = system.b + system.A @ solution.delta
     spread = system.A @ solution.root
@@ -60,22 +68,22 @@ def contradictions(problem: Problem, system: System, solution: BatchSolution) ->
     sigma = np.linalg.norm(reported, axis=1)
     reported = reported / np.where(sigma > 0.0, sigma, 1.0)[:, None]
     owned, out = _owned(system), []
-    for k in problem.order.tolist():
+    for k in joint.order.tolist():
         at = owned[k]
         v, H = left[at], spread[at]
         # What the data of a sequence alone decide, its own attitudes, leaves no residual there: directions without one.
         values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T)
-        seen = values > REDUNDANT
+        seen = values > LEAST_PREDICTED_SHARE
         statistic = float(np.sum((vectors[:, seen].T @ v) ** 2 / values[seen]))
         # Of them, those that move reported parameters: what nothing else shows of these.
-        alone, moved, _ = np.linalg.svd(reported @ (H.T @ vectors[:, ~seen]), full_matrices=False)
-        open_ = alone[:, moved > _WITNESSED]
-        out.append(Contradiction(statistic, int(seen.sum()), open_.shape[1], named(open_)))
+        alone, moving_windows, _ = np.linalg.svd(reported @ (H.T @ vectors[:, ~seen]), full_matrices=False)
+        open_ = alone[:, moving_windows > _WITNESSED]
+        out.append(ConsistencyTest(statistic, int(seen.sum()), open_.shape[1], named(open_)))
     return out
 
 
 def deletion_table(
-    problem: Problem, system: System, solution: BatchSolution, against: SequenceOf[Contradiction] | None = None
+    joint: JointModel, system: LinearSystem, solution: DenseSolution, against: SequenceOf[ConsistencyTest] | None = None
 ) -> list[dict[str, Any]]:
     """Set :func:`contradictions` as JSON values.
 
@@ -84,7 +92,7 @@ def deletion_table(
     list of dict
         Sequence, occurrence, chi_square, degrees_of_freedom, probability; in time order.
     """
-    data = problem.data
+    data = joint.data
     return [
         {
             "sequence": data.ids[k],
@@ -93,11 +101,13 @@ def deletion_table(
             "degrees_of_freedom": row.freedom,
             "probability": float(chdtrc(row.freedom, row.chi_square)) if row.freedom else 1.0,
         }
-        for k, row in zip(problem.order.tolist(), against or contradictions(problem, system, solution), strict=True)
+        for k, row in zip(joint.order.tolist(), against or contradictions(joint, system, solution), strict=True)
     ]
 
 
-def left_out(problem: Problem, system: System, solution: BatchSolution) -> list[LeftOut]:
+def leave_one_out_estimates(
+    joint: JointModel, system: LinearSystem, solution: DenseSolution
+) -> list[LeaveOneOutEstimate]:
     """The estimate without each sequence, in time order; windows that other sequences use stay."""
     left = system.b + system.A @ solution.delta
     spread = system.A @ solution.root
@@ -108,9 +118,9 @@ def left_out(problem: Problem, system: System, solution: BatchSolution) -> list[
     back = np.zeros((N_PARAMETERS, len(free)))
     back[free, np.arange(len(free))] = 1.0 / sigma
     full = np.linalg.inv(unit @ unit.T)
-    shared, out = _shared_rows(problem, system), []
+    shared, out = _shared_rows(joint, system), []
     owned = _owned(system)
-    for k in problem.order.tolist():
+    for k in joint.order.tolist():
         at = np.setdiff1d(owned[k], shared)
         H = spread[at]
         effect = full @ (unit @ H.T)
@@ -121,26 +131,26 @@ def left_out(problem: Problem, system: System, solution: BatchSolution) -> list[
         rest = full - seen @ seen.T
         gradient = seen @ (vectors[:, there].T @ left[at] / np.sqrt(values[there]))
         information = np.stack([back @ full @ back.T, back @ rest @ back.T])
-        out.append(reestimate(information, back @ gradient, system.free))
+        out.append(leave_one_out_estimate(information, back @ gradient, system.free))
     return out
 
 
 def evidence(
-    problem: Problem, system: System, solution: BatchSolution, against: SequenceOf[Contradiction]
-) -> tuple[Evidence, ...]:
+    joint: JointModel, system: LinearSystem, solution: DenseSolution, against: SequenceOf[ConsistencyTest]
+) -> tuple[SequenceDiagnostics, ...]:
     """What the verdict has of every sequence, in time order; empty where the estimate's covariance is singular."""
-    data = problem.data
+    data = joint.data
     try:
-        without = left_out(problem, system, solution)
+        without = leave_one_out_estimates(joint, system, solution)
     except np.linalg.LinAlgError:
         return ()
     return tuple(
-        Evidence(data.ids[k], data.occurrences[k], contradiction, left)
-        for k, contradiction, left in zip(problem.order.tolist(), against, without, strict=True)
+        SequenceDiagnostics(data.ids[k], data.occurrences[k], contradiction, left)
+        for k, contradiction, left in zip(joint.order.tolist(), against, without, strict=True)
     )
 
 
-def _owned(system: System) -> dict[int, Indices]:
+def _owned(system: LinearSystem) -> dict[int, Indices]:
     """Rows of every sequence."""
     owned: dict[int, list[Indices]] = {}
     for rows in system.rows:
@@ -150,17 +160,17 @@ def _owned(system: System) -> dict[int, Indices]:
     return {k: np.concatenate(rows) for k, rows in owned.items()}
 
 
-def _shared_rows(problem: Problem, system: System) -> Indices:
+def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
     """Rows of windows that two sequences use."""
-    data = problem.data
+    data = joint.data
     uses = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))
     windows = np.flatnonzero(uses > 1)
     return np.concatenate([system.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")])
 
 
-def suspects(table: SequenceOf[dict[str, Any]]) -> list[str]:
+def contradiction_warnings(table: SequenceOf[dict[str, Any]]) -> list[str]:
     """Name the sequence that contradicts the others most, if its chance is small."""
-    worst = suspect(table)
+    worst = most_contradicted(table)
     if worst is None:
         return []
     again = f" (occurrence {worst['occurrence']})" if worst["occurrence"] > 1 else ""
@@ -171,7 +181,7 @@ def suspects(table: SequenceOf[dict[str, Any]]) -> list[str]:
     ]
 
 
-def excess_noise(problem: Problem, system: System) -> tuple[float, float, float]:
+def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, float, float]:
     """One sigma of attitude per turn, of force and of rate per window beyond the noise (restricted maximum likelihood).
 
     Returns
@@ -183,9 +193,9 @@ def excess_noise(problem: Problem, system: System) -> tuple[float, float, float]
     parts = []
     known = np.eye(m)
     for kind, present, source in (
-        ("turn", problem.excess[0], "turn_excess"),
-        ("force", problem.excess[1], "pose_excess"),
-        ("rate", problem.excess[2], "rest_excess"),
+        ("turn", joint.unmodelled_sigma[0], "turn_excess"),
+        ("force", joint.unmodelled_sigma[1], "pose_excess"),
+        ("rate", joint.unmodelled_sigma[2], "rest_excess"),
     ):
         rows = system.rows_of(kind)
         W = system.whitening[kind]

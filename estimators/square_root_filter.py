@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
-class RootExtendedKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
+class SquareRootFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """Extended Kalman filter whose covariance is ``root rootᵀ``.
 
     Parameters

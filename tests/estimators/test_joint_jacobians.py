@@ -565,7 +565,7 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
         rates[sample - 1, axis] += size / dt
         rates[sample, axis] -= size / dt
         other = open_joint_model(replace(data.recording, gyro=rates), joint.options)
-        return unwhitened(linearise(other, case.state, other.play(case.state), system.free, case.prior))
+        return unwhitened(linearise(other, case.state, other.compensate(case.state), system.free, case.prior))
 
     sigma = data.noise.gyro_edge
     for w, side in np.argwhere(edges >= 0).tolist():
@@ -593,7 +593,7 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     monkeypatch.setattr(analytic_platform, "_PARTS", (2, 3))
     case = make(motions, VARIANTS[variant], size)
     joint, system = case.joint, case.system
-    data, draws = joint.data, joint.data.instability
+    data, draws = joint.data, joint.data.drift
     windows = data.windows.samples
     ends = analytic_platform.equal_parts(data.rotation, draws.parts.shape[1])
     spans = [*windows.tolist(), *np.stack([ends[:, :-1], ends[:, 1:]], axis=2).reshape(-1, 2).tolist()]
@@ -607,7 +607,7 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
         for (a, b), value in zip(spans, instability.tolist(), strict=True):
             table[a:b, axis] += value
         other = open_joint_model(replace(data.recording, **{sensor: table}), joint.options)
-        rows = unwhitened(linearise(other, case.state, other.play(case.state), system.free, case.prior))
+        rows = unwhitened(linearise(other, case.state, other.compensate(case.state), system.free, case.prior))
         return np.concatenate([rows[kind][0] for kind in kinds]).ravel()
 
     effects = []

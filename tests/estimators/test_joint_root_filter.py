@@ -12,7 +12,7 @@ pytest.importorskip("filterpy")
 from filterpy.kalman import ExtendedKalmanFilter
 from threadpoolctl import threadpool_limits
 
-from estimators.square_root_filter import RootExtendedKalmanFilter
+from estimators.square_root_filter import SquareRootFilter
 
 EPS = np.finfo(float).eps
 SEEDS = range(10)
@@ -56,7 +56,7 @@ def test_as_the_plain_filter(seed):
     n = int(rng.integers(2, 8))
     x, root = rng.standard_normal(n), random_root(rng, n)
     F = np.eye(n) + 0.2 * rng.standard_normal((n, n))
-    plain, found = plain_filter(x, root, F), RootExtendedKalmanFilter(x.copy(), root)
+    plain, found = plain_filter(x, root, F), SquareRootFilter(x.copy(), root)
     for _ in range(8):
         u, noise = rng.standard_normal(n), random_root(rng, n)[:, : int(rng.integers(1, n + 1))]
         plain.Q = noise @ noise.T
@@ -90,7 +90,7 @@ def test_without_arguments_nothing_is_added():
     """No process noise but what is given, white measurements of unit variance, and a transition that is kept."""
     rng = np.random.default_rng(3)
     root, F = random_root(rng, 3), np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-    ekf = RootExtendedKalmanFilter(np.array([1.0, 2.0, 3.0]), root)
+    ekf = SquareRootFilter(np.array([1.0, 2.0, 3.0]), root)
     ekf.predict()
     np.testing.assert_allclose(ekf.x, [1.0, 2.0, 3.0])
     np.testing.assert_allclose(ekf.P, root @ root.T, rtol=1e-14)
@@ -114,7 +114,7 @@ def test_a_prior_a_million_times_wider_than_the_result(seed):
     rng = np.random.default_rng(100 + seed)
     n, wide = 6, 1e6
     root, mean, truth = wide * random_root(rng, n), rng.standard_normal(n), rng.standard_normal(n)
-    plain, found = plain_filter(mean, root, np.eye(n)), RootExtendedKalmanFilter(mean.copy(), root)
+    plain, found = plain_filter(mean, root, np.eye(n)), SquareRootFilter(mean.copy(), root)
     rows, right = [np.linalg.inv(root)], [np.linalg.solve(root, mean)]
     for _ in range(12):
         H = rng.standard_normal((2, n))
@@ -145,7 +145,7 @@ def test_process_noise_as_a_batch_over_the_whole_walk(seed):
     n, steps = 3, 6
     F = np.eye(n) + 0.3 * rng.standard_normal((n, n))
     start, walk = random_root(rng, n), random_root(rng, n)
-    ekf = RootExtendedKalmanFilter(np.zeros(n), start)
+    ekf = SquareRootFilter(np.zeros(n), start)
     columns = n * steps
     rows, right = [np.zeros((n, columns))], [np.zeros(n)]
     rows[0][:, :n] = np.linalg.inv(start)
@@ -176,7 +176,7 @@ def test_normalised_innovations_are_white_with_unit_variance():
     F = 0.9 * np.eye(n) + 0.1 * rng.standard_normal((n, n))
     start, walk, noise = random_root(rng, n), 0.3 * random_root(rng, n), random_root(rng, m)
     x = start @ rng.standard_normal(n)
-    ekf = RootExtendedKalmanFilter(np.zeros(n), start)
+    ekf = SquareRootFilter(np.zeros(n), start)
     seen = []
     for _ in range(steps):
         x = F @ x + walk @ rng.standard_normal(n)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from estimators.joint_problem import Problem
-    from estimators.linear_system import System
-    from estimators.linearisation_point import Played, Point
+    from estimators.joint_model import JointModel
+    from estimators.joint_state import CompensatedData, JointState
+    from estimators.linear_system import LinearSystem
     from srt.model.prior import Prior
     from srt.types import Array, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solved:
+class LinearSolution:
     """A solution of the linearised problem.
 
     Attributes
@@ -31,14 +31,14 @@ class Solved:
         Of the reported parameters.
     """
 
-    point: Point
-    system: System
+    state: JointState
+    system: LinearSystem
     delta: Array
     correction: Array
     covariance: Array
 
 
-class Step(ABC):
+class Solver(ABC):
     """One solution of the linearised problem.
 
     Attributes
@@ -68,16 +68,16 @@ class Step(ABC):
         """Begin anew, the measurements having changed."""
 
     @abstractmethod
-    def solve(self, problem: Problem, system: System, point: Point) -> Solved:
+    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
         """Solve a problem linearised at a point."""
 
-    def diagnostics(self, problem: Problem) -> dict[str, Any]:  # noqa: ARG002 - for those that have some
+    def diagnostics(self, joint: JointModel) -> dict[str, Any]:  # noqa: ARG002 - for those that have some
         """What else the estimator reports, as JSON values."""
         return {}
 
 
 @dataclass(slots=True, eq=False)
-class State:
+class IterationState:
     """Where an iteration stands.
 
     Attributes
@@ -92,11 +92,11 @@ class State:
     status, message : str
     """
 
-    point: Point
+    state: JointState
     free: Mask
-    linearised_at: Point | None = None
-    played: Played | None = None
-    system: System | None = None
+    linearisation_point: JointState | None = None
+    compensated: CompensatedData | None = None
+    system: LinearSystem | None = None
     covariance: Array | None = None
     corrections: list[float] | None = None
     status: str = "not_converged"

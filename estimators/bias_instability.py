@@ -1,9 +1,8 @@
-"""Bias instability in the joint problem: what the stated drift does to windows and turns, as unit unknowns.
+"""Bias instability (flicker noise), as specified, in the joint model: unknowns of unit variance.
 
-Drift is alike from window to window, so that what one sequence shows of it tells of the next. All that it adds to the
-mean rates, the mean forces and the turned angles is one Gaussian vector y; with ``y = L u`` the unknowns u are
-independent and of unit variance. L is triangular in the order of the sequences: a sequence knows of those before it,
-which a filter needs.
+Bias instability is correlated in time, so that one sequence tells of the next. Its effects on the mean rates, the mean
+specific forces and the rotations are one Gaussian vector y. With ``y = L u`` the unknowns u are independent and of unit
+variance. L is lower triangular in time: a sequence depends on the unknowns of earlier ones only, as a filter needs.
 """
 
 from __future__ import annotations
@@ -21,43 +20,44 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 
-_ROUNDING: Final = 1e-12
+_REGULARISATION: Final = 1e-12
+"""Added to the variances of the normalised effects, all 1, as adjacent windows are almost fully correlated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drift:
-    """Effect of n unit draws, three for every window and turn of a sensor that drifts.
+class BiasInstability:
+    """Effects of n unknowns of unit variance: three per window and rotation (gyros) or per window (accelerometers).
 
     Attributes
     ----------
     rate, force : ndarray, shape (W, 3, n)
         On the compensated means of the windows, rad/s and m/s².
-    turned : ndarray, shape (K, 3, n)
-        On the attitude error of the turns, rad.
+    rotation : ndarray, shape (K, 3, n)
+        On the attitude error of the rotations, rad.
     is_gyro : ndarray of bool, shape (n / 3,)
-        Sensor of every three draws.
+        Sensor of every three unknowns.
     """
 
     rate: Array
     force: Array
-    turned: Array
+    rotation: Array
     is_gyro: Mask
 
     @property
     def size(self) -> int:
-        """Number of draws."""
+        """Number of unknowns."""
         return int(self.rate.shape[2])
 
 
-def drift(
+def bias_instability(
     data: PlaybackData,
     integrals: RotationIntegrals,
     slopes: tuple[Array, Array],
     owner: tuple[Indices, Indices],
     *,
     of_gyros: bool,
-) -> Drift:
-    """Set the stated drift up; nothing where none is stated.
+) -> BiasInstability:
+    """Effects of the bias instability as specified; no unknowns if none is specified.
 
     Parameters
     ----------
@@ -67,44 +67,41 @@ def drift(
     slopes : (ndarray, ndarray), shape (W, 3, 3) each
         Compensated rate and force of unit biases of the raw channels.
     owner : (ndarray, ndarray) of int, shape (W,) and (K,)
-        Place in time of the sequence that a window or a turn belongs to.
+        Rank in time of the sequence that a window or a rotation belongs to.
     of_gyros : bool
-        Whether that of the gyros counts.
+        Include the bias instability of the gyros.
     """
-    windows, turns = owner
+    windows, rotations = owner
     W = len(windows)
     gyro, accel = np.zeros((W + data.K, 3, 0)), np.zeros((W, 3, 0))
-    place_gyro = place_accel = np.zeros(0, dtype=np.intp)
+    rank_gyro = rank_accel = np.zeros(0, dtype=np.intp)
     if of_gyros and data.noise.gyro_flicker is not None and data.noise.gyro_flicker.any():
         found = gyro_drift(data, integrals, slopes[0])
         assert found.rate is not None
         assert found.phi is not None
-        gyro, place_gyro = _root(np.concatenate([found.rate, found.phi]), np.concatenate([windows, turns]))
+        gyro, rank_gyro = _root(np.concatenate([found.rate, found.phi]), np.concatenate([windows, rotations]))
     if data.noise.accel_flicker.any():
         found = accel_drift(data, slopes[1])
         assert found.force is not None
-        accel, place_accel = _root(found.force, windows)
-    # Both sensors' draws in one order of time.
-    by_time = np.argsort(np.concatenate([place_gyro, place_accel]), kind="stable")
+        accel, rank_accel = _root(found.force, windows)
+    # Unknowns of both sensors, sorted by time.
+    by_time = np.argsort(np.concatenate([rank_gyro, rank_accel]), kind="stable")
     columns = (3 * by_time[:, None] + np.arange(3)).ravel()
     gyro, accel = (
         np.pad(effect, ((0, 0), (0, 0), room))[:, :, columns]
         for effect, room in ((gyro, (0, accel.shape[2])), (accel, (gyro.shape[2], 0)))
     )
-    return Drift(gyro[:W], accel, gyro[W:], by_time < len(place_gyro))
+    return BiasInstability(gyro[:W], accel, gyro[W:], by_time < len(rank_gyro))
 
 
-def _root(effect: Array, place: Indices) -> tuple[Array, Indices]:
-    """Triangular root of the covariance of effects (m, 3, S) in the order of their places: (m, 3, 3 m), and the order.
-
-    The draws that it is a root for are in that order, too.
-    """
-    order = np.argsort(place, kind="stable")
+def _root(effect: Array, rank: Indices) -> tuple[Array, Indices]:
+    """Cholesky factor (m, 3, 3 m) of the covariance of effects (m, 3, S), and the sorted ranks of its unknowns."""
+    order = np.argsort(rank, kind="stable")
     Y = effect[order].reshape(-1, effect.shape[2])
     size = np.linalg.norm(Y, axis=1)
-    # What nothing acts on, as a turn without samples, has no drift.
+    # A rotation without samples has no effect, and would make the covariance singular.
     unit = Y / np.where(size > 0.0, size, 1.0)[:, None]
-    L = np.linalg.cholesky(unit @ unit.T + _ROUNDING * np.eye(len(Y))) * size[:, None]
+    L = np.linalg.cholesky(unit @ unit.T + _REGULARISATION * np.eye(len(Y))) * size[:, None]
     out = np.empty((len(order), 3, len(Y)))
     out[order] = L.reshape(out.shape)
-    return out, place[order]
+    return out, rank[order]

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from estimators.bias_drift import Drift
+    from estimators.bias_instability import BiasInstability
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chain:
+class LevelFrame:
     """Sequences whose attitudes are stated in one level frame L.
 
     Attributes
@@ -31,7 +31,7 @@ class Chain:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Point:
+class JointState:
     """Values that the problem is linearised at.
 
     Attributes
@@ -60,7 +60,7 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Played:
+class CompensatedData:
     """The recorded data played back at a point: compensated measurements, and what the model needs around them.
 
     Attributes
@@ -90,10 +90,10 @@ class Played:
     rate_jacobian: Array
     force_noise: dict[str, Array]
     rate_noise: dict[str, Array]
-    turned_noise: dict[str, Array]
+    rotation_noise: dict[str, Array]
     rate_slope: Array
-    turned: Array
-    turned_jacobian: Array
+    rotation: Array
+    rotation_jacobian: Array
     duration_s: Array
     edge_slope: Array
-    drift: Drift
+    instability: BiasInstability

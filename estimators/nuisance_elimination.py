@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from estimators.joint_problem import Problem
-    from estimators.linear_system import System
+    from estimators.joint_model import JointModel
+    from estimators.linear_system import LinearSystem
     from srt.types import Array, Indices, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class SequenceEquations:
     """One sequence for the filter, everything whitened to unit noise.
 
     Attributes
@@ -64,22 +64,22 @@ class Block:
         return own, handed_on
 
 
-def global_columns(system: System) -> Indices:
+def global_columns(system: LinearSystem) -> Indices:
     """Columns that sequences share, in the filter's order: those that are estimated; of the biases the first.
 
     The draws of the drift come last, in the order of the sequences that need them first.
     """
-    names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "drift")
+    names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "instability")
     kept = [system.of(name)[:3] if name == "bias" else system.of(name) for name in names]
     columns = np.concatenate(kept)
     return columns[system.active[columns]]
 
 
-def blocks(problem: Problem, system: System) -> list[Block]:
+def eliminate_nuisances(joint: JointModel, system: LinearSystem) -> list[SequenceEquations]:
     """Split a system into its sequences, in time order."""
     shared = global_columns(system)
     bias = system.columns["bias"]
-    data = problem.data
+    data = joint.data
     rows_of: list[list[Indices]] = [[] for _ in range(data.K)]
     edges = next((r.index for r in system.rows if r.kind == "edge"), np.empty((0, 3), dtype=np.intp))
     for rows in system.rows:
@@ -89,10 +89,10 @@ def blocks(problem: Problem, system: System) -> list[Block]:
             if owner >= 0:
                 rows_of[owner].append(member)
     attitude = system.of("attitude").reshape(-1, 3)
-    later = {int(data.start[k]): i for i, k in enumerate(problem.order.tolist())}
+    later = {int(data.start[k]): i for i, k in enumerate(joint.order.tolist())}
     out = []
     carried = -1
-    for i, k in enumerate(problem.order.tolist()):
+    for i, k in enumerate(joint.order.tolist()):
         at = np.concatenate(rows_of[k])
         # Readings at the edges of its windows, by their own priors; one that the next turn shares counts there anew.
         used = system.A[np.ix_(at, system.of("edge"))].any(axis=0).reshape(-1, 3).any(axis=1)
@@ -117,6 +117,6 @@ def blocks(problem: Problem, system: System) -> list[Block]:
         pose = (R[n : n + p, n:], G[n : n + p], P[n : n + p], c[n : n + p]) if p else None
         active = np.isin(attitude[onward], handed_on) if onward >= 0 else np.zeros(3, dtype=np.bool_)
         own_rows = (local, R[:n, :n], R[:n, n:], G[:n], P[:n], c[:n])
-        out.append(Block(k, G[n + p :], P[n + p :], c[n + p :], pose, handed_on, active, own_rows))
+        out.append(SequenceEquations(k, G[n + p :], P[n + p :], c[n + p :], pose, handed_on, active, own_rows))
         carried = onward
     return out

@@ -1,0 +1,469 @@
+"""Joint model of a recording: unknowns, priors, measurements and their noise, shared by Kalman filter and factor graph.
+
+Unknowns besides the sensor errors: the bias instability as specified (without a specification, and where the rates at
+rest scatter, one gyro bias per sequence), levelling and north of the fixture's base, orientation U of MARS on the
+table, gravity, the Earth's rate where it is not known, and the attitude of every stationary window.
+Measurements: mean specific force and mean rate of every window, and the rotation that the gyros measured between the
+windows of a sequence. The equations are in :mod:`srt.model.measurement_model`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from estimators.bias_instability import bias_instability
+from estimators.joint_state import CompensatedData, JointState, LevelFrame
+from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.measurement_covariance import earth_rate_sigma, excess_scatter
+from srt.estimation.srt_measurements import SrtProcessor
+from srt.exceptions import DataError, InputError
+from srt.model import measurement_model as model
+from srt.model.analytic_platform import integrate
+from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
+from srt.model.sensor_model import accel_triad, gyro_triad
+from srt.noise.noise_model import flicker_spread
+from srt.sensor_errors import SensorErrors
+from srt.sequences.plausibility import gap_inside
+from srt.sequences.preparation import nominal_attitude, open_session, sequence_of_label
+from srt.sequences.stationary_windows import find_turns
+from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
+from srt.sequences.stillness import moved_windows
+
+if TYPE_CHECKING:
+    from srt.estimation.options import Options
+    from srt.model.rotation_integrals import RotationIntegrals
+    from srt.model.table1 import Sequence
+    from srt.recording.recording import Recording, SequenceLabel
+    from srt.sequences.preparation import PlaybackData
+    from srt.types import Array, Mask
+
+
+_MOUNTING_LIMIT: Final = 5.0
+"""Rotation of MARS from its stated mounting, in sigmas of the fixture, above which the prior follows the data."""
+_UNCONSTRAINED_BIAS: Final = 1e-2
+"""Bias scatter between sequences, rad/s (about 2000 °/h), above any unit's: it leaves the biases independent."""
+_RELEVANT_EDGE_NOISE: Final = 1e-3
+"""Share of quantization in the variance of a rotation from which window edges become unknowns of their own."""
+_MODELLED_SQUARENESS: Final = 1e-4
+"""Sigma of the angle between the axes that other unknowns already model, relative to that of the fixture's angles.
+
+Not zero, as the covariance of a start attitude must be regular.
+"""
+_LEAST_WALK: Final = 1e-3
+"""Smallest step of the bias walk, as a share of the rate noise of a window: the walk's covariance must be regular."""
+_EQUAL: Final = 1e-6
+"""Largest residual, of 1, at which base and mounting reproduce a non-orthogonality of the fixture's axes."""
+
+
+class JointModel:
+    """Unknowns, measurements and noise of a recording, and its linearisation about an estimate.
+
+    Parameters
+    ----------
+    data : PlaybackData
+    options : Options
+    start : SensorErrors, ndarray of shape (3, 3)
+        Initial estimate and U.
+
+    Raises
+    ------
+    InputError
+        If the options ask for gyro g-sensitivity, which joint estimation does not model.
+    """
+
+    def __init__(self, data: PlaybackData, options: Options, start: tuple[SensorErrors, Array]) -> None:
+        if options.gyro_bias == G_SENSITIVE:
+            raise InputError(
+                f"Joint estimation has no option gyro_bias={G_SENSITIVE!r}: use the estimator closed-form or "
+                "least-squares, which have it, or omit the option."
+            )
+        self.data, self.options = data, options
+        self.fixture_states = options.fixture_states and data.recording.fixture is not None
+        self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
+        self.processor = SrtProcessor(data, options, self.integrated)
+        self.nominal = [_nominal_start(s) if data.recording.fixture is not None else None for s in data.catalogue]
+        self.unmodelled_sigma = (0.0, 0.0, 0.0)
+        """Unmodelled error, 1-sigma: rotation, rad; specific force, m/s²; rate, rad/s."""
+        stated = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
+        self.bias_scatter = {"auto": stated, "pooled": np.zeros(3), "per-sequence": np.full(3, _UNCONSTRAINED_BIAS)}[
+            options.gyro_bias
+        ]
+        # Flicker noise has no memory of distance here: the difference of neighbours has twice the variance.
+        self.bias_step = self.bias_scatter * math.sqrt(2.0) / flicker_spread(data.windows.samples)
+        self._lay_out()
+        self.U_prior, self.U_note = self._mounting(start[1])
+        self.start = JointState(
+            start[0], np.zeros((data.K, 3)), np.eye(3), start[1], 0.0, np.zeros((len(self.level_frames), 3))
+        )
+
+    def _lay_out(self) -> None:
+        """Assign windows and sequences to level frames, and windows to the sequence that measures them first."""
+        data = self.data
+        W = len(data.windows.duration_s)
+        self.order = np.argsort(data.rotation[:, 0], kind="stable")
+        self.rank = np.argsort(self.order)
+        self.window_sequence = np.full(W, -1, dtype=np.intp)
+        self.window_frame = np.full(W, -1, dtype=np.intp)
+        self.sequence_frame = np.empty(data.K, dtype=np.intp)
+        self.level_frames: list[LevelFrame] = []
+        fixture_frame = -1
+        for k in self.order.tolist():
+            s, e = int(data.start[k]), int(data.end[k])
+            if self.window_frame[s] < 0:
+                if self.nominal[k] is None or fixture_frame < 0:
+                    self.level_frames.append(self._level_frame(fixture=self.nominal[k] is not None))
+                    if self.nominal[k] is not None:
+                        fixture_frame = len(self.level_frames) - 1
+                self.window_frame[s] = fixture_frame if self.nominal[k] is not None else len(self.level_frames) - 1
+            self.sequence_frame[k] = self.window_frame[e] = self.window_frame[s]
+            for w in (s, e):
+                if self.window_sequence[w] < 0:
+                    self.window_sequence[w] = k
+        # A pose without its rotation takes the gyro bias of the sequence before it.
+        for _, w in data.poses:
+            before = np.flatnonzero(data.rotation[self.order, 0] < data.windows.samples[w, 0])
+            self.window_sequence[w] = self.order[before[-1]] if before.size else self.order[0]
+            self.window_frame[w] = fixture_frame
+        self.is_end = np.zeros(W, dtype=np.bool_)
+        self.is_end[data.end] = True
+        self.is_start = np.zeros(W, dtype=np.bool_)
+        self.is_start[data.start] = True
+        middle = data.windows.samples.mean(axis=1)
+        self.times = 0.5 * (middle[data.start] + middle[data.end])
+        steps = np.diff(self.times[self.order])
+        span = float(steps.sum())
+        # A random walk of total variance Q scatters by Q / 6 about its mean.
+        self.walk_share = 6.0 * steps / span if span > 0.0 else np.zeros(0)
+
+    def _level_frame(self, *, fixture: bool) -> LevelFrame:
+        site, stated = self.data.recording.site, self.data.recording.fixture
+        if site.latitude_rad is None:
+            return LevelFrame(np.zeros(3), np.full(3, EARTH_RATE_RAD_S / math.sqrt(3.0)), fixture)
+        north, down = (
+            EARTH_RATE_RAD_S * math.cos(site.latitude_rad),
+            -EARTH_RATE_RAD_S * math.sin(site.latitude_rad),
+        )
+        if fixture and stated is not None and stated.heading_rad is not None:
+            return LevelFrame(np.array([north, 0.0, down]), np.zeros(3), fixture)
+        return LevelFrame(np.array([0.0, 0.0, down]), np.array([1.0, 1.0, 0.0]) * north / math.sqrt(2.0), fixture)
+
+    def update_mounting_prior(self, state: JointState) -> None:
+        """Update the prior of the mounting near the solution, so that it does not depend on the initial estimate."""
+        if self.data.nominal is not None:
+            self.U_prior, self.U_note = self._mounting(self.processor.process(state.errors, U=state.U).U)
+
+    def _mounting(self, U: Array) -> tuple[Array, str]:
+        """Prior mean of U, and a warning: nominal, or U itself where MARS is clearly rotated from the mounting."""
+        fixture = self.data.recording.fixture
+        if fixture is None:
+            return U, ""
+        rotation = float(np.linalg.norm(rotation_vector(U[None])))
+        # U was found from the fixture's axes and verticals, and has their errors.
+        limit = _MOUNTING_LIMIT * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
+        if rotation <= limit:
+            return np.eye(3), ""
+        return U, (
+            f"The gyro axes are rotated by {rotation * 1e3:.3g} mrad from the stated mounting: the prior of the "
+            "mounting was centred on the orientation that the rotations show."
+        )
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading of the fixture; 0 if unknown, as the horizontal Earth's rate is estimated then."""
+        fixture = self.data.recording.fixture
+        return 0.0 if fixture is None or fixture.heading_rad is None else fixture.heading_rad
+
+    @property
+    def alignment_sigma(self) -> float:
+        """Standard deviation of base and mounting, rad."""
+        fixture = self.data.recording.fixture
+        return 0.0 if fixture is None else fixture.alignment_sigma_rad
+
+    @property
+    def start_sigma(self) -> Array:
+        """Standard deviation of inner angle, outer angle and axis non-orthogonality of a start, shape (3,), rad.
+
+        The non-orthogonality is one angle of the fixture, but no unknown of its own. Where base and mounting can
+        reproduce it at all starts they absorb it; otherwise every start has an independent one. Its variation
+        between starts is the axis wobble.
+        """
+        fixture = self.data.recording.fixture
+        rotation, wobble = (0.0, 0.0) if fixture is None else (fixture.rotation_sigma_rad, fixture.wobble)
+        fixed = _MODELLED_SQUARENESS * rotation if self._base_absorbs_non_orthogonality else self.alignment_sigma
+        return np.array([rotation, rotation, np.hypot(fixed, wobble)])
+
+    @cached_property
+    def _base_absorbs_non_orthogonality(self) -> bool:
+        """True if small rotations of base and mounting reproduce axis non-orthogonality at every start."""
+        starts = [C for C in self.nominal if C is not None] + [pose_nominal(label) for label, _ in self.data.poses]
+        if not starts:
+            return True
+        C = np.stack(starts)
+        # Inner along outer axis, e_y · C e_z: derivatives by rotations of the base (left of C) and mounting (right).
+        jacobian = np.concatenate([np.cross(C[:, :, 2], [0.0, 1.0, 0.0]), np.cross([0.0, 0.0, 1.0], C[:, 1])], axis=1)
+        wanted = np.ones(len(C))
+        found = np.linalg.lstsq(jacobian, wanted)[0]
+        return bool(np.abs(jacobian @ found - wanted).max() < _EQUAL)
+
+    def with_initial_values(self, state: JointState, fixed: Mask) -> JointState:
+        """Give fixed parameters the values of the initial estimate."""
+        vector = np.where(fixed, self.start.errors.vector, state.errors.vector)
+        return replace(state, errors=SensorErrors(vector))
+
+    def bias_walk_sigma(self) -> Array:
+        """Standard deviation of the bias steps between sequences in time order, shape (K − 1, 3), rad/s."""
+        least = _LEAST_WALK * self.data.noise.gyro_white / math.sqrt(float(self.data.windows.duration_s.max()))
+        by_scatter = np.sqrt(self.walk_share)[:, None] * self.bias_scatter
+        # g-sensitivity and flicker noise differ from pose to pose by more than a random walk of that scatter.
+        return np.asarray(np.maximum(np.maximum(by_scatter, self.bias_step), least))
+
+    @property
+    def bias_walks(self) -> bool:
+        """True if every sequence has its own gyro bias, following a random walk."""
+        free = self.data.noise.gyro_flicker is None or self.options.gyro_bias == "per-sequence"
+        return free and bool(self.bias_scatter.any()) and self.data.K > 1
+
+    def earth_rate(self, state: JointState) -> Array:
+        """Earth's rate ω_L in the level frame of every window, shape (W, 3), rad/s."""
+        by_frame = np.stack([frame.earth_rate for frame in self.level_frames]) + state.earth_rate
+        return np.asarray(by_frame[self.window_frame])
+
+    def compensate(self, state: JointState) -> CompensatedData:
+        """Compensate the recorded data with an estimate, and integrate the rotations."""
+        data, windows = self.data, self.data.windows
+        gyro, accel = gyro_triad(state.errors), accel_triad(state.errors)
+        slope = np.linalg.inv(gyro.matrix)
+        deviation = state.bias_deviation @ slope.T
+        force, rate = accel.compensate(windows.accel_mean), gyro.compensate(windows.gyro_mean)
+        force_jacobian = model.force_error_jacobian(force, accel)
+        rate_jacobian = model.rate_error_jacobian(rate, gyro)
+        D_force, D_rate = accel.sensitivity(force), gyro.sensitivity(rate)
+        rate = rate - deviation[self.window_sequence]
+        integrals, rotation, force = self._integrate(state, deviation, force)
+        A = slope * data.noise.gyro_edge
+        separate_edges = self._edges_are_unknowns(integrals.weight_s)
+        return CompensatedData(
+            force=force,
+            rate=rate,
+            force_jacobian=force_jacobian,
+            rate_jacobian=rate_jacobian,
+            force_noise=self._force_noise(D_force),
+            rate_noise=self._rate_noise(D_rate, separate_edges=separate_edges),
+            rotation_noise=self._rotation_noise(integrals, A, separate_edges=separate_edges),
+            rate_slope=D_rate,
+            rotation=rotation,
+            rotation_jacobian=model.attitude_error_jacobian(integrals),
+            duration_s=integrals.weight_s,
+            edge_slope=A * float(separate_edges),
+            instability=bias_instability(
+                data,
+                integrals,
+                (D_rate, D_force),
+                (self.rank[self.window_sequence], self.rank),
+                of_gyros=self.options.gyro_bias != "pooled",
+            ),
+        )
+
+    def _integrate(self, state: JointState, deviation: Array, force: Array) -> tuple[RotationIntegrals, Array, Array]:
+        """Integrals of the rotations, rotations against inertial space, and forces of the windows as integrated.
+
+        A window in which the unit moved has the mean of its force in the frame of its rest, not of its samples.
+        """
+        data = self.data
+        if not self.integrated.any():
+            integrals, _ = integrate(
+                self.processor.stream,
+                gyro_triad(state.errors),
+                np.zeros((data.K, 3)),
+                bias_offset=deviation,
+                sample_noise_rad=data.noise.gyro_sample(data.recording.nominal_interval_s),
+                with_noise=True,
+            )
+            return integrals, integrals.C_end, force
+        processed = self.processor.process(state.errors, U=state.U, bias_offset=deviation, with_noise=True)
+        integrals = processed.integrals
+        rotation = rotation_matrix(processed.earth_rate * integrals.weight_s[:, None]) @ integrals.C_end
+        force = force.copy()
+        for k in range(data.K):
+            s, e = data.start[k], data.end[k]
+            force[s] = processed.carried[k, 0] if self.integrated[s] else force[s]
+            force[e] = integrals.C_end[k].T @ processed.carried[k, 1] if self.integrated[e] else force[e]
+        return integrals, rotation, force
+
+    def _edges_are_unknowns(self, duration_s: Array) -> bool:
+        """True if quantization at window edges matters: window and rotation then share it as an unknown."""
+        noise = self.data.noise
+        white = noise.gyro_white**2 * float(duration_s.min())
+        return bool(np.any(2.0 * noise.gyro_edge**2 > _RELEVANT_EDGE_NOISE * white))
+
+    def _force_noise(self, D: Array) -> dict[str, Array]:
+        """Covariance of the compensated specific forces by source, D being the slope of compensation."""
+        noise, windows = self.data.noise, self.data.windows
+        return {
+            "accel_noise": _compensated_covariance(D, noise.accel_white**2 * windows.white_factor[:, None]),
+            "accel_quantization": _compensated_covariance(D, noise.accel_edge**2 * windows.edge_factor[:, None]),
+            "pose_excess": np.broadcast_to(self.unmodelled_sigma[1] ** 2 * np.eye(3), D.shape),
+        }
+
+    def _rate_noise(self, D: Array, *, separate_edges: bool) -> dict[str, Array]:
+        """Covariance of the compensated rates by source."""
+        noise, T = self.data.noise, self.data.windows.duration_s[:, None]
+        # An edge that no rotation shares is noise of the window's rate alone; so are all edges that are no unknowns.
+        own_edges = np.where(separate_edges, 2.0 - self.is_end.astype(float) - self.is_start, 2.0)[:, None]
+        by_source = {
+            "gyro_noise": _compensated_covariance(D, noise.gyro_white**2 / T),
+            "gyro_quantization": _compensated_covariance(D, own_edges * (noise.gyro_edge / T) ** 2),
+            "rest_excess": np.broadcast_to(self.unmodelled_sigma[2] ** 2 * np.eye(3), D.shape),
+        }
+        if self.integrated.any():
+            # In a window whose attitude is integrated the gyros measure motion: no weight, as 1 rad/s is no knowledge.
+            by_source["gyro_noise"][self.integrated] = np.eye(3)
+        return by_source
+
+    def _rotation_noise(self, integrals: RotationIntegrals, A: Array, *, separate_edges: bool) -> dict[str, Array]:
+        """Covariance of the rotations by source, A being the compensated angle of a unit edge error."""
+        assert integrals.noise is not None
+        C = integrals.C_end
+        edges = np.broadcast_to(A @ A.T, C.shape) + C @ (A @ A.T) @ np.swapaxes(C, 1, 2)
+        return {
+            "gyro_noise": integrals.noise @ self.data.noise.gyro_white**2,
+            "gyro_quantization": 0.0 * edges if separate_edges else edges,
+            "turn_excess": np.broadcast_to(self.unmodelled_sigma[0] ** 2 * np.eye(3), C.shape),
+        }
+
+    def initial_attitudes(self, state: JointState, compensated: CompensatedData) -> JointState:
+        """Attitudes from the data: level from the specific force, heading from the fixture or along the rotations."""
+        data = self.data
+        attitude = np.tile(np.eye(3), (len(data.windows.duration_s), 1, 1))
+        placed = np.zeros(len(attitude), dtype=np.bool_)
+        down = -compensated.force / np.linalg.norm(compensated.force, axis=1, keepdims=True)
+        earth = self.earth_rate(state)
+        heading = rotation_matrix(np.array([0.0, 0.0, self.heading_rad]))
+
+        def level(A: Array, w: int) -> Array:
+            return np.asarray(A @ smallest_rotation(down[w][None], A[2][None])[0])
+
+        def from_fixture(nominal: Array) -> Array:
+            return np.asarray(heading @ state.base @ nominal @ state.U.T)
+
+        for label, w in data.poses:
+            attitude[w] = level(from_fixture(pose_nominal(label)), w)
+        for k in self.order.tolist():
+            s, e = int(data.start[k]), int(data.end[k])
+            nominal = self.nominal[k]
+            if not placed[s]:
+                A = from_fixture(nominal) if nominal is not None else _any_level_attitude(down[s])
+                attitude[s], placed[s] = level(A, s), True
+            if not placed[e]:
+                turn = rotation_matrix(-earth[s] * compensated.duration_s[k])
+                attitude[e], placed[e] = level(turn @ attitude[s] @ compensated.rotation[k], e), True
+        return replace(state, attitude=attitude)
+
+    def moving_windows(self, state: JointState, compensated: CompensatedData) -> Mask:
+        """Windows, assumed stationary so far, in which the unit moved, shape (W,)."""
+        assert state.attitude is not None
+        gyro = gyro_triad(state.errors)
+        rest, _, _ = model.pose_rate(compensated.rate, state.attitude, self.earth_rate(state))
+        wander = np.sqrt(np.linalg.inv(gyro.matrix) ** 2 @ self.bias_scatter**2)
+        chance = STILLNESS_PROBABILITY / len(rest)
+        moving_windows = moved_windows(self.data, gyro, accel_triad(state.errors), rest, wander, chance)
+        return np.asarray(moving_windows & ~self.integrated)
+
+    def integrate_windows(self, windows: Mask) -> None:
+        """Integrate the attitude over windows instead of taking it as constant."""
+        self.integrated = self.integrated | windows
+        self.processor = SrtProcessor(self.data, self.options, self.integrated)
+
+    @cached_property
+    def rest_rate_weights(self) -> Array:
+        """Weights of the windows in each sequence's own rest rate, shape (K, W)."""
+        T = self.data.windows.duration_s
+        weights = np.zeros((self.data.K, len(T)))
+        for which in (self.data.start, self.data.end):
+            weights[np.arange(self.data.K), which] = T[which]
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+    def instability_by_sequence(self, compensated: CompensatedData, draws: Array) -> Array:
+        """Bias instability of the raw gyros in each sequence's windows less its mean, shape (K, 3), rad/s."""
+        raw = np.linalg.solve(compensated.rate_slope, (compensated.instability.rate @ draws)[:, :, None])[:, :, 0]
+        own = self.rest_rate_weights @ raw
+        return np.asarray(own - own.mean(axis=0))
+
+    def update_bias_scatter(self, state: JointState, compensated: CompensatedData) -> None:
+        """Estimate the bias scatter between sequences from the rates at rest, if no instability is specified."""
+        if self.data.noise.gyro_wander is not None or self.options.gyro_bias != "auto" or self.data.K < 3:
+            return
+        assert state.attitude is not None
+        rest, _, _ = model.pose_rate(compensated.rate, state.attitude, self.earth_rate(state))
+        rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.rate_slope), rest)
+        rest = rest + state.bias_deviation[self.window_sequence]
+        T, weights = self.data.windows.duration_s, self.rest_rate_weights
+        noise = self.data.noise
+        variance = noise.gyro_white**2 / T[:, None] + 2.0 * (noise.gyro_edge / T[:, None]) ** 2
+        expected = np.mean(weights**2 @ variance, axis=0) + earth_rate_sigma(self.data) ** 2
+        own = weights @ rest
+        self.bias_scatter = np.sqrt(excess_scatter(own, expected))
+        steps = np.mean(np.diff(own[self.order], axis=0) ** 2, axis=0) - 2.0 * expected
+        self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
+
+
+def open_joint_model(recording: Recording, options: Options) -> JointModel:
+    """Open a recording for joint estimation.
+
+    Raises
+    ------
+    DataError
+        As :func:`srt.sequences.preparation.open_session`, and if no sequence has both its windows.
+    """
+    labels = recording.sequences or find_turns(recording)
+    whole = tuple(s for s in labels if not _end_is_missing(recording, s))
+    poses = tuple(s for s in labels if s.id is not None and (s not in whole or _rotation_is_incomplete(recording, s)))
+    if not whole:
+        raise DataError("No sequence of the recording has both its windows: record at least one rotation to its end.")
+    data = open_session(recording, whole, options.average, poses=poses if recording.fixture is not None else ())
+    return JointModel(data, options, initial_estimate(data, options))
+
+
+def pose_nominal(label: SequenceLabel) -> Array:
+    """C_nom of a label's start."""
+    sequence = sequence_of_label(label)
+    assert sequence is not None
+    return nominal_attitude(sequence)
+
+
+def _rotation_is_incomplete(recording: Recording, label: SequenceLabel) -> bool:
+    """True if samples are missing after a complete start window."""
+    first, last = recording.window_indices(*label.start_static_s), recording.window_indices(*label.end_static_s)
+    lost = gap_inside(recording, slice(first.start, last.stop)).size > 0
+    return lost and gap_inside(recording, first).size == 0
+
+
+def _end_is_missing(recording: Recording, label: SequenceLabel) -> bool:
+    window = recording.window_indices(*label.end_static_s)
+    return bool(window.stop - window.start < 2)
+
+
+def _nominal_start(sequence: Sequence | None) -> Array | None:
+    """C_nom of a sequence's start; None if the fixture cannot reach it, as IMU z would lie along the outer axis."""
+    if sequence is None or sequence.along_outer[-1] == "z":
+        return None
+    return nominal_attitude(sequence)
+
+
+def _compensated_covariance(D: Array, variance: Array) -> Array:
+    """Covariance of compensated values from the variances of raw channels, (n, 3, 3)."""
+    return np.asarray((D * variance[:, None, :]) @ np.swapaxes(D, 1, 2))
+
+
+def _any_level_attitude(down: Array) -> Array:
+    """Arbitrary attitude, B to L, with a given down vector."""
+    first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(down, first), down])
