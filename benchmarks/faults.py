@@ -26,7 +26,7 @@ from rich.table import Table
 from sims.faults.injection import GRADES
 from srt.diagnosis.faults import FAULTS
 from srt.exceptions import InputError
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 
 console = Console(width=180)
 RESULTS = Path("build") / "fault-study.jsonl"

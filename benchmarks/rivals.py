@@ -49,7 +49,7 @@ from sims.physics.motion import RateProfile
 from sims.physics.table_motion import table1_motion
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.exceptions import SrtError
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 from srt.recording.recording import Fixture
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, SensorErrors
 

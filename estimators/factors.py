@@ -161,8 +161,10 @@ class WindowFactors(FactorGroup):
         """Of windows."""
         attitude = _matrices(values, self.attitudes[rows])
         g = self.gravity + (0.0 if self.gravity_key is None else float(values.atVector(self.gravity_key)[0]))
-        r_force, force_by_attitude, by_gravity = model.pose_force(self.force[rows], attitude, g)
-        r_rate, rate_by_attitude, by_earth = model.pose_rate(self.rate[rows], attitude, self.earth.rate(values, rows))
+        r_force, force_by_attitude, by_gravity = model.specific_force_residual(self.force[rows], attitude, g)
+        r_rate, rate_by_attitude, by_earth = model.angular_rate_residual(
+            self.rate[rows], attitude, self.earth.rate(values, rows)
+        )
         by_attitude = np.concatenate([force_by_attitude, rate_by_attitude], axis=1)
         of_gravity = np.concatenate([by_gravity, np.zeros_like(by_gravity)], axis=1)[:, :, None]
         of_earth = np.concatenate([np.zeros_like(by_earth), by_earth], axis=1)
@@ -210,7 +212,7 @@ class RotationFactors(FactorGroup):
         """Of turns."""
         start, end = _matrices(values, self.starts[rows]), _matrices(values, self.ends[rows])
         earth = self.earth.rate(values, rows)
-        r, by_start, by_end, by_turned, by_earth = model.turn(
+        r, by_start, by_end, by_turned, by_earth = model.rotation_residual(
             self.rotation[rows], start, end, earth, self.duration_s[rows]
         )
         jacobians = [
@@ -246,7 +248,7 @@ class StartFactors(FactorGroup):
         """Of starts."""
         base, mounting = (values.atRot3(key).matrix() for key in (self.base, self.mounting))
         attitude = _matrices(values, self.attitudes[rows])
-        r, *jacobians = model.start_attitude(attitude, self.nominal[rows], base, mounting, self.heading_rad)
+        r, *jacobians = model.start_attitude_residual(attitude, self.nominal[rows], base, mounting, self.heading_rad)
         return r, [[J[i] for J in jacobians] for i in range(len(rows))]
 
 

@@ -39,7 +39,7 @@ from srt.sequences.stillness import moved_windows
 if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.model.rotation_integrals import RotationIntegrals
-    from srt.model.table1 import Sequence
+    from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array, Mask
@@ -370,7 +370,7 @@ class JointModel:
         """Windows, assumed stationary so far, in which the unit moved, shape (W,)."""
         assert state.attitude is not None
         gyro = gyro_triad(state.errors)
-        rest, _, _ = model.pose_rate(compensated.rate, state.attitude, self.earth_rate(state))
+        rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))
         wander = np.sqrt(np.linalg.inv(gyro.matrix) ** 2 @ self.bias_scatter**2)
         chance = STILLNESS_PROBABILITY / len(rest)
         moving_windows = moved_windows(self.data, gyro, accel_triad(state.errors), rest, wander, chance)
@@ -401,7 +401,7 @@ class JointModel:
         if self.data.noise.gyro_wander is not None or self.options.gyro_bias != "auto" or self.data.K < 3:
             return
         assert state.attitude is not None
-        rest, _, _ = model.pose_rate(compensated.rate, state.attitude, self.earth_rate(state))
+        rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))
         rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.rate_slope), rest)
         rest = rest + state.bias_deviation[self.window_sequence]
         T, weights = self.data.windows.duration_s, self.rest_rate_weights
@@ -450,7 +450,7 @@ def _end_is_missing(recording: Recording, label: SequenceLabel) -> bool:
     return bool(window.stop - window.start < 2)
 
 
-def _nominal_start(sequence: Sequence | None) -> Array | None:
+def _nominal_start(sequence: RotationSequence | None) -> Array | None:
     """C_nom of a sequence's start; None if the fixture cannot reach it, as IMU z would lie along the outer axis."""
     if sequence is None or sequence.along_outer[-1] == "z":
         return None

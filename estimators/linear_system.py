@@ -253,7 +253,7 @@ def _windows(
     to_body = np.swapaxes(A, 1, 2)
     windows, sequence = np.arange(len(A)), joint.window_sequence
     bias_number = sequence if joint.bias_walks else np.zeros_like(sequence)
-    residual, by_attitude, by_gravity = model.pose_force(compensated.force, A, gravity)
+    residual, by_attitude, by_gravity = model.specific_force_residual(compensated.force, A, gravity)
     build.add(
         "force",
         sequence,
@@ -266,7 +266,7 @@ def _windows(
             ("instability", 0, -compensated.instability.force),
         ],
     )
-    residual, by_attitude, by_earth = model.pose_rate(compensated.rate, A, joint.earth_rate(state))
+    residual, by_attitude, by_earth = model.angular_rate_residual(compensated.rate, A, joint.earth_rate(state))
     per_rate = compensated.edge_slope / joint.data.windows.duration_s[:, None, None]
     build.add(
         "rate",
@@ -291,7 +291,7 @@ def _turns(build: _Builder, joint: JointModel, state: JointState, compensated: C
     data, sequences = joint.data, np.arange(joint.data.K)
     A = state.attitude
     earth = joint.earth_rate(state)[data.start]
-    residual, by_start, by_end, by_turned, by_earth = model.turn(
+    residual, by_start, by_end, by_turned, by_earth = model.rotation_residual(
         compensated.rotation, A[data.start], A[data.end], earth, compensated.duration_s
     )
     by_errors = by_turned @ compensated.rotation_jacobian
@@ -321,7 +321,7 @@ def _fixture(build: _Builder, joint: JointModel, state: JointState) -> None:
     assert state.attitude is not None
     owner, windows = (np.array(x, dtype=np.intp) for x in ([f[0] for f in found], [f[1] for f in found]))
     A = state.attitude[windows]
-    residual, by_attitude, by_base, by_U = model.start_attitude(
+    residual, by_attitude, by_base, by_U = model.start_attitude_residual(
         A, np.stack([f[2] for f in found]), state.base, state.U, joint.heading_rad
     )
     variance = np.diag(joint.start_sigma**2)

@@ -37,7 +37,7 @@ from trajectories import START_LLA, VEHICLES, Motion, course_of, motion_of, pyin
 import sims
 import srt
 from sims.physics.true_motion import TrueMotion
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

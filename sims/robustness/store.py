@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from sims.robustness.config import AXES
 from srt.exceptions import InputError, MissingExtraError
-from srt.recording.atomic import atomic_path, atomic_write_text, unwritable
+from srt.recording.atomic_file import atomic_path, atomic_write_text, unwritable
 from srt.result.calibration import software
 from srt.sensor_errors import NAMES
 

@@ -72,7 +72,7 @@ def apply(
         write_recording(corrected, output, samples_format=samples_format, overwrite=overwrite)
         written.append(f"{output}: recording.toml, samples.{samples_format}")
     if header is not None and c_header is not None:
-        from srt.recording.atomic import atomic_write_text
+        from srt.recording.atomic_file import atomic_write_text
 
         atomic_write_text(c_header, header)
         written.append(str(c_header))

@@ -79,7 +79,7 @@ def budget(
     if paper:
         return paper_mode(chosen, output, quiet=quiet)
     from sims.accuracy.budget import budget as predict
-    from srt.recording.atomic import atomic_write_text
+    from srt.recording.atomic_file import atomic_write_text
 
     names = estimators or default_estimators(gyro_bias)
     with budget_progress(quiet=quiet) as progress:
@@ -127,7 +127,7 @@ def tables(found: Budget) -> str:
 def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
     """The paper's analysis with the noise, bias and fixture of a scenario."""
     from srt.noise.accuracy_analysis import QUANTITIES, paper_budget
-    from srt.recording.atomic import atomic_write_text
+    from srt.recording.atomic_file import atomic_write_text
     from srt.reports.text.tables import fixed, text_table
 
     setting = paper_setting(scenario)

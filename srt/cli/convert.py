@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from srt.recording.import_options import ImportOptions
-    from srt.recording.imported_samples import Imported
+    from srt.recording.imported_samples import ImportedSamples
     from srt.recording.importer_registry import Importer
     from srt.recording.recording import Recording
 
@@ -143,11 +143,11 @@ def convert(
         raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
     options = reading_options(rest, second)
     document = surroundings(like, rest)
-    from srt.recording.folder import read_surroundings, write_recording
+    from srt.recording.folder import read_metadata, write_recording
     from srt.recording.imported_samples import to_recording
     from srt.recording.importer_registry import import_file
 
-    about = read_surroundings("What was said of the recording" if like is None else str(like), document)
+    about = read_metadata("What was said of the recording" if like is None else str(like), document)
     importer, imported = import_file(source, options, name)
     try:
         recording = to_recording(
@@ -299,13 +299,13 @@ def check_gravity(recording: Recording, source: Path) -> None:
         raise DataError(f"{source}: {str(error).rstrip('.')}, or add --force.", fault=error.fault) from None
 
 
-def summary(recording: Recording, imported: Imported, importer: Importer, source: Path) -> str:
+def summary(recording: Recording, imported: ImportedSamples, importer: Importer, source: Path) -> str:
     """Say what was read: samples, rate, units and who stated them, sizes of readings, notes.
 
     Parameters
     ----------
     recording : Recording
-    imported : Imported
+    imported : ImportedSamples
     importer : Importer
     source : Path
 

@@ -36,7 +36,7 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
         require_matplotlib()
     import srt
     from srt.diagnosis import inspection
-    from srt.recording.atomic import atomic_write_text
+    from srt.recording.atomic_file import atomic_write_text
     from srt.reports.text.inspection import inspection_report
 
     samples = srt.load_recording(recording)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.recording.atomic import unwritable
+from srt.recording.atomic_file import unwritable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

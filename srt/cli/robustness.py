@@ -84,7 +84,7 @@ def robustness(
     from sims.robustness.report import html_report, markdown_tables, short_answer, text_summary
     from sims.robustness.run import run_campaign
     from srt.comparison.parallel import Engine
-    from srt.recording.atomic import atomic_write_text
+    from srt.recording.atomic_file import atomic_write_text
 
     with campaign_progress(campaign.name, quiet=quiet) as progress:
         try:

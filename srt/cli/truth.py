@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The catalogue of faults as a page: ``python -m srt.diagnosis.document`` writes ``docs/faults.md``."""
+"""Catalogue of faults as a page: ``python -m srt.diagnosis.document`` writes ``docs/faults.md``."""
 
 from __future__ import annotations
 
@@ -7,34 +7,35 @@ import sys
 from typing import Final
 
 from srt.diagnosis.faults import FAULTS, STAGES, Fault
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 
 _INTRODUCTION: Final = """# Faults of a recording
 
-What can be wrong with a recording, in the order in which one fault explains another: of several findings, the first
-by this order is the cause. Words in braces are filled in from the recording. How reliably each fault is named is in
+The faults that a recording can have, causes before their consequences: of several findings, the first by this order is
+named as the cause. Words in braces are filled in from the recording. How reliably each fault is named is in
 [fault-detection.md](fault-detection.md).
 
-Effects: **exit 2**, the recording is refused on reading; **exit 1**, it cannot be calibrated; **warning**, the
-calibration says so; **note**, only `srt inspect` says so.
+Effects: **exit 2**, the recording is refused on reading; **exit 1**, it cannot be calibrated; **warning**, it is
+calibrated with a warning; **note**, only `srt inspect` tells it.
 
-This page is made from `srt/diagnosis/faults.py` by `python -m srt.diagnosis.document`.
+This page is made from `srt/diagnosis/faults.toml` by `python -m srt.diagnosis.document`.
 """
 
 
 def document() -> str:
-    """All faults as Markdown, a table for each stage."""
+    """All faults as Markdown, one table for each stage."""
     parts = [_INTRODUCTION]
     for stage, title in STAGES.items():
         rows = [_row(fault) for fault in FAULTS.values() if fault.stage == stage]
-        head = ["| fault | name | looks at | says | effect |", "|---|---|---|---|---|"]
+        head = ["| fault | name | criterion | message | effect |", "|---|---|---|---|---|"]
         parts.append("\n".join([f"## {title}", "", *head, *rows, ""]))
     return "\n".join(parts)
 
 
 def _row(fault: Fault) -> str:
-    says = "what reading says" if fault.sentence == "{message}" else re.sub(r"\{(\w+):[^}]*\}", r"{\1}", fault.sentence)
-    cells = (fault.title, f"`{fault.name}`", fault.looks_at, says, fault.effect)
+    own = re.sub(r"\{(\w+):[^}]*\}", r"{\1}", fault.sentence)
+    message = "the reader's message" if fault.sentence == "{message}" else own
+    cells = (fault.title, f"`{fault.name}`", fault.criterion, message, fault.effect)
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 

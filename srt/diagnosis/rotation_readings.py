@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.diagnosis.evidence import Evidence
-    from srt.model.table1 import Sequence
+    from srt.model.table1 import RotationSequence
     from srt.types import Array, Indices
 
 
@@ -70,7 +70,7 @@ def invert_readings(matrix: Array, readings: Array) -> Array:
 
 
 @cache
-def nominal_end_attitude(sequence: Sequence) -> Array:
+def nominal_end_attitude(sequence: RotationSequence) -> Array:
     """Nominal attitude at the end of a sequence, worked out once; not to be changed."""
     return end_attitude(sequence)
 
@@ -113,7 +113,7 @@ def rotation_integrals(evidence: Evidence) -> RotationIntegrals | None:
 
 
 @cache
-def nominal_rotation_integrals(sequence: Sequence) -> tuple[Array, Array, Array, Array]:
+def nominal_rotation_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, Array]:
     """What a perfect unit shows of a sequence: signed and absolute sums (rad), and up before and after it."""
     vectors = sequence.axes * sequence.angles_rad[:, None]
     up = -nominal_attitude(sequence)[2]

@@ -1,20 +1,20 @@
-"""Initial estimates: from the fixture, from gravity alone, in stages from the shortest rotations, or from given errors.
+"""Initial estimates of the sensor errors, one for each kind of recording.
 
-The summed raw gyro reading of a leg is ``∫ω̃ dt = Mg U_T (angle · axis)`` up to bias and Earth rate, which the mean
-reading of the windows removes; the mean raw specific force of a pose is ``Ma (−g û_dwn) + λ_Bias``. Both are linear in
-the matrices, so linear least squares needs no first guess. Asymmetry is left out: over the six faces ``|f|`` of all
-axes is collinear with the bias, and the ± pairs cancel the gyros' own.
+*From the fixture* (nominal rotations and attitudes known). The gyro increments of a rotation, less bias, sum to
+``Σ ω̃ dt = Mg U (angle · axis)``, and the mean specific force of a static pose is ``f̃ = Ma (−g û_dwn) + λ_Bias``. Both
+are linear in the matrices, so that linear least squares needs no initial value. Asymmetries are left out: over six
+faces |f| of all axes is collinear with the bias, and ± pairs of rotations cancel those of the gyros.
 
-Only ``|f| = g`` is known of a pose. It fixes the accelerometer matrix up to a rotation; the symmetric one is taken,
-which is near the truth where the sensor axes nearly coincide. A weak prior decides what the poses do not.
+*From gravity* (free rotations). Only |f| = g is known of a pose. It determines the accelerometer matrix up to a
+rotation; the symmetric matrix is taken, which is close to the truth if the sensor axes nearly coincide. A weak prior
+determines the rest.
 
-What is known of a turn is the specific force before and after it. A scale error of 50 % turns a full turn into half of
-one or three halves, and next to them lie false answers that fit nearly as well; of a half turn it makes a quarter or
-three, which still point to the truth. So the short turns are fitted first, and the longer ones from there.
-
-The measurements are those of a play-back with all three components of the change of specific force: where angles are
-large, its vertical part tells which way to go. They are weighted as if every turn were off by a hundredth of a radian,
-against a prior of the size of the errors looked for; this is a first estimate, and its weights need be no better.
+*In stages* (any recording, from zero errors). The specific force before and after a rotation is known. A scale-factor
+error of 50 % makes a full rotation look like half of one or like three halves, close to wrong minima; half a rotation
+looks like a quarter or three quarters, which still points towards the truth. So the shortest rotations are fitted
+first, and longer ones from the result. The residuals are all three components of the change of specific force, because
+at large angles the vertical one gives the sign. The weights are coarse (0.01 rad per rotation), with a prior of the
+size of the expected errors: an initial estimate needs no more.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from srt.sequences.manoeuvres import end_attitude
 if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.model.analytic_platform import GyroStream
-    from srt.model.table1 import Sequence
+    from srt.model.table1 import RotationSequence
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array, Indices
 
 
 def initial_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, Array]:
-    """Errors to begin with and the rotation from the table-mounted frame to MARS.
+    """Initial sensor errors, and the rotation from the table-mounted frame to MARS.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def initial_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors
     """
     if options.start != "auto":
         errors = options.start if isinstance(options.start, SensorErrors) else estimate_in_stages(data, options)
-        # How MARS lies on the table is as the data show it under these errors.
+        # U follows from the data compensated with these errors.
         return errors, SrtProcessor(data, options).process(errors, nominal_vertical=True).U
     if data.nominal is None:
         return estimate_from_gravity(data), np.eye(3)
@@ -69,13 +69,15 @@ def initial_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors
 
 
 _RIDGE: Final = 1e-6
-"""Weight of the prior (a perfect triad) against one pose or one radian: decides only what nothing else does."""
+"""Weight of the prior (a perfect triad) against one pose or one radian: it determines only what the data do not."""
 _MOVING: Final = 0.2
-"""Share of a sequence's highest rate above which a leg is taken to turn."""
+"""Share of the highest rate of a sequence above which a sample belongs to a rotation."""
+_SHORTEST: Final = 0.02
+"""Share of a sequence's duration below which a rotation is taken for a disturbance."""
 
 
 def estimate_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorErrors, Array]:
-    """First estimate of the errors, and the orientation of MARS on the table.
+    """Initial estimate from the fixture's nominal angles, and the orientation of MARS on the table.
 
     Parameters
     ----------
@@ -116,9 +118,9 @@ def estimate_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[Senso
     readings = np.concatenate([force[data.start], force[data.end]])
     Ma, accel_bias = _fit_affine(-data.gravity * vertical, readings, data.gravity)
     if np.linalg.det(Mg) > 0.0 and np.linalg.det(Ma) <= 0.0:
-        raise DataError("The accelerometers come out left-handed against the gyros: " + _flipped(Ma, "accelerometer"))
+        raise DataError("The accelerometers come out left-handed against the gyros: " + _wrong_axes(Ma, "accelerometer"))
     if np.linalg.det(Mg) <= 0.0:
-        raise DataError("The gyros come out left-handed against the rotations: " + _flipped(Mg, "gyro"))
+        raise DataError("The gyros come out left-handed against the rotations: " + _wrong_axes(Mg, "gyro"))
     errors, U = to_mars(Triad(Mg, np.zeros(3), np.zeros(3)), Triad(Ma, np.zeros(3), accel_bias))
     earth = U @ np.swapaxes(nominal, 1, 2) @ data.earth_rate_base()
     vector = errors.vector.copy()
@@ -126,10 +128,10 @@ def estimate_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[Senso
     return type(errors)(vector), U
 
 
-def rotation_angles(stream: GyroStream, k: int, sequence: Sequence, bias: Array) -> Array | None:
-    """Summed raw gyro angle of each leg, less bias, shape (number of legs, 3), rad.
+def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:
+    """Summed raw gyro increments of each rotation of sequence k, less bias, shape (number of rotations, 3), rad.
 
-    Returns None where the standstills between the legs cannot be told: other sequences then serve.
+    Returns None if the pauses between the rotations cannot be found.
     """
     s, e = stream.rotation[k]
     increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
@@ -141,7 +143,7 @@ def rotation_angles(stream: GyroStream, k: int, sequence: Sequence, bias: Array)
     moving = speed > _MOVING * speed.max()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(np.int8)))
     begins, ends = edges[::2], edges[1::2]
-    long_enough = ends - begins > 0.02 * (e - s)
+    long_enough = ends - begins > _SHORTEST * (e - s)
     begins, ends = begins[long_enough], ends[long_enough]
     if len(begins) != m:
         return None
@@ -151,21 +153,21 @@ def rotation_angles(stream: GyroStream, k: int, sequence: Sequence, bias: Array)
 
 
 def _fit_matrix(x: Array, y: Array) -> Array:
-    """M of y = M x by least squares, with a weak prior for directions that x lacks."""
+    """Least-squares solution M of y = M x, with a weak prior for directions that x lacks."""
     A = np.concatenate([x, _RIDGE * np.eye(3)])
     solution = np.linalg.lstsq(A, np.concatenate([y, _RIDGE * np.eye(3)]), rcond=None)[0]
     return np.asarray(solution.T)
 
 
 def _fit_affine(x: Array, y: Array, scale: float) -> tuple[Array, Array]:
-    """M and b of y = M x + b likewise; x and y are of size ``scale``."""
+    """Least-squares solution M, b of y = M x + b with a weak prior; x and y are of size ``scale``."""
     A = np.concatenate([np.hstack([x / scale, np.ones((len(x), 1))]), _RIDGE * np.eye(4)])
     prior = _RIDGE * np.concatenate([np.eye(3), np.zeros((1, 3))])
     solution = np.linalg.lstsq(A, np.concatenate([y / scale, prior]), rcond=None)[0]
     return solution[:3].T, solution[3] * scale
 
 
-def _flipped(M: Array, sensor: str) -> str:
+def _wrong_axes(M: Array, sensor: str) -> str:
     """Name the axis mapping that would make a left-handed triad right-handed."""
     nearest = [int(np.argmax(np.abs(row))) for row in M]
     flipped = ["xyz"[i] for i in range(3) if nearest[i] == i and M[i, i] < 0.0]
@@ -178,12 +180,13 @@ def _flipped(M: Array, sensor: str) -> str:
 
 
 _MATRIX_PRIOR: Final = 0.5
+"""Prior 1-sigma of bias over g, scale and misalignment: errors of 50 % are admitted."""
 _NOISE: Final = 1e-3
-"""Assumed error of a pose over g: weighs poses against the prior, nothing else."""
+"""Assumed 1-sigma of |f| / g in a pose; it only weighs the poses against the prior."""
 
 
 def _layout() -> Array:
-    """Nine unknowns (bias/g, scale, symmetric misalignment) to the 27 parameters, shape (27, 9)."""
+    """Matrix from nine unknowns (bias/g, scale, symmetric misalignment) to the 27 parameters, shape (27, 9)."""
     E = np.zeros((N_PARAMETERS, 9))
     E[GROUP_SLICES["accel_bias"], :3] = np.eye(3)
     E[GROUP_SLICES["accel_scale"], 3:6] = np.eye(3)
@@ -193,7 +196,7 @@ def _layout() -> Array:
 
 
 def estimate_from_gravity(data: PlaybackData) -> SensorErrors:
-    """First estimate for free turns.
+    """Initial estimate for free rotations, from |f| = g in every pose.
 
     Parameters
     ----------
@@ -220,7 +223,7 @@ def estimate_from_gravity(data: PlaybackData) -> SensorErrors:
 
 
 _PRIOR: Final = np.ones(N_PARAMETERS)
-"""Size of the errors looked for; accelerometer bias and gyro bias in SI."""
+"""1-sigma of the errors that the staged fit expects, SI: 50 % scale, 0.3 rad, 1 % asymmetry, 1 m/s², 1 °/s."""
 for _group, _size in {
     "gyro_scale": 0.5,
     "gyro_asymmetry": 0.01,
@@ -232,19 +235,22 @@ for _group, _size in {
     "gyro_bias": 0.02,
 }.items():
     _PRIOR[GROUP_SLICES[_group]] = _size
-_TURN_RAD: Final = 0.01
-_REST_RAD_S: Final = 1e-5
-_NEXT: Final = 1.5
-"""Turns longer by this factor than those before wait for the next stage."""
-_ENOUGH: Final = 1e-3
-"""Gain of an evaluation over what is left, below which a stage is through."""
+_ROTATION_SIGMA_RAD: Final = 0.01
+"""Assumed 1-sigma of the attitude after a rotation, rad; also the weight of the Down measurements over g."""
+_REST_SIGMA_RAD_S: Final = 1e-5
+"""Assumed 1-sigma of the pooled rest rate, rad/s (2 °/h)."""
+_STAGE_FACTOR: Final = 1.5
+"""Ratio of the longest to the shortest new rotation of a stage."""
+_TOLERANCE: Final = 1e-3
+"""Relative change of cost and of the unknowns below which a stage ends."""
 _FIRST_STEP: Final = 0.1
-"""Largest first step, in units of the sizes: three of 150 units lost their way with 1, none of 650 with this."""
+"""Largest first step, in units of the prior: 3 of 150 units ended in a wrong minimum with 1, none of 650 with 0.1."""
 _EVALUATIONS: Final = 60
+"""Largest number of evaluations in a stage."""
 
 
 def estimate_in_stages(data: PlaybackData, options: Options) -> SensorErrors:
-    """First estimate from the recorded stillness and turns alone.
+    """Initial estimate from the recording alone, beginning with the shortest rotations.
 
     Parameters
     ----------
@@ -254,19 +260,19 @@ def estimate_in_stages(data: PlaybackData, options: Options) -> SensorErrors:
     Returns
     -------
     SensorErrors
-        Near enough for a play-back to go on from; held parameters are zero.
+        Within the convergence range of the iteration; fixed parameters are zero.
     """
     sizes = _PRIOR.copy()
     sizes[[INDEX[name] for name in options.fixed_names]] = 0.0
     u = np.zeros(N_PARAMETERS)
-    length = _turned(data)
-    for limit in _limits(length):
+    length = _rotation_lengths(data)
+    for limit in _stage_limits(length):
         u = _Stage(data, options, np.flatnonzero(length <= limit), sizes).fit(u)
     return SensorErrors(u * sizes)
 
 
-def _turned(data: PlaybackData) -> Array:
-    """Angle of each turn, all its legs added up, rad: as it should be if that is known, else as the raw gyros read."""
+def _rotation_lengths(data: PlaybackData) -> Array:
+    """Total angle of each sequence's rotations, shape (K,), rad: nominal if known, else from the raw gyros."""
     stream = data.stream(np.zeros(len(data.windows.duration_s), dtype=np.bool_))[0]
     out = np.empty(data.K)
     for k, sequence in enumerate(data.catalogue):
@@ -280,17 +286,17 @@ def _turned(data: PlaybackData) -> Array:
     return out
 
 
-def _limits(length: Array) -> list[float]:
-    """Longest turn of every stage, ascending."""
+def _stage_limits(length: Array) -> list[float]:
+    """Largest rotation angle of every stage, ascending, rad."""
     ordered = np.sort(length)
-    limits = [_NEXT * float(ordered[0])]
+    limits = [_STAGE_FACTOR * float(ordered[0])]
     while ordered[-1] > limits[-1]:
-        limits.append(_NEXT * float(ordered[ordered > limits[-1]][0]))
+        limits.append(_STAGE_FACTOR * float(ordered[ordered > limits[-1]][0]))
     return limits
 
 
 class _Stage:
-    """Fit of some of the turns.
+    """Least-squares fit to some of the sequences.
 
     Parameters
     ----------
@@ -299,7 +305,7 @@ class _Stage:
     chosen : ndarray of int
         Sequences that take part.
     sizes : ndarray, shape (27,)
-        Units that the errors are fitted in; zero holds one.
+        Units of the fitted errors; zero fixes a parameter.
     """
 
     def __init__(self, data: PlaybackData, options: Options, chosen: Indices, sizes: Array) -> None:
@@ -315,21 +321,21 @@ class _Stage:
         self._at: Array | None = None
 
     def fit(self, u: Array) -> Array:
-        """Errors in units of their sizes, from a first guess in the same."""
+        """Fit the errors, in units of ``sizes``, from an initial value in the same units."""
         found = least_squares(
-            lambda v: self._played(v)[0],
+            lambda v: self._measured(v)[0],
             u,
-            jac=lambda v: self._played(v)[1],
+            jac=lambda v: self._measured(v)[1],
             x_scale=_FIRST_STEP,
-            ftol=_ENOUGH,
-            xtol=_ENOUGH,
+            ftol=_TOLERANCE,
+            xtol=_TOLERANCE,
             gtol=None,
             max_nfev=_EVALUATIONS,
         )
         return np.asarray(found.x)
 
-    def _played(self, u: Array) -> tuple[Array, Array]:
-        """Residuals and their derivative; not finite outside the model, where no step may go."""
+    def _measured(self, u: Array) -> tuple[Array, Array]:
+        """Residuals and their Jacobian at u; the last evaluation is kept, because scipy asks for the two in turn."""
         if self._at is None or not np.array_equal(u, self._at):
             self._at, self._last = u.copy(), self._play(u)
         return self._last
@@ -341,15 +347,15 @@ class _Stage:
         if outside_model(errors) is not None:
             n = 3 * K + len(self.windows) + 3 + N_PARAMETERS
             return np.full(n, np.inf), np.zeros((n, N_PARAMETERS))
-        played = self.processor.process(errors)
-        change = played.carried[:, 1] - played.carried[:, 0]
-        force, axes = played.force, np.broadcast_to(np.eye(3), (K, 3, 3))
-        H = model.horizontal_jacobian(played.integrals, axes, force[data.start], force[data.end], played.accel)
+        measured = self.processor.process(errors)
+        change = measured.carried[:, 1] - measured.carried[:, 0]
+        force, axes = measured.force, np.broadcast_to(np.eye(3), (K, 3, 3))
+        H = model.horizontal_jacobian(measured.integrals, axes, force[data.start], force[data.end], measured.accel)
         rows = 2 * K + self.windows
         scale = np.concatenate(
-            [np.full(3 * K, g * _TURN_RAD), np.full(len(rows), g * _TURN_RAD), np.full(3, _REST_RAD_S)]
+            [np.full(3 * K, g * _ROTATION_SIGMA_RAD), np.full(len(rows), g * _ROTATION_SIGMA_RAD), np.full(3, _REST_SIGMA_RAD_S)]
         )
-        z = np.concatenate([change.ravel(), played.z[rows], played.z[-3:]]) / scale
-        H = np.concatenate([H.reshape(3 * K, -1), played.H[rows], played.H[-3:]]) * self.sizes / scale[:, None]
-        # The derivative is that of what the errors still to be found leave, so its sign is the other one.
+        z = np.concatenate([change.ravel(), measured.z[rows], measured.z[-3:]]) / scale
+        H = np.concatenate([H.reshape(3 * K, -1), measured.H[rows], measured.H[-3:]]) * self.sizes / scale[:, None]
+        # H is the derivative with respect to the remaining errors: its sign is opposite to that of the fitted ones.
         return np.concatenate([z, u]), np.concatenate([-H, np.eye(N_PARAMETERS)])

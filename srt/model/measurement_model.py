@@ -1,27 +1,27 @@
-"""The one measurement model: what sensor errors do to the SRT measurements, for any rotations and any vertical.
+"""Measurement model: SRT measurements as linear functions of the sensor errors, for any rotations and any vertical.
 
-For every sequence (Savage 2020, eqs. 3-5; ``u`` down, ``f = -g u`` the specific force at rest)::
+For every sequence ([P] eqs. 3-5; ``u`` down, ``f = -g u`` the specific force at rest; [P]: Savage 2020)::
 
     φ         = ∫ F Ĉ (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) dt
     Δa_H      = horizontal part of  [ φ × â + C_End δf_End − δf_Strt ]          (φ × (−g u) = g u × φ)
     a_Down    = u · δf                                  for every stationary window
     δω_window = δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias         at rest: the gyro bias
 
-with ``δf = δMa f + δλ_Asym ∘ |f| + δλ_Bias``. Neglected: products of two errors, and the Earth's rate times an error
-of the vertical (parts in 1e3 of a coefficient). Away from zero error the same expressions hold with each triad's error
-multiplied by D, the inverse slope of its reading model at the current estimate.
+with ``δf = δMa f + δλ_Asym ∘ |f| + δλ_Bias``. The model neglects products of two
+errors, and the Earth's rate times an error of the vertical (1e-3 of a coefficient). Away from zero error, each triad's
+error is multiplied by D, the inverse slope of its sensor model at the current estimate.
 
-Joint estimation takes the same measurements one level earlier, with the attitudes of the windows as unknowns: the mean
-specific force and the mean rate of a window, and the rotation between two windows (:func:`pose_force`,
-:func:`pose_rate`, :func:`turn`, :func:`start_attitude`). ``A`` takes B-components to the local level frame L (z down),
-which turns with the Earth; attitude errors are small rotations of B, ``A exp(a×)``.
+Joint estimation treats the attitudes of the stationary windows as unknowns. Its measurements are the mean specific
+force and the mean rate of a window, and the rotation between two windows (:func:`specific_force_residual`,
+:func:`angular_rate_residual`, :func:`rotation_residual`, :func:`start_attitude_residual`). ``A`` takes B-components to
+the local level frame L (z down), which turns with the Earth. Attitude errors are small rotations of B, ``A exp(a×)``.
 
-Closed form, least squares, Kalman filter and factor graph all take their Jacobians from here.
+Closed form, least squares, Kalman filter and factor graph all take their Jacobians from this module.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -38,9 +38,78 @@ if TYPE_CHECKING:
 _S: Final = GROUP_SLICES
 
 
+class SpecificForceResidual(NamedTuple):
+    """Mean specific force of n stationary windows less gravity at their attitudes, with its derivatives.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (n, 3), m/s²
+    by_attitude : ndarray, shape (n, 3, 3)
+        Derivative with respect to a rotation a of B.
+    by_gravity : ndarray, shape (n, 3)
+    """
+
+    residual: Array
+    by_attitude: Array
+    by_gravity: Array
+
+
+class AngularRateResidual(NamedTuple):
+    """Mean rate of n stationary windows less the Earth's, with its derivatives.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (n, 3), rad/s
+    by_attitude, by_earth_rate : ndarray, shape (n, 3, 3)
+    """
+
+    residual: Array
+    by_attitude: Array
+    by_earth_rate: Array
+
+
+class RotationResidual(NamedTuple):
+    """Attitude change over n rotations less the integrated one, with its derivatives.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (n, 3), rad
+        In B_Strt.
+    by_start, by_end : ndarray, shape (n, 3, 3)
+        Derivatives with respect to rotations of B_Strt and of B_End.
+    by_rotation : ndarray, shape (n, 3, 3)
+        Its product with :func:`attitude_error_jacobian` is the derivative with respect to errors in the estimate.
+    by_earth_rate : ndarray, shape (n, 3, 3)
+    """
+
+    residual: Array
+    by_start: Array
+    by_end: Array
+    by_rotation: Array
+    by_earth_rate: Array
+
+
+class StartAttitudeResidual(NamedTuple):
+    """Attitude at the start of n sequences less the fixture's nominal one, with its derivatives.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (n, 3), rad
+        Inner angle and outer angle less nominal, and the non-orthogonality of inner and outer axis, zero in the model.
+    by_attitude, by_base, by_mounting : ndarray, shape (n, 3, 3)
+        Derivatives with respect to small rotations behind A, ``base`` and ``U``.
+    """
+
+    residual: Array
+    by_attitude: Array
+    by_base: Array
+    by_mounting: Array
+
+
 def attitude_error_jacobian(integrals: RotationIntegrals) -> Array:
     """Derivative of φ with respect to the 27 sensor errors, shape (K, 3, 27)."""
     J = np.zeros((*integrals.time.shape[:1], 3, N_PARAMETERS))
+    # φ = ∫ F Ĉ (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) dt  ([P] eqs. 3, 20-21)
     linear = np.einsum("kabc,pbc->kap", integrals.rate, GYRO_BASIS)
     J[:, :, _S["gyro_scale"]] = linear[:, :, :3]
     J[:, :, _S["gyro_orthogonality"]] = linear[:, :, 3:]
@@ -60,6 +129,7 @@ def force_error_jacobian(f: Array, accel: Triad) -> Array:
         Errors that it was compensated with.
     """
     J = np.zeros((len(f), 3, N_PARAMETERS))
+    # δf = D (δMa f + δλ_Asym ∘ |f| + δλ_Bias)  ([P] eqs. 6-11)
     linear = np.einsum("pbc,nc->nbp", ACCEL_BASIS, f)
     J[:, :, _S["accel_scale"]] = linear[:, :, :3]
     J[:, :, _S["accel_misalignment"]] = linear[:, :, 3:]
@@ -80,6 +150,7 @@ def rate_error_jacobian(omega: Array, gyro: Triad) -> Array:
         Errors that it was compensated with.
     """
     J = np.zeros((len(omega), 3, N_PARAMETERS))
+    # δω = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias)  ([P] eqs. 6-11)
     linear = np.einsum("pbc,nc->nbp", GYRO_BASIS, omega)
     J[:, :, _S["gyro_scale"]] = linear[:, :, :3]
     J[:, :, _S["gyro_orthogonality"]] = linear[:, :, 3:]
@@ -96,7 +167,8 @@ def horizontal_projector(down: Array) -> Array:
 
 
 def attitude_to_horizontal(basis: Array, acceleration: Array) -> Array:
-    """Matrix that takes φ to the horizontal components of Δa: rows of ``basis`` times −(â×), shape (K, 2, 3)."""
+    """Derivative of the horizontal components of Δa with respect to φ: ``basis`` times −(â×), shape (K, 2, 3)."""
+    # φ × â = −(â×) φ  ([P] eq. 5)
     out: Array = -basis @ cross_matrix(acceleration)
     return out
 
@@ -120,20 +192,22 @@ def horizontal_jacobian(
     C = integrals.C_end
     a_mean = 0.5 * (f_start + np.einsum("kab,kb->ka", C, f_end))
     by_attitude = attitude_to_horizontal(basis, a_mean) @ attitude_error_jacobian(integrals)
+    # Δa_H = basis · [φ × â + C_End δf_End − δf_Strt]  ([P] eq. 5)
     by_force = basis @ (C @ force_error_jacobian(f_end, accel) - force_error_jacobian(f_start, accel))
     out: Array = by_attitude + by_force
     return out
 
 
 def down_jacobian(f: Array, accel: Triad) -> Array:
-    """Derivative of a_Down = g − |f| with respect to the 27 errors (eq. 5, u · δf), shape (n, 27)."""
+    """Derivative of a_Down = g − |f| with respect to the 27 errors, shape (n, 27)."""
+    # δa_Down = u · δf, u = −f / |f|  ([P] eq. 5)
     u = -f / np.linalg.norm(f, axis=1, keepdims=True)
     out: Array = np.einsum("na,nap->np", u, force_error_jacobian(f, accel))
     return out
 
 
-def pose_force(force: Array, attitude: Array, gravity: float) -> tuple[Array, Array, Array]:
-    """Specific force of windows against their attitudes: ``f + g u`` with ``u = Aᵀ e_z`` down.
+def specific_force_residual(force: Array, attitude: Array, gravity: float) -> SpecificForceResidual:
+    """Residual of the specific force in stationary windows: ``f + g u`` with ``u = Aᵀ e_z`` down.
 
     Parameters
     ----------
@@ -145,21 +219,18 @@ def pose_force(force: Array, attitude: Array, gravity: float) -> tuple[Array, Ar
 
     Returns
     -------
-    residual : ndarray, shape (n, 3), m/s²
-    by_attitude : ndarray, shape (n, 3, 3)
-        Derivative with respect to a rotation a of B.
-    by_gravity : ndarray, shape (n, 3)
+    SpecificForceResidual
 
     Notes
     -----
     The derivative with respect to errors in the estimate is minus :func:`force_error_jacobian`.
     """
     down = attitude[:, 2]
-    return force + gravity * down, gravity * cross_matrix(down), down
+    return SpecificForceResidual(force + gravity * down, gravity * cross_matrix(down), down)
 
 
-def pose_rate(rate: Array, attitude: Array, earth_rate: Array) -> tuple[Array, Array, Array]:
-    """Rate of windows against the Earth's: ``ω − Aᵀ ω_L``.
+def angular_rate_residual(rate: Array, attitude: Array, earth_rate: Array) -> AngularRateResidual:
+    """Residual of the angular rate in stationary windows: ``ω − Aᵀ ω_L``.
 
     Parameters
     ----------
@@ -171,8 +242,7 @@ def pose_rate(rate: Array, attitude: Array, earth_rate: Array) -> tuple[Array, A
 
     Returns
     -------
-    residual : ndarray, shape (n, 3), rad/s
-    by_attitude, by_earth_rate : ndarray, shape (n, 3, 3)
+    AngularRateResidual
 
     Notes
     -----
@@ -180,17 +250,17 @@ def pose_rate(rate: Array, attitude: Array, earth_rate: Array) -> tuple[Array, A
     """
     to_body = np.swapaxes(attitude, 1, 2)
     earth = np.einsum("nab,nb->na", to_body, earth_rate)
-    return rate - earth, -cross_matrix(earth), -to_body
+    return AngularRateResidual(rate - earth, -cross_matrix(earth), -to_body)
 
 
-def turn(
-    turned: Array, start: Array, end: Array, earth_rate: Array, duration_s: Array
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Attitudes around turns against what the gyros integrated: ``Log(A_Strtᵀ exp(ω_L T) A_End Ĉᵀ)``.
+def rotation_residual(
+    rotation: Array, start: Array, end: Array, earth_rate: Array, duration_s: Array
+) -> RotationResidual:
+    """Residual of the integrated rotation between two windows: ``Log(A_Strtᵀ exp(ω_L T) A_End Ĉᵀ)``.
 
     Parameters
     ----------
-    turned : ndarray, shape (n, 3, 3)
+    rotation : ndarray, shape (n, 3, 3)
         Ĉ, B_End to B_Strt against inertial space.
     start, end : ndarray, shape (n, 3, 3)
         A of the windows before and after.
@@ -200,29 +270,23 @@ def turn(
 
     Returns
     -------
-    residual : ndarray, shape (n, 3), rad
-        In B_Strt.
-    by_start, by_end : ndarray, shape (n, 3, 3)
-        Derivatives with respect to rotations of B_Strt and of B_End.
-    by_turned : ndarray, shape (n, 3, 3)
-        To be multiplied by :func:`attitude_error_jacobian` for the derivative with respect to errors in the estimate.
-    by_earth_rate : ndarray, shape (n, 3, 3)
+    RotationResidual
     """
-    earth_turn = earth_rate * duration_s[:, None]
+    earth_angle = earth_rate * duration_s[:, None]
     to_start = np.swapaxes(start, 1, 2)
-    residual = rotation_vector(to_start @ rotation_matrix(earth_turn) @ end @ np.swapaxes(turned, 1, 2))
+    residual = rotation_vector(to_start @ rotation_matrix(earth_angle) @ end @ np.swapaxes(rotation, 1, 2))
     right = inverse_right_jacobian(residual)
     left = np.swapaxes(right, 1, 2)
-    # The Earth's own left Jacobian to first order: it turns by 1e-3 rad in a sequence, and parts in 1e-6 are left.
-    of_earth = np.eye(3) + 0.5 * cross_matrix(earth_turn)
+    # Left Jacobian of the Earth's rotation to first order: about 1e-3 rad per sequence, so the error is below 1e-6.
+    of_earth = np.eye(3) + 0.5 * cross_matrix(earth_angle)
     by_earth = left @ to_start @ of_earth * duration_s[:, None, None]
-    return residual, -left, right @ turned, right, by_earth
+    return RotationResidual(residual, -left, right @ rotation, right, by_earth)
 
 
-def start_attitude(
+def start_attitude_residual(
     attitude: Array, nominal: Array, base: Array, U: Array, heading_rad: float
-) -> tuple[Array, Array, Array, Array]:
-    """Attitudes at the start of sequences against the fixture's: errors of the inner and the outer angle.
+) -> StartAttitudeResidual:
+    """Residual of the attitudes at the start of sequences: errors of the fixture's inner and outer angle.
 
     ``C = (R_z(heading) C_base)ᵀ A U`` takes T-components to the base's; on a fixture it is ``R_y(outer) R_z(inner)``.
 
@@ -240,11 +304,7 @@ def start_attitude(
 
     Returns
     -------
-    residual : ndarray, shape (n, 3), rad
-        Inner angle and outer angle less nominal, and the inner axis's lean from square to the outer one, which the
-        model has at zero.
-    by_attitude, by_base, by_U : ndarray, shape (n, 3, 3)
-        Derivatives with respect to small rotations behind A, ``base`` and ``U`` each.
+    StartAttitudeResidual
     """
     to_base = (rotation_matrix(np.array([0.0, 0.0, heading_rad])) @ base).T
     C = to_base @ attitude @ U
@@ -259,7 +319,7 @@ def start_attitude(
     behind[:, 1, 0] = (C[:, 0, 2] * C[:, 2, 1] - C[:, 2, 2] * C[:, 0, 1]) / along
     behind[:, 1, 1] = (C[:, 2, 2] * C[:, 0, 0] - C[:, 0, 2] * C[:, 2, 0]) / along
     behind[:, 2, 0], behind[:, 2, 1] = -C[:, 1, 1], C[:, 1, 0]
-    return residual, behind @ U.T, -behind @ np.swapaxes(C, 1, 2), behind
+    return StartAttitudeResidual(residual, behind @ U.T, -behind @ np.swapaxes(C, 1, 2), behind)
 
 
 def _fixture_angles(C: Array) -> tuple[Array, Array]:

@@ -19,9 +19,9 @@ from srt.model.rotations import cross_matrix, rotation_matrix
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence as SequenceOf
+    from collections.abc import Sequence
 
-    from srt.model.table1 import Sequence
+    from srt.model.table1 import RotationSequence
     from srt.types import Array
 
 
@@ -64,8 +64,8 @@ class RotationIntegrals:
 
 
 def ideal_rotations(
-    sequences: SequenceOf[Sequence],
-    rate_rad_s: float | SequenceOf[Array] = 1.0,
+    sequences: Sequence[RotationSequence],
+    rate_rad_s: float | Sequence[Array] = 1.0,
     window_s: float = 0.0,
     F_meas: float = 0.5,
 ) -> RotationIntegrals:
@@ -73,7 +73,7 @@ def ideal_rotations(
 
     Parameters
     ----------
-    sequences : sequence of Sequence
+    sequences : sequence of RotationSequence
         Rotations about IMU axes (K of them).
     rate_rad_s : float, or sequence of K ndarrays
         Magnitude of the turning rate, rad/s: one for all, or of every rotation of each sequence.

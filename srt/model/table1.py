@@ -29,7 +29,7 @@ def axis_vector(axis: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Sequence:
+class RotationSequence:
     """One rotation sequence.
 
     Attributes
@@ -97,7 +97,7 @@ _ROWS = (
 )
 
 SEQUENCES: Final = {
-    name: Sequence(
+    name: RotationSequence(
         name,
         down,
         along_outer,

@@ -31,7 +31,7 @@ from scipy.special import chdtri
 
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -17,7 +17,7 @@ import numpy as np
 
 from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
-from srt.recording.atomic import atomic_path, unwritable
+from srt.recording.atomic_file import atomic_path, unwritable
 from srt.recording.importer_registry import is_foreign
 from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
 from srt.recording.samples import SAMPLES_FORMATS, Samples, read_samples, write_samples
@@ -49,7 +49,7 @@ _NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # local anomalies, which the formula does not
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class RecordingMetadata:
     """What a recording's file says beside its samples.
 
     Attributes
@@ -95,7 +95,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     if "recording" not in document:
         raise InputError(f"{toml}: the section [recording] is missing: add it.")
     main = read_section(str(toml), "recording", document["recording"], RECORDING_KEYS)
-    about = read_surroundings(str(toml), document)
+    about = read_metadata(str(toml), document)
     if "samples" not in main:
         raise InputError(f'{toml}: recording.samples is missing: name the samples file, as samples = "samples.csv".')
     samples_path = _inside(toml, main["samples"])
@@ -135,7 +135,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
         raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
 
 
-def read_surroundings(file: str, document: Mapping[str, Any]) -> Surroundings:
+def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
     """Read the sections [site], [fixture], [imu] and [[sequence]].
 
     Parameters
@@ -147,7 +147,7 @@ def read_surroundings(file: str, document: Mapping[str, Any]) -> Surroundings:
 
     Returns
     -------
-    Surroundings
+    RecordingMetadata
 
     Raises
     ------
@@ -162,7 +162,7 @@ def read_surroundings(file: str, document: Mapping[str, Any]) -> Surroundings:
         given = fields_of(read_section(file, "fixture", document["fixture"], FIXTURE_KEYS), FIXTURE_KEYS)
         fixture = Fixture(**{"heading_rad": None, **given})
     noise = ImuNoise(**fields_of(read_section(file, "imu", document.get("imu", {}), IMU_KEYS), IMU_KEYS))
-    return Surroundings(site, fixture, noise, _read_sequences(file, document.get("sequence", [])))
+    return RecordingMetadata(site, fixture, noise, _read_sequences(file, document.get("sequence", [])))
 
 
 def read_document(toml: Path) -> dict[str, Any]:
@@ -285,7 +285,7 @@ def _inside(toml: Path, name: str) -> Path:
 
 
 def _import_recording(
-    toml: Path, samples_path: Path, main: Mapping[str, Any], about: Surroundings, source: str
+    toml: Path, samples_path: Path, main: Mapping[str, Any], about: RecordingMetadata, source: str
 ) -> Recording:
     """Read samples in a foreign format, with what the keys of [recording] say about them."""
     from srt.recording.import_options import ImportOptions

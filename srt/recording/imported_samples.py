@@ -28,7 +28,7 @@ _PLAUSIBLE_EPOCH_S = (9e8, 7e9)  # 1998 to 2191: what a stamp since 1970 may be
 
 
 @dataclass(frozen=True, slots=True)
-class Units:
+class StatedUnits:
     """Units that a format or a file's header states; None: the user has to.
 
     Attributes
@@ -43,7 +43,7 @@ class Units:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Imported:
+class ImportedSamples:
     """What a reader gives back.
 
     Attributes
@@ -78,20 +78,20 @@ class Imported:
     notes: tuple[str, ...] = ()
 
 
-def assemble(
+def samples_in_si(
     options: ImportOptions,
     *,
     gyro: NDArray[Any],
     accel: NDArray[Any],
     time: NDArray[Any] | None,
-    stated: Units,
+    stated: StatedUnits,
     kind: Kind | None = None,
     sample_rate_hz: float | None = None,
     temperature: NDArray[Any] | None = None,
     serial: str | None = None,
     date: str | None = None,
     notes: tuple[str, ...] = (),
-) -> Imported:
+) -> ImportedSamples:
     """Bring a reader's arrays to SI: the last step of every reader.
 
     Parameters
@@ -102,7 +102,7 @@ def assemble(
         In the units of the file.
     time : ndarray, shape (n,), or None
         Integers stay exact: they are counted from the first one before they become seconds.
-    stated : Units
+    stated : StatedUnits
         What the format or the header says.
     kind : "rate" or "increment", optional
         Where the format fixes it.
@@ -115,7 +115,7 @@ def assemble(
 
     Returns
     -------
-    Imported
+    ImportedSamples
 
     Raises
     ------
@@ -146,7 +146,7 @@ def assemble(
         seconds = seconds_of(time, unit, said)
     elif options.time_unit is not None:
         raise InputError(f"{option('time_unit')} is given, but no time stamps are read: name their column, too.")
-    return Imported(
+    return ImportedSamples(
         arrays["gyro"],
         arrays["accel"],
         chosen,
@@ -248,7 +248,7 @@ def join_streams(
     return kept, np.column_stack([np.interp(at, accel_time, column) for column in accel.T])
 
 
-def without_repeats(imported: Imported) -> Imported:
+def without_repeats(imported: ImportedSamples) -> ImportedSamples:
     """Drop records that a logger wrote twice: same stamp and same readings as the one before.
 
     A repeated stamp with other readings stays, for the recording to refuse: which of them is right is not known.
@@ -276,7 +276,7 @@ def without_repeats(imported: Imported) -> Imported:
     )
 
 
-def in_axes(imported: Imported, options: ImportOptions) -> Imported:
+def in_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSamples:
     """Apply the axis maps of the options, with notes."""
     changes: dict[str, Any] = {}
     notes = list(imported.notes)
@@ -295,7 +295,7 @@ def in_axes(imported: Imported, options: ImportOptions) -> Imported:
 
 
 def to_recording(
-    imported: Imported,
+    imported: ImportedSamples,
     site: Site,
     *,
     fixture: Fixture | None = None,
@@ -311,7 +311,7 @@ def to_recording(
 
     Parameters
     ----------
-    imported : Imported
+    imported : ImportedSamples
     site : Site
     fixture : Fixture, optional
     noise : ImuNoise, optional

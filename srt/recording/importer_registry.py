@@ -14,7 +14,7 @@ import numpy as np
 
 from srt.exceptions import DataError, InputError, did_you_mean
 from srt.recording.import_options import ImportOptions, option
-from srt.recording.imported_samples import Imported, in_axes, without_repeats
+from srt.recording.imported_samples import ImportedSamples, in_axes, without_repeats
 from srt.recording.samples import SAMPLES_FORMATS
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Importer:
     suffixes: tuple[str, ...]
     extra: str | None
     sniff: Callable[[Path], bool]
-    read: Callable[[Path, ImportOptions], Imported]
+    read: Callable[[Path, ImportOptions], ImportedSamples]
     options: frozenset[str] = frozenset()
 
 
@@ -153,7 +153,7 @@ def find_importer(path: Path, name: str = AUTO) -> Importer:
     raise InputError(f"{path} is of no format known here: name it with {option('format')}, as one of {_names()}.")
 
 
-def import_file(path: Path, options: ImportOptions | None = None, name: str = AUTO) -> tuple[Importer, Imported]:
+def import_file(path: Path, options: ImportOptions | None = None, name: str = AUTO) -> tuple[Importer, ImportedSamples]:
     """Read a foreign file.
 
     Parameters
@@ -167,7 +167,7 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
     -------
     importer : Importer
         The one that read it.
-    imported : Imported
+    imported : ImportedSamples
         In the axes asked for, without records written twice.
 
     Raises

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError, clipped, did_you_mean
-from srt.recording.atomic import atomic_path
+from srt.recording.atomic_file import atomic_path
 from srt.recording.csv_samples import read_csv, write_csv
 from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npz, guard_parquet
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 from srt.result.applier import BLOCK, Applier
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 

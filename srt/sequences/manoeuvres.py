@@ -13,9 +13,9 @@ from scipy.ndimage import uniform_filter1d
 from srt.model.rotations import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence as SequenceOf
+    from collections.abc import Sequence
 
-    from srt.model.table1 import Sequence
+    from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array, Counts, Indices
@@ -155,7 +155,7 @@ def leg_axis(leg: Array) -> tuple[int, float] | None:
     return axis, float(np.sign(leg[axis]) * size)
 
 
-def scales(turns: SequenceOf[Turn], face: SequenceOf[tuple[int, int] | None]) -> Array:
+def scales(turns: Sequence[Turn], face: Sequence[tuple[int, int] | None]) -> Array:
     """Reading over truth of each gyro axis, from turns of one leg that turn a face over, shape (3,).
 
     What is down before and after such a turn tells its angle but for whole turns, whatever the gyro reads.
@@ -198,7 +198,7 @@ _SIGMAS: Final = 6.0
 
 
 @cache
-def end_attitude(sequence: Sequence) -> Array:
+def end_attitude(sequence: RotationSequence) -> Array:
     """Nominal C_End of a sequence, B_End to B_Strt, shape (3, 3), for IMU axes along the table's; read-only."""
     C = np.eye(3)
     for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):

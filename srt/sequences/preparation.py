@@ -11,7 +11,7 @@ import numpy as np
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
 from srt.model.analytic_platform import GyroStream, gyro_stream
-from srt.model.table1 import SEQUENCES, Sequence, axis_vector
+from srt.model.table1 import SEQUENCES, RotationSequence, axis_vector
 from srt.noise.bias_instability import DriftDraws, drift_draws, window_draws
 from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.plausibility import (
@@ -25,14 +25,14 @@ from srt.sequences.plausibility import (
 from srt.sequences.window_means import Windows, average_windows, averaging_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence as SequenceOf
+    from collections.abc import Sequence
 
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.window_means import Average
     from srt.types import Array, Indices, Mask
 
 
-def sequence_of_label(label: SequenceLabel) -> Sequence | None:
+def sequence_of_label(label: SequenceLabel) -> RotationSequence | None:
     """Catalogue entry of a label: Table 1, its own description, or None for a free turn."""
     if label.id is None:
         return None
@@ -40,11 +40,11 @@ def sequence_of_label(label: SequenceLabel) -> Sequence | None:
         return SEQUENCES[label.id]
     if label.down is None or label.along_outer is None:
         return None
-    return Sequence(label.id, label.down, label.along_outer, float("nan"), float("nan"), label.rotations)
+    return RotationSequence(label.id, label.down, label.along_outer, float("nan"), float("nan"), label.rotations)
 
 
 @cache
-def nominal_attitude(sequence: Sequence) -> Array:
+def nominal_attitude(sequence: RotationSequence) -> Array:
     """C_nom at the start of a sequence: table-mounted body frame T to fixture base, shape (3, 3), read-only.
 
     The base z axis is down and its y axis the outer axis; for Table 1 this is R_y(outer) R_z(inner).
@@ -63,7 +63,7 @@ class PlaybackData:
     ----------
     recording : Recording
     labels : tuple of SequenceLabel
-    catalogue : tuple of Sequence or None
+    catalogue : tuple of RotationSequence or None
         Per sequence; None for a free turn.
     windows : Windows
     start, end : ndarray of int, shape (K,)
@@ -77,7 +77,7 @@ class PlaybackData:
 
     recording: Recording
     labels: tuple[SequenceLabel, ...]
-    catalogue: tuple[Sequence | None, ...]
+    catalogue: tuple[RotationSequence | None, ...]
     windows: Windows
     start: Indices
     end: Indices
@@ -204,11 +204,11 @@ class PlaybackData:
 
 def prepare(
     recording: Recording,
-    labels: SequenceOf[SequenceLabel],
+    labels: Sequence[SequenceLabel],
     average: Average = "linear",
     *,
     voided: dict[str, str] | None = None,
-    poses: SequenceOf[SequenceLabel] = (),
+    poses: Sequence[SequenceLabel] = (),
 ) -> PlaybackData:
     """Average the windows and set up the sequences; of ``poses`` the start windows alone.
 

@@ -212,7 +212,7 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, capfd, 
         done.append(descriptor)
         sync(descriptor)
 
-    monkeypatch.setattr("srt.recording.atomic.os.fsync", interrupted)
+    monkeypatch.setattr("srt.recording.atomic_file.os.fsync", interrupted)
     folder = tmp_path / "x"
     assert main(["simulate", "noise-free", "-o", str(folder)]) == 130
     assert capfd.readouterr() == ("", "\n")

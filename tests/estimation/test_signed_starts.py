@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 import sims
 import srt
 from sims.physics.imu import read_out
-from srt.model.table1 import SIGNED_AXES, Sequence, axis_vector
+from srt.model.table1 import SIGNED_AXES, RotationSequence, axis_vector
 from srt.recording.folder import load_recording, write_recording
 from srt.sensor_errors import SensorErrors
 from srt.sequences.manoeuvres import end_attitude
@@ -92,7 +92,7 @@ def test_the_label_says_the_attitude_that_the_simulator_had(read_back):
 def test_an_axis_with_its_sign(axis, vector, horizontal):
     assert axis in SIGNED_AXES
     assert axis_vector(axis).tolist() == vector
-    assert Sequence("A", axis, "y", math.nan, math.nan, ()).horizontal == horizontal
+    assert RotationSequence("A", axis, "y", math.nan, math.nan, ()).horizontal == horizontal
 
 
 def mirrored(sequence, number):

@@ -177,31 +177,31 @@ def in_turn(count):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_pose_force(size):
+def test_specific_force_residual(size):
     force = -G * np.einsum("nab,a->nb", POSES, [0.0, 0.0, 1.0])
     A = POSES @ away(size, 8)
-    residual, by_attitude, by_gravity = model.pose_force(force, A, G)
+    residual, by_attitude, by_gravity = model.specific_force_residual(force, A, G)
     # A rotation by an angle moves the vertical by twice the sine of its half at most.
     assert np.linalg.norm(residual, axis=1).max() <= 2.0 * G * math.sin(size / 2.0) + 4.0 * EPS * G
     turn = in_turn(8)
-    expected = derivative(lambda v: model.pose_force(force, A @ turn(v), G)[0])
+    expected = derivative(lambda v: model.specific_force_residual(force, A @ turn(v), G)[0])
     assert np.abs(by_attitude - expected).max() <= numerical(G)
-    expected = derivative(lambda v: model.pose_force(force, A, G + v[0])[0], 1)[:, :, 0]
+    expected = derivative(lambda v: model.specific_force_residual(force, A, G + v[0])[0], 1)[:, :, 0]
     assert np.abs(by_gravity - expected).max() <= numerical(G)
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_pose_rate(size):
+def test_angular_rate_residual(size):
     ω = np.linalg.norm(EARTH_NED)
     earth = np.broadcast_to(EARTH_NED, (8, 3))
     rate = np.einsum("nab,a->nb", POSES, EARTH_NED)
     A = POSES @ away(size, 8)
-    residual, by_attitude, by_earth = model.pose_rate(rate, A, earth)
+    residual, by_attitude, by_earth = model.angular_rate_residual(rate, A, earth)
     assert np.linalg.norm(residual, axis=1).max() <= 2.0 * ω * math.sin(size / 2.0) + 4.0 * EPS * ω
     turn = in_turn(8)
-    expected = derivative(lambda v: model.pose_rate(rate, A @ turn(v), earth)[0])
+    expected = derivative(lambda v: model.angular_rate_residual(rate, A @ turn(v), earth)[0])
     assert np.abs(by_attitude - expected).max() <= numerical(ω)
-    expected = derivative(lambda v: model.pose_rate(rate, A, earth + ω * v)[0]) / ω
+    expected = derivative(lambda v: model.angular_rate_residual(rate, A, earth + ω * v)[0]) / ω
     assert np.abs(by_earth - expected).max() <= numerical(1.0)
 
 
@@ -240,7 +240,7 @@ def turned():
 def test_turn(turned, size):
     earth = np.broadcast_to(EARTH_NED, (7, 3))
     start, end = POSES[:-1] @ away(size, 7, 1), POSES[1:] @ away(size, 7, 2)
-    residual, by_start, by_end, by_turned, by_earth = model.turn(turned, start, end, earth, DURATION)
+    residual, by_start, by_end, by_turned, by_earth = model.rotation_residual(turned, start, end, earth, DURATION)
     # Steps of 1e-3 rad at fourth order, up to 12 rad of them; both attitudes may be off by ``size``.
     assert np.linalg.norm(residual, axis=1).max() <= 2.0 * size + 12.0 * 1e-3**4
     if size == 0.3:
@@ -249,7 +249,7 @@ def test_turn(turned, size):
 
     def at(s=0.0, e=0.0, c=0.0, ω=0.0):
         s, e, c = (turn(np.zeros(3) + v) for v in (s, e, -np.asarray(c)))
-        return model.turn(c @ turned, start @ s, end @ e, earth + ω, DURATION)[0]
+        return model.rotation_residual(c @ turned, start @ s, end @ e, earth + ω, DURATION)[0]
 
     # The logarithm is singular a whole turn away, of which the attitudes may have taken 0.6 rad.
     atol = numerical(2.0, 2.0)
@@ -270,18 +270,18 @@ def test_start_attitude(size):
     nominal = np.stack([Rotation.from_euler("YZ", [outer, inner]).as_matrix() for inner, outer in ANGLES])
     base, U = sims.rotation(DRAW.base), MARS @ sims.rotation(DRAW.mounting).T
     executed = np.stack([FIXTURE.attitude(*angles) for angles in ANGLES + off])
-    found = model.start_attitude(executed, nominal, base, U, HEADING)[0]
+    found = model.start_attitude_residual(executed, nominal, base, U, HEADING)[0]
     np.testing.assert_allclose(found, np.pad(off, ((0, 0), (0, 1))), rtol=0, atol=20.0 * EPS)
 
     A = executed @ away(size, 8)
-    residual, by_attitude, by_base, by_U = model.start_attitude(A, nominal, base, U, HEADING)
+    residual, by_attitude, by_base, by_U = model.start_attitude_residual(A, nominal, base, U, HEADING)
     # Where the inner axis leans, the inner angle turns faster than the attitude does, by the cosine of the lean.
     assert np.abs(residual - found).max() <= size / math.cos(size) + 20.0 * EPS
     turn = in_turn(8)
 
     def at(a=0.0, b=0.0, u=0.0):
         a, b, u = (turn(np.zeros(3) + v) for v in (a, b, u))
-        return model.start_attitude(A @ a, nominal, base @ b[0], U @ u[0], HEADING)[0]
+        return model.start_attitude_residual(A @ a, nominal, base @ b[0], U @ u[0], HEADING)[0]
 
     # The angles are singular where the inner axis lies along the outer one, a right angle from square.
     atol = numerical(4.0, math.pi / 2.0 - 0.3)
@@ -296,7 +296,7 @@ def test_lean_of_the_axes(lean):
     base, U = sims.rotation(DRAW.base), MARS @ sims.rotation(DRAW.mounting).T
     A = FixtureGeometry(FIXTURE.base_from_ned, lean, FIXTURE.body_from_inner).attitude(*ANGLES[0])
     nominal = Rotation.from_euler("YZ", ANGLES[0][::-1]).as_matrix()
-    found = model.start_attitude(A[None], nominal[None], base, U, HEADING)[0][0]
+    found = model.start_attitude_residual(A[None], nominal[None], base, U, HEADING)[0][0]
     assert abs(found[2] + math.sin(lean)) <= 10.0 * EPS
     assert abs(found[0]) <= lean**2 + 10.0 * EPS
 
@@ -309,7 +309,7 @@ def test_fixture_angles_all_around(inner, outer, off_inner, off_outer):
         Rotation.from_euler("YZ", [o, i]).as_matrix()[None]
         for i, o in ((inner, outer), (inner + off_inner, outer + off_outer))
     )
-    found = model.start_attitude(executed, nominal, np.eye(3), np.eye(3), 0.0)[0][0]
+    found = model.start_attitude_residual(executed, nominal, np.eye(3), np.eye(3), 0.0)[0][0]
     np.testing.assert_allclose(found, [off_inner, off_outer, 0.0], rtol=0, atol=30.0 * EPS)
 
 

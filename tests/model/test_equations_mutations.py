@@ -24,7 +24,7 @@ from sims.physics.fixture import FixtureDraw, FixtureGeometry, rotation
 from srt.model import closed_form, measurement_model, rotation_integrals
 from srt.model.rotations import cross_matrix
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad
-from srt.model.table1 import AXES, SEQUENCES, Sequence
+from srt.model.table1 import AXES, SEQUENCES, RotationSequence
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 MODULES = (measurement_model, rotation_integrals, closed_form)
@@ -32,7 +32,7 @@ PERFECT = Triad(np.eye(3), np.zeros(3), np.zeros(3))
 
 # --- references -----------------------------------------------------------------------------------------------------
 
-ODD = Sequence("odd", "z", "y", 0.0, 0.0, (("x", 0.7), ("y", -1.9), ("z", 2.3), ("x", -0.4)))
+ODD = RotationSequence("odd", "z", "y", 0.0, 0.0, (("x", 0.7), ("y", -1.9), ("z", 2.3), ("x", -0.4)))
 """No half turns here, so that no sine or cosine is 0 or ±1."""
 
 
@@ -203,19 +203,23 @@ def poses_hold(model):
     """Force and rate of windows: nothing left at the truth, and derivatives away from it."""
     earth = np.broadcast_to(EARTH_NED, (2, 3))
     force, rate = -G * WINDOWS[:, 2], WINDOWS.transpose(0, 2, 1) @ EARTH_NED
-    residual, by_attitude, by_gravity = model.pose_force(force, ELSEWHERE, G)
-    at_rest, rate_by_attitude, by_earth = model.pose_rate(rate, ELSEWHERE, earth)
+    residual, by_attitude, by_gravity = model.specific_force_residual(force, ELSEWHERE, G)
+    at_rest, rate_by_attitude, by_earth = model.angular_rate_residual(rate, ELSEWHERE, earth)
     return (
-        close(model.pose_force(force, WINDOWS, G)[0], 0.0, 1e-14)
-        and close(model.pose_rate(rate, WINDOWS, earth)[0], 0.0, 1e-16)
-        and close(by_attitude, derivative(lambda v: model.pose_force(force, ELSEWHERE @ turned_by(v), G)[0]), NUMERICAL)
-        and close(by_gravity, model.pose_force(force, ELSEWHERE, G + 1.0)[0] - residual, 1e-14)
+        close(model.specific_force_residual(force, WINDOWS, G)[0], 0.0, 1e-14)
+        and close(model.angular_rate_residual(rate, WINDOWS, earth)[0], 0.0, 1e-16)
         and close(
-            rate_by_attitude,
-            derivative(lambda v: model.pose_rate(rate, ELSEWHERE @ turned_by(v), earth)[0]),
+            by_attitude,
+            derivative(lambda v: model.specific_force_residual(force, ELSEWHERE @ turned_by(v), G)[0]),
             NUMERICAL,
         )
-        and close(by_earth, derivative(lambda v: model.pose_rate(rate, ELSEWHERE, earth + v)[0]), NUMERICAL)
+        and close(by_gravity, model.specific_force_residual(force, ELSEWHERE, G + 1.0)[0] - residual, 1e-14)
+        and close(
+            rate_by_attitude,
+            derivative(lambda v: model.angular_rate_residual(rate, ELSEWHERE @ turned_by(v), earth)[0]),
+            NUMERICAL,
+        )
+        and close(by_earth, derivative(lambda v: model.angular_rate_residual(rate, ELSEWHERE, earth + v)[0]), NUMERICAL)
         and close(at_rest, rate - ELSEWHERE.transpose(0, 2, 1) @ EARTH_NED, 1e-16)
     )
 
@@ -229,14 +233,14 @@ def turns_hold(model):
     def residual(s=0.0, e=0.0, c=0.0, ω=0.0):
         C = turned_by(np.zeros(3) - c) @ TURNED[None]
         s, e = (turned_by(np.zeros(3) + v) for v in (s, e))
-        return model.turn(C, off_start @ s, off_end @ e, earth + ω, T)[0]
+        return model.rotation_residual(C, off_start @ s, off_end @ e, earth + ω, T)[0]
 
-    _, by_start, by_end, by_turned, by_earth = model.turn(TURNED[None], off_start, off_end, earth, T)
+    _, by_start, by_end, by_turned, by_earth = model.rotation_residual(TURNED[None], off_start, off_end, earth, T)
     # The left Jacobian of the Earth's turn is taken to first order: (ω_e T)² / 6 of the derivative is left out. What
     # multiplies it, the inverse Jacobian of a residual below 1 rad, and the next order are below 1.5 together.
     neglected = TURN_S * (np.linalg.norm(EARTH_NED) * TURN_S) ** 2 / 6.0
     return (
-        close(model.turn(TURNED[None], start, end, earth, T)[0], 0.0, 1e-11)
+        close(model.rotation_residual(TURNED[None], start, end, earth, T)[0], 0.0, 1e-11)
         and close(by_start, derivative(lambda v: residual(s=v)), NUMERICAL)
         and close(by_end, derivative(lambda v: residual(e=v)), NUMERICAL)
         and close(by_turned, derivative(lambda v: residual(c=v)), NUMERICAL)
@@ -255,12 +259,14 @@ def starts_hold(model):
 
     def residual(a=0.0, b=0.0, u=0.0):
         a, b, u = (turned_by(np.zeros(3) + v) for v in (a, b, u))
-        return model.start_attitude(ELSEWHERE @ a, nominal[:2], BASE @ b, MOUNTED @ u, HEADING)[0]
+        return model.start_attitude_residual(ELSEWHERE @ a, nominal[:2], BASE @ b, MOUNTED @ u, HEADING)[0]
 
-    _, by_attitude, by_base, by_U = model.start_attitude(ELSEWHERE, nominal[:2], BASE, MOUNTED, HEADING)
+    _, by_attitude, by_base, by_U = model.start_attitude_residual(ELSEWHERE, nominal[:2], BASE, MOUNTED, HEADING)
     return (
-        close(model.start_attitude(attitude, nominal, BASE, MOUNTED, HEADING)[0], [*off, 0.0], 1e-14)
-        and close(model.start_attitude(leaning, nominal[:1], BASE, MOUNTED, HEADING)[0][0, 2], -np.sin(lean), 1e-14)
+        close(model.start_attitude_residual(attitude, nominal, BASE, MOUNTED, HEADING)[0], [*off, 0.0], 1e-14)
+        and close(
+            model.start_attitude_residual(leaning, nominal[:1], BASE, MOUNTED, HEADING)[0][0, 2], -np.sin(lean), 1e-14
+        )
         and close(by_attitude, derivative(lambda v: residual(a=v)), NUMERICAL)
         and close(by_base, derivative(lambda v: residual(b=v)), NUMERICAL)
         and close(by_U, derivative(lambda v: residual(u=v)), NUMERICAL)

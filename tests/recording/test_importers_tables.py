@@ -14,7 +14,7 @@ from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError, InputError
 from srt.recording import importer_registry
 from srt.recording.import_options import ImportOptions, parse_axis_map, parse_columns, parse_lsb, parse_offset
-from srt.recording.imported_samples import Imported, Units, assemble, join_streams, to_recording, without_repeats
+from srt.recording.imported_samples import ImportedSamples, StatedUnits, samples_in_si, join_streams, to_recording, without_repeats
 from srt.recording.importer_registry import IMPORTERS, find_importer, import_file
 from srt.recording.importers.channels import meaning_of
 
@@ -456,13 +456,13 @@ MINE = importer_registry.Importer(
     (),
     None,
     lambda path: importer_registry.head(path) == b"MINE",
-    lambda path, options: Imported(GYRO, ACCEL, sample_rate_hz=10.0),
+    lambda path, options: ImportedSamples(GYRO, ACCEL, sample_rate_hz=10.0),
 )
 
 
 def test_records_written_twice(tmp_path):
     rows = np.repeat(np.arange(N), np.where(np.arange(N) % 10 == 3, 2, 1))
-    twice = Imported(GYRO[rows], ACCEL[rows], time=TIME[rows], temperature=TIME[rows])
+    twice = ImportedSamples(GYRO[rows], ACCEL[rows], time=TIME[rows], temperature=TIME[rows])
     once = without_repeats(twice)
     np.testing.assert_array_equal(once.time, TIME)
     np.testing.assert_array_equal(once.gyro, GYRO)
@@ -476,7 +476,7 @@ def test_records_written_twice(tmp_path):
 
 
 def test_to_recording_without_stamps():
-    imported = Imported(GYRO, ACCEL, sample_rate_hz=50.0, serial="from the file", date="2020-01-01")
+    imported = ImportedSamples(GYRO, ACCEL, sample_rate_hz=50.0, serial="from the file", date="2020-01-01")
     recording = to_recording(imported, srt.Site(9.81), serial="said", temperature_c=20.0)
     np.testing.assert_array_equal(recording.time, np.arange(1, N + 1) / 50.0)
     assert (recording.serial, recording.date, recording.temperature[7]) == ("said", "2020-01-01", 20.0)
@@ -489,7 +489,7 @@ def test_a_clock_that_goes_back_stays_so(dtype):
     """Unsigned counters must not wrap around to a time that rises."""
     stamps = np.array([3_000, 2_000, 4_000], dtype=dtype) + dtype(2_000_000_000)
     options = ImportOptions(**SI)
-    imported = assemble(options, gyro=GYRO[:3], accel=ACCEL[:3], time=stamps, stated=Units(time="ms"))
+    imported = samples_in_si(options, gyro=GYRO[:3], accel=ACCEL[:3], time=stamps, stated=StatedUnits(time="ms"))
     np.testing.assert_array_equal(imported.time, [0.0, -1.0, 1.0])
 
 
@@ -502,9 +502,9 @@ def test_readings_beyond_doubles_are_refused_as_not_finite(tmp_path):
 
 def test_arrays_that_disagree():
     with pytest.raises(InputError, match="time stamps for"):
-        assemble(ImportOptions(), gyro=GYRO, accel=ACCEL, time=TIME[1:], stated=Units("rad/s", "m/s^2", "s"))
+        samples_in_si(ImportOptions(), gyro=GYRO, accel=ACCEL, time=TIME[1:], stated=StatedUnits("rad/s", "m/s^2", "s"))
     with pytest.raises(InputError, match="shape"):
-        assemble(ImportOptions(), gyro=GYRO, accel=ACCEL[1:], time=None, stated=Units("rad/s", "m/s^2"))
+        samples_in_si(ImportOptions(), gyro=GYRO, accel=ACCEL[1:], time=None, stated=StatedUnits("rad/s", "m/s^2"))
 
 
 # Text that is wrong.

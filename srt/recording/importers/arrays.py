@@ -11,10 +11,10 @@ import numpy as np
 from srt.exceptions import InputError, MissingExtraError, did_you_mean
 from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet
 from srt.recording.import_options import TRIADS, ImportOptions, option
-from srt.recording.imported_samples import Imported, Units, assemble
+from srt.recording.imported_samples import ImportedSamples, StatedUnits, samples_in_si
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import assign, clean, listed, with_temperature
-from srt.recording.importers.guarded import library
+from srt.recording.importers.parser_errors import clear_errors
 from srt.recording.samples import TEMPERATURE, TIME
 from srt.recording.schema import TIME_UNITS
 
@@ -53,7 +53,7 @@ class Store:
     read: Callable[[str], NDArray[Any]]
 
 
-def from_store(store: Store, options: ImportOptions, stated: Units | None = None) -> Imported:
+def from_store(store: Store, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
     """Make samples of named arrays: one for each channel, or of three columns for each sensor, or one for all.
 
     Parameters
@@ -61,12 +61,12 @@ def from_store(store: Store, options: ImportOptions, stated: Units | None = None
     store : Store
     options : ImportOptions
         ``variable`` names a group, or the one array that holds all columns.
-    stated : Units, optional
+    stated : StatedUnits, optional
         Units that the format defines.
 
     Returns
     -------
-    Imported
+    ImportedSamples
 
     Raises
     ------
@@ -98,12 +98,12 @@ def from_store(store: Store, options: ImportOptions, stated: Units | None = None
         raise InputError(f"{store.path}: the arrays are of different lengths ({shown}), but they must agree.")
     time, time_unit = _as_stamps(table.get(TIME))
     header = stated or found.stated
-    return assemble(
+    return samples_in_si(
         options,
         gyro=_sensor(table, "gyro"),
         accel=_sensor(table, "accel"),
         time=time,
-        stated=Units(header.gyro, header.accel, time_unit or header.time),
+        stated=StatedUnits(header.gyro, header.accel, time_unit or header.time),
         kind=None if options.kind is not None else found.kind,
         temperature=table.get(TEMPERATURE),
         notes=with_temperature(tuple(notes), table),
@@ -111,8 +111,8 @@ def from_store(store: Store, options: ImportOptions, stated: Units | None = None
 
 
 def from_matrix(
-    path: Path, values: NDArray[Any], options: ImportOptions, stated: Units | None = None, **fixed: Any
-) -> Imported:
+    path: Path, values: NDArray[Any], options: ImportOptions, stated: StatedUnits | None = None, **fixed: Any
+) -> ImportedSamples:
     """Make samples of one array with a column for each channel, as the options number them.
 
     Parameters
@@ -121,13 +121,13 @@ def from_matrix(
     values : ndarray, shape (n, m)
     options : ImportOptions
         ``columns`` by number.
-    stated : Units, optional
+    stated : StatedUnits, optional
     **fixed
-        Further arguments of :func:`~srt.recording.imported_samples.assemble`.
+        Further arguments of :func:`~srt.recording.imported_samples.samples_in_si`.
 
     Returns
     -------
-    Imported
+    ImportedSamples
 
     Raises
     ------
@@ -143,12 +143,12 @@ def from_matrix(
         values = values.T
     found = assign(path, [], values.shape[1], options.columns)
     table = {channel: values[:, i] for channel, i in found.columns.items()}
-    return assemble(
+    return samples_in_si(
         options,
         gyro=_sensor(table, "gyro"),
         accel=_sensor(table, "accel"),
         time=table.get(TIME),
-        stated=stated or Units(),
+        stated=stated or StatedUnits(),
         temperature=table.get(TEMPERATURE),
         **fixed,
     )
@@ -225,29 +225,29 @@ def _listed(store: Store) -> str:
     return ", ".join(shown[:12]) + (" ..." if len(shown) > 12 else "") if shown else "no arrays of numbers"
 
 
-def _read_npz(path: Path, options: ImportOptions) -> Imported:
+def _read_npz(path: Path, options: ImportOptions) -> ImportedSamples:
     size = path.stat().st_size
     with path.open("rb") as file:
         if file.read(6) == b"\x93NUMPY":
             file.seek(0)
-            with library(path, "NumPy file"):
+            with clear_errors(path, "NumPy file"):
                 guard_npy(path, file, size)
                 array = np.load(file, allow_pickle=False)
             return from_store(Store(path, {"": array.shape}, lambda _: array), options)
         file.seek(0)
-        with library(path, "NPZ file"):
+        with clear_errors(path, "NPZ file"):
             archive = np.load(file, allow_pickle=False)
             names = list(archive.files)
 
         def read(name: str) -> NDArray[Any]:
-            with library(path, "NPZ file"):
+            with clear_errors(path, "NPZ file"):
                 guard_npz(path, archive, name, size)
                 values: NDArray[Any] = archive[name]
             return values
 
         arrays: dict[str, tuple[int, ...]] = {}
         for name in names:
-            with library(path, "NPZ file"):
+            with clear_errors(path, "NPZ file"):
                 shape, numbers = _npz_shape(archive, name)
             if numbers:
                 arrays[name] = shape
@@ -263,7 +263,7 @@ def _npz_shape(archive: Any, name: str) -> tuple[tuple[int, ...], bool]:
     return tuple(int(n) for n in shape), dtype.kind in _NUMBERS + "M"
 
 
-def _read_hdf5(path: Path, options: ImportOptions) -> Imported:
+def _read_hdf5(path: Path, options: ImportOptions) -> ImportedSamples:
     with hdf5_store(path, "HDF5 file") as store:
         return from_store(store, options)
 
@@ -294,7 +294,7 @@ def hdf5_store(path: Path, title: str, *, matlab: bool = False) -> Iterator[Stor
         raise MissingExtraError("h5py", "io", f"The {title}") from None
     size = path.stat().st_size
     guard_hdf5_trees(path)
-    with library(path, title):
+    with clear_errors(path, title):
         file = h5py.File(path, "r")
     try:
         shapes: dict[str, tuple[int, ...]] = {}
@@ -315,28 +315,28 @@ def hdf5_store(path: Path, title: str, *, matlab: bool = False) -> Iterator[Stor
 
         def read(name: str) -> NDArray[Any]:
             group, _, last = name.rpartition("/")
-            with library(path, title):
+            with clear_errors(path, title):
                 guard_hdf5(path, h5py, file[group] if group else file, last, size)
                 values = np.asarray(file[name][()])
             return values.T if matlab else values
 
-        with library(path, title):
+        with clear_errors(path, title):
             file.visititems(note)
         yield Store(path, shapes, read)
     finally:
         file.close()
 
 
-def _read_parquet(path: Path, options: ImportOptions) -> Imported:
+def _read_parquet(path: Path, options: ImportOptions) -> ImportedSamples:
     try:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError:
         raise MissingExtraError("pyarrow", "io", "A Parquet file") from None
-    with library(path, "Parquet file"):
+    with clear_errors(path, "Parquet file"):
         file = parquet.ParquetFile(path)
     with file:
-        with library(path, "Parquet file"):
+        with clear_errors(path, "Parquet file"):
             guard_parquet(path, file.metadata, path.stat().st_size)
             types = {field.name: field.type for field in file.schema_arrow}
             rows = int(file.metadata.num_rows)
@@ -347,7 +347,7 @@ def _read_parquet(path: Path, options: ImportOptions) -> Imported:
         }
 
         def read(name: str) -> NDArray[Any]:
-            with library(path, "Parquet file"):
+            with clear_errors(path, "Parquet file"):
                 column = file.read(columns=[name]).column(0)
                 if pa.types.is_timestamp(types[name]):
                     stamps: NDArray[Any] = column.cast(pa.int64()).to_numpy().astype(f"M8[{types[name].unit}]")

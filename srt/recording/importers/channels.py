@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from srt.exceptions import InputError, did_you_mean
 from srt.model.table1 import AXES
 from srt.recording.import_options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
-from srt.recording.imported_samples import Units
+from srt.recording.imported_samples import StatedUnits
 from srt.recording.samples import TEMPERATURE, TIME
 from srt.recording.schema import COUNTS, TIME_UNITS
 
@@ -103,14 +103,14 @@ class Assignment:
     ----------
     columns : dict of str to int
         Position of each channel's column, from 0. With arrays, "gyro" and "accel" may stand for three channels.
-    stated : Units
+    stated : StatedUnits
         By the names of the columns.
     kind : "increment" or None
     notes : tuple of str
     """
 
     columns: dict[str, int]
-    stated: Units
+    stated: StatedUnits
     kind: Kind | None
     notes: tuple[str, ...]
 
@@ -201,7 +201,7 @@ def assign(
     if renamed:
         notes.append(f"Columns: {', '.join(renamed)}.")
     used = {channel: meanings[i] for channel, i in columns.items() if names}
-    stated = Units(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
+    stated = StatedUnits(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
     kinds = {meaning.kind for channel, meaning in used.items() if meaning is not None and channel not in OTHERS}
     return Assignment(columns, stated, "increment" if kinds == {"increment"} else None, tuple(notes))
 

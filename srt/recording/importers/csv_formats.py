@@ -10,7 +10,7 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.model.table1 import AXES
 from srt.recording.import_options import ImportOptions, option
-from srt.recording.imported_samples import Imported, Units, assemble, join_streams, seconds_of
+from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si, seconds_of
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import Assignment, assign, listed, meaning_of, with_temperature
 from srt.recording.importers.text_tables import Layout, find_layout, read_table
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 TEXT_OPTIONS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma", "skip"})
 
-_PUBLISHED: Final = Units("rad/s", "m/s^2", "ns")
+_PUBLISHED: Final = StatedUnits("rad/s", "m/s^2", "ns")
 """What EuRoC and Kalibr define."""
 
 _DATA_NAME: Final = "data.csv"
@@ -34,19 +34,19 @@ _DATA_NAME: Final = "data.csv"
 _PAIR_COLUMNS: Final = (TIME, *AXES)
 
 
-def read_csv_table(path: Path, options: ImportOptions, stated: Units | None = None) -> Imported:
+def read_csv_table(path: Path, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
     """Read a text table by its header, or by the columns that the options name.
 
     Parameters
     ----------
     path : Path
     options : ImportOptions
-    stated : Units, optional
+    stated : StatedUnits, optional
         Units that the format defines, whatever the header says.
 
     Returns
     -------
-    Imported
+    ImportedSamples
 
     Raises
     ------
@@ -57,7 +57,7 @@ def read_csv_table(path: Path, options: ImportOptions, stated: Units | None = No
     if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns:
         found = _without_doubtful_time(found, options, stated)
     table = read_table(path, layout, found.columns, integers=TIME)
-    return assemble(
+    return samples_in_si(
         options,
         gyro=_triad(table, GYRO_COLUMNS),
         accel=_triad(table, ACCEL_COLUMNS),
@@ -69,7 +69,7 @@ def read_csv_table(path: Path, options: ImportOptions, stated: Units | None = No
     )
 
 
-def read_pair(path: Path, options: ImportOptions) -> Imported:
+def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     """Read a pair of text tables, one for each sensor, of ``time x y z``.
 
     Parameters
@@ -81,7 +81,7 @@ def read_pair(path: Path, options: ImportOptions) -> Imported:
 
     Returns
     -------
-    Imported
+    ImportedSamples
 
     Raises
     ------
@@ -111,12 +111,12 @@ def read_pair(path: Path, options: ImportOptions) -> Imported:
         for table in (gyro, accel)
     )
     kept, force = join_streams(gyro_time, accel_time, _triad(accel, AXES), notes)
-    result = assemble(
+    result = samples_in_si(
         replace(options, time_unit=None),
         gyro=_triad(gyro, AXES)[kept],
         accel=force,
         time=gyro_time[kept],
-        stated=Units(time="s"),
+        stated=StatedUnits(time="s"),
         notes=tuple(notes),
     )
     return replace(result, units={**result.units, "time": f"{unit} ({'as said' if options.time_unit else 'header'})"})
@@ -126,7 +126,7 @@ def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
     return np.column_stack([table[name] for name in names]).astype(np.float64, copy=False)
 
 
-def _without_doubtful_time(found: Assignment, options: ImportOptions, stated: Units | None) -> Assignment:
+def _without_doubtful_time(found: Assignment, options: ImportOptions, stated: StatedUnits | None) -> Assignment:
     """Leave out a column of time whose unit nobody states, where a rate is given that does without it."""
     if options.time_unit is not None or (stated or found.stated).time is not None:
         return found
@@ -184,7 +184,7 @@ def _is_text_table(path: Path) -> bool:
     return True
 
 
-def _read_published(path: Path, options: ImportOptions) -> Imported:
+def _read_published(path: Path, options: ImportOptions) -> ImportedSamples:
     file = path / _DATA_NAME if path.is_dir() else path
     if not file.is_file():
         raise InputError(f"The folder {path} holds no {_DATA_NAME}: name the file of samples.")

@@ -12,8 +12,8 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.arrays import ARRAY_OPTIONS, HDF5_MAGIC, Store, from_store, hdf5_store
-from srt.recording.importers.guarded import library, silence
 from srt.recording.importers.matlab_elements import NUMERIC, variables
+from srt.recording.importers.parser_errors import clear_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.recording.import_options import ImportOptions
-    from srt.recording.imported_samples import Imported
+    from srt.recording.imported_samples import ImportedSamples
 
 _TITLE = "MATLAB file"
 _HDF5_OFFSET = 512  # MATLAB's own header stands before the HDF5 one
@@ -51,7 +51,7 @@ def matlab_store(path: Path) -> Iterator[Store]:
         with hdf5_store(path, _TITLE, matlab=True) as store:
             yield store
         return
-    with library(path, _TITLE):
+    with clear_errors(path, _TITLE):
         found = list(variables(path.read_bytes()))
     shapes: dict[str, tuple[int, ...]] = {}
     fields: dict[str, NDArray[Any]] = {}
@@ -69,7 +69,7 @@ def _load(path: Path, data: bytes) -> NDArray[Any]:
     """Read the one variable of a file that has been checked."""
     import scipy.io
 
-    with library(path, _TITLE), silence():
+    with clear_errors(path, _TITLE):
         content = scipy.io.loadmat(io.BytesIO(data))
         values = [np.asarray(value) for name, value in content.items() if not name.startswith("__")]
     if len(values) != 1:
@@ -100,7 +100,7 @@ def _sniff(path: Path) -> bool:
     return start.startswith(b"MATLAB ") and (b"MAT-file" in start[:128] or start[_HDF5_OFFSET:] == HDF5_MAGIC)
 
 
-def _read(path: Path, options: ImportOptions) -> Imported:
+def _read(path: Path, options: ImportOptions) -> ImportedSamples:
     with matlab_store(path) as store:
         return from_store(store, options)
 

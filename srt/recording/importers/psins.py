@@ -11,7 +11,7 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.recording.import_options import ImportOptions, option, parse_columns
-from srt.recording.imported_samples import Imported, Units
+from srt.recording.imported_samples import ImportedSamples, StatedUnits
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.arrays import from_matrix
 from srt.recording.importers.channels import listed
@@ -29,7 +29,7 @@ _LAYOUT: Final = parse_columns("gyro,accel,time")
 _AXES_NOTE = "PSINS has x right, y forward, z up: gyros and accelerometers share these axes."
 
 
-def _read(path: Path, options: ImportOptions) -> Imported:
+def _read(path: Path, options: ImportOptions) -> ImportedSamples:
     values = _table(path, options)
     if values.ndim != 2 or values.shape[1] != COLUMNS:
         raise InputError(f"{path} holds a table of shape {values.shape}, but {COLUMNS} columns are expected.")
@@ -37,7 +37,7 @@ def _read(path: Path, options: ImportOptions) -> Imported:
         columns=_LAYOUT,
         **{name: getattr(options, name) for name in options.given if name not in ("variable", "delimiter")},
     )
-    return from_matrix(path, values, said, Units("rad", "m/s", "s"), kind="increment", notes=(_AXES_NOTE,))
+    return from_matrix(path, values, said, StatedUnits("rad", "m/s", "s"), kind="increment", notes=(_AXES_NOTE,))
 
 
 def _table(path: Path, options: ImportOptions) -> NDArray[Any]:

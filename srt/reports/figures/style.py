@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import MissingExtraError
-from srt.recording.atomic import atomic_path
+from srt.recording.atomic_file import atomic_path
 
 try:
     from matplotlib.axes import Axes

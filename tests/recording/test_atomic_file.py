@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from srt.exceptions import InputError, did_you_mean
-from srt.recording.atomic import atomic_path, atomic_write_bytes, atomic_write_text
+from srt.recording.atomic_file import atomic_path, atomic_write_bytes, atomic_write_text
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):
