@@ -1,4 +1,4 @@
-"""Diagnosis of recordings: a catalogue of faults, a check for each, and the first cause named in one sentence."""
+"""Diagnosis of recordings: a catalogue of faults, a check for each, and the most likely cause in one sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a check finds, and the table of checks: each declares the faults that it can name."""
+"""Findings, and the registry of checks: each check declares the faults that it can name."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Finding:
         Key of :data:`srt.diagnosis.faults.FAULTS`.
     sentence : str
     details : dict
-        What the sentence was filled with, SI where a name carries no unit.
+        Values in the sentence, SI where the name carries no unit.
     """
 
     fault: str
@@ -31,17 +31,17 @@ class Finding:
 
     @property
     def effect(self) -> Effect:
-        """What it causes."""
+        """Effect of the fault on the calibration."""
         return FAULTS[self.fault].effect
 
     @property
     def stage(self) -> str:
-        """Where in the chain of causes it stands."""
+        """Stage of the checks that name the fault."""
         return FAULTS[self.fault].stage
 
 
 def finding(fault: str, **details: Any) -> Finding:
-    """State a fault; the fields of its sentence are given by name."""
+    """Make the finding of a fault; ``details`` are the fields of its sentence."""
     return Finding(fault, FAULTS[fault].sentence.format(**details), details)
 
 
@@ -50,7 +50,17 @@ CheckFunction = Callable[["Evidence"], Iterable[Finding]]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A check and what it can name; ``needs_result`` tells that it looks at a calibration of the recording."""
+    """One check and the faults that it can name.
+
+    Attributes
+    ----------
+    run : callable
+        Yields the findings of one recording.
+    faults : tuple of str
+    stage : str
+    needs_result : bool
+        True: the check uses a calibration of the recording.
+    """
 
     run: CheckFunction
     faults: tuple[str, ...]
@@ -59,12 +69,13 @@ class Check:
 
 
 CHECKS: Final[list[Check]] = []
+"""All checks; a module registers its own on import."""
 
 
 def check(*faults: str, needs_result: bool = False) -> Callable[[CheckFunction], CheckFunction]:
     """Register a check that can name these faults, all of one stage.
 
-    A check yields at most one finding for each cause that it sees; several sequences with one cause are one finding.
+    A check yields at most one finding for each cause: several sequences with one cause are one finding.
     """
     stages = {FAULTS[name].stage for name in faults}
     assert len(stages) == 1, "a check belongs to one stage"
@@ -78,11 +89,11 @@ def check(*faults: str, needs_result: bool = False) -> Callable[[CheckFunction],
 
 
 def sort_by_cause(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Causes before their consequences."""
+    """Sort findings, causes before their consequences."""
     return tuple(sorted(findings, key=lambda finding: RANK[finding.fault]))
 
 
 def stage_checks(stage: str) -> list[Check]:
-    """The checks of one stage."""
+    """Checks of one stage."""
     assert stage in STAGES
-    return [registered for registered in CHECKS if registered.stage == stage]
+    return [check for check in CHECKS if check.stage == stage]

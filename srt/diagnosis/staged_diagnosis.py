@@ -1,4 +1,4 @@
-"""Run the checks, cause by cause: what an earlier stage refuses would only mislead the later ones."""
+"""Diagnosis in stages: a fatal fault ends it, because data with that fault would mislead the later checks."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from srt.diagnosis import (
     window_disturbances,
 )
 from srt.diagnosis.evidence import Evidence, plain
-from srt.diagnosis.faults import FAULTS, STAGES
-from srt.diagnosis.findings import Finding, finding, sort_by_cause, stage_checks
+from srt.diagnosis.faults import STAGES
+from srt.diagnosis.findings import Finding, sort_by_cause, stage_checks
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
-    from srt.exceptions import SrtError
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sequences.recognition import Recognition
@@ -40,12 +39,12 @@ _MODULES: Final = (
     site,
     imu_properties,
 )
-"""Modules with checks, which register themselves on import."""
+"""Modules that register their checks on import."""
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """All that was found wrong with a recording.
+    """Faults found in a recording.
 
     Attributes
     ----------
@@ -57,12 +56,12 @@ class Diagnosis:
 
     @property
     def first(self) -> Finding | None:
-        """The first cause; None for a sound recording. Notes are no causes."""
+        """First cause; None for a recording without faults. Notes are not causes."""
         return next((f for f in self.findings if f.effect != "note"), None)
 
     @property
     def refusal(self) -> Finding | None:
-        """The first finding with which no calibration makes sense."""
+        """First fatal fault; None if the recording can be calibrated."""
         return next((f for f in self.findings if f.effect.startswith("exit")), None)
 
     def as_dicts(self) -> list[dict[str, Any]]:
@@ -79,15 +78,15 @@ class Diagnosis:
 
 
 class StagedDiagnosis:
-    """Checks of one recording, in two parts: before a calibration, and with one.
+    """Checks of one recording in two parts, before and after its calibration.
 
     Parameters
     ----------
     recording : Recording
     options : Options, optional
-        Of the calibration.
+        Options of the calibration.
     recognition : Recognition, optional
-        Of the recording, if it was made already.
+        Sequences recognised in the recording, if known already.
     """
 
     def __init__(
@@ -99,24 +98,24 @@ class StagedDiagnosis:
         self._findings: list[Finding] = []
 
     def before_calibration(self) -> Diagnosis:
-        """Run all checks that need no calibration, up to the first stage that refuses the recording."""
+        """Run the checks that need no calibration, up to the first stage with a fatal fault."""
         for stage in STAGES:
-            for registered in stage_checks(stage):
-                if not registered.needs_result:
-                    self._findings += registered.run(self.evidence)
+            for check in stage_checks(stage):
+                if not check.needs_result:
+                    self._findings += check.run(self.evidence)
             if self._refused:
                 break
         return Diagnosis(sort_by_cause(self._findings))
 
     def with_calibration(self, result: Calibration | None = None) -> Diagnosis:
-        """Run the checks that look at a calibration, of this recording and these options; it is made if not given."""
+        """Run the checks that need a calibration of this recording with these options; None makes one."""
         if not self._refused:
             if result is not None:
                 self.evidence.result = result
             for stage in STAGES:
-                for registered in stage_checks(stage):
-                    if registered.needs_result:
-                        self._findings += registered.run(self.evidence)
+                for check in stage_checks(stage):
+                    if check.needs_result:
+                        self._findings += check.run(self.evidence)
         return Diagnosis(sort_by_cause(self._findings))
 
     @property
@@ -131,17 +130,17 @@ def diagnose(
     calibrating: bool = True,
     recognition: Recognition | None = None,
 ) -> Diagnosis:
-    """Look for every fault of the catalogue.
+    """Find the faults of a recording.
 
     Parameters
     ----------
     recording : Recording
     options : Options, optional
-        Of the calibration that the last checks look at.
+        Options of the calibration that the last checks use.
     calibrating : bool
-        False: only what needs no calibration.
+        False: run only the checks that need no calibration.
     recognition : Recognition, optional
-        Of the recording, if it was made already.
+        Sequences recognised in the recording, if known already.
 
     Returns
     -------
@@ -150,11 +149,3 @@ def diagnose(
     examination = StagedDiagnosis(recording, options, recognition)
     screened = examination.before_calibration()
     return examination.with_calibration() if calibrating else screened
-
-
-def from_error(error: SrtError) -> Diagnosis:
-    """Diagnosis of a recording that reading refused, where the refusal is in the catalogue."""
-    if error.fault is None:
-        return Diagnosis(())
-    assert error.fault in FAULTS
-    return Diagnosis((finding(error.fault, message=str(error)),))

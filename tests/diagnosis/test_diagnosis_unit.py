@@ -140,7 +140,7 @@ def test_drift_is_measured():
     np.testing.assert_allclose(change, [0.0, -0.5 * (1.0 - 10.0 / span), 0.0], rtol=0.0, atol=1e-3)
     assert before.drift_sigma[1] < 0.05 * DEG_PER_H
     assert finding.details["axis"] == "y"
-    assert finding.sentence.startswith("The bias of gyro y went by -0.")
+    assert finding.sentence.startswith("The bias of gyro y changed by -0.")
 
 
 @pytest.mark.parametrize("grade", ["tactical-fog", "consumer-mems"])
@@ -249,8 +249,8 @@ def test_sentence_of_noise():
     recording = noisy(np.random.default_rng(7), 1e-4, 300.0 * MICRO_G, stated)
     (finding,) = [f for f in findings(recording) if "noise" in f.fault]
     assert finding.sentence == (
-        f"The accelerometers show {finding.details['found']:.3g} µg/√Hz of noise at rest, but 100 is stated: correct "
-        "accel_noise_ug_per_sqrt_hz, or look for vibration."
+        f"The accelerometers show {finding.details['found']:.3g} µg/√Hz of noise when stationary, but 100 is stated: "
+        "correct accel_noise_ug_per_sqrt_hz, or look for vibration."
     )
     assert finding.details["found"] == pytest.approx(300.0, rel=0.08)
 
@@ -280,7 +280,7 @@ def test_asymmetry_is_measured_and_only_missed_where_it_is_left_out():
     assert finding.details["axis"] == "y"
     assert abs(finding.details["found_ppm"] - 40.0) < 4.5 * finding.details["sigma_ppm"]
     assert finding.details["sigma_ppm"] < 2.0
-    assert finding.sentence.endswith("ppm, but it is held at 0: leave out --no-asymmetry.")
+    assert finding.sentence.endswith("ppm, but it is fixed at 0: omit --no-asymmetry.")
 
 
 @pytest.mark.parametrize("grade", GRADES)
