@@ -15,18 +15,27 @@ if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
     from srt.recording.recording import Recording
-    from srt.sequences.rest_detection import Blocks
+    from srt.sequences.rest_detection import Blocks, Rest
     from srt.types import Array, Indices
 
 
-_LONGEST_SUM: Final = 32
+_LONGEST_SUM_S: Final = 2.0
+"""Longest sum of readings compared with rest, s: a turn of 30 s that starts from zero rate shows within it."""
+
 _SIGMAS: Final = 6.0
 """Beyond which readings are motion: the 500,000 tests of a usual recording exceed it by chance about 0.001 times."""
+
 _DOUBTFUL: Final = 2.5
 """Sigmas of a single reading, next to motion, that are better left out."""
-_REFERENCE_S: Final = 2.0
-_INWARD_BLOCKS: Final = 20
+_CORE_BLOCKS: Final = 20
+"""Blocks (2 s) at either end of a run of still blocks that stand for rest there: the quietest of those near the end."""
+
+_SEARCH_BLOCKS: Final = 60
+"""Blocks (6 s) from the end of a run among which the core is looked for; slow turns look still for some seconds."""
+
 _OUTWARD_BLOCKS: Final = 3
+"""Blocks beyond a run of still blocks that may hold its last still samples."""
+
 _FEW: Final = 8
 _CHUNK_S: Final = 0.5
 _JUMP: Final = 60.0
@@ -38,16 +47,22 @@ _UNUSUAL: Final = 8.0
 _MOST_CHUNKS: Final = 10
 
 
-def to_the_sample(recording: Recording, blocks: Blocks, runs: SequenceOf[tuple[int, int]]) -> list[tuple[int, int]]:
+def to_the_sample(
+    recording: Recording, blocks: Blocks, rest: Rest, runs: SequenceOf[tuple[int, int]]
+) -> list[tuple[int, int]]:
     """Stationary windows from runs of still blocks, each extended to the last sample that is still.
 
-    The readings outward of an edge are summed over 1, 2, 4 ... samples and compared with the window beside it. What
-    first exceeds its noise ends the window, and as much again is left out: noise hides the beginning of a slow turn.
+    Still blocks are told by a threshold between rest and motion that may lie far above the unit's noise, so the ends of
+    a run may belong to a slow turn. Rest beside either end is therefore the quietest part of the run near it, the core.
+    From there outward, sums of 1, 2, 4 ... readings are compared with the core. What first exceeds its noise ends the
+    window, and as much again is left out: noise hides the beginning of a slow turn. What is left out is integrated
+    with the turn.
 
     Parameters
     ----------
     recording : Recording
     blocks : Blocks
+    rest : Rest
     runs : sequence of (int, int)
         First block and one past the last.
 
@@ -61,19 +76,33 @@ def to_the_sample(recording: Recording, blocks: Blocks, runs: SequenceOf[tuple[i
     for first, last in runs:
         if last - first < 3:
             continue
-        # Where the turns are slow, the outermost still blocks move a little already: begin well inside. A hand
-        # trembles all the time, so there the blocks' verdict stands.
-        inside = max(1, min(_INWARD_BLOCKS, (last - first) // 4)) if recording.fixture is not None else 1
-        inner = (int(blocks.first[first + inside]), int(blocks.first[last - inside]))
-        piece = int(np.searchsorted(pieces, inner[0], side="right"))
-        reach = (inside + _OUTWARD_BLOCKS) * blocks.size
-        outer = (max(int(pieces[piece - 1]), inner[0] - reach), min(int(pieces[piece]), inner[1] + reach))
-        a, b = _extend(recording, inner, outer, blocks.floor)
+        cores = _cores(blocks, rest, first, last)
+        piece = int(np.searchsorted(pieces, cores[0][0], side="right"))
+        reach = _OUTWARD_BLOCKS * blocks.size
+        outer = (
+            max(int(pieces[piece - 1]), int(blocks.first[first]) - reach),
+            min(int(pieces[piece]), int(blocks.first[last - 1]) + blocks.size + reach),
+        )
+        a, b = _extend(recording, cores, outer, rest.level)
         if out and a < out[-1][1]:  # both reach into the blocks between them: each keeps its half
             middle = (a + out[-1][1]) // 2
             out[-1], a = (out[-1][0], middle), middle
         out.append((a, b))
     return out
+
+
+def _cores(blocks: Blocks, rest: Rest, first: int, last: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Samples of the quietest blocks near the start and near the end of a run of blocks."""
+    search = min(_SEARCH_BLOCKS, last - first)
+    length = max(min(_CORE_BLOCKS, search // 3), 2)
+    cores = []
+    for begin in (first, last - search):
+        mean = blocks.mean[begin : begin + search] / np.sqrt(rest.level / blocks.size)
+        sums, squares = (np.cumsum(np.pad(x, ((1, 0), (0, 0))), axis=0) for x in (mean, mean**2))
+        scatter = (squares[length:] - squares[:-length]) - (sums[length:] - sums[:-length]) ** 2 / length
+        best = begin + int(np.argmin(scatter.sum(axis=1)))
+        cores.append((int(blocks.first[best]), int(blocks.first[best + length - 1]) + blocks.size))
+    return cores[0], cores[1]
 
 
 def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tuple[int, int]:
@@ -88,36 +117,41 @@ def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tupl
         Variance of one sample, as a rate, that the resolution of the readings makes.
     """
     inside = (window[1] - window[0]) // 4
-    return _extend(recording, (window[0] + inside, window[1] - inside), window, floor)
+    n = max(1, round(BLOCK_S * _CORE_BLOCKS / recording.nominal_interval_s))
+    a, b = window[0] + inside, window[1] - inside
+    return _extend(recording, ((a, min(b, a + n)), (max(a, b - n), b)), window, floor)
 
 
-def _extend(recording: Recording, inner: tuple[int, int], outer: tuple[int, int], floor: Array) -> tuple[int, int]:
-    """Extend a still span to the last still samples on both sides, not beyond ``outer``."""
+def _extend(
+    recording: Recording, cores: tuple[tuple[int, int], tuple[int, int]], outer: tuple[int, int], variance: Array
+) -> tuple[int, int]:
+    """Extend the first core backward and the second forward to the last still samples, not beyond ``outer``."""
     factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
-    n = max(1, min(inner[1] - inner[0], round(_REFERENCE_S / recording.nominal_interval_s)))
-    sides = (
-        (slice(inner[0], inner[0] + n), range(inner[0] - 1, outer[0] - 1, -1)),
-        (slice(inner[1] - n, inner[1]), range(inner[1], outer[1])),
-    )
-    before, after = (_still_outward(recording, *side, factor, np.sqrt(floor)) for side in sides)
-    return inner[0] - before, inner[1] + after
+    (a, b), (c, d) = cores
+    sides = ((slice(a, b), range(a - 1, outer[0] - 1, -1)), (slice(c, d), range(d, outer[1])))
+    before, after = (_still_outward(recording, *side, factor, np.sqrt(variance)) for side in sides)
+    return a - before, d + after
 
 
-def _still_outward(recording: Recording, reference: slice, outward: range, factor: float, least: Array) -> int:
-    """How many samples next to a window belong to it."""
+def _still_outward(recording: Recording, core: slice, outward: range, factor: float, least: Array) -> int:
+    """Number of samples next to a core that are at rest as it is."""
     if len(outward) == 0:
         return 0
-    beside = np.concatenate([recording.gyro[reference], recording.accel[reference]], axis=1) * factor
+    beside = np.concatenate([recording.gyro[core], recording.accel[core]], axis=1) * factor
     index = np.array(outward)
     away = np.concatenate([recording.gyro[index], recording.accel[index]], axis=1) * factor
     sigma = np.maximum(beside.std(axis=0), least)
     deviation = (away - beside.mean(axis=0)) / sigma
-    total = np.cumsum(deviation, axis=0)
-    total = np.concatenate([np.zeros((1, 6)), total])
+    total = np.cumsum(np.concatenate([np.zeros((1, 6)), deviation]), axis=0)
+    within = np.cumsum(np.concatenate([np.zeros((1, 6)), (beside - beside.mean(axis=0)) / sigma]), axis=0)
     best, kept = len(index), len(index)
-    n = 1
-    while n <= min(len(index), _LONGEST_SUM):
-        beyond = np.any(np.abs(total[n:] - total[:-n]) > _SIGMAS * np.sqrt(n), axis=1)
+    n, tremor = 1, np.ones(6)
+    while n <= min(len(index), max(1, round(_LONGEST_SUM_S / recording.nominal_interval_s))):
+        if 4 * n <= len(beside):  # a hand trembles: sums of its rest scatter by more than independent readings do
+            tremor = np.maximum(tremor, np.mean((within[n:] - within[:-n]) ** 2, axis=0) / n)
+        # The mean of the core is uncertain itself.
+        limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)))
+        beyond = np.any(np.abs(total[n:] - total[:-n]) > limit, axis=1)
         if beyond.any():
             found = int(np.argmax(beyond)) + n - 1
             if found < best:
@@ -246,7 +280,7 @@ def find_windows(recording: Recording) -> Indices:
     runs = still_runs(rest.still, blocks)
     shortest = max(MIN_WINDOW_S, 3 * BLOCK_S)
     dt = recording.nominal_interval_s
-    found = to_the_sample(recording, blocks, runs)
+    found = to_the_sample(recording, blocks, rest, runs)
     if recording.fixture is not None:
         # A hand wobbles as a bad join would; on a fixture only a join, or a bump, makes a step.
         found = split_at_jumps(recording, found, blocks.floor)
