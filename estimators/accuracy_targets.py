@@ -1,4 +1,4 @@
-"""Accuracy targets: whether sigmas meet them, and from which sequence on."""
+"""Accuracy targets: comparison of standard deviations with requested ones."""
 
 from __future__ import annotations
 
@@ -16,20 +16,27 @@ if TYPE_CHECKING:
 
 
 PROMISE_BELOW: Final = 0.05
-"""Sigma of every parameter (accelerometer bias in g) below which the linearised sigmas are to be believed."""
+"""Standard deviation of every parameter (accelerometer bias in g) below which linearised ones are reliable."""
 PARAMETER_UNITS: Final = np.ones(N_PARAMETERS)
-"""What parameters are measured in where they are compared with each other: accelerometer bias in g, all else SI."""
+"""Units, SI, in which parameters of different kinds are compared: accelerometer bias in g, all others SI."""
 PARAMETER_UNITS[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 
 
 def judge_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bool, bool, str | None]:
-    """Whether sigmas are small enough to be believed, whether they meet the targets, and which is farthest from it.
+    """Compare standard deviations with targets.
 
     Parameters
     ----------
     sigma : ndarray, shape (27,), SI
     targets : mapping of str to float
-        Sigma wanted by parameter, SI.
+        Requested standard deviation by parameter, SI.
+
+    Returns
+    -------
+    reliable, met : bool
+        Linearised standard deviations are reliable; all targets are met, too.
+    limiting : str or None
+        Parameter with the largest ratio to its target; None without targets.
     """
     promised = bool(np.all(sigma / PARAMETER_UNITS < PROMISE_BELOW))
     if not targets:
@@ -40,22 +47,22 @@ def judge_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bool, boo
 
 
 def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]) -> dict[str, Any]:
-    """From which sequence on all targets are met.
+    """First sequence after which all targets are met.
 
     Parameters
     ----------
     sequences : list of str
-        In the order of processing.
+        Ids in the order of processing.
     sigma : ndarray, shape (number of sequences, 27), SI
-        After each.
+        Standard deviations after each sequence.
     targets : mapping of str to float
-        Sigma wanted by parameter, SI.
+        Requested standard deviation by parameter, SI.
 
     Returns
     -------
     dict
-        ``met_after``: id of the first sequence after which all are met and promised, None if never; ``limiting``: the
-        parameter farthest from its target at the end, and ``shortfall``: its sigma over the target.
+        ``met_after``: id of that sequence, None if never; ``limiting``: parameter with the largest ratio to its target
+        at the end; ``shortfall``: that ratio.
     """
     met_after, limiting = None, None
     for name, row in zip(sequences, sigma, strict=True):

@@ -1,9 +1,9 @@
-"""The linearised problem solved at once: correction, covariance by source of error, reweighting."""
+"""Dense least-squares solution of the linearised system, covariance by source of error, and weights."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -13,16 +13,20 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
+_SINGULAR: Final = 1e-13
+"""Smallest diagonal element of R, columns having norm 1, at which the columns count as independent."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseSolution:
-    """The system solved at once.
+    """Least-squares solution of all columns together.
 
     Attributes
     ----------
     delta : ndarray, shape (n,)
-        Correction; zero in columns that are not active.
+        Correction; zero for columns that are not active.
     root : ndarray, shape (n, number of active columns)
-        S with the covariance of all columns S Sᵀ.
+        Square root S of the covariance of all columns, S Sᵀ.
     """
 
     delta: Array
@@ -30,19 +34,19 @@ class DenseSolution:
 
 
 def solve(system: LinearSystem) -> DenseSolution:
-    """Solve the system by QR.
+    """Solve the system by QR decomposition, with columns scaled to norm 1.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the active columns are not independent.
+        If the active columns are linearly dependent.
     """
     A = system.A[:, system.active]
     scale = np.linalg.norm(A, axis=0)
     if np.any(scale == 0.0):
         raise np.linalg.LinAlgError("a column without any measurement")
     Q, R = np.linalg.qr(A / scale)
-    if np.abs(np.diag(R)).min() < 1e-13:
+    if np.abs(np.diag(R)).min() < _SINGULAR:
         raise np.linalg.LinAlgError("dependent columns")
     delta, root = np.zeros(len(scale_all := system.active)), np.zeros((len(scale_all), len(scale)))
     delta[system.active] = -solve_triangular(R, Q.T @ system.b) / scale
@@ -70,7 +74,7 @@ def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -
     ----------
     system : System
     weights : dict of (str, int) to float
-        By kind and number: "window" (force and rate), "turn", and "start" by window, in the order of the rows.
+        Weights by kind and number: "window" (force and rate), "turn", and "start" by window, in the order of the rows.
     """
     factor = np.ones(len(system.b))
     for group in {kind for kind, _ in weights}:

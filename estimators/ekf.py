@@ -1,4 +1,4 @@
-"""Entry point of the estimator ``ekf``: the Kalman filter iterated over the whole test, or live."""
+"""Estimator ``ekf``: Kalman filter iterated over the whole test, or live after every sequence."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     Raises
     ------
     InputError
-        Options that are another estimator's.
+        If an option belongs to another estimator.
     DataError
         As :func:`srt.sequences.preparation.open_session`.
     """
     options.refuse(("loss",), "The Kalman filter")
     solver = KalmanSolver(options.prior or default_prior())
     if not options.live:
-        return run(open_joint_model(recording, options), solver, options, progress)
+        return run(open_joint_model(recording, options), solver, progress)
     from estimators.live_filter import LiveFilter, run_live
 
     live = LiveFilter(options)
@@ -42,5 +42,5 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         if progress is not None:
             progress(len(reports), float(np.max(report.sigma / PARAMETER_UNITS)))
     assert live.joint is not None
-    calibration = run(live.joint, solver, options, None)
+    calibration = run(live.joint, solver, None)
     return replace(calibration, diagnostics={**calibration.diagnostics, "live": reports})

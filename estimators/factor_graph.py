@@ -1,9 +1,9 @@
-"""The factor graph of a joint problem: its variables, factors and priors.
+"""Factor graph of a joint model: variables, factors and priors.
 
 Variables: sensor errors ``x``, gyro bias of every sequence ``b`` joined by a random walk, levelling and north of the
 base ``f``, orientation of MARS on the table ``u``, gravity ``g``, the Earth's rate where it is unknown ``e``, the
-attitude of every stationary window ``a``, the reading errors at the windows' edges ``q``, and the draws of the drift
-``d``, one variable as every window tells of all.
+attitude of every stationary window ``a``, the quantization errors at window edges ``q``, and the bias instability
+``d``: one variable, as it is correlated over all windows.
 """
 
 from __future__ import annotations
@@ -30,23 +30,25 @@ if TYPE_CHECKING:
 
 
 _HEADING_SIGMA: Final = 1e-8
-"""One sigma, rad, of a heading that is given: across the Earth's rate far below any noise."""
+"""Standard deviation, rad, of a heading that is fixed: times the Earth's rate, far below any noise."""
+_FIXED_RATE: Final = 1e-6
+"""Standard deviation of known components of the Earth's rate, relative to that of the unknown ones."""
 
 
 class FactorGraph:
-    """The factor graph of a joint problem at a play-back.
+    """Factor graph of a joint model about a state.
 
     Parameters
     ----------
-    problem : Problem
-    point : Point
-        Values that the data were played back with, attitudes included.
-    played : Played
+    joint : JointModel
+    state : JointState
+        State that the data were compensated with, attitudes included.
+    compensated : CompensatedData
     free : ndarray of bool, shape (27,)
         Sensor errors that are estimated.
     prior : Prior, optional
     weights : ndarray, shape (K,), optional
-        Of every sequence's measurements, from a robust loss.
+        Weights of the sequences from a robust loss.
     """
 
     def __init__(
@@ -70,16 +72,16 @@ class FactorGraph:
         self.values: Any = gtsam.Values()
         self.kinds: list[factors.FactorGroup] = []
         self.measured: list[tuple[str, int, int]] = []
-        """Kind, number and sequence of the measurement factors, which come first in the graph."""
+        """Kind, number and sequence of the measurement factors, which are the first in the graph."""
         self._variables()
         self._windows()
-        self._turns()
+        self._rotations()
         self._starts()
         self._priors(prior)
 
     @contextmanager
     def evaluated(self, values: Any) -> Iterator[None]:
-        """Compute all factors at some values, the only ones that they may be asked for within."""
+        """Context in which all factors are evaluated at given values, and valid at these only."""
         for kind in self.kinds:
             kind.prepare(values)
         try:
@@ -93,11 +95,11 @@ class FactorGraph:
         return int(B(sequence if self.joint.bias_walks else 0))
 
     def earth_key(self, frame: int) -> int | None:
-        """Variable of the Earth's rate of a chain, if it is unknown."""
+        """Variable of the Earth's rate of a level frame, if unknown."""
         return int(E(frame)) if self.joint.level_frames[frame].unknown_sigma.any() else None
 
     def reported_keys(self) -> list[int]:
-        """Variables that the reported parameters come from: biases, then errors."""
+        """Variables of the reported parameters: biases, then errors."""
         biases = range(self.joint.data.K if self.joint.bias_walks else 1)
         return [int(B(k)) for k in biases if len(self.axes)] + ([int(X(0))] if len(self.errors) else [])
 
@@ -125,16 +127,16 @@ class FactorGraph:
             self.values.insert(G(0), np.array([state.gravity]))
 
     def _noise(self, covariance: Array, sequence: Sequence[int] | Indices) -> list[Any]:
-        """Noise models of measurements of sequences, with the weights of these."""
+        """Noise models of measurements, with the weights of their sequences."""
         return factors.gaussians(covariance / self.weights[sequence][:, None, None])
 
     def _add(self, kind: str, number: int, sequence: int, noise: Any, terms: factors.ErrorFunction) -> None:
-        """Add a measurement factor of a sequence; held variables are left out of it."""
+        """Add a measurement factor of a sequence."""
         self.measured.append((kind, number, sequence))
         self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
 
     def _linear(self, jacobian: Array, sequence: int | None) -> list[tuple[int, Array]]:
-        """Terms of sensor errors and bias, constant between play-backs."""
+        """Linear terms of sensor errors and bias."""
         out = []
         if len(self.errors):
             out.append((int(X(0)), jacobian[:, self.errors]))
@@ -142,12 +144,12 @@ class FactorGraph:
             out.append((self.bias_key(sequence), jacobian[:, N_ERRORS + self.axes]))
         return out
 
-    def _drift(self, effect: Array) -> list[tuple[int, Array]]:
-        """Term of the draws of the drift, if there is one."""
+    def _instability(self, effect: Array) -> list[tuple[int, Array]]:
+        """Linear term of the bias instability, if specified."""
         return [(int(D(0)), effect)] if self.compensated.instability.size else []
 
     def _windows(self) -> None:
-        """One factor for the force and the rate of a window: what is wrong with a window is wrong with both."""
+        """Add one factor for force and rate of each window, as a disturbance affects both."""
         joint, compensated = self.joint, self.compensated
         T = joint.data.windows.duration_s
         force_noise, rate_noise = total(compensated.force_noise), total(compensated.rate_noise)
@@ -155,20 +157,21 @@ class FactorGraph:
         covariance = np.zeros((len(T), 6, 6))
         covariance[:, :3, :3], covariance[:, 3:, 3:] = force_noise, rate_noise
         noise = self._noise(covariance, joint.window_sequence)
-        poses = factors.WindowFactors(
+        windows = factors.WindowFactors(
             compensated.force,
             compensated.rate,
             np.array([A(w) for w in range(len(T))], dtype=np.intp),
             joint.data.gravity,
             int(G(0)) if self.gravity else None,
-            known[joint.window_frame],
-            [self.earth_key(int(frame)) for frame in joint.window_frame],
+            factors.EarthRate(known[joint.window_frame], [self.earth_key(int(f)) for f in joint.window_frame]),
         )
-        self.kinds.append(poses)
+        self.kinds.append(windows)
         for w in range(len(T)):
             jacobian = -np.concatenate([compensated.force_jacobian[w], compensated.rate_jacobian[w]])
             linear = self._linear(jacobian, int(joint.window_sequence[w]))
-            linear += self._drift(-np.concatenate([compensated.instability.force[w], compensated.instability.rate[w]]))
+            linear += self._instability(
+                -np.concatenate([compensated.instability.force[w], compensated.instability.rate[w]])
+            )
             slope = compensated.edge_slope / T[w]
             linear += [
                 (int(Q(number)), np.concatenate([np.zeros((3, 3)), sign * slope]))
@@ -176,33 +179,34 @@ class FactorGraph:
                 if number >= 0
             ]
             owner = int(joint.window_sequence[w])
-            self._add("window", w, owner, noise[w], factors.ErrorFunction(linear, poses.keys(w), partial(poses.at, w)))
+            self._add(
+                "window", w, owner, noise[w], factors.ErrorFunction(linear, windows.keys(w), partial(windows.at, w))
+            )
 
-    def _turns(self) -> None:
+    def _rotations(self) -> None:
         joint, compensated = self.joint, self.compensated
         data, noise = joint.data, self._noise(total(compensated.rotation_noise), np.arange(joint.data.K))
         known = np.stack([c.earth_rate for c in joint.level_frames])
-        earth_keys = [self.earth_key(int(frame)) for frame in joint.sequence_frame]
+        earth = factors.EarthRate(known[joint.sequence_frame], [self.earth_key(int(f)) for f in joint.sequence_frame])
         starts, ends = (np.array([A(int(w)) for w in which], dtype=np.intp) for which in (data.start, data.end))
-        turns = factors.RotationFactors(
+        rotations = factors.RotationFactors(
             compensated.rotation,
             starts,
             ends,
-            known[joint.sequence_frame],
-            earth_keys,
+            earth,
             np.asarray(compensated.duration_s),
         )
-        self.kinds.append(turns)
+        self.kinds.append(rotations)
         for k in range(data.K):
             start, end = int(data.start[k]), int(data.end[k])
-            linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift(
+            linear = self._linear(compensated.rotation_jacobian[k], k) + self._instability(
                 compensated.instability.rotation[k]
             )
             if self.edges[start, 1] >= 0:
                 linear.append((int(Q(self.edges[start, 1])), -compensated.edge_slope))
             if self.edges[end, 0] >= 0:
                 linear.append((int(Q(self.edges[end, 0])), compensated.rotation[k] @ compensated.edge_slope))
-            terms = factors.ErrorFunction(linear, turns.keys(k), partial(turns.at, k), scaled=True)
+            terms = factors.ErrorFunction(linear, rotations.keys(k), partial(rotations.at, k), scaled=True)
             self._add("turn", k, k, noise[k], terms)
 
     def _starts(self) -> None:
@@ -240,8 +244,9 @@ class FactorGraph:
             graph.add(gtsam.PriorFactorVector(G(0), np.zeros(1), isotropic(1, sigma)))
         for c, frame in enumerate(joint.level_frames):
             if self.earth_key(c) is not None:
-                # Known components stay by a sigma a million times below the unknown ones.
-                sigmas = np.where(frame.unknown_sigma > 0.0, frame.unknown_sigma, 1e-6 * frame.unknown_sigma.max())
+                sigmas = np.where(
+                    frame.unknown_sigma > 0.0, frame.unknown_sigma, _FIXED_RATE * frame.unknown_sigma.max()
+                )
                 graph.add(gtsam.PriorFactorVector(E(c), np.zeros(3), factors.gaussian(np.diag(sigmas**2))))
         for w in fixed_headings(joint).tolist():
             keep = np.array(self.values.atRot3(A(w)).matrix())
@@ -267,7 +272,7 @@ class FactorGraph:
             self._error_prior(prior)
 
     def _error_prior(self, prior: Prior) -> None:
-        """Prior of the sensor errors: of the mean bias where it walks."""
+        """Add the prior of the sensor errors; a bias per sequence has the prior on the mean."""
         joint = self.joint
         away = self.state.errors.vector - prior.mean.vector
         unit = np.eye(N_PARAMETERS)

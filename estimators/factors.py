@@ -1,4 +1,4 @@
-"""Factors of the graph: residuals and Jacobians of the shared model in gtsam's terms."""
+"""Factors of the graph: residuals and Jacobians of the measurement model as gtsam expects them."""
 
 from __future__ import annotations
 
@@ -20,32 +20,33 @@ if TYPE_CHECKING:
 
 
 def gaussians(covariances: Array) -> list[Any]:
-    """Noise models of covariances (n, d, d) by their square roots, the upper triangles of which are what gtsam reads.
+    """Noise models of covariances (n, d, d), each by the upper triangular square root of its information.
 
-    Neither by the covariance, which gtsam inverts (a start attitude's spans eight decades), nor as a diagonal one,
-    which it takes for a hard constraint where a sigma is below 1e-8 (as gyro biases in rad/s are).
+    gtsam would invert a covariance (that of a start attitude spans eight decades), and takes a diagonal model with a
+    sigma below 1e-8 (gyro biases in rad/s) for a hard constraint. It reads the upper triangle of a root only.
     """
     roots = np.linalg.qr(whiten(covariances), mode="r")
     return [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in roots]
 
 
 def gaussian(covariance: Array) -> Any:
-    """Noise model of one covariance, as :func:`gaussians`."""
+    """Noise model of one covariance; see :func:`gaussians`."""
     return gaussians(covariance[None])[0]
 
 
 class ErrorFunction:
-    """Residual of a factor: constant Jacobians of some variables, and a function of the others.
+    """Error function of a factor: linear in some variables, nonlinear in the others.
 
     Parameters
     ----------
     linear : list of (key, ndarray)
-        Variables that enter linearly, as a correction.
+        Variables that enter linearly as a correction, with their constant Jacobians.
     keys : list of key
-        The others.
+        The other variables.
     function : callable
-        ``(values) -> (residual, Jacobians)`` without the linear terms; with ``scaled`` its last Jacobian multiplies
-        the linear ones.
+        ``(values) -> (residual, Jacobians)`` without the linear terms.
+    scaled : bool
+        The last Jacobian of ``function`` multiplies the linear terms.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class ErrorFunction:
         self.keys = [key for key, _ in linear] + keys
 
     def function(self, this: Any, values: Any, jacobians: Any) -> Array:  # noqa: ARG002 - gtsam's signature
-        """Error function of a gtsam.CustomFactor over :attr:`keys`."""
+        """Error and Jacobians of a gtsam.CustomFactor over :attr:`keys`."""
         residual, by_others = self.evaluate(values)
         scale = by_others.pop() if self.scaled else None
         for i, (key, J) in enumerate(self.linear):
@@ -70,10 +71,10 @@ class ErrorFunction:
 
 
 class FactorGroup(ABC):
-    """All factors of one kind: what depends on attitudes and site, computed for any of them at once.
+    """All factors of one kind, whose nonlinear parts are evaluated together.
 
-    gtsam asks factor by factor, and a model made for arrays spends its time on overhead then. :meth:`prepare` computes
-    all before a linearisation; what is asked for until :meth:`forget` is looked up.
+    gtsam evaluates one factor at a time, which is slow with a model for arrays. :meth:`prepare` evaluates all factors
+    before a linearisation; until :meth:`forget`, each call returns a stored result.
     """
 
     def __init__(self, count: int) -> None:
@@ -82,18 +83,18 @@ class FactorGroup(ABC):
 
     @abstractmethod
     def keys(self, row: int) -> list[int]:
-        """Variables of a factor that do not enter linearly."""
+        """Variables of a factor that enter nonlinearly."""
 
     @abstractmethod
     def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
-        """Residuals (n, d) of some factors, and the Jacobians of each by the variables of :meth:`keys`."""
+        """Residuals (n, d) of some factors, and the Jacobians of each with respect to :meth:`keys`."""
 
     def prepare(self, values: Any) -> None:
-        """Compute all factors; only these values may be asked for until :meth:`forget`."""
+        """Evaluate all factors; until :meth:`forget` they are valid at these values only."""
         self._prepared = self.evaluate(values, self._rows)
 
     def forget(self) -> None:
-        """Compute each factor when it is asked for."""
+        """Evaluate each factor on demand."""
         self._prepared = None
 
     def at(self, row: int, values: Any) -> Linearised:
@@ -107,13 +108,21 @@ def _matrices(values: Any, keys: Indices) -> Array:
     return np.stack([values.atRot3(key).matrix() for key in keys.tolist()])
 
 
-class _Earth:
-    """The Earth's rate of every factor: known, and in some chains a variable besides."""
+class EarthRate:
+    """Earth's rate of every factor: a known part and, in some level frames, a variable.
+
+    Parameters
+    ----------
+    known : ndarray, shape (n, 3), rad/s
+    keys : list of (int or None)
+        Variables of the unknown part.
+    """
 
     def __init__(self, known: Array, keys: list[int | None]) -> None:
         self.known, self.keys = known, keys
 
     def rate(self, values: Any, rows: Indices) -> Array:
+        """Earth's rate of some factors, shape (n, 3), rad/s."""
         out = self.known[rows].copy()
         for i, row in enumerate(rows.tolist()):
             key = self.keys[row]
@@ -123,7 +132,7 @@ class _Earth:
 
 
 class WindowFactors(FactorGroup):
-    """Force (m/s²) and rate (rad/s) of windows: attitude, then gravity if free, then the Earth's rate if unknown.
+    """Specific force (m/s²) and rate (rad/s) of windows, by attitude, gravity if estimated, Earth's rate if unknown.
 
     Parameters
     ----------
@@ -132,10 +141,8 @@ class WindowFactors(FactorGroup):
         Variables.
     gravity : float, m/s²
     gravity_key : int or None
-        Variable of its correction.
-    known : ndarray, shape (n, 3), rad/s
-    earth_keys : list of (int or None)
-        Variables of the rest of the Earth's rate.
+        Variable of the correction to gravity, if estimated.
+    earth : EarthRate
     """
 
     def __init__(
@@ -145,20 +152,19 @@ class WindowFactors(FactorGroup):
         attitudes: Indices,
         gravity: float,
         gravity_key: int | None,
-        known: Array,
-        earth_keys: list[int | None],
+        earth: EarthRate,
     ) -> None:
         super().__init__(len(force))
         self.force, self.rate, self.attitudes = force, rate, attitudes
-        self.gravity, self.gravity_key, self.earth = gravity, gravity_key, _Earth(known, earth_keys)
+        self.gravity, self.gravity_key, self.earth = gravity, gravity_key, earth
 
     def keys(self, row: int) -> list[int]:
-        """Of a window."""
+        """Variables of a window."""
         keys = (int(self.attitudes[row]), self.gravity_key, self.earth.keys[row])
         return [key for key in keys if key is not None]
 
     def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
-        """Of windows."""
+        """Residuals and Jacobians of windows."""
         attitude = _matrices(values, self.attitudes[rows])
         g = self.gravity + (0.0 if self.gravity_key is None else float(values.atVector(self.gravity_key)[0]))
         r_force, force_by_attitude, by_gravity = model.specific_force_residual(self.force[rows], attitude, g)
@@ -178,52 +184,43 @@ class WindowFactors(FactorGroup):
 
 
 class RotationFactors(FactorGroup):
-    """Rotations between two windows, rad: their attitudes, the Earth's rate if unknown, and what scales linear terms.
+    """Rotations between two windows (rad), by their attitudes, the Earth's rate if unknown, and the measured rotation.
 
     Parameters
     ----------
-    turned : ndarray, shape (n, 3, 3)
+    rotation : ndarray, shape (n, 3, 3)
     starts, ends : ndarray of int, shape (n,)
-        Variables.
-    known : ndarray, shape (n, 3), rad/s
-    earth_keys : list of (int or None)
+        Attitude variables.
+    earth : EarthRate
     duration_s : ndarray, shape (n,)
     """
 
-    def __init__(
-        self,
-        rotation: Array,
-        starts: Indices,
-        ends: Indices,
-        known: Array,
-        earth_keys: list[int | None],
-        duration_s: Array,
-    ) -> None:
+    def __init__(self, rotation: Array, starts: Indices, ends: Indices, earth: EarthRate, duration_s: Array) -> None:
         super().__init__(len(rotation))
-        self.rotation, self.starts, self.ends, self.duration_s = rotation, starts, ends, duration_s
-        self.earth = _Earth(known, earth_keys)
+        self.rotation, self.starts, self.ends, self.earth = rotation, starts, ends, earth
+        self.duration_s = duration_s
 
     def keys(self, row: int) -> list[int]:
-        """Of a turn."""
+        """Variables of a rotation."""
         keys = (int(self.starts[row]), int(self.ends[row]), self.earth.keys[row])
         return [key for key in keys if key is not None]
 
     def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
-        """Of turns."""
+        """Residuals and Jacobians of rotations."""
         start, end = _matrices(values, self.starts[rows]), _matrices(values, self.ends[rows])
         earth = self.earth.rate(values, rows)
-        r, by_start, by_end, by_turned, by_earth = model.rotation_residual(
+        r, by_start, by_end, by_rotation, by_earth = model.rotation_residual(
             self.rotation[rows], start, end, earth, self.duration_s[rows]
         )
         jacobians = [
-            [by_start[i], by_end[i], *([] if self.earth.keys[row] is None else [by_earth[i]]), by_turned[i]]
+            [by_start[i], by_end[i], *([] if self.earth.keys[row] is None else [by_earth[i]]), by_rotation[i]]
             for i, row in enumerate(rows.tolist())
         ]
         return r, jacobians
 
 
 class StartFactors(FactorGroup):
-    """Start attitudes on the fixture, rad: attitude, base, mounting.
+    """Start attitudes on the fixture (rad), by attitude, base and mounting.
 
     Parameters
     ----------
@@ -241,11 +238,11 @@ class StartFactors(FactorGroup):
         self.heading_rad = heading_rad
 
     def keys(self, row: int) -> list[int]:
-        """Of a start."""
+        """Variables of a start attitude."""
         return [int(self.attitudes[row]), self.base, self.mounting]
 
     def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
-        """Of starts."""
+        """Residuals and Jacobians of start attitudes."""
         base, mounting = (values.atRot3(key).matrix() for key in (self.base, self.mounting))
         attitude = _matrices(values, self.attitudes[rows])
         r, *jacobians = model.start_attitude_residual(attitude, self.nominal[rows], base, mounting, self.heading_rad)
@@ -253,7 +250,7 @@ class StartFactors(FactorGroup):
 
 
 def heading(keep: Array, key: int) -> Callable[[Any], Linearised]:
-    """Turn about the vertical since an attitude."""
+    """Error function of a rotation about the vertical since an attitude."""
 
     def evaluate(values: Any) -> Linearised:
         now = values.atRot3(key).matrix()

@@ -1,7 +1,7 @@
-"""Batch factor graph (gtsam), relinearised by play-back.
+"""Solver of the joint model by a batch factor graph (gtsam), and the estimator ``graph``.
 
-Factors: mean specific force and mean rate of every window, the rotation that the gyros integrated between the windows
-of a sequence, and the fixture's attitude at its start; see :mod:`estimators.factor_graph`. Residuals and Jacobians are
+Factors: mean specific force and mean rate of every window, the rotation that the gyros measured between the windows of
+a sequence, and the attitude of the fixture at its start (:mod:`estimators.factor_graph`). Residuals and Jacobians are
 those of :mod:`srt.model.measurement_model`.
 """
 
@@ -42,17 +42,29 @@ ROBUST: Final[dict[str, Callable[[float], Any]]] = {
     "huber": gtsam.noiseModel.mEstimator.Huber.Create,
     "cauchy": gtsam.noiseModel.mEstimator.Cauchy.Create,
 }
-"""Losses by the norm that the whitened residuals of a sequence stay under in 95 of 100: with that as its scale
-Cauchy's loss of twelve components is 98 % efficient on good data."""
+"""Robust losses by their scale, the 95 % quantile of the norm of a sequence's whitened residuals.
+
+With this scale Cauchy's loss of twelve components is 98 % efficient on data without outliers.
+"""
+_OUTLIER_PROBABILITY: Final = 0.05
+"""Probability that the residuals of a good sequence exceed the scale of its loss."""
 _SETTLED_WEIGHT: Final = 1e-3
+"""Largest change of a weight at which the weights have converged."""
 _STEPS: Final = {"squared": 8, "huber": 30, "cauchy": 30}
+"""Largest number of relinearisations per iteration; reweighting converges linearly and needs more."""
 _NEAR: Final = 1e-5
+"""Correction (SI units) below which the attitudes are relinearised without new compensation of the data."""
 _SETTLED_SIGMAS: Final = 1e-3
+"""Correction, in sigmas, at which the relinearisation has converged."""
+_ATTITUDE_ROWS: Final = 6.0
+"""Degrees of freedom that the two attitudes of a sequence take."""
+_LEAST_FREEDOM: Final = 3.0
+"""Degrees of freedom of a sequence whose end attitude is the start of another."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphSolution:
-    """One linear solution of a graph.
+    """Solution of a linearised graph.
 
     Attributes
     ----------
@@ -68,7 +80,7 @@ class GraphSolution:
 
 
 def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
-    """Linearise and solve by QR elimination, the variables of interest last: their marginals then are at hand."""
+    """Linearise and solve by QR elimination, the variables ``last`` at the end, so that R holds their marginals."""
     linear = graph.linearize(values)
     ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, last)
     net = linear.eliminateSequential(ordering, gtsam.EliminateQR)
@@ -92,13 +104,13 @@ def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
 
 
 class GraphSolver(Solver):
-    """One relinearisation of the graph; with a robust loss, reweighted until it settles."""
+    """Relinearised factor graph; with a robust loss, iteratively reweighted."""
 
     name = "graph"
 
     def __init__(self, loss: str, prior: Prior | None) -> None:
         self.loss, self.prior = loss, prior
-        # A robust loss is approached by way of the squares and of Huber's, which has one minimum alone.
+        # Cauchy's loss has several minima; squares and Huber's have one, and lead to the right one.
         self.stages = {"squared": ["squared"], "huber": ["squared", "huber"], "cauchy": ["squared", "huber", "cauchy"]}[
             loss
         ]
@@ -108,14 +120,14 @@ class GraphSolver(Solver):
 
     @property
     def settled(self) -> bool:
-        """Whether the loss asked for has been reached."""
+        """True if the requested loss is in use."""
         return self.calls >= len(self.stages)
 
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Relinearise the attitudes until they settle, once the sensor errors are near, and reweight with them."""
+        """Relinearise the attitudes and update the weights until both converge, once the sensor errors are close."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
-        prior = default_prior() if self.prior is None and self.leaning else self.prior
+        prior = default_prior() if self.prior is None and self.observability_pending else self.prior
         weights = np.ones(joint.data.K)
         built = FactorGraph(joint, state, system.compensated, system.free, prior=prior)
         last = built.reported_keys()
@@ -135,7 +147,7 @@ class GraphSolver(Solver):
                 weights = sequence_weights(built, values, loss)
             far = loss == "squared" and np.abs(step).max(initial=0.0) > _NEAR
             settled = np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance)))
-            # The first weights are those of no residuals at all.
+            # The first weights were set without residuals.
             if far or ((i or loss == "squared") and settled and np.abs(weights - before).max() < _SETTLED_WEIGHT):
                 break
         assert solution is not None
@@ -143,16 +155,16 @@ class GraphSolver(Solver):
         self.sequence_weights = weights
         delta = _columns(built, system, values)
         E = system.parameter_map()
-        spread = np.zeros((N_PARAMETERS, len(solution.covariance)))
+        selection = np.zeros((N_PARAMETERS, len(solution.covariance)))
         at = 0
         for key in solution.keys:
             columns = _columns_of(built, system, key)
-            spread[:, at : at + len(columns)] = E[:, columns]
+            selection[:, at : at + len(columns)] = E[:, columns]
             at += len(columns)
-        return LinearSolution(state, system, delta, E @ delta, spread @ solution.covariance @ spread.T)
+        return LinearSolution(state, system, delta, E @ delta, selection @ solution.covariance @ selection.T)
 
     def restart(self) -> None:
-        """Approach the loss by its stages again."""
+        """Start with the first loss again."""
         self.calls = 0
 
     def weights(self) -> dict[tuple[str, int], float]:
@@ -178,10 +190,10 @@ class GraphSolver(Solver):
 
 
 def sequence_weights(built: FactorGraph, values: Any, loss: str) -> Array:
-    """Weights that a robust loss gives the sequences, shape (K,), by the size of all their whitened residuals.
+    """Weights of the sequences from a robust loss of the norm of their whitened residuals, shape (K,).
 
-    One loss for a sequence, not one for each of its windows and its turn: what contradicts the others is a change of
-    horizontal force, which any of the three may be at fault for, and the parts would share the blame.
+    The loss is that of a sequence, not of its windows and rotation: a contradiction is a change of horizontal force,
+    which either window or the rotation can cause, and separate losses would distribute the residual.
     """
     squares, rows = np.zeros(built.joint.data.K), np.zeros(built.joint.data.K)
     with built.evaluated(values):
@@ -190,15 +202,14 @@ def sequence_weights(built: FactorGraph, values: Any, loss: str) -> Array:
             residual = factor.noiseModel().whiten(factor.unwhitenedError(values))
             squares[k] += float(residual @ residual) / built.weights[k]
             rows[k] += len(residual)
-    # Its own attitudes take six of a sequence's numbers; one that hands its poses on has three.
-    freedom = np.maximum(rows - 6.0, 3.0)
-    limits = np.sqrt(chdtri(freedom, 0.05))
+    freedom = np.maximum(rows - _ATTITUDE_ROWS, _LEAST_FREEDOM)
+    limits = np.sqrt(chdtri(freedom, _OUTLIER_PROBABILITY))
     sizes = np.sqrt(squares)
     return np.array([ROBUST[loss](float(limit)).weight(float(s)) for limit, s in zip(limits, sizes, strict=True)])
 
 
 def _columns_of(built: FactorGraph, system: LinearSystem, key: int) -> Indices:
-    """Columns of the system that a variable of sensor errors or bias stands for."""
+    """Columns of the system of a variable of sensor errors or bias."""
     if key == X(0):
         return np.asarray(system.of("errors")[built.errors])
     return np.asarray(system.of("bias").reshape(-1, 3)[gtsam.symbolIndex(key)][built.axes])
@@ -242,4 +253,4 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         As :func:`srt.sequences.preparation.open_session`.
     """
     options.refuse(("live", "targets"), "The factor graph")
-    return run(open_joint_model(recording, options), GraphSolver(options.loss, options.prior), options, progress)
+    return run(open_joint_model(recording, options), GraphSolver(options.loss, options.prior), progress)

@@ -1,7 +1,8 @@
-"""Iteration by play-back around a solver of the linearised joint problem, and the calibration made of it.
+"""Gauss-Newton iteration of the joint model, and the calibration made of its solution.
 
-Kalman filter and factor graph differ in :class:`Step` alone: play-back, choice of parameters that the data show,
-convergence, statistics and the result are the same.
+Each iteration re-processes (plays back, [P] §8) the recorded data. Kalman filter and factor graph differ in their
+:class:`~estimators.solver.Solver` alone: compensation, observability, convergence, goodness of fit and the result are
+the same.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.dense_solution import solve
 from estimators.linear_system import N_ERRORS, linearise
 from estimators.residual_analysis import deletion_table, unmodelled_noise
-from estimators.solution_analysis import analyse_solution, make_calibration, with_prior
+from estimators.solution_analysis import FixedParameters, analyse_solution, make_calibration, with_prior
 from estimators.solver import IterationState, Solver
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.goodness_of_fit import is_misfit
@@ -29,29 +30,39 @@ from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from estimators.joint_model import JointModel
-    from estimators.joint_state import JointState
+    from estimators.joint_state import CompensatedData, JointState
     from estimators.linear_system import LinearSystem
-    from srt.estimation.options import Options
     from srt.estimation.registry import Progress
     from srt.result.calibration import Calibration
     from srt.types import Array, Mask
 
 
 _MAX_STEP: Final = 0.7
+"""Longest correction (dimensionless, rad, bias in g). Farther from the solution only its direction is meaningful."""
 _ROUNDS: Final = 6
-_RENEWALS: Final = 2
+"""Largest number of repetitions of the iteration, after a change of the noise model or of the free parameters."""
+_SCATTER_UPDATES: Final = 2
+"""Number of updates of the bias scatter: with more, a scatter close to the noise would alternate with zero."""
 _INDEPENDENT: Final = 1e-10
+"""Diagonal element of R, columns having norm 1, below which a column depends on those before it."""
 _ONE_FAULT: Final = 0.05
+"""Share of chi-square left without one sequence, below which that sequence explains the misfit.
+
+Not zero, as the linearisation about a gross fault is not exact.
+"""
 _NEAR: Final = 1e-2
+"""Largest correction (dimensionless, rad, bias in g) from which on the solution is close enough to assess the noise."""
+_SAME_NOISE: Final = (0.1, 1e-6)
+"""Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that needs no new iteration."""
 
 
 def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> JointState:
-    """Apply a correction of the columns to a point.
+    """Apply a correction of the columns to a state.
 
     Raises
     ------
     InputError
-        A correction that is not finite.
+        If the correction is not finite.
     """
     c = system.columns
     bias = delta[c["bias"]].reshape(-1, 3)
@@ -65,8 +76,8 @@ def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> J
         deviation, common = deviation - shift, common + shift
     vector[N_ERRORS:] += common
     assert state.attitude is not None
-    turn = delta[c["attitude"]].reshape(-1, 3)
-    in_body = np.einsum("wba,wb->wa", state.attitude, turn)
+    # Columns are rotations about the axes of L; attitudes are corrected from the right, in B.
+    in_body = np.einsum("wba,wb->wa", state.attitude, delta[c["attitude"]].reshape(-1, 3))
     return replace(
         state,
         errors=SensorErrors(vector),
@@ -89,131 +100,157 @@ def iterate(
     converged: tuple[float, float] = (CONVERGED_CORRECTION, CONVERGED_SIGMAS),
     max_step: float = _MAX_STEP,
 ) -> IterationState:
-    """Play back, linearise and solve until the correction is negligible.
+    """Compensate, linearise and solve until the correction is negligible.
 
     Parameters
     ----------
-    problem : Problem
-    step : Step
-    state : State
-        Where to begin: point and free parameters.
+    joint : JointModel
+    solver : Solver
+    iteration : IterationState
+        Initial state and free parameters.
     requested : ndarray of bool, shape (27,)
-        Parameters held on request.
+        Parameters fixed on request.
     progress : callable, optional
     converged : (float, float)
         Largest negligible correction, absolute and in sigmas.
     max_step : float
-        Longest step; longer ones are shortened, as far from the solution they mean nothing but a direction.
+        Longest step; longer ones are shortened to it.
     """
     corrections: list[float] = [] if iteration.corrections is None else iteration.corrections
-    renewed = 0
-    selected = not np.array_equal(iteration.free, ~requested)
+    iteration.corrections = corrections
+    scatter_updates = 0
+    observability_known = not np.array_equal(iteration.free, ~requested)
     for _ in range(joint.options.max_playbacks):
-        compensated = joint.compensate(iteration.state)
-        state = iteration.state
-        if state.attitude is None:
-            state = joint.initial_attitudes(state, compensated)
         near = bool(corrections) and corrections[-1] < _NEAR
-        if near and not renewed:
-            joint.update_mounting_prior(state)
-        if near and renewed < _RENEWALS:  # no more, or a scatter on the border of being noise would go on and off
-            joint.update_bias_scatter(state, compensated)
-            renewed += 1
-            if not joint.bias_walks and state.bias_deviation.any():  # it was a fault's, and there is one bias after all
-                state = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
-                compensated = joint.compensate(state)
+        state, compensated = _compensate(joint, iteration.state, scatter_updates if near else None)
+        scatter_updates += near
         system = linearise(joint, state, compensated, iteration.free)
-        if near and not selected and solver.prior is None:
-            selected = True
+        if near and not observability_known and solver.prior is None:
+            observability_known = True
             if not np.array_equal(observable_parameters(system, requested), iteration.free):
-                # Too little is seen to do without one; what it does not narrow down is held in the end.
+                # Not everything is observable: with the wide prior, what stays as wide is fixed in the end.
                 solver.prior = default_prior()
-        solver.leaning = not selected
-        try:
-            solved = solver.solve(joint, system, state)
-        except (np.linalg.LinAlgError, ValueError) as error:  # scipy's word for numbers that are not finite
-            iteration.status, iteration.message = "outside_model", f"The equations are singular ({error})."
+        solver.observability_pending = not observability_known
+        correction = _correct(joint, solver, iteration, (state, system), max_step, progress)
+        if correction is None:
             break
-        delta, correction, covariance = solved.delta, solved.correction, solved.covariance
-        if not np.all(np.isfinite(delta)) or not np.all(np.isfinite(covariance)):
-            iteration.status, iteration.message = "outside_model", "The correction is not finite."
-            break
-        size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
-        if size > max_step:
-            delta, correction = delta * (max_step / size), correction * (max_step / size)
-        corrections.append(size)
-        if progress is not None:
-            progress(len(corrections), size)
-        iteration.state = apply_correction(solved.state, solved.system, delta)
-        iteration.linearisation_point, iteration.compensated, iteration.system = (
-            solved.state,
-            compensated,
-            solved.system,
-        )
-        iteration.covariance = covariance
-        reason = outside_model(iteration.state.errors)
-        if reason is not None:
-            iteration.status, iteration.message = "outside_model", f"After play-back {len(corrections)} {reason}."
-            break
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        assert iteration.covariance is not None
+        sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
         if np.all(np.abs(correction) <= np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)) and (
-            solver.settled and (selected or solver.prior is not None)
+            solver.settled and (observability_known or solver.prior is not None)
         ):
-            iteration.status, iteration.message = "converged", f"Converged after {len(corrections)} play-backs."
+            iteration.status, iteration.message = "converged", f"Converged after {len(corrections)} iterations."
             break
     else:
         iteration.status = "not_converged"
         iteration.message = (
-            f"Not converged after {len(corrections)} play-backs: the last correction was {corrections[-1]:.2e} "
+            f"Not converged after {len(corrections)} iterations: the last correction was {corrections[-1]:.2e} "
             "(largest parameter, accelerometer bias in g)."
         )
-    iteration.corrections = corrections
     return iteration
 
 
+def _compensate(
+    joint: JointModel, state: JointState, scatter_updates: int | None
+) -> tuple[JointState, CompensatedData]:
+    """Compensate the data; close to the solution also update the priors that depend on them.
+
+    ``scatter_updates`` is the number of updates so far, None while far from the solution.
+    """
+    compensated = joint.compensate(state)
+    if state.attitude is None:
+        state = joint.initial_attitudes(state, compensated)
+    if scatter_updates is None:
+        return state, compensated
+    if scatter_updates == 0:
+        joint.update_mounting_prior(state)
+    if scatter_updates < _SCATTER_UPDATES:
+        joint.update_bias_scatter(state, compensated)
+        if not joint.bias_walks and state.bias_deviation.any():  # the scatter was that of one faulty sequence
+            state = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
+            compensated = joint.compensate(state)
+    return state, compensated
+
+
+def _correct(
+    joint: JointModel,
+    solver: Solver,
+    iteration: IterationState,
+    linearisation: tuple[JointState, LinearSystem],
+    max_step: float,
+    progress: Progress | None,
+) -> Array | None:
+    """Solve the linearised model and correct the state; None if there is no valid correction, with the status set."""
+    state, system = linearisation
+    iteration.status = "outside_model"  # unless the caller finds otherwise after a valid correction
+    try:
+        solved = solver.solve(joint, system, state)
+    except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises ValueError for numbers that are not finite
+        iteration.message = f"The equations are singular ({error})."
+        return None
+    delta, correction = solved.delta, solved.correction
+    if not np.all(np.isfinite(delta)) or not np.all(np.isfinite(solved.covariance)):
+        iteration.message = "The correction is not finite."
+        return None
+    size = float(np.max(np.abs(correction) / PARAMETER_UNITS))
+    if size > max_step:
+        delta, correction = delta * (max_step / size), correction * (max_step / size)
+    assert iteration.corrections is not None
+    iteration.corrections.append(size)
+    if progress is not None:
+        progress(len(iteration.corrections), size)
+    iteration.state = apply_correction(solved.state, solved.system, delta)
+    iteration.linearisation_point, iteration.system = solved.state, solved.system
+    iteration.compensated, iteration.covariance = system.compensated, solved.covariance
+    reason = outside_model(iteration.state.errors)
+    if reason is not None:
+        iteration.message = f"After iteration {len(iteration.corrections)} {reason}."
+        return None
+    return correction
+
+
 def default_prior() -> Prior:
-    """Next to no knowledge: a third of full scale, 1 % of asymmetry."""
+    """Wide prior, practically without information: 1-sigma of a third of full scale, 1 % asymmetry."""
     return Prior.from_sigma(admission_sigma())
 
 
 def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
-    """Which sensor errors the data determine, all other unknowns being estimated with them."""
-    E = system.parameter_map()
+    """Sensor errors that the data determine together with all other unknowns, shape (27,)."""
     A = system.A
     bias = system.columns["bias"]
     number = (bias.stop - bias.start) // 3
     mean = A[:, bias].reshape(len(A), number, 3).sum(axis=1)
     wanted = np.concatenate([A[:, system.columns["errors"]], mean], axis=1)
     others = system.active.copy()
-    others[: bias.start + 3] = False  # with the mean, the biases but one are deviations
+    others[: bias.start + 3] = False  # the mean and the deviations of all biases but one replace the biases
     B = A[:, others]
     Q, R = np.linalg.qr(B / np.maximum(np.linalg.norm(B, axis=0), 1e-300))
-    Q = Q[:, np.abs(np.diag(R)) > _INDEPENDENT]  # of dependent columns the last ones bring nothing but rounding
+    Q = Q[:, np.abs(np.diag(R)) > _INDEPENDENT]  # dependent columns add rounding errors only
     left = wanted - Q @ (Q.T @ wanted)
-    assert E.shape[0] == wanted.shape[1]
     return admit(left * admission_sigma(), ~requested)
 
 
-def run(joint: JointModel, solver: Solver, options: Options, progress: Progress | None) -> Calibration:
-    """Calibrate: iterate, judge what the data show, and put the result together.
+def run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibration:
+    """Calibrate with a solver.
 
-    In one thread of linear algebra: matrices of a few hundred rows gain nothing from more, and on a busy machine
+    Linear algebra runs in one thread: matrices of a few hundred rows gain nothing from more, and on a busy machine
     threads that wait for each other made it ten times slower.
 
     Raises
     ------
     InputError
-        Options that do not go with joint estimation.
+        If an option does not apply to joint estimation.
     """
-    options.refuse(("step", "down", "measured_vertical"), "Joint estimation")
+    joint.options.refuse(("step", "down", "measured_vertical"), "Joint estimation")
     with threadpool_limits(limits=1, user_api="blas"):
-        return _run(joint, solver, options, progress)
+        return _run(joint, solver, progress)
 
 
-def _run(joint: JointModel, solver: Solver, options: Options, progress: Progress | None) -> Calibration:
+def _run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibration:
+    options = joint.options
     requested = np.array([name in options.fixed_names for name in NAMES])
     uncertain = fixed_sigma(joint.data, options)
-    held = {name: reason_on_request(name, uncertain) for name in options.fixed_names}
+    fixed = FixedParameters({name: reason_on_request(name, uncertain) for name in options.fixed_names}, uncertain)
     iteration = IterationState(joint.start, ~requested)
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS):
@@ -222,7 +259,7 @@ def _run(joint: JointModel, solver: Solver, options: Options, progress: Progress
             break
         if iteration.status == "converged" and _add_unmodelled_noise(joint, solver, iteration):
             continue
-        # A window that moved may be what keeps the iteration from resting.
+        # Motion in a window can keep the iteration from converging, so that this comes before the status.
         moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
         if moving_windows.any():
             diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
@@ -238,35 +275,34 @@ def _run(joint: JointModel, solver: Solver, options: Options, progress: Progress
             break
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_initial_values(iteration.state, weak)
-    return make_calibration(joint, solver, options, iteration, held, uncertain, diagnostics)
+    return make_calibration(joint, solver, iteration, fixed, diagnostics)
 
 
 def _add_unmodelled_noise(joint: JointModel, solver: Solver, iteration: IterationState) -> bool:
-    """Noise beyond the sensors' where the residuals of many sequences ask for it; True if there is more of it.
+    """Estimate unmodelled errors if the residuals of several sequences exceed their noise; True if the noise changed.
 
-    What one sequence alone contradicts is a fault of that one, to be named and not to be spread over all; a robust loss
-    has its own way with it.
+    A misfit that one sequence explains is a fault of that sequence, which a warning names. A robust loss reduces the
+    weight of such a sequence instead.
     """
-    system = with_prior(joint, solver, iteration)
     if solver.weights():
         return False
+    system = with_prior(joint, solver, iteration)
     solution = solve(system)
-    left = system.b + system.A @ solution.delta
-    statistic, freedom = float(left @ left), len(left) - int(system.active.sum())
-    # Once some is added it may prove too much, as when a window that moved is released.
+    residual = system.b + system.A @ solution.delta
+    statistic, freedom = float(residual @ residual), len(residual) - int(system.active.sum())
+    # Noise that was added before is always estimated again: it may have become too large.
     if not any(joint.unmodelled_sigma):
         if not is_misfit(statistic, freedom):
             return False
-        # Chi-square of all is that without one sequence, and what this one adds to it.
+        # Chi-square of all sequences is the sum of chi-square without one and what this one adds.
         without = [
             (statistic - row["chi_square"], freedom - row["degrees_of_freedom"])
             for row in deletion_table(joint, system, solution)
         ]
-        # Of a gross fault the linearisation leaves something, too.
         if any(rest < _ONE_FAULT * statistic or not is_misfit(rest, number) for rest, number in without):
             return False
     new = unmodelled_noise(joint, system)
-    if np.allclose(new, joint.unmodelled_sigma, rtol=0.1, atol=1e-6):
+    if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):
         return False
     joint.unmodelled_sigma = new
     return True

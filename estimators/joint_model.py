@@ -21,11 +21,11 @@ from estimators.joint_state import CompensatedData, JointState, LevelFrame
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.measurement_covariance import earth_rate_sigma, excess_scatter
+from srt.estimation.measurement_covariance import earth_rate_sigma, excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError, InputError
 from srt.model import measurement_model as model
-from srt.model.analytic_platform import integrate
+from srt.model.analytic_platform import integrate_attitude
 from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
@@ -278,7 +278,7 @@ class JointModel:
         """
         data = self.data
         if not self.integrated.any():
-            integrals, _ = integrate(
+            integrals, _ = integrate_attitude(
                 self.processor.stream,
                 gyro_triad(state.errors),
                 np.zeros((data.K, 3)),
@@ -409,7 +409,7 @@ class JointModel:
         variance = noise.gyro_white**2 / T[:, None] + 2.0 * (noise.gyro_edge / T[:, None]) ** 2
         expected = np.mean(weights**2 @ variance, axis=0) + earth_rate_sigma(self.data) ** 2
         own = weights @ rest
-        self.bias_scatter = np.sqrt(excess_scatter(own, expected))
+        self.bias_scatter = np.sqrt(excess_variance(own, expected))
         steps = np.mean(np.diff(own[self.order], axis=0) ** 2, axis=0) - 2.0 * expected
         self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
 

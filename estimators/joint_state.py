@@ -1,4 +1,4 @@
-"""Values of the joint problem: what it is linearised at, and the recorded data played back there."""
+"""State of the joint model, and the recorded data as compensated with it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelFrame:
-    """Sequences whose attitudes are stated in one level frame L.
+    """Level frame L that the attitudes of some sequences refer to.
 
     Attributes
     ----------
     earth_rate : ndarray, shape (3,), rad/s
-        What is known of the Earth's rate in L.
+        Known part of the Earth's rate in L.
     unknown_sigma : ndarray, shape (3,), rad/s
-        One sigma of what is not.
+        Standard deviation of the unknown part.
     fixture : bool
-        Whether nominal attitudes and heading are those of the fixture; otherwise the heading is that of the first pose.
+        True for the frame of the fixture, whose heading L has; otherwise the first pose defines the heading.
     """
 
     earth_rate: Array
@@ -32,22 +32,22 @@ class LevelFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointState:
-    """Values that the problem is linearised at.
+    """Estimate of all unknowns of the joint model, about which it is linearised.
 
     Attributes
     ----------
     errors : SensorErrors
-        With the gyro bias common to the recording.
+        With the mean gyro bias of the recording.
     bias_deviation : ndarray, shape (K, 3), rad/s
-        Bias of each sequence less the common one, raw channels.
+        Gyro bias of each sequence less the mean one, raw channels.
     base, U : ndarray, shape (3, 3)
         True to nominal fixture base; T to MARS components.
     gravity : float
         Correction to the stated gravity, m/s².
-    earth_rate : ndarray, shape (number of chains, 3), rad/s
+    earth_rate : ndarray, shape (number of level frames, 3), rad/s
         Unknown part of the Earth's rate.
-    attitude : ndarray, shape (W, 3, 3)
-        Of every window, B to L; filled in by the first linearisation.
+    attitude : ndarray, shape (W, 3, 3), or None
+        Attitude of every window, B to L; None before the first iteration, which computes it from the data.
     """
 
     errors: SensorErrors
@@ -61,27 +61,27 @@ class JointState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompensatedData:
-    """The recorded data played back at a point: compensated measurements, and what the model needs around them.
+    """Compensated measurements of a recording, their Jacobians and their noise.
 
     Attributes
     ----------
     force, rate : ndarray, shape (W, 3)
-        Compensated means of the windows, m/s² and rad/s, the bias of the own sequence taken off.
+        Compensated means of the windows, m/s² and rad/s; the rate without the bias deviation of its sequence.
     force_jacobian, rate_jacobian : ndarray, shape (W, 3, 27)
-        Their derivative with respect to errors in the estimate, negative.
-    force_noise, rate_noise, turned_noise : dict of str to ndarray, shape (W or K, 3, 3)
-        Their noise covariance, source by source.
+        Negative derivative of force and rate by the estimated errors.
+    force_noise, rate_noise, rotation_noise : dict of str to ndarray, shape (W or K, 3, 3)
+        Noise covariance by source.
     rate_slope : ndarray, shape (W, 3, 3)
-        Inverse slope of the gyros' reading model at rest: raw to compensated bias.
-    turned : ndarray, shape (K, 3, 3)
+        Inverse slope of the gyros' sensor model at rest: raw to compensated bias.
+    rotation : ndarray, shape (K, 3, 3)
         Rotation between the windows against inertial space, B_End to B_Strt.
-    turned_jacobian : ndarray, shape (K, 3, 27)
+    rotation_jacobian : ndarray, shape (K, 3, 27)
         Derivative of its attitude error.
     duration_s : ndarray, shape (K,)
     edge_slope : ndarray, shape (3, 3), rad
-        Compensated angle of a unit reading error at a window's edge; zero where these do not matter.
-    drift : Drift
-        What the stated bias instability adds to all of them.
+        Compensated angle of a unit error of the raw angle at a window edge; zero where edges are no unknowns.
+    instability : BiasInstability
+        Effect of the bias instability on all measurements.
     """
 
     force: Array

@@ -1,4 +1,4 @@
-"""What the joint solution says of its measurements: residuals, every sequence against all others, noise left over."""
+"""Residuals of the joint solution, consistency of each sequence with the others, and unmodelled errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from srt.estimation.leave_one_out import (
     SequenceDiagnostics,
     leave_one_out_estimate,
     most_contradicted,
-    named,
+    participating,
 )
 from srt.noise.variance_components import restricted_likelihood
 from srt.result.calibration import Residual
@@ -29,63 +29,66 @@ if TYPE_CHECKING:
     from srt.types import Indices
 
 
-_COMPONENTS: Final = {"force": "xyz", "rate": "xyz", "turn": "xyz"}
+_KINDS: Final = ("force", "rate", "turn")
 _INDEPENDENT: Final = 1e-10
-_WITNESSED: Final = 0.05
+"""Eigenvalue, of at most 1, below which a direction of the residuals is lost without the sequence."""
+_SMALLEST_LEVERAGE: Final = 0.05
+"""Sensitivity of a parameter, in its sigmas, to a direction above which the direction matters to the parameter."""
+_NO_RESIDUAL: Final = 1e-6
+"""Sigma of a residual, relative to its measurement, below which it is zero but for rounding errors."""
 
 
 def residuals(joint: JointModel, system: LinearSystem, solution: DenseSolution) -> tuple[Residual, ...]:
-    """Residuals of force, rate and turn at the solution, each with the sigma it should have."""
+    """Residuals of force, rate and rotation in units of the measurement's sigma, each with its expected sigma."""
     data = joint.data
-    left = system.b + system.A @ solution.delta
+    residual = system.b + system.A @ solution.delta
     leverage = np.einsum("ij,ij->i", system.A @ solution.root, system.A @ solution.root)
     out = []
-    for kind, axes in _COMPONENTS.items():
+    for kind in _KINDS:
         rows = system.rows_of(kind)
         for member, index in enumerate(rows.index):
             k = int(rows.owner[member])
-            name = kind if kind == "turn" else f"{_which(joint, k, member)}_{kind}"
-            for axis, i in zip(axes, index.tolist(), strict=True):
+            name = kind if kind == "turn" else f"{_role(joint, k, member)}_{kind}"
+            for axis, i in zip("xyz", index.tolist(), strict=True):
                 sigma = float(np.sqrt(max(1.0 - leverage[i], 0.0)))
-                # Whitened: the value is in units of the measurement's own sigma.
-                sigma = 0.0 if sigma < 1e-6 else sigma
-                out.append(Residual(data.ids[k], data.occurrences[k], f"{name}_{axis}", float(left[i]), sigma))
+                sigma = 0.0 if sigma < _NO_RESIDUAL else sigma
+                out.append(Residual(data.ids[k], data.occurrences[k], f"{name}_{axis}", float(residual[i]), sigma))
     return tuple(out)
 
 
-def _which(joint: JointModel, k: int, window: int) -> str:
-    """Role of a window in its sequence; one without its turn is named apart."""
+def _role(joint: JointModel, k: int, window: int) -> str:
+    """Role of a window in its sequence: start, end, or lone without its rotation."""
     if window == joint.data.start[k]:
         return "start"
     return "end" if window == joint.data.end[k] else "lone"
 
 
 def contradictions(joint: JointModel, system: LinearSystem, solution: DenseSolution) -> list[ConsistencyTest]:
-    """Every sequence against all the others, in time order: chi-square of its residuals as the others predict it."""
-    left = system.b + system.A @ solution.delta
-    spread = system.A @ solution.root
+    """Chi-square of each sequence as predicted from all others, in time order."""
+    residual = system.b + system.A @ solution.delta
+    root = system.A @ solution.root
     reported = system.parameter_map() @ solution.root
     sigma = np.linalg.norm(reported, axis=1)
     reported = reported / np.where(sigma > 0.0, sigma, 1.0)[:, None]
     owned, out = _owned(system), []
     for k in joint.order.tolist():
         at = owned[k]
-        v, H = left[at], spread[at]
-        # What the data of a sequence alone decide, its own attitudes, leaves no residual there: directions without one.
+        v, H = residual[at], root[at]
+        # Directions that only this sequence determines, such as its own attitudes, have no residual.
         values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T)
         seen = values > LEAST_PREDICTED_SHARE
         statistic = float(np.sum((vectors[:, seen].T @ v) ** 2 / values[seen]))
-        # Of them, those that move reported parameters: what nothing else shows of these.
-        alone, moving_windows, _ = np.linalg.svd(reported @ (H.T @ vectors[:, ~seen]), full_matrices=False)
-        open_ = alone[:, moving_windows > _WITNESSED]
-        out.append(ConsistencyTest(statistic, int(seen.sum()), open_.shape[1], named(open_)))
+        # Some of them affect reported parameters: the other sequences cannot check these.
+        alone, effect, _ = np.linalg.svd(reported @ (H.T @ vectors[:, ~seen]), full_matrices=False)
+        unchecked = alone[:, effect > _SMALLEST_LEVERAGE]
+        out.append(ConsistencyTest(statistic, int(seen.sum()), unchecked.shape[1], participating(unchecked)))
     return out
 
 
 def deletion_table(
     joint: JointModel, system: LinearSystem, solution: DenseSolution, against: SequenceOf[ConsistencyTest] | None = None
 ) -> list[dict[str, Any]]:
-    """Set :func:`contradictions` as JSON values.
+    """Results of :func:`contradictions` as JSON values.
 
     Returns
     -------
@@ -98,8 +101,8 @@ def deletion_table(
             "sequence": data.ids[k],
             "occurrence": data.occurrences[k],
             "chi_square": row.chi_square,
-            "degrees_of_freedom": row.freedom,
-            "probability": float(chdtrc(row.freedom, row.chi_square)) if row.freedom else 1.0,
+            "degrees_of_freedom": row.degrees_of_freedom,
+            "probability": float(chdtrc(row.degrees_of_freedom, row.chi_square)) if row.degrees_of_freedom else 1.0,
         }
         for k, row in zip(joint.order.tolist(), against or contradictions(joint, system, solution), strict=True)
     ]
@@ -108,9 +111,9 @@ def deletion_table(
 def leave_one_out_estimates(
     joint: JointModel, system: LinearSystem, solution: DenseSolution
 ) -> list[LeaveOneOutEstimate]:
-    """The estimate without each sequence, in time order; windows that other sequences use stay."""
-    left = system.b + system.A @ solution.delta
-    spread = system.A @ solution.root
+    """Estimates without each sequence, in time order; windows that other sequences share are kept."""
+    residual = system.b + system.A @ solution.delta
+    root = system.A @ solution.root
     reported = system.parameter_map() @ solution.root
     free = np.flatnonzero(system.free)
     sigma = np.linalg.norm(reported[free], axis=1)
@@ -122,20 +125,20 @@ def leave_one_out_estimates(
     owned = _owned(system)
     for k in joint.order.tolist():
         at = np.setdiff1d(owned[k], shared)
-        H = spread[at]
+        H = root[at]
         effect = full @ (unit @ H.T)
-        # Woodbury in the information of the parameters alone, which lives where their covariance without it does not.
+        # Woodbury identity in information form, as without the sequence the covariance need not exist.
         values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T + H @ unit.T @ effect)
         there = values > _INDEPENDENT
         seen = effect @ vectors[:, there] / np.sqrt(values[there])
         rest = full - seen @ seen.T
-        gradient = seen @ (vectors[:, there].T @ left[at] / np.sqrt(values[there]))
+        gradient = seen @ (vectors[:, there].T @ residual[at] / np.sqrt(values[there]))
         information = np.stack([back @ full @ back.T, back @ rest @ back.T])
         out.append(leave_one_out_estimate(information, back @ gradient, system.free))
     return out
 
 
-def evidence(
+def sequence_diagnostics(
     joint: JointModel, system: LinearSystem, solution: DenseSolution, against: SequenceOf[ConsistencyTest]
 ) -> tuple[SequenceDiagnostics, ...]:
     """What the verdict has of every sequence, in time order; empty where the estimate's covariance is singular."""
@@ -151,7 +154,7 @@ def evidence(
 
 
 def _owned(system: LinearSystem) -> dict[int, Indices]:
-    """Rows of every sequence."""
+    """Row numbers by sequence."""
     owned: dict[int, list[Indices]] = {}
     for rows in system.rows:
         for owner, index in zip(rows.owner.tolist(), rows.index, strict=True):
@@ -161,7 +164,7 @@ def _owned(system: LinearSystem) -> dict[int, Indices]:
 
 
 def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
-    """Rows of windows that two sequences use."""
+    """Rows of windows that two sequences share."""
     data = joint.data
     uses = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))
     windows = np.flatnonzero(uses > 1)
@@ -169,20 +172,20 @@ def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
 
 
 def contradiction_warnings(table: SequenceOf[dict[str, Any]]) -> list[str]:
-    """Name the sequence that contradicts the others most, if its chance is small."""
+    """Warning that names the sequence that contradicts the others most, if its p-value is small."""
     worst = most_contradicted(table)
     if worst is None:
         return []
     again = f" (occurrence {worst['occurrence']})" if worst["occurrence"] > 1 else ""
     return [
         f"Sequence {worst['sequence']}{again} contradicts all the others (chi-square {worst['chi_square']:.3g} for "
-        f"{worst['degrees_of_freedom']} degrees of freedom): look at its windows and its turn, leave it out, or use a "
+        f"{worst['degrees_of_freedom']} degrees of freedom): check its windows and rotation, leave it out, or use a "
         "robust loss."
     ]
 
 
 def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, float, float]:
-    """One sigma of attitude per turn, of force and of rate per window beyond the noise (restricted maximum likelihood).
+    """Standard deviations of unmodelled errors of rotations, forces and rates by restricted maximum likelihood.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""From a solution to a calibration: covariance by source, residuals, and every sequence against the others."""
+"""Analysis of a joint solution: covariance by source, residuals, goodness of fit, contradictions between sequences."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ import numpy as np
 
 from estimators.dense_solution import apply_weights, covariance_by_source, solve
 from estimators.linear_system import N_ERRORS, linearise
-from estimators.residual_analysis import contradiction_warnings, contradictions, deletion_table, evidence, residuals
+from estimators.residual_analysis import (
+    contradiction_warnings,
+    contradictions,
+    deletion_table,
+    residuals,
+    sequence_diagnostics,
+)
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
@@ -21,88 +27,117 @@ if TYPE_CHECKING:
     from estimators.linear_system import LinearSystem
     from estimators.solver import IterationState, Solver
     from srt.estimation.leave_one_out import SequenceDiagnostics
-    from srt.estimation.options import Options
     from srt.result.calibration import Calibration, Residual
     from srt.types import Array, Mask
 
 
 _GROSS_RATIO: Final = 100.0
+"""Chi-square per degree of freedom above which a misfit is gross, if the residuals are large, too."""
 _GROSS_G: Final = 0.01
+"""Root mean square of the residuals of specific force, in g, above which a misfit is gross: a wrong label gives 0.1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedParameters:
+    """Parameters that are not estimated.
+
+    Attributes
+    ----------
+    reasons : dict of str to str
+        Reason by name of the parameter.
+    sigma : ndarray, shape (27,)
+        Standard deviation of the fixed values; zero where not known, and for parameters that are estimated.
+    """
+
+    reasons: dict[str, str]
+    sigma: Array
 
 
 def make_calibration(
     joint: JointModel,
     solver: Solver,
-    options: Options,
     iteration: IterationState,
-    held: dict[str, str],
-    uncertain: Array,
+    fixed: FixedParameters,
     diagnostics: dict[str, Any],
 ) -> Calibration:
-    """Put the calibration together."""
-    data = joint.data
+    """Calibration from the solution that an iteration ended with."""
+    data, reasons = joint.data, dict(fixed.reasons)
     warnings = [joint.U_note] if joint.U_note and joint.fixture_states else []
     if iteration.system is not None and iteration.covariance is not None:
         sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
         weak = ~iteration.free | (sigma > OBSERVED_BELOW * admission_sigma())
         for i in np.flatnonzero(weak):
-            held.setdefault(NAMES[i], "the sequences of this recording do not show it apart from the others")
-    judged = analyse_solution(joint, solver, iteration, uncertain)
-    warnings += contradiction_warnings(judged.table)
+            reasons.setdefault(NAMES[i], "the sequences of this recording do not show it apart from the others")
+    analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
+    warnings += contradiction_warnings(analysis.table)
     if any(joint.unmodelled_sigma):
         rotation, force, rate = joint.unmodelled_sigma
         warnings.append(
             f"Residuals are larger than the sensors' noise explains: {np.degrees(rotation):.2g}° per rotation, "
             f"{force:.2g} m/s² and {rate:.2g} rad/s per pose were added, and the sigmas include them."
         )
-    # What is not observed keeps the first estimate's value, whatever a prior and its neighbours made of it.
-    unseen = np.array([name in held for name in NAMES])
-    outcome = SolverResult(
-        errors=joint.with_initial_values(iteration.state, unseen).errors,
+    # Parameters that are not observed keep the initial value, not the one that a prior and correlations gave them.
+    identity = np.tile(np.eye(3), (data.K, 1, 1))
+    not_observed = np.array([name in reasons for name in NAMES])
+    result = SolverResult(
+        errors=joint.with_initial_values(iteration.state, not_observed).errors,
         U=iteration.state.U,
-        covariance=judged.covariance,
+        covariance=analysis.covariance,
         corrections=tuple(iteration.corrections or ()),
         status=iteration.status,
         message=iteration.message,
-        residuals=judged.residuals,
-        chi_square=judged.statistic,
-        degrees_of_freedom=judged.freedom,
-        gross_misfit=judged.gross,
+        residuals=analysis.residuals,
+        chi_square=analysis.chi_square,
+        degrees_of_freedom=analysis.degrees_of_freedom,
+        gross_misfit=analysis.gross_misfit,
         integrated=tuple(np.flatnonzero(joint.integrated).tolist()),
         wander=joint.bias_scatter,
-        bias_by_sequence=iteration.state.bias_deviation + judged.instability,
-        end_attitude=np.tile(np.eye(3), (data.K, 1, 1))
-        if iteration.compensated is None
-        else iteration.compensated.rotation,
-        total=judged.total,
-        diagnostics={"sequences": list(judged.table)} | solver.diagnostics(joint) | diagnostics,
-        sequences=judged.evidence,
+        bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
+        end_attitude=identity if iteration.compensated is None else iteration.compensated.rotation,
+        total=analysis.total,
+        diagnostics={"sequences": list(analysis.table)} | solver.diagnostics(joint) | diagnostics,
+        sequences=analysis.sequences,
     )
-    return build_calibration(solver.name, data, options, outcome, held, warnings=tuple(warnings))
+    return build_calibration(solver.name, data, joint.options, result, reasons, warnings=tuple(warnings))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolutionAnalysis:
-    """Statistics of a solution: covariance by source and in all, residuals, every sequence against the others.
+    """Analysis of a joint solution.
 
-    ``drift`` is that of the gyros by sequence, about its mean, rad/s.
+    Attributes
+    ----------
+    covariance : dict of str to ndarray, shape (27, 27)
+        Covariance of the reported parameters by source of error.
+    total : ndarray, shape (27, 27)
+        Covariance of the reported parameters.
+    residuals : tuple of Residual
+    table : tuple of dict
+        Chi-square of every sequence as predicted from the others; see :func:`deletion_table`.
+    chi_square, degrees_of_freedom : float, int
+        Goodness of fit.
+    gross_misfit : bool
+        True if the misfit is far beyond any noise, as from a wrong label.
+    sequences : tuple of SequenceDiagnostics
+    instability : ndarray, shape (K, 3), rad/s
+        Bias instability of the gyros by sequence, about its mean.
     """
 
     covariance: dict[str, Array]
     total: Array
     residuals: tuple[Residual, ...] = ()
     table: tuple[dict[str, Any], ...] = ()
-    statistic: float = 0.0
-    freedom: int = 0
-    gross: bool = False
-    evidence: tuple[SequenceDiagnostics, ...] = ()
+    chi_square: float = 0.0
+    degrees_of_freedom: int = 0
+    gross_misfit: bool = False
+    sequences: tuple[SequenceDiagnostics, ...] = ()
     instability: Array | float = 0.0
 
 
 def analyse_solution(
     joint: JointModel, solver: Solver, iteration: IterationState, uncertain: Array
 ) -> SolutionAnalysis:
-    """Work out the statistics of the solution that an iteration ended with."""
+    """Analyse the solution that an iteration ended with; ``uncertain`` is the sigma of the fixed values."""
     nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
     if iteration.system is None or iteration.covariance is None or iteration.status == "outside_model":
         return SolutionAnalysis({"none": nothing}, nothing)
@@ -117,25 +152,25 @@ def analyse_solution(
         system = apply_weights(system, solver.weights())
         solution = solve(system)
     covariance = covariance_by_source(system, solution)
-    covariance["held_values"] = _held_values(system, solution, uncertain, iteration.free)
+    covariance["held_values"] = _fixed_values(system, solution, uncertain, iteration.free)
     total = iteration.covariance + covariance["held_values"]
-    # Under "per-sequence" the wander is a freedom, and no figure of the unit; a stated drift is in the solution.
+    # With "per-sequence" the scatter is no property of the unit; an instability as specified is in the solution.
     if joint.data.noise.gyro_flicker is None and joint.options.gyro_bias != "per-sequence":
         at = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
         part = covariance.setdefault("gyro_bias_instability", nothing.copy())
-        # The bias reported is the unit's; that of this test is one draw of it.
+        # The bias of this test is one sample of the bias of the unit, which is reported.
         part[at, at] += joint.bias_scatter**2
         total[at, at] += joint.bias_scatter**2
-    left = system.b + system.A @ solution.delta
-    spread = system.A @ solution.root
-    measured = np.ones(len(left), dtype=np.bool_)
-    if solver.prior is not None:  # what a prior costs in degrees of freedom is no whole number
+    residual = system.b + system.A @ solution.delta
+    root = system.A @ solution.root
+    measured = np.ones(len(residual), dtype=np.bool_)
+    if solver.prior is not None:  # a prior takes a non-integer number of degrees of freedom
         measured[system.rows_of("prior").index.ravel()] = False
-    statistic = float(left[measured] @ left[measured])
-    number = round(float(measured.sum()) - float(np.sum(spread[measured] ** 2)))
+    chi_square = float(residual[measured] @ residual[measured])
+    freedom = round(float(measured.sum()) - float(np.sum(root[measured] ** 2)))
     force = system.rows_of("force").index
-    raw = np.linalg.solve(system.whitening["force"], left[force][..., None])
-    gross = statistic > _GROSS_RATIO * max(number, 1) and float(np.sqrt(np.mean(raw**2))) > (
+    raw = np.linalg.solve(system.whitening["force"], residual[force][..., None])
+    gross = chi_square > _GROSS_RATIO * max(freedom, 1) and float(np.sqrt(np.mean(raw**2))) > (
         _GROSS_G * joint.data.gravity
     )
     return SolutionAnalysis(
@@ -143,16 +178,16 @@ def analyse_solution(
         total,
         residuals=residuals(joint, system, solution),
         table=table,
-        statistic=statistic,
-        freedom=number,
-        gross=gross,
-        evidence=evidence(joint, system, solution, against),
+        chi_square=chi_square,
+        degrees_of_freedom=freedom,
+        gross_misfit=gross,
+        sequences=sequence_diagnostics(joint, system, solution, against),
         instability=joint.instability_by_sequence(system.compensated, solution.delta[system.columns["instability"]]),
     )
 
 
 def with_prior(joint: JointModel, solver: Solver, iteration: IterationState) -> LinearSystem:
-    """The last linearisation, the prior of the sensor errors among its rows."""
+    """Last linearised system, with the rows of the sensor errors' prior."""
     assert iteration.system is not None
     if solver.prior is None:
         return iteration.system
@@ -161,12 +196,12 @@ def with_prior(joint: JointModel, solver: Solver, iteration: IterationState) -> 
     return linearise(joint, iteration.linearisation_point, iteration.compensated, iteration.free, solver.prior)
 
 
-def _held_values(system: LinearSystem, solution: DenseSolution, uncertain: Array, free: Mask) -> Array:
-    """Covariance that the errors of held values bring into what is estimated with them."""
+def _fixed_values(system: LinearSystem, solution: DenseSolution, uncertain: Array, free: Mask) -> Array:
+    """Covariance of the estimated parameters from errors of the fixed values, their sigma being ``uncertain``."""
     E = system.parameter_map()
     effect = system.A @ E.T * np.where(free, 0.0, uncertain)
     bias = system.columns["bias"]
-    # The map averages the biases; held ones are off by the same in every sequence.
+    # The map averages the biases, but a fixed bias has the same error in every sequence.
     effect[:, N_ERRORS:] *= (bias.stop - bias.start) // 3
-    brought = (E @ solution.root) @ (solution.root.T @ (system.A.T @ effect))
-    return np.asarray(brought @ brought.T)
+    root = (E @ solution.root) @ (solution.root.T @ (system.A.T @ effect))
+    return np.asarray(root @ root.T)

@@ -1,4 +1,4 @@
-"""One solution of the linearised problem (Kalman filter or factor graph), and the state of the iteration."""
+"""Interface of the solvers (Kalman filter, factor graph) of the linearised joint model, and the iteration's state."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearSolution:
-    """A solution of the linearised problem.
+    """Solution of the linearised joint model.
 
     Attributes
     ----------
-    point : Point
-        What the correction is to be applied to: the point of linearisation, or one with better attitudes.
-    system : System
-        Linearised there.
+    state : JointState
+        State that the correction applies to: that of the linearisation, or one with relinearised attitudes.
+    system : LinearSystem
+        Linearised about ``state``.
     delta : ndarray, shape (n,)
         Correction of all columns.
     correction : ndarray, shape (27,)
+        Correction of the reported parameters.
     covariance : ndarray, shape (27, 27)
-        Of the reported parameters.
+        Covariance of the reported parameters.
     """
 
     state: JointState
@@ -39,56 +40,58 @@ class LinearSolution:
 
 
 class Solver(ABC):
-    """One solution of the linearised problem.
+    """Solver of the linearised joint model.
 
     Attributes
     ----------
     name : str
-        Of the estimator.
+        Name of the estimator.
     prior : Prior or None
-        Of the sensor errors; with one every parameter can be estimated.
-    leaning : bool
-        Whether it is still open what the data show: without a prior the wide default then keeps the rest in place.
+        Prior of the sensor errors; with one, every parameter can be estimated.
+    observability_pending : bool
+        True while the observable parameters are not determined. A solver without a prior then uses the wide default.
     """
 
     name: str
     prior: Prior | None = None
-    leaning = True
+    observability_pending = True
 
     @property
     def settled(self) -> bool:
-        """Whether it may end here, if the correction is negligible."""
+        """True if the iteration may stop once the correction is negligible."""
         return True
 
     def weights(self) -> dict[tuple[str, int], float]:
-        """Weight of each measurement, by kind and number, where it is not one."""
+        """Weights of the measurements by kind and number; empty if all are 1."""
         return {}
 
-    def restart(self) -> None:  # noqa: B027 - most have nothing to do
-        """Begin anew, the measurements having changed."""
+    def restart(self) -> None:  # noqa: B027 - optional
+        """Discard what was derived from earlier measurements, as these have changed."""
 
     @abstractmethod
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Solve a problem linearised at a point."""
+        """Solve the joint model linearised about a state."""
 
-    def diagnostics(self, joint: JointModel) -> dict[str, Any]:  # noqa: ARG002 - for those that have some
-        """What else the estimator reports, as JSON values."""
+    def diagnostics(self, joint: JointModel) -> dict[str, Any]:  # noqa: ARG002 - optional
+        """Further results of the solver, as JSON values."""
         return {}
 
 
 @dataclass(slots=True, eq=False)
 class IterationState:
-    """Where an iteration stands.
+    """Progress of an iteration.
 
     Attributes
     ----------
-    point : Point
-        The estimate.
-    linearised_at, played, system : Point, Played, System
-        The last linearisation.
+    state : JointState
+        Present estimate.
     free : ndarray of bool, shape (27,)
+        Parameters that are estimated.
+    linearisation_point, compensated, system : JointState, CompensatedData, LinearSystem
+        Last linearisation.
     covariance : ndarray, shape (27, 27)
     corrections : list of float
+        Largest correction of every iteration, accelerometer bias in g.
     status, message : str
     """
 
