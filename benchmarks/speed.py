@@ -18,8 +18,8 @@ import numpy as np
 import recorded_sets
 
 import srt
-from srt.comparison.estimators import default_estimators, run_estimators
-from srt.model.analytic_platform import gyro_stream, integrate
+from srt.comparison.estimator_comparison import default_estimators, run_estimators
+from srt.model.analytic_platform import gyro_stream, integrate_attitude
 from srt.model.sensor_model import gyro_triad
 
 REPEATS = 15
@@ -68,7 +68,7 @@ def play_back() -> None:
     stream = gyro_stream(recording.gyro, recording.interval_s, spans, spans, rates=True)
     earth = np.zeros((17, 3))
     triad = gyro_triad(truth)
-    one = timed(lambda: integrate(stream, triad, earth))
+    one = timed(lambda: integrate_attitude(stream, triad, earth))
     read = timed(lambda: (recording.gyro.sum(axis=0), recording.accel.sum(axis=0)))
     print(
         f"one play-back with Jacobian: {one / n * 1e9:.0f} ns per integrated sample, "

@@ -32,7 +32,7 @@ nitpick_ignore = [  # named in docstrings, without a page of their own
     ("py:func", "run_schedule"),
     ("py:mod", "srt.model.sensor_model"),
     ("py:mod", "srt.diagnosis.faults"),
-    ("py:mod", "srt.exporters.linear"),
+    ("py:mod", "srt.exporters.linear_model"),
 ]
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3

@@ -113,21 +113,21 @@ def assemble(
     SrtError
         Input that cannot be read, or does not belong together.
     """
-    import srt.reports.certificate.page  # whether it can be made, before the samples are read
-    from srt.reports.certificate import load_limits, load_source, make_certificate
-    from srt.reports.certificate.change import change_since
-    from srt.reports.certificate.replay import check_recording, replay
+    import srt.reports.certificate.html_page  # whether it can be made, before the samples are read
+    from srt.reports.certificate import load_acceptance_limits, load_calibration_file, make_certificate
+    from srt.reports.certificate.parameter_changes import changes_since
+    from srt.reports.certificate.recording_history import check_recording, recording_history
 
-    source = load_source(calibration_file)
-    given = None if limits is None else load_limits(limits)
-    change = None if against is None else change_since(source, load_source(against))
+    source = load_calibration_file(calibration_file)
+    given = None if limits is None else load_acceptance_limits(limits)
+    change = None if against is None else changes_since(source, load_calibration_file(against))
     course = None
     if recording_path is not None and source.calibration.status in ("converged", "partial"):
         import srt
 
         recording = srt.load_recording(recording_path)
         check_recording(source, recording, str(recording_path))
-        course = replay(source, recording, str(recording_path))
+        course = recording_history(source, recording, str(recording_path))
     return make_certificate(source, course=course, limits=given, change=change)
 
 
@@ -138,8 +138,8 @@ def write(made: Certificate, page: Path, document: Path) -> None:
     ------
     SrtError
     """
-    from srt.recording.atomic import atomic_path, atomic_write_text
-    from srt.reports.certificate.page import html_page
+    from srt.recording.atomic_file import atomic_path, atomic_write_text
+    from srt.reports.certificate.html_page import html_page
     from srt.reports.certificate.pdf import write_pdf
 
     text = html_page(made)

@@ -17,8 +17,8 @@ from srt.exceptions import DataError, InputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from srt.comparison.estimators import Comparison
-    from srt.comparison.pairs import Pair
+    from srt.comparison.estimate_difference import EstimateDifference
+    from srt.comparison.estimator_comparison import Comparison
     from srt.estimation.options import Options
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
@@ -75,7 +75,7 @@ def compare(
         check_file(output, RESULT_SUFFIXES, "The result")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
-    from srt.comparison.estimators import ESTIMATORS
+    from srt.comparison.estimator_comparison import ESTIMATORS
     from srt.estimation.options import Options
 
     names = tuple(dict.fromkeys(names))
@@ -145,8 +145,8 @@ def run(
     """
     import srt
     from srt.cli.progress import playback_progress
-    from srt.comparison.estimators import compare as compare_calibrations
-    from srt.comparison.estimators import default_estimators, run_estimators
+    from srt.comparison.estimator_comparison import compare as compare_calibrations
+    from srt.comparison.estimator_comparison import default_estimators, run_estimators
 
     true_errors = None
     if truth is not None:
@@ -217,7 +217,7 @@ def judge(comparison: Comparison, path: Path) -> int:
         warn(f"{path}: {note}")
     if not comparison.agree:
         say(f"{path}: {comparison.verdict}")
-    elif comparison.truth is not None and min(map(comparison.rms_error, comparison.pairs)) > _FOREIGN_TRUTH:
+    elif comparison.truth is not None and min(map(comparison.rms_error, comparison.differences)) > _FOREIGN_TRUTH:
         warn(f"{path}: the estimates agree, but not with the truth: is it the truth of another recording?")
     return 0 if comparison.agree and comparison.complete else DataError.exit_code
 
@@ -264,7 +264,7 @@ def estimator_table(comparison: Comparison) -> str:
     headers += ["sigma\nratio", "largest\ndiff.", "chi-\nsquare", "proba-\nbility", "verdict"]
     rows = []
     for name, calibration in comparison.calibrations.items():
-        pair = comparison.pairs.get(name)
+        pair = comparison.differences.get(name)
         rows.append(
             [
                 name,
@@ -282,7 +282,7 @@ def estimator_table(comparison: Comparison) -> str:
     return text_table(headers, rows, "ll" + "r" * (len(headers) - 3) + "l")
 
 
-def _compared(pair: Pair | None, is_reference: bool) -> list[str]:
+def _compared(pair: EstimateDifference | None, is_reference: bool) -> list[str]:
     """Cells of the comparison with the reference."""
     from srt.reports.text.tables import fixed
 
@@ -312,11 +312,11 @@ def parameter_table(comparison: Comparison) -> str:
         for calibration in comparison.calibrations.values():
             factor = DISPLAY_FACTORS[i]
             row.append(_estimate(float(calibration.errors.vector[i]) * factor, float(calibration.sigma[i]) * factor))
-        for pair in comparison.pairs.values():
+        for pair in comparison.differences.values():
             value = float(pair.normalised[i])
             row.append("-" if math.isnan(value) else f"{round(value, 1) + 0.0:+.1f}{'*' if pair.differing[i] else ' '}")
         rows.append(row)
-    headers = ["parameter", "unit", *comparison.calibrations, *(_head(name) for name in comparison.pairs)]
+    headers = ["parameter", "unit", *comparison.calibrations, *(_head(name) for name in comparison.differences)]
     alignment = "ll" + "r" * (len(headers) - 2)
     return text_table(headers, _grouped(rows), alignment)
 
@@ -340,10 +340,10 @@ def truth_table(comparison: Comparison) -> str:
 
 
 def _legend(comparison: Comparison) -> Iterable[str]:
-    from srt.comparison.pairs import FALSE_ALARM
+    from srt.comparison.estimate_difference import FALSE_ALARM
     from srt.reports.text.calibration import wrap
 
-    pair = next(iter(comparison.pairs.values()), None)
+    pair = next(iter(comparison.differences.values()), None)
     if pair is None:
         return []
     return wrap(

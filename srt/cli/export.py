@@ -12,9 +12,9 @@ from srt.cli.output import check_file, warn
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from srt.exporters.exporting import Exported
-    from srt.exporters.format import Exporter
-    from srt.exporters.residual import Readings
+    from srt.exporters.conversion import ExportedCalibration
+    from srt.exporters.correction_difference import Readings
+    from srt.exporters.file_format import Exporter
     from srt.result.calibration import Calibration
 
 
@@ -71,10 +71,10 @@ def export(
     Exit codes: 0 success; 1 a file that does not give the calibration back; 2 wrong usage, unreadable input, or a
     calibration that the target would cut.
     """
-    from srt.exporters.exporting import export as make
-    from srt.exporters.exporting import save
+    from srt.exporters.conversion import export as make
+    from srt.exporters.conversion import save
+    from srt.exporters.export_model import ExportSettings
     from srt.exporters.registry import exporter
-    from srt.exporters.source import Settings
 
     chosen = exporter(target)
     if output is not None:
@@ -93,7 +93,7 @@ def export(
         readings=readings,
         frame=frame,
         asymmetry="fit" if fit_asymmetry else "leave",
-        settings=Settings(topic, rate_hz, gyro_random_walk, accel_random_walk, instance),
+        settings=ExportSettings(topic, rate_hz, gyro_random_walk, accel_random_walk, instance),
     )
     written = () if output is None else save(made, output)
     if calibration.held:
@@ -108,12 +108,12 @@ def export(
     return 0
 
 
-def report(made: Exported) -> str:
+def report(made: ExportedCalibration) -> str:
     """Say what a file is, how it is applied, what it leaves and what to mind.
 
     Parameters
     ----------
-    made : Exported
+    made : ExportedCalibration
 
     Returns
     -------
@@ -156,7 +156,7 @@ def report(made: Exported) -> str:
 
 
 def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:
-    from srt.exporters.exporting import part_paths
+    from srt.exporters.conversion import part_paths
 
     for place in part_paths(chosen, output).values():
         check_file(place, chosen.suffixes, f"The {chosen.name} file")
@@ -168,7 +168,7 @@ def _readings(
     calibration: Calibration, calibration_file: Path, path: Path, *, force: bool
 ) -> tuple[Readings, float | None]:
     import srt
-    from srt.exporters.residual import Readings
+    from srt.exporters.correction_difference import Readings
 
     recording = srt.load_recording(path)
     if not force:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.cli.jobs import Job
-    from srt.comparison.fleet import Fleet, Unit
+    from srt.comparison.fleet import Fleet, FleetUnit
     from srt.comparison.parallel import Engine
     from srt.estimation.options import Options
 
@@ -62,7 +62,7 @@ def run_fleet(
         An engine that cannot start, or tables of the fleet that cannot be written.
     """
     from srt.comparison.fleet import calibrate_fleet
-    from srt.recording.atomic import atomic_write_text
+    from srt.recording.atomic_file import atomic_write_text
 
     if output is not None:
         make_directory(output)
@@ -73,7 +73,7 @@ def run_fleet(
     engine = _engine(workers, scheduler)
     with unit_progress(len(jobs), quiet=quiet) as progress:
 
-        def finished(unit: Unit) -> None:
+        def finished(unit: FleetUnit) -> None:
             try:
                 _write(unit, by_name[unit.name])
             except SrtError as error:
@@ -100,7 +100,7 @@ def run_fleet(
 
 
 @contextmanager
-def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[Unit], None]]:
+def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[FleetUnit], None]]:
     """Lend a function that is told of every unit that is done: a bar on a terminal, one line each elsewhere.
 
     Parameters
@@ -130,7 +130,7 @@ def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[Unit], None]
             with Progress(*columns, console=Console(stderr=True, highlight=False), transient=True) as bar:
                 task = bar.add_task("units", total=count)
 
-                def advance(unit: Unit) -> None:
+                def advance(unit: FleetUnit) -> None:
                     nonlocal failed
                     failed += unit.exit_code != 0
                     bar.update(task, advance=1, description=f"units, {failed} failed" if failed else "units")
@@ -138,7 +138,7 @@ def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[Unit], None]
                 yield advance
             return
 
-    def line(unit: Unit) -> None:
+    def line(unit: FleetUnit) -> None:
         nonlocal done
         done += 1
         left = (time.monotonic() - begun) / done * (count - done)
@@ -159,7 +159,7 @@ def _engine(workers: int, scheduler: str | None) -> Engine | None:
     return None if alone and importlib.util.find_spec("threadpoolctl") is None else engine
 
 
-def _write(unit: Unit, job: Job) -> None:
+def _write(unit: FleetUnit, job: Job) -> None:
     if unit.calibration is None:
         return
     if job.output is not None:
@@ -186,7 +186,7 @@ def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:
     for number, unit in enumerate(fleet.units):
         found = fleet.flagged(number)
         if found:
-            z = fleet.judgement.z[number, found[0]]
+            z = fleet.outliers.z[number, found[0]]
             more = f" and {len(found) - 1} more" if len(found) > 1 else ""
             warn(f"{unit.recording} is outlying against the fleet: {NAMES[found[0]]} by z = {z:+.3g}{more}.")
         elif unit.exit_code:

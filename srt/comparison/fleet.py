@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetJudgement, judge_fleet
+from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, find_outliers
 from srt.exceptions import DataError, InputError, SrtError
 from srt.sensor_errors import N_PARAMETERS, NAMES, SYMBOLS, UNITS
 
@@ -53,7 +53,7 @@ class UnitTask:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unit:
+class FleetUnit:
     """What came of one unit.
 
     Attributes
@@ -92,23 +92,23 @@ class Fleet:
 
     Attributes
     ----------
-    units : tuple of Unit
-    judgement : FleetJudgement
+    units : tuple of FleetUnit
+    outliers : FleetOutliers
         One row per unit; NaN for those that are not sound.
     """
 
-    units: tuple[Unit, ...]
-    judgement: FleetJudgement
+    units: tuple[FleetUnit, ...]
+    outliers: FleetOutliers
 
     def flagged(self, number: int) -> tuple[int, ...]:
         """Places of the outlying parameters of a unit, the farthest off first."""
-        size = np.abs(self.judgement.z[number])
-        found = np.flatnonzero(self.judgement.flagged[number])
+        size = np.abs(self.outliers.z[number])
+        found = np.flatnonzero(self.outliers.flagged[number])
         return tuple(found[np.argsort(-size[found], kind="stable")].tolist())
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Rows of the tidy table, :data:`COLUMNS`; None stands for what is not known."""
-        judged, flagged = self.judgement, self.judgement.flagged
+        judged, flagged = self.outliers, self.outliers.flagged
         for number, unit in enumerate(self.units):
             about = {
                 "unit": unit.name,
@@ -146,7 +146,7 @@ class Fleet:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON form: units, parameters, and the tidy table; no NaN in it."""
-        judged = self.judgement
+        judged = self.outliers
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -197,7 +197,7 @@ def calibrate_fleet(
     options: Options | None = None,
     engine: Engine | None = None,
     force: bool = False,
-    finished: Callable[[Unit], None] | None = None,
+    finished: Callable[[FleetUnit], None] | None = None,
 ) -> Fleet:
     """Calibrate many units and judge each against all the others.
 
@@ -239,7 +239,7 @@ def calibrate_fleet(
     tasks = [
         UnitTask(n, name, str(path), estimator, chosen, force) for n, (name, path) in enumerate(recordings.items())
     ]
-    done: dict[int, Unit] = {}
+    done: dict[int, FleetUnit] = {}
     for number, unit in _run(tasks, engine):
         done[number] = unit
         if finished is not None:
@@ -247,21 +247,21 @@ def calibrate_fleet(
     return assemble_fleet([done[n] for n in range(len(tasks))])
 
 
-def assemble_fleet(units: Sequence[Unit]) -> Fleet:
+def assemble_fleet(units: Sequence[FleetUnit]) -> Fleet:
     """Judge units that are calibrated already."""
     values, sigmas = (np.full((len(units), N_PARAMETERS), np.nan) for _ in range(2))
     for number, unit in enumerate(units):
         if unit.calibration is not None and unit.sound:
             values[number], sigmas[number] = unit.calibration.errors.vector, unit.calibration.sigma
-    return Fleet(tuple(units), judge_fleet(values, sigmas))
+    return Fleet(tuple(units), find_outliers(values, sigmas))
 
 
-def calibrate_unit(task: UnitTask) -> tuple[int, Unit]:
+def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
     """Calibrate one unit; what goes wrong, and be it a defect of the program, becomes its message."""
     from srt.procedure import calibrate
     from srt.recording.folder import load_recording
 
-    unit = partial(Unit, task.name, task.recording)
+    unit = partial(FleetUnit, task.name, task.recording)
     serial = None
     try:
         recording = load_recording(Path(task.recording))
@@ -282,7 +282,7 @@ def calibrate_unit(task: UnitTask) -> tuple[int, Unit]:
     return task.number, unit(serial, result.status, result.message, code, result)
 
 
-def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int, Unit]]:
+def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int, FleetUnit]]:
     """Run all tasks; what a dying worker left undone is run again, one by one, so that one unit harms no other."""
     if engine is None:
         yield from map(calibrate_unit, tasks)
@@ -298,7 +298,7 @@ def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int
         try:
             yield next(iter(engine.run(calibrate_unit, [task])))
         except DataError as error:
-            yield number, Unit(task.name, task.recording, None, FAILED, str(error), error.exit_code)
+            yield number, FleetUnit(task.name, task.recording, None, FAILED, str(error), error.exit_code)
 
 
 def _number(value: float) -> float | None:

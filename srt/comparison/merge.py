@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.special import chdtrc
 
-from srt.comparison.merge_model import GROUP_OF, Stack, between_sigma, estimate, stack_of
+from srt.comparison.merge_model import GROUP_OF, StackedEstimates, between_sigma, estimate, stack_estimates
 from srt.comparison.repeatability import repeatability
 from srt.estimation.g_sensitivity import KEY
 from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
@@ -69,12 +69,14 @@ def merge_calibrations(
             + "."
         )
     members = list(used.values())
-    stack = stack_of(members)
+    stack = stack_estimates(members)
     sizes = between_sigma(stack) if between and len(members) > 1 else np.zeros(len(GROUP_SLICES))
     return _merged(used, left_out, stack, sizes)
 
 
-def _merged(used: Mapping[str, Calibration], left_out: Mapping[str, str], stack: Stack, sizes: Array) -> Calibration:
+def _merged(
+    used: Mapping[str, Calibration], left_out: Mapping[str, str], stack: StackedEstimates, sizes: Array
+) -> Calibration:
     members, titles = list(used.values()), list(used)
     seen = np.flatnonzero(stack.design.any(axis=0))
     X = stack.design[:, seen]
@@ -115,7 +117,7 @@ def _merged(used: Mapping[str, Calibration], left_out: Mapping[str, str], stack:
             "repeatability": repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, chance))
         },
         verdict=verdict(
-            _evidence(stack, within, within + scatter, titles, vector),
+            _recording_diagnostics(stack, within, within + scatter, titles, vector),
             covariance,
             observed,
             statistic,
@@ -125,8 +127,8 @@ def _merged(used: Mapping[str, Calibration], left_out: Mapping[str, str], stack:
     )
 
 
-def _evidence(
-    stack: Stack, within: Array, total: Array, titles: Sequence[str], estimate_: Array
+def _recording_diagnostics(
+    stack: StackedEstimates, within: Array, total: Array, titles: Sequence[str], estimate_: Array
 ) -> tuple[SequenceDiagnostics, ...]:
     """Every recording against the others by the sigmas within, and the merged values without it by their weights."""
     if len(titles) < 2:

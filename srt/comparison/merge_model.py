@@ -39,7 +39,7 @@ _LEAST_VARIANCE: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stack:
+class StackedEstimates:
     """All observed parameters of all recordings, one below the other, n rows in all.
 
     Attributes
@@ -78,8 +78,8 @@ class Stack:
         return np.diag((GROUP_OF[self.parameter] == group).astype(np.float64))
 
 
-def stack_of(calibrations: Sequence[Calibration]) -> Stack:
-    """Stack the observed parameters of calibrations, with the covariance of all of them.
+def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
+    """StackedEstimates the observed parameters of calibrations, with the covariance of all of them.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def stack_of(calibrations: Sequence[Calibration]) -> Stack:
         if stacked.any():
             common[source] = stacked @ stacked.T
             own = [P - root @ root.T for P, root in zip(own, roots, strict=True)]
-    return Stack(
+    return StackedEstimates(
         np.concatenate([c.errors.vector[at] for c, at in zip(calibrations, observed, strict=True)]),
         np.concatenate(observed),
         np.repeat(np.arange(len(calibrations)), [len(at) for at in observed]),
@@ -141,7 +141,7 @@ def _sizes(calibration: Calibration, source: str) -> Array:
     return np.asarray(calibration.contributions.get(source, np.zeros(N_PARAMETERS)), dtype=np.float64)
 
 
-def between_sigma(stack: Stack) -> Array:
+def between_sigma(stack: StackedEstimates) -> Array:
     """One sigma of the differences between recordings, by group, shape (8,), SI."""
     R, X = stack.covariance, stack.design
     X = X[:, X.any(axis=0)]

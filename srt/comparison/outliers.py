@@ -19,9 +19,9 @@ at most 1 %, however the parameters hang together (Bonferroni). It is the soluti
 T the chance that the z of one sound unit exceeds c in size where all σ are equal, :func:`tail_probability`: a σ that
 all share is then as good as spread between the units, and T does not depend on it. Unequal σ are the same with
 ``s² + σ_0²`` for s², and the rest, ``σ_i² − σ_0²``, for σ_i²: errors beyond the common ones widen S for all, and the
-own ones stand in the denominator in full. That flags less than stated, never more; ``tests/comparison/test_fleet.py`` holds it to
-that. (Taking each pair's σ off its difference instead estimates s itself, but among unequal σ a few chance agreements
-then make it vanish: that flagged sound units in most fleets.)
+own ones stand in the denominator in full. That flags less than stated, never more (tests/comparison/test_fleet.py).
+Subtracting the σ of each pair from its difference would estimate s itself, but with unequal σ a few chance agreements
+make that estimate vanish: it flagged sound units in most fleets.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _CHUNK: Final = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FleetJudgement:
+class FleetOutliers:
     """All units against their fleet. NaN stands for what is not known or not judged.
 
     Attributes
@@ -92,7 +92,7 @@ class FleetJudgement:
         return out
 
 
-def judge_fleet(values: ArrayLike, sigmas: ArrayLike) -> FleetJudgement:
+def find_outliers(values: ArrayLike, sigmas: ArrayLike) -> FleetOutliers:
     """Judge every unit by all the others, parameter by parameter.
 
     Parameters
@@ -103,7 +103,7 @@ def judge_fleet(values: ArrayLike, sigmas: ArrayLike) -> FleetJudgement:
 
     Returns
     -------
-    FleetJudgement
+    FleetOutliers
         With p in place of 27 (the limits are those of a table of 27).
 
     Raises
@@ -139,7 +139,7 @@ def judge_fleet(values: ArrayLike, sigmas: ArrayLike) -> FleetJudgement:
             z = (y[at] - m) / np.sqrt(S**2 * _with_median(len(rows)) + sigma[at] ** 2 - least**2)
             for whole, found in zip(others, (m, S, z), strict=True):
                 whole[at] = found
-    return FleetJudgement(median, scatter, limit, *others)
+    return FleetOutliers(median, scatter, limit, *others)
 
 
 def middle_and_scatter(y: Array) -> tuple[Array, Array]:

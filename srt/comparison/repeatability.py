@@ -13,13 +13,13 @@ from srt.sensor_errors import GROUP_SLICES, NAMES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from srt.comparison.merge_model import Stack
+    from srt.comparison.merge_model import StackedEstimates
     from srt.result.calibration import Calibration
     from srt.types import Array, Indices
 
 
 def repeatability(
-    stack: Stack,
+    stack: StackedEstimates,
     used: Mapping[str, Calibration],
     left_out: Mapping[str, str],
     merged: Array,
@@ -30,7 +30,7 @@ def repeatability(
 
     Parameters
     ----------
-    stack : Stack
+    stack : StackedEstimates
     used : mapping of str to Calibration
     left_out : mapping of str to str
         Status of the recordings that were not used.
@@ -74,7 +74,7 @@ def _recording(title: str, calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _group(stack: Stack, name: str, size: float) -> dict[str, Any]:
+def _group(stack: StackedEstimates, name: str, size: float) -> dict[str, Any]:
     rows = np.flatnonzero(np.isin(stack.parameter, np.arange(len(NAMES))[GROUP_SLICES[name]]))
     statistic, freedom = _agreement(stack, rows)[:2]
     return {
@@ -86,7 +86,7 @@ def _group(stack: Stack, name: str, size: float) -> dict[str, Any]:
     }
 
 
-def _parameter(stack: Stack, titles: list[str], i: int, merged: float) -> dict[str, Any]:
+def _parameter(stack: StackedEstimates, titles: list[str], i: int, merged: float) -> dict[str, Any]:
     rows = np.flatnonzero(stack.parameter == i)
     values = dict(zip(stack.recording[rows].tolist(), stack.y[rows].tolist(), strict=True))
     sigma = np.sqrt(np.diag(stack.covariance)[rows])
@@ -111,7 +111,7 @@ def _parameter(stack: Stack, titles: list[str], i: int, merged: float) -> dict[s
     }
 
 
-def _agreement(stack: Stack, rows: Indices) -> tuple[float, int, Array, Array]:
+def _agreement(stack: StackedEstimates, rows: Indices) -> tuple[float, int, Array, Array]:
     """Chi-square of some rows about their weighted means, degrees of freedom, means, deviations over their sigma."""
     if not len(rows):
         return 0.0, 0, np.zeros(0), np.zeros(0)

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.exporters.format import (
+from srt.exporters.export_model import comment
+from srt.exporters.file_format import (
     Exporter,
     field,
     from_json,
@@ -30,13 +31,12 @@ from srt.exporters.format import (
     to_yaml,
     triangular,
 )
-from srt.exporters.linear import lower_rotation
+from srt.exporters.linear_model import lower_rotation
 from srt.exporters.noise_fields import DEFAULT_TOPIC, OPTIONS, named
-from srt.exporters.source import comment
 
 if TYPE_CHECKING:
-    from srt.exporters.format import Fields, Texts
-    from srt.exporters.source import Source
+    from srt.exporters.export_model import ExportModel
+    from srt.exporters.file_format import Fields, Texts
     from srt.types import Array
 
 
@@ -51,28 +51,28 @@ NOISE_NAMES: Final = {
 }
 
 
-def chain_fields(source: Source) -> dict[str, object]:
+def chain_fields(model: ExportModel) -> dict[str, object]:
     """Give the entries of ``imu0`` that Kalibr and OpenVINS share."""
     return {
         "T_i_b": np.eye(4).tolist(),
-        **named(source, NOISE_NAMES),
-        "rostopic": source.settings.topic or DEFAULT_TOPIC,
+        **named(model, NOISE_NAMES),
+        "rostopic": model.settings.topic or DEFAULT_TOPIC,
         "time_offset": 0.0,
     }
 
 
-def _write_kalibr(source: Source) -> dict[str, str]:
-    M_g, C_gyro_i = lower_rotation(source.gyro.matrix)
+def _write_kalibr(model: ExportModel) -> dict[str, str]:
+    M_g, C_gyro_i = lower_rotation(model.gyro.matrix)
     document = {
         "imu0": {
-            **chain_fields(source),
+            **chain_fields(model),
             "model": _KALIBR_MODEL,
             # Lower-triangular but for rounding, as the axes were chosen so.
-            "accelerometers": {"M": np.tril(source.accel.matrix).tolist()},
+            "accelerometers": {"M": np.tril(model.accel.matrix).tolist()},
             "gyroscopes": {"M": M_g.tolist(), "A": np.zeros((3, 3)).tolist(), "C_gyro_i": C_gyro_i.tolist()},
         }
     }
-    return {"": to_yaml(document, comment(source.heading(KALIBR)))}
+    return {"": to_yaml(document, comment(model.heading(KALIBR)))}
 
 
 def _read_kalibr(texts: Texts) -> Fields:
@@ -119,14 +119,14 @@ KALIBR: Final = Exporter(
 _SENSORS: Final = ("gyro", "accel")
 
 
-def _write_pyins(source: Source) -> dict[str, str]:
+def _write_pyins(model: ExportModel) -> dict[str, str]:
     return {
         "": to_json(
             {
-                "comment": source.heading(PYINS),
+                "comment": model.heading(PYINS),
                 **{
                     name: {"transform": linear.matrix.tolist(), "bias": linear.bias.tolist()}
-                    for name, linear in zip(_SENSORS, (source.gyro, source.accel), strict=True)
+                    for name, linear in zip(_SENSORS, (model.gyro, model.accel), strict=True)
                 },
             }
         )

@@ -21,7 +21,8 @@ import numpy as np
 
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.exporters.format import (
+from srt.exporters.export_model import comment
+from srt.exporters.file_format import (
     Exporter,
     field,
     from_json,
@@ -36,25 +37,24 @@ from srt.exporters.format import (
     whole_lines,
 )
 from srt.exporters.forward_models import chain_fields
-from srt.exporters.linear import lower_rotation
+from srt.exporters.linear_model import lower_rotation
 from srt.exporters.noise_fields import OPTIONS, named
-from srt.exporters.source import comment
 
 if TYPE_CHECKING:
-    from srt.exporters.format import Fields, Texts
-    from srt.exporters.source import Source
+    from srt.exporters.export_model import ExportModel
+    from srt.exporters.file_format import Fields, Texts
     from srt.types import Array
 
 
 _TRIANGLES: Final = {"kalibr": "lower", "calibrated": "lower", "rpng": "upper"}
 
 
-def _write_openvins(source: Source) -> dict[str, str]:
-    Tw, to_gyro = lower_rotation(source.gyro.matrix)
-    Ta, to_accel = lower_rotation(source.accel.matrix)
+def _write_openvins(model: ExportModel) -> dict[str, str]:
+    Tw, to_gyro = lower_rotation(model.gyro.matrix)
+    Ta, to_accel = lower_rotation(model.accel.matrix)
     document = {
         "imu0": {
-            **chain_fields(source),
+            **chain_fields(model),
             "model": "kalibr",
             "Tw": Tw.tolist(),
             "R_IMUtoGYRO": to_gyro.tolist(),
@@ -63,7 +63,7 @@ def _write_openvins(source: Source) -> dict[str, str]:
             "Tg": np.zeros((3, 3)).tolist(),
         }
     }
-    return {"": to_yaml(document, "%YAML:1.0\n" + comment(source.heading(OPENVINS)))}
+    return {"": to_yaml(document, "%YAML:1.0\n" + comment(model.heading(OPENVINS)))}
 
 
 def _read_openvins(texts: Texts) -> Fields:
@@ -114,12 +114,12 @@ _IMUCAL_SHAPES: Final = {
 }  # fmt: skip
 
 
-def _write_imucal(source: Source) -> dict[str, str]:
+def _write_imucal(model: ExportModel) -> dict[str, str]:
     document: dict[str, object] = {
         **_IMUCAL_UNITS,
-        "comment": "\n".join(source.heading(IMUCAL)),
+        "comment": "\n".join(model.heading(IMUCAL)),
     }
-    for letter, linear, unit in (("a", source.accel, 1.0), ("g", source.gyro, DEG)):
+    for letter, linear, unit in (("a", model.accel, 1.0), ("g", model.gyro, DEG)):
         size = np.linalg.norm(linear.matrix, axis=1)
         document[f"K_{letter}"] = np.diag(size).tolist()
         document[f"R_{letter}"] = (linear.matrix / size[:, None]).tolist()
@@ -167,10 +167,10 @@ IMUCAL: Final = Exporter(
 _IMU_TK_PARTS: Final = {"_acc": "acc", "_gyro": "gyr"}
 
 
-def _write_imu_tk(source: Source) -> dict[str, str]:
+def _write_imu_tk(model: ExportModel) -> dict[str, str]:
     # The inverse of an upper triangle is one; what stands below the diagonal is rounding.
-    corrections = {"_acc": np.triu(source.accel.inverse), "_gyro": source.gyro.inverse}
-    biases = {"_acc": source.accel.bias, "_gyro": source.gyro.bias}
+    corrections = {"_acc": np.triu(model.accel.inverse), "_gyro": model.gyro.inverse}
+    biases = {"_acc": model.accel.bias, "_gyro": model.gyro.bias}
     out = {}
     for part, matrix in corrections.items():
         scale = np.diag(matrix)
@@ -230,15 +230,15 @@ _BASALT_NOISE: Final = {
 }
 
 
-def _write_basalt(source: Source) -> dict[str, str]:
-    S_a, S_g = source.accel.inverse - np.eye(3), source.gyro.inverse - np.eye(3)
-    noise = named(source, _BASALT_NOISE)
+def _write_basalt(model: ExportModel) -> dict[str, str]:
+    S_a, S_g = model.accel.inverse - np.eye(3), model.gyro.inverse - np.eye(3)
+    noise = named(model, _BASALT_NOISE)
     document = {
-        "calib_accel_bias": [*(source.accel.inverse @ source.accel.bias).tolist(), *S_a[_LOWER_BY_COLUMNS].tolist()],
-        "calib_gyro_bias": [*(source.gyro.inverse @ source.gyro.bias).tolist(), *S_g.T.ravel().tolist()],
+        "calib_accel_bias": [*(model.accel.inverse @ model.accel.bias).tolist(), *S_a[_LOWER_BY_COLUMNS].tolist()],
+        "calib_gyro_bias": [*(model.gyro.inverse @ model.gyro.bias).tolist(), *S_g.T.ravel().tolist()],
         **{name: value if name == "imu_update_rate" else [value] * 3 for name, value in noise.items()},
     }
-    heading = source.heading(BASALT)
+    heading = model.heading(BASALT)
     return {"": to_json({"comment": heading, "value0": document})}
 
 

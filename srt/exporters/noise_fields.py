@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from srt.exporters.source import Source
+    from srt.exporters.export_model import ExportModel
 
 OPTIONS: Final = frozenset({"topic", "rate_hz", "gyro_random_walk", "accel_random_walk"})
 DEFAULT_TOPIC: Final = "/imu0"
 
 
-def known_figures(source: Source) -> dict[str, float]:
+def known_figures(model: ExportModel) -> dict[str, float]:
     """Collect what is known, each one number for all axes.
 
     Parameters
     ----------
-    source : Source
+    model : ExportModel
 
     Returns
     -------
@@ -27,25 +27,25 @@ def known_figures(source: Source) -> dict[str, float]:
     """
     found: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
-        white = source.white_noise(sensor)
+        white = model.white_noise(sensor)
         if white is not None:
             found[f"{sensor}_noise"] = float(white.max())
     for name in ("gyro_random_walk", "accel_random_walk", "rate_hz"):
-        value = getattr(source.settings, name)
+        value = getattr(model.settings, name)
         if value is not None:
             found[name] = float(value)
     return found
 
 
-def named(source: Source, names: dict[str, str]) -> dict[str, Any]:
+def named(model: ExportModel, names: dict[str, str]) -> dict[str, Any]:
     """Give the known figures under the names that a format has for them."""
-    figures = known_figures(source)
+    figures = known_figures(model)
     return {name: figures[key] for key, name in names.items() if key in figures}
 
 
-def unknown(source: Source) -> tuple[str, ...]:
+def unknown(model: ExportModel) -> tuple[str, ...]:
     """Name what such a format asks for and nobody stated."""
-    figures = known_figures(source)
+    figures = known_figures(model)
     words = {
         "gyro_noise": "gyro noise",
         "accel_noise": "accelerometer noise",

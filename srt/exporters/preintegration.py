@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.exporters.format import Exporter, field, from_json, to_json
+from srt.exporters.file_format import Exporter, field, from_json, to_json
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
-    from srt.exporters.format import Fields, Texts
-    from srt.exporters.source import Source
+    from srt.exporters.export_model import ExportModel
+    from srt.exporters.file_format import Fields, Texts
     from srt.result.calibration import Calibration
     from srt.types import Array
 
@@ -169,13 +169,13 @@ def preintegration_figures(
     return figures
 
 
-def _write(source: Source) -> dict[str, str]:
-    settings = source.settings
+def _write(model: ExportModel) -> dict[str, str]:
+    settings = model.settings
     walks = (settings.gyro_random_walk, settings.accel_random_walk)
-    figures = preintegration_figures(source.calibration, "raw", random_walks=walks)
+    figures = preintegration_figures(model.calibration, "raw", random_walks=walks)
     # A fit of the asymmetry moves the biases.
-    figures["bias_accel"], figures["bias_gyro"] = source.accel.bias, source.gyro.bias
-    heading = source.heading(GTSAM)
+    figures["bias_accel"], figures["bias_gyro"] = model.accel.bias, model.gyro.bias
+    heading = model.heading(GTSAM)
     return {"": to_json({"comment": heading, **{name: value.tolist() for name, value in figures.items()}})}
 
 

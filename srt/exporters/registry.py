@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Final
 from srt.exceptions import InputError, did_you_mean
 from srt.exporters.forward_models import KALIBR, PYINS
 from srt.exporters.inverse_models import BASALT, IMU_TK, IMUCAL, OPENVINS
-from srt.exporters.parameters import ARDUPILOT, PX4, ROS2, VECTORNAV
+from srt.exporters.parameter_files import ARDUPILOT, PX4, ROS2, VECTORNAV
 from srt.exporters.preintegration import GTSAM
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from srt.exporters.format import Exporter
+    from srt.exporters.file_format import Exporter
 
 _ALL: Final = (KALIBR, OPENVINS, BASALT, IMUCAL, IMU_TK, PYINS, VECTORNAV, PX4, ARDUPILOT, ROS2, GTSAM)
 _BY_NAME: Final = {item.name: item for item in _ALL}

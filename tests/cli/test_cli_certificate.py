@@ -10,7 +10,7 @@ import sys
 import pytest
 
 import srt
-import srt.reports.certificate.page
+import srt.reports.certificate.html_page
 import srt.reports.certificate.pdf
 from srt.cli import main
 
@@ -38,7 +38,7 @@ def lab(tmp_path_factory):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Leave out what takes long: the pictures, and the PDF with its fonts."""
-    monkeypatch.setattr(srt.reports.certificate.page, "pictures", lambda certificate: ())
+    monkeypatch.setattr(srt.reports.certificate.html_page, "certificate_figures", lambda certificate: ())
     monkeypatch.setattr(srt.reports.certificate.pdf, "write_pdf", lambda certificate, path: path.write_bytes(b"%PDF"))
 
 
@@ -165,7 +165,7 @@ def test_nothing_is_left_of_a_certificate_that_fails(lab, tmp_path, monkeypatch,
         path.write_bytes(b"%PDF half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(srt.reports.certificate.page, "pictures", lambda certificate: ())
+    monkeypatch.setattr(srt.reports.certificate.html_page, "certificate_figures", lambda certificate: ())
     monkeypatch.setattr(srt.reports.certificate.pdf, "write_pdf", fail)
     assert main(["certificate", str(lab / "new.json"), "-o", str(tmp_path / "x.html")]) == 2
     assert "No space left" in one_sentence(capfd.readouterr().err)

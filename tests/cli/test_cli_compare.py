@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import srt
-import srt.comparison.estimators
+import srt.comparison.estimator_comparison
 import srt.estimation.registry
 from srt.cli import main
 from srt.cli.calibrate import calibrate
@@ -63,7 +63,7 @@ def results(monkeypatch):
                 raise srt.MissingExtraError("some-package", "all", f"The estimator {name!r}")
             return estimate
 
-        for module in (srt.estimation.registry, srt.comparison.estimators):
+        for module in (srt.estimation.registry, srt.comparison.estimator_comparison):
             monkeypatch.setattr(module, "find_estimator", find)
 
     return install
@@ -85,7 +85,7 @@ def one_sentence(err):
 def test_table_holds_estimates_and_differences_as_the_library_finds_them(recording, calibrations, capfd):
     assert main(["compare", str(recording), *BOTH]) == 0
     out, err = capfd.readouterr()
-    expected = srt.comparison.estimators.compare(calibrations).pairs["closed-form"]
+    expected = srt.comparison.estimator_comparison.compare(calibrations).differences["closed-form"]
     rows = rows_of(out)
     assert list(rows) == list(reversed(NAMES))
     for name, (_, _, *estimates, normalised) in rows.items():

@@ -15,9 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.stats import binom, chi2, norm
 
 import srt
-import srt.comparison.estimators
-from srt.comparison.estimators import compare, default_estimators, run_estimators
-from srt.comparison.pairs import FALSE_ALARM, LEAST_SPREAD
+import srt.comparison.estimator_comparison
+from srt.comparison.estimate_difference import EXPECTED_SIGMA_FLOOR, FALSE_ALARM
+from srt.comparison.estimator_comparison import compare, default_estimators, run_estimators
 from srt.reports.figures.comparison import comparison_figure
 from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
@@ -83,7 +83,7 @@ def shifted(result, name, amount):
 
 def test_normalised_differences_are_standard_normal_and_false_alarms_as_stated(model):
     comparisons = [compare(model.draw()) for _ in range(DRAWS)]
-    pairs = [c.pairs["closed-form"] for c in comparisons]
+    pairs = [c.differences["closed-form"] for c in comparisons]
     assert {c.reference for c in comparisons} == {"least-squares"}
     normalised = np.array([p.normalised for p in pairs])
     # Sums of squares of 27 parameters, each within a band that all keep with probability 0.9997.
@@ -108,11 +108,11 @@ def test_normalised_differences_are_standard_normal_and_false_alarms_as_stated(m
 def test_exchanged_roles_raise_no_false_alarm_and_are_noted(model):
     comparisons = [compare(model.draw(), reference="closed-form") for _ in range(300)]
     assert sum(not c.agree for c in comparisons) <= binom.isf(1e-3, 300, FALSE_ALARM)
-    assert comparisons[0].pairs["least-squares"].smaller_sigma == NAMES
+    assert comparisons[0].differences["least-squares"].smaller_sigma == NAMES
     assert "closed-form is not the efficient one" in comparisons[0].notes[0]
     np.testing.assert_array_equal(
-        comparisons[0].pairs["least-squares"].spread,
-        compare(comparisons[0].calibrations).pairs["closed-form"].spread,
+        comparisons[0].differences["least-squares"].expected_sigma,
+        compare(comparisons[0].calibrations).differences["closed-form"].expected_sigma,
     )
 
 
@@ -126,12 +126,12 @@ def test_the_reference_needs_to_be_clearly_less_efficient_for_a_note(pair):
 @pytest.mark.parametrize("name", ["gyro_scale_x", "accel_scale_z", "gyro_bias_y"])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_planted_difference_is_found_and_named(pair, name, sign):
-    before = compare(pair).pairs["closed-form"]
+    before = compare(pair).differences["closed-form"]
     assert before.agrees
     # Six spreads from where the two agree exactly.
-    wanted = sign * 6.0 * before.spread[INDEX[name]] - before.difference[INDEX[name]]
+    wanted = sign * 6.0 * before.expected_sigma[INDEX[name]] - before.difference[INDEX[name]]
     comparison = compare(pair | {"closed-form": shifted(pair["closed-form"], name, wanted)})
-    after = comparison.pairs["closed-form"]
+    after = comparison.differences["closed-form"]
     assert after.normalised[INDEX[name]] == pytest.approx(sign * 6.0)
     assert [NAMES[i] for i in np.flatnonzero(after.differing)] == [name]
     assert not comparison.agree
@@ -146,11 +146,11 @@ def test_a_difference_of_all_together_is_found_though_none_alone_is_large(pair):
     delta = 9.0 * np.sqrt(eigenvalues[0]) * vectors[:, 0] * scale
     values = pair["least-squares"].errors.plus(delta)
     comparison = compare(pair | {"closed-form": replace(pair["closed-form"], errors=values)})
-    assert comparison.pairs["closed-form"].chi_square == pytest.approx(81.0)
-    assert not comparison.pairs["closed-form"].differing.any()
+    assert comparison.differences["closed-form"].chi_square == pytest.approx(81.0)
+    assert not comparison.differences["closed-form"].differing.any()
     assert not comparison.agree
     assert "in all parameters together, though in none alone" in comparison.verdict
-    assert comparison.pairs["closed-form"].p_value == pytest.approx(chi2.sf(81.0, 27))
+    assert comparison.differences["closed-form"].p_value == pytest.approx(chi2.sf(81.0, 27))
 
 
 def test_efficient_twins_may_differ_by_a_few_twentieths_of_sigma(pair):
@@ -160,27 +160,27 @@ def test_efficient_twins_may_differ_by_a_few_twentieths_of_sigma(pair):
         comparison = compare({"least-squares": best, "graph": shifted(best, "accel_bias_x", share * sigma)})
         assert comparison.reference == "graph"
         assert comparison.agree is agree
-        normalised = comparison.pairs["least-squares"].normalised[INDEX["accel_bias_x"]]
-        assert normalised == pytest.approx(-share / LEAST_SPREAD)
+        normalised = comparison.differences["least-squares"].normalised[INDEX["accel_bias_x"]]
+        assert normalised == pytest.approx(-share / EXPECTED_SIGMA_FLOOR)
 
 
 def test_the_limit_is_for_all_parameters_of_all_pairs(pair):
     four = pair | {"ekf": pair["least-squares"], "graph": hold(pair["least-squares"], "gyro_bias_x")}
     comparison = compare(four)
-    limit = comparison.pairs["closed-form"].limit
-    assert {p.limit for p in comparison.pairs.values()} == {limit}
+    limit = comparison.differences["closed-form"].limit
+    assert {p.limit for p in comparison.differences.values()} == {limit}
     assert (2.0 * norm.cdf(limit) - 1.0) ** (3 * 26) == pytest.approx(1.0 - 0.5 * FALSE_ALARM, rel=1e-12)
-    assert {p.least_p_value for p in comparison.pairs.values()} == {0.5 * FALSE_ALARM / 3}
+    assert {p.least_p_value for p in comparison.differences.values()} == {0.5 * FALSE_ALARM / 3}
 
 
 def test_agreement_is_a_sentence(pair):
     comparison = compare(pair | {"ekf": pair["least-squares"]})
-    worst = max(abs(comparison.pairs["closed-form"].normalised))
+    worst = max(abs(comparison.differences["closed-form"].normalised))
     assert comparison.verdict.startswith("ekf, closed-form and least-squares agree: largest difference ")
-    assert f"{worst:.1f} expected spreads ({NAMES[comparison.pairs['closed-form'].largest]} of closed-form; " in (
+    assert f"{worst:.1f} expected spreads ({NAMES[comparison.differences['closed-form'].largest]} of closed-form; " in (
         comparison.verdict
     )
-    assert comparison.pairs["closed-form"].efficiency == pytest.approx(
+    assert comparison.differences["closed-form"].efficiency == pytest.approx(
         np.sqrt(np.mean((pair["closed-form"].sigma / pair["least-squares"].sigma) ** 2))
     )
 
@@ -195,7 +195,7 @@ def test_order_of_references():
 
 def test_held_parameters_are_not_compared_but_named(pair):
     comparison = compare({"closed-form": hold(pair["closed-form"], "gyro_scale_x"), "graph": pair["least-squares"]})
-    one = comparison.pairs["closed-form"]
+    one = comparison.differences["closed-form"]
     assert int(one.compared.sum()) == 26
     assert np.isnan(one.difference[0])
     assert np.isnan(one.normalised[0])
@@ -203,7 +203,7 @@ def test_held_parameters_are_not_compared_but_named(pair):
     both = {name: hold(result, "gyro_scale_x") for name, result in pair.items()}
     assert compare(both).notes == ()
     # What is compared is judged as if there were no more: the marginal difference.
-    everything = compare(pair).pairs["closed-form"]
+    everything = compare(pair).differences["closed-form"]
     np.testing.assert_allclose(one.normalised[1:], everything.normalised[1:])
 
 
@@ -217,14 +217,14 @@ def test_nothing_in_common_is_no_agreement(pair):
 
 def test_a_sigma_of_zero_is_not_compared(pair):
     exact = replace(pair["least-squares"], covariance=np.zeros((27, 27)))
-    assert not compare({"closed-form": pair["closed-form"], "graph": exact}).pairs["closed-form"].compared.any()
+    assert not compare({"closed-form": pair["closed-form"], "graph": exact}).differences["closed-form"].compared.any()
 
 
 def test_what_did_not_converge_is_shown_but_not_compared(pair):
-    lost = replace(pair["least-squares"], status="not_converged", message="Not converged after 3 play-backs.")
+    lost = replace(pair["least-squares"], status="not_converged", message="Not converged after 3 iterations.")
     comparison = compare(pair | {"graph": lost}, reference="graph")
     assert comparison.reference == "least-squares"
-    assert set(comparison.pairs) == {"closed-form"}
+    assert set(comparison.differences) == {"closed-form"}
     assert comparison.agree
     assert not comparison.complete
     assert "The reference asked for, graph, gave no usable result; it is least-squares instead." in comparison.notes
@@ -267,10 +267,10 @@ def test_json_is_finite_and_holds_what_was_found(pair, tmp_path):
     assert (first["observed"], first["status"], first["playbacks"]) == (26, "partial", 1)
     assert second["comparison"] is None
     i = INDEX["accel_bias_z"]
-    one = comparison.pairs["closed-form"]
-    for key in ("difference", "spread", "normalised"):
+    one = comparison.differences["closed-form"]
+    for key, name in (("difference", "difference"), ("spread", "expected_sigma"), ("normalised", "normalised")):
         assert first["comparison"][key][i] is None
-        assert first["comparison"][key][0] == getattr(one, key)[0]
+        assert first["comparison"][key][0] == getattr(one, name)[0]
     assert first["sigma"][i] is None
     assert first["error_over_sigma"][0] == pair["closed-form"].errors.vector[0] / pair["closed-form"].sigma[0]
     assert document["failed"][0]["name"] == "ekf"
@@ -280,7 +280,7 @@ def test_json_is_finite_and_holds_what_was_found(pair, tmp_path):
 @pytest.fixture
 def registry(monkeypatch, pair):
     """Let the estimators be what a test says, and recordings be labelled."""
-    monkeypatch.setattr(srt.comparison.estimators, "label_sequences", lambda recording: (recording, None))
+    monkeypatch.setattr(srt.comparison.estimator_comparison, "label_sequences", lambda recording: (recording, None))
 
     def fails(recording, options, progress=None):
         raise srt.DataError("It cannot be.")
@@ -295,7 +295,7 @@ def registry(monkeypatch, pair):
             raise srt.MissingExtraError("absent", "all", "The estimator 'absent'")
         return fails if name == "ekf" else answers
 
-    monkeypatch.setattr(srt.comparison.estimators, "find_estimator", find)
+    monkeypatch.setattr(srt.comparison.estimator_comparison, "find_estimator", find)
 
 
 def test_estimators_run_in_order_and_one_that_fails_stops_none(registry, pair):
@@ -317,9 +317,11 @@ def test_an_estimator_that_is_not_installed_is_refused_first(registry):
 
 
 def test_default_estimators_are_those_that_fit(monkeypatch, registry):
-    monkeypatch.setattr(srt.comparison.estimators, "ESTIMATORS", ("closed-form", "absent", "graph"))
+    monkeypatch.setattr(srt.comparison.estimator_comparison, "ESTIMATORS", ("closed-form", "absent", "graph"))
     for automatic, left in (("closed-form", {"absent"}), ("least-squares", {"closed-form", "absent"})):
-        monkeypatch.setattr(srt.comparison.estimators, "automatic_estimator", lambda recording, name=automatic: name)
+        monkeypatch.setattr(
+            srt.comparison.estimator_comparison, "automatic_estimator", lambda recording, name=automatic: name
+        )
         names, left_out = default_estimators(None)
         assert set(left_out) == left
         assert "pip install" in left_out["absent"]
@@ -370,10 +372,10 @@ def test_marks_of_the_figure_are_the_differences_in_sigmas_of_the_reference(pair
     figure = comparison_figure(comparison)
     differences, ratios = figure.axes
     drawn = differences.containers[-1].lines[0].get_ydata()
-    one = comparison.pairs["closed-form"]
+    one = comparison.differences["closed-form"]
     np.testing.assert_allclose(drawn, one.difference / pair["least-squares"].sigma)
     bands = [patch.get_height() for patch in differences.patches]
-    np.testing.assert_allclose(bands, 2.0 * one.spread / pair["least-squares"].sigma)
+    np.testing.assert_allclose(bands, 2.0 * one.expected_sigma / pair["least-squares"].sigma)
     np.testing.assert_allclose(ratios.lines[-1].get_ydata(), one.sigma_ratio)
 
 

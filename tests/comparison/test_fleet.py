@@ -18,7 +18,7 @@ from srt.comparison.outliers import (
     FALSE_ALARMS,
     MINIMUM_UNITS,
     critical_value,
-    judge_fleet,
+    find_outliers,
     middle_and_scatter,
     tail_probability,
 )
@@ -33,7 +33,7 @@ def flags_of_fleets(rng, units, fleets, *, spread=1.0, sigma=None):
     shape = (units, fleets * N_PARAMETERS)
     own = np.full(shape, NO_SIGMA) if sigma is None else sigma(shape)
     y = spread * rng.standard_normal(shape) + own * rng.standard_normal(shape)
-    return judge_fleet(y, own).flagged.sum(axis=0).reshape(fleets, N_PARAMETERS).sum(axis=1)
+    return find_outliers(y, own).flagged.sum(axis=0).reshape(fleets, N_PARAMETERS).sum(axis=1)
 
 
 def check_rate(flags, expected):
@@ -65,7 +65,7 @@ def test_one_value_exceeds_a_limit_as_often_as_computed(units):
     """A lower limit, which many exceed: the whole distribution is what the limits are taken from."""
     rng = np.random.default_rng(units)
     limit = {7: 4.0, 14: 3.0}[units]
-    z = judge_fleet(rng.standard_normal((units, 40_000)), np.full((units, 40_000), NO_SIGMA)).z
+    z = find_outliers(rng.standard_normal((units, 40_000)), np.full((units, 40_000), NO_SIGMA)).z
     counts = np.sum(np.abs(z) > limit, axis=0)
     computed = tail_probability(units, limit, rng, 40_000)
     # The chance is computed from draws of the others, as many as there are fleets here, and scatters no more than the
@@ -120,7 +120,7 @@ def test_power():
     rng = np.random.default_rng(40)
     y = rng.standard_normal((40, 400))
     y[11] += 8.0
-    flagged = judge_fleet(y, np.full(y.shape, 0.1)).flagged
+    flagged = find_outliers(y, np.full(y.shape, 0.1)).flagged
     assert np.mean(flagged[11]) > 0.99 - 3.5 * math.sqrt(0.99 * 0.01 / 400)
 
 
@@ -131,7 +131,7 @@ def test_bad_units_hide_neither_themselves_nor_each_other(units, bad):
     rng = np.random.default_rng(units)
     y = rng.standard_normal((units, 200))
     y[:bad] += 1e6
-    flagged = judge_fleet(y, np.full(y.shape, 0.1)).flagged
+    flagged = find_outliers(y, np.full(y.shape, 0.1)).flagged
     assert flagged[:bad].all()
     assert not flagged[bad:].any()
 
@@ -141,16 +141,16 @@ def test_a_value_no_worse_than_its_sigma_is_not_flagged():
     y = np.random.default_rng(3).standard_normal((20, 1))
     y[4] = 30.0
     sigma = np.full(y.shape, 0.1)
-    assert judge_fleet(y, sigma).flagged[4]
+    assert find_outliers(y, sigma).flagged[4]
     sigma[4] = 30.0
-    assert not judge_fleet(y, sigma).flagged[4]
+    assert not find_outliers(y, sigma).flagged[4]
 
 
 def test_scatter_is_not_less_than_the_sigmas_say():
     """Units that agree by chance far better than they are measured make no outlier of one that does not."""
     y = np.zeros((10, 1))
     y[3] = 2.0
-    judged = judge_fleet(y, np.ones(y.shape))
+    judged = find_outliers(y, np.ones(y.shape))
     assert judged.scatter == judged.others_scatter[3] == 1.0
     assert judged.z[3, 0] == pytest.approx(2.0 / math.sqrt(1.0 + math.pi / 18.0), rel=1e-12)
     assert not judged.flagged.any()
@@ -161,7 +161,7 @@ def test_others_are_all_but_the_unit(units):
     rng = np.random.default_rng(units)
     y = rng.standard_normal((units, 5))
     y[:2] = y[2]  # equal values must not confuse the ranks
-    judged = judge_fleet(y, np.full(y.shape, NO_SIGMA))
+    judged = find_outliers(y, np.full(y.shape, NO_SIGMA))
     for unit in range(units):
         median, scatter = middle_and_scatter(np.delete(y, unit, axis=0).T)
         np.testing.assert_allclose(judged.others_median[unit], median, rtol=1e-14)
@@ -176,13 +176,13 @@ def test_order_origin_and_scale_of_values_do_not_matter(seed, units, missing, sh
     rng = np.random.default_rng(seed)
     y, sigma = rng.standard_t(2, (units, 4)), rng.uniform(0.01, 2.0, (units, 4))
     sigma[rng.random(sigma.shape) < missing] = np.nan
-    judged = judge_fleet(y, sigma)
+    judged = find_outliers(y, sigma)
     order = rng.permutation(units)
-    again = judge_fleet(y[order], sigma[order])
+    again = find_outliers(y[order], sigma[order])
     np.testing.assert_array_equal(again.z, judged.z[order])
     np.testing.assert_array_equal(again.median, judged.median)
     np.testing.assert_array_equal(again.scatter, judged.scatter)
-    turned = judge_fleet(shift - 3.0 * y, 3.0 * sigma)
+    turned = find_outliers(shift - 3.0 * y, 3.0 * sigma)
     # Rounding of the shifted values, 1e-13, over the least denominator, 3 · 0.01.
     np.testing.assert_allclose(turned.z, -judged.z, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(turned.scatter, 3.0 * judged.scatter, rtol=1e-9)
@@ -193,14 +193,14 @@ def test_too_few_units_are_not_judged():
     y[0] = 1e9
     sigma = np.ones(y.shape)
     sigma[1, 1] = np.nan  # held: one short of the minimum
-    judged = judge_fleet(y, sigma)
+    judged = find_outliers(y, sigma)
     assert judged.flagged.tolist() == [[True, False]] + [[False, False]] * (MINIMUM_UNITS - 1)
     assert np.isfinite(judged.limit[0])
     assert np.isnan(judged.limit[1])
     assert np.isnan(judged.z[:, 1]).all()
     assert judged.median[1] == 0.0
     for units in range(4):
-        few = judge_fleet(y[:units], sigma[:units])
+        few = find_outliers(y[:units], sigma[:units])
         assert np.isnan(few.z).all()
         assert np.isfinite(few.median).all() == (units > 0)
 
@@ -208,16 +208,16 @@ def test_too_few_units_are_not_judged():
 def test_what_is_not_known_takes_no_part():
     rng = np.random.default_rng(1)
     y, sigma = rng.standard_normal((8, 3)), np.ones((8, 3))
-    judged = judge_fleet(y, sigma)
+    judged = find_outliers(y, sigma)
     for unknown in (np.nan, 0.0, -1.0, np.inf):
-        more = judge_fleet(np.vstack([y, np.full(3, 1e9)]), np.vstack([sigma, np.full(3, unknown)]))
+        more = find_outliers(np.vstack([y, np.full(3, 1e9)]), np.vstack([sigma, np.full(3, unknown)]))
         np.testing.assert_array_equal(more.z[:8], judged.z)
         assert np.isnan(more.z[8]).all()
 
 
 def test_shapes_that_differ_are_refused():
     with pytest.raises(srt.InputError, match=r"shape \(8, 3\) and sigmas of shape \(8, 2\)"):
-        judge_fleet(np.zeros((8, 3)), np.ones((8, 2)))
+        find_outliers(np.zeros((8, 3)), np.ones((8, 2)))
 
 
 class DyingEngine:

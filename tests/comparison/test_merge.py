@@ -16,7 +16,7 @@ import srt
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
-from srt.comparison.merge_model import between_sigma, stack_of
+from srt.comparison.merge_model import between_sigma, stack_estimates
 from srt.constants import DEG_PER_H
 from srt.recording.recording import Fixture
 from srt.reports.text.repeatability import repeatability_text
@@ -181,7 +181,7 @@ def test_turn_on_scatter_is_found():
     for _ in range(units):
         values = rng.multivariate_normal(np.zeros(N_PARAMETERS), P, size=3, method="eigh")
         values[:, group] += tau * rng.standard_normal((3, 3))
-        found.append(between_sigma(stack_of([made(v, P) for v in values])))
+        found.append(between_sigma(stack_estimates([made(v, P) for v in values])))
     variance = np.mean(np.square(found), axis=0)
     at = list(GROUP_SLICES).index("gyro_bias")
     # Beside the scatter itself, what the sigmas within add is a hundredth of a percent.

@@ -27,8 +27,8 @@ from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import InputError
 from srt.model.measurement_model import attitude_to_horizontal
 from srt.recording.recording import Fixture, Site
-from srt.reports.certificate.checked import load_source
-from srt.reports.certificate.replay import replay
+from srt.reports.certificate.calibration_file import load_calibration_file
+from srt.reports.certificate.recording_history import recording_history
 from srt.result.calibration import FORMULA
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 from srt.sequences.preparation import prepare
@@ -264,8 +264,8 @@ def test_with_one_vertical_nothing_is_taken_and_it_says_so():
     stated = found.diagnostics["g_sensitivity"]
     assert not np.array(stated["matrix"]).any()
     unseen = np.array(stated["not_seen_along"])
-    np.testing.assert_allclose(unseen @ unseen.T, np.eye(3), rtol=0, atol=1e-12)
-    assert any("do not show how the gyros follow specific force along" in w for w in found.warnings)
+    np.testing.assert_allclose(unobserved @ unseen.T, np.eye(3), rtol=0, atol=1e-12)
+    assert any("is not observable: the specific force varies" in w for w in found.warnings)
     bias = found.errors.vector[GROUP_SLICES["gyro_bias"]]
     # To second order: what is left of the compensation at the estimate.
     np.testing.assert_allclose(bias, -SITE.gravity_m_s2 * GAMMA[:, 2], rtol=1e-3)
@@ -275,10 +275,10 @@ def test_two_verticals_show_one_direction():
     motion = motion_of(sequences=("1", "1a", "3", "3a"), earth_rate=False)
     recording = read_out(motion, SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA))
     data, found = played(recording)
-    unseen = found.poses.unseen
-    assert unseen.shape == (2, 3)
+    unobserved = found.poses.unobserved
+    assert unobserved.shape == (2, 3)
     along = np.array([1.0, 0.0, -1.0]) / math.sqrt(2.0)
-    np.testing.assert_allclose(unseen @ along, 0.0, atol=1e-9)
+    np.testing.assert_allclose(unobserved @ along, 0.0, atol=1e-9)
     # What is seen is Γ along it: the rates differ between z down and x down.
     np.testing.assert_allclose(found.poses.fit(found.rest_rate) @ along, GAMMA @ along, rtol=1e-9)
     np.testing.assert_allclose(found.poses.weights.sum(axis=0), 0.0, atol=1e-15)
@@ -304,7 +304,7 @@ def test_share_of_a_wander_that_is_left():
 
 def test_rates_that_noise_alone_moves_raise_no_alarm_more_often_than_stated(monkeypatch):
     """Drawn rates of windows with a bias for each sequence; at a false-alarm rate that can be counted."""
-    monkeypatch.setattr(g_sensitivity_report, "FALSE_ALARM", 0.3)
+    monkeypatch.setattr(g_sensitivity_report, "FALSE_ALARM_PROBABILITY", 0.3)
     recording = read_out(motion_of(fixture=1e-9), SensorErrors())
     data = prepare(recording, recording.sequences)
     found = SrtProcessor(data, Options()).process(SensorErrors())
@@ -374,12 +374,12 @@ def test_the_certificate_plays_it_back(calibrated):
     recording = srt.load_recording(calibrated / "rec")
     found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
     found.save(file)
-    replay(load_source(file), recording, "rec")
+    recording_history(load_calibration_file(file), recording, "rec")
     document = json.loads(file.read_text())
     document["diagnostics"]["g_sensitivity"]["matrix"][0][1] *= -1.0
     file.write_text(json.dumps(document))
     with pytest.raises(InputError, match="do not follow from rec"):
-        replay(load_source(file), recording, "rec")
+        recording_history(load_calibration_file(file), recording, "rec")
 
 
 def test_what_takes_it_off_and_what_says_that_it_does_not(calibrated, capsys):

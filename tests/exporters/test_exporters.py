@@ -15,8 +15,8 @@ import pytest
 
 import srt
 from srt import exporters
-from srt.exporters import Readings, Settings, export, gtsam_preintegration, load, save
-from srt.exporters.linear import lower_rotation, upper_rotation
+from srt.exporters import ExportSettings, Readings, export, gtsam_preintegration, load, save
+from srt.exporters.linear_model import lower_rotation, upper_rotation
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.result.calibration import Calibration
@@ -548,15 +548,15 @@ def changed(calibration, **groups):
         ("kalib", {}, {}, "did you mean kalibr"),
         ("kalibr", {"frame": "mars"}, {}, "takes accel"),
         ("px4", {"frame": "accel"}, {}, "takes mars or table"),
-        ("imucal", {"settings": Settings(topic="/imu")}, {}, "no place for topic"),
-        ("kalibr", {"settings": Settings(instance=1)}, {}, "no place for instance"),
+        ("imucal", {"settings": ExportSettings(topic="/imu")}, {}, "no place for topic"),
+        ("kalibr", {"settings": ExportSettings(instance=1)}, {}, "no place for instance"),
         ("pyins", {"asymmetry": "fit"}, {}, "no recording to fit to"),
         ("pyins", {"asymmetry": "half"}, {}, "asymmetry is"),
         ("ardupilot", {}, {"accel_bias": 4.0}, "parameters go to 3.5"),
         ("ardupilot", {}, {"accel_scale": -0.3}, "from 0.8 to 1.2"),
         ("ardupilot", {}, {"accel_bias": 0.0}, "never calibrated"),
         ("ardupilot", {}, {"gyro_bias": 0.0}, "never calibrated"),
-        ("ardupilot", {"settings": Settings(instance=3)}, {}, "0, 1 and 2"),
+        ("ardupilot", {"settings": ExportSettings(instance=3)}, {}, "0, 1 and 2"),
         ("pyins", {}, {"gyro_scale": -1.5}, "cannot be exported"),
         ("pyins", {}, {"gyro_asymmetry": 1.5}, "cannot be undone"),
     ],
@@ -590,7 +590,7 @@ def test_readings_that_cannot_be_used(gyro, accel, fragment):
 )
 def test_settings_that_cannot_be(wrong):
     with pytest.raises(srt.InputError):
-        Settings(**wrong)
+        ExportSettings(**wrong)
 
 
 def test_increments_are_compared_as_rates():
@@ -607,7 +607,7 @@ def test_increments_are_compared_as_rates():
 
 def test_noise_and_rate_go_into_the_file_where_known():
     calibration = calibrated(np.random.default_rng(20))
-    stated = Settings(topic="/imu/raw", rate_hz=250.0, gyro_random_walk=1e-5, accel_random_walk=2e-4)
+    stated = ExportSettings(topic="/imu/raw", rate_hz=250.0, gyro_random_walk=1e-5, accel_random_walk=2e-4)
     made = export(calibration, "kalibr", settings=stated)
     imu = yaml.safe_load(made.texts[""])["imu0"]
     assert made.unknown == ()
@@ -632,7 +632,7 @@ def test_noise_and_rate_go_into_the_file_where_known():
 def test_the_instance_of_an_autopilot_is_in_the_names():
     calibration = calibrated(np.random.default_rng(21), size=0.02)
     for target, formula, n in (("px4", px4, 1), ("ardupilot", ardupilot, "2")):
-        made = export(calibration, target, settings=Settings(instance=1))
+        made = export(calibration, target, settings=ExportSettings(instance=1))
         w, _ = formula(made.texts, np.zeros((1, 3)), np.zeros((1, 3)), None, n)
         np.testing.assert_allclose(w[0], -calibration.errors.group("gyro_bias"), rtol=1e-6)
 
@@ -655,12 +655,12 @@ def test_a_writer_that_is_wrong_is_found_out(monkeypatch, sensor, name):
     """A bias off by 1e-9 (SI), which no message of a reader would show."""
     item = exporters.exporter("pyins")
 
-    def write(source):
-        document = json.loads(item.write(source)[""])
+    def write(model):
+        document = json.loads(item.write(model)[""])
         document[sensor]["bias"][1] += 1e-9
         return {"": json.dumps(document)}
 
-    monkeypatch.setattr("srt.exporters.exporting.exporter", lambda _: replace(item, write=write))
+    monkeypatch.setattr("srt.exporters.conversion.exporter", lambda _: replace(item, write=write))
     with pytest.raises(srt.DataError, match=f"The {name} correction"):
         export(calibrated(np.random.default_rng(28)), "pyins")
 

@@ -20,10 +20,17 @@ from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
-from srt.reports.certificate import facts, load_limits, load_source, make_certificate, page, pdf
-from srt.reports.certificate.change import FALSE_ALARM, change_since
-from srt.reports.certificate.figures import pictures
-from srt.reports.certificate.replay import check_recording, replay
+from srt.reports.certificate import (
+    html_page,
+    load_acceptance_limits,
+    load_calibration_file,
+    make_certificate,
+    pdf,
+    unit_description,
+)
+from srt.reports.certificate.figures import certificate_figures
+from srt.reports.certificate.parameter_changes import FALSE_ALARM, changes_since
+from srt.reports.certificate.recording_history import check_recording, recording_history
 from srt.result.calibration import Residual
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS, SensorErrors
 
@@ -39,7 +46,7 @@ def calibration(seed=1, held=(), sequences=3, **changes):
     given = {
         "estimator": "closed-form",
         "status": "partial" if held else "converged",
-        "message": "Converged after 3 play-backs.",
+        "message": "Converged after 3 iterations.",
         "errors": SensorErrors(300.0 * rng.standard_normal(27) / FACTORS),
         "covariance": np.where(np.outer(observed, observed), root @ root.T, 0.0),
         "corrections": (1e-3, 1e-6, 1e-12),
@@ -75,7 +82,7 @@ def saved(tmp_path):
 
     def save(result, name="unit.json"):
         result.save(tmp_path / name)
-        return load_source(tmp_path / name)
+        return load_calibration_file(tmp_path / name)
 
     return save
 
@@ -83,8 +90,8 @@ def saved(tmp_path):
 @pytest.fixture
 def plain_page(monkeypatch):
     """Leave the pictures out, which take a hundred times as long as all else."""
-    monkeypatch.setattr(page, "pictures", lambda certificate: ())
-    return page.html_page
+    monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
+    return html_page.html_page
 
 
 class Reader(HTMLParser):
@@ -180,7 +187,7 @@ def test_what_the_test_cannot_see_follows_the_test(saved):
         "held": "3 parameters were not measured",
         "latitude": "Earth's rate",
     }
-    whole = " ".join(make_certificate(saved(calibration())).unseen)
+    whole = " ".join(make_certificate(saved(calibration())).limitations)
     assert told["temperature"] in whole
     assert "1 g" in whole
     assert told["held"] not in whole
@@ -191,7 +198,7 @@ def test_what_the_test_cannot_see_follows_the_test(saved):
         site={"gravity_m_s2": 9.8},
         U=None,
     )
-    said = " ".join(make_certificate(saved(bare)).unseen)
+    said = " ".join(make_certificate(saved(bare)).limitations)
     for word in ("none", "held", "latitude"):
         assert told[word] in said
     assert "no reference" in said
@@ -219,10 +226,10 @@ def test_texts_of_files_are_no_markup(saved, hostile):
         corrections=(),
     )
     made = make_certificate(saved(result))
-    drawn = [p for p in pictures(made) if p.name == "residuals"]
+    drawn = [p for p in certificate_figures(made) if p.name == "residuals"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "pictures", lambda certificate: drawn)
-        text = page.html_page(made)
+        patch.setattr(html_page, "certificate_figures", lambda certificate: drawn)
+        text = html_page.html_page(made)
     tags = {tag for tag, _ in Reader(text).tags}
     assert not tags & {"script", "b"}
     assert "<script" not in text
@@ -235,10 +242,12 @@ def test_the_page_asks_for_nothing(saved):
     made = make_certificate(saved(calibration(sequences=2)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            page, "pictures", lambda certificate: [p for p in pictures(certificate) if p.name != "parameters"]
+            html_page,
+            "certificate_figures",
+            lambda certificate: [p for p in certificate_figures(certificate) if p.name != "parameters"],
         )
-        text = page.html_page(made)
-        assert text == page.html_page(made)
+        text = html_page.html_page(made)
+        assert text == html_page.html_page(made)
     read = Reader(text)
     assert not {tag for tag, _ in read.tags} & {"script", "link", "iframe", "object", "embed"}
     for tag, attributes in read.tags:
@@ -259,7 +268,7 @@ def test_the_page_asks_for_nothing(saved):
 
 def drawn(made, name):
     figure = Figure()
-    next(p for p in pictures(made) if p.name == name).draw(made, figure)
+    next(p for p in certificate_figures(made) if p.name == name).draw(made, figure)
     return figure
 
 
@@ -285,7 +294,7 @@ def test_residuals_are_drawn_over_their_sigma(saved):
 
 def test_pictures_without_anything_in_them_are_left_out(saved):
     bare = calibration(held=NAMES[1:], residuals=(), corrections=(0.0,))
-    assert [p.name for p in pictures(make_certificate(saved(bare)))] == ["parameters"]
+    assert [p.name for p in certificate_figures(make_certificate(saved(bare)))] == ["parameters"]
 
 
 # Limits
@@ -293,7 +302,7 @@ def test_pictures_without_anything_in_them_are_left_out(saved):
 
 def limits(tmp_path, text):
     (tmp_path / "limits.toml").write_text(text)
-    return load_limits(tmp_path / "limits.toml")
+    return load_acceptance_limits(tmp_path / "limits.toml")
 
 
 def test_limits_are_met_or_not(saved, tmp_path, plain_page):
@@ -360,7 +369,7 @@ def test_change_is_over_the_combined_sigma(saved, plain_page):
     shifted[1] -= 3.0 * np.hypot(new.sigma[1], old.sigma[1])
     new = replace(new, errors=SensorErrors(shifted))
     source, before = saved(new, "new.json"), saved(old, "old.json")
-    change = change_since(source, before)
+    change = changes_since(source, before)
     expected = np.zeros(27)
     expected[:2] = 4.0, -3.0
     expected[INDEX["accel_bias_x"]] = np.nan
@@ -381,7 +390,7 @@ def test_flags_are_family_wise(saved):
     """
     a, b = calibration(seed=1), calibration(seed=2)
     diagonal = [replace(c, covariance=np.diag(np.diag(c.covariance))) for c in (a, b)]
-    change = change_since(saved(diagonal[1], "new.json"), saved(diagonal[0], "old.json"))
+    change = changes_since(saved(diagonal[1], "new.json"), saved(diagonal[0], "old.json"))
     rng = np.random.default_rng(3)
     ratios = rng.standard_normal((2000, 27))
     flagged = int(np.sum(np.any(np.abs(ratios) > change.limit, axis=1)))
@@ -401,17 +410,17 @@ def test_an_earlier_calibration_that_is_none(saved, changes, message):
     new = saved(calibration(seed=1), "new.json")
     old = saved(calibration(seed=2, **changes), "old.json")
     with pytest.raises(srt.InputError, match=message):
-        change_since(new, old)
+        changes_since(new, old)
 
 
 def test_a_serial_that_is_not_stated_is_taken_on_trust(saved):
     new = saved(calibration(seed=1), "new.json")
     nameless = calibration(seed=2, provenance={"data_sha256": f"{2:064x}"})
-    made = make_certificate(new, change=change_since(new, saved(nameless, "old.json")))
+    made = make_certificate(new, change=changes_since(new, saved(nameless, "old.json")))
     assert any("taken on trust" in note for note in made.change_notes)
     assert not any(
         "taken on trust" in n
-        for n in make_certificate(new, change=change_since(new, saved(calibration(seed=3), "old.json"))).change_notes
+        for n in make_certificate(new, change=changes_since(new, saved(calibration(seed=3), "old.json"))).change_notes
     )
 
 
@@ -473,7 +482,7 @@ def test_an_edited_file_is_refused(tmp_path, place):
         part[last] = value
         (tmp_path / "x.json").write_text(json.dumps(edited))
         with pytest.raises(srt.InputError) as caught:
-            load_source(tmp_path / "x.json")
+            load_calibration_file(tmp_path / "x.json")
         assert "\n" not in str(caught.value)
         assert len(str(caught.value)) < 400
 
@@ -484,7 +493,7 @@ def test_an_edited_covariance_is_refused(tmp_path):
     document["covariance"][0][1] = document["covariance"][1][0] = 10.0 * document["covariance"][0][0]
     (tmp_path / "x.json").write_text(json.dumps(document))
     with pytest.raises(srt.InputError, match="covariance is none"):
-        load_source(tmp_path / "x.json")
+        load_calibration_file(tmp_path / "x.json")
 
 
 def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path):
@@ -492,11 +501,11 @@ def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path):
     for share in np.linspace(0.0, 0.999, 12):
         (tmp_path / "x.json").write_text(text[: int(share * len(text))])
         with pytest.raises(srt.InputError):
-            load_source(tmp_path / "x.json")
+            load_calibration_file(tmp_path / "x.json")
     with pytest.raises(srt.InputError, match="cannot be read"):
-        load_source(tmp_path / "absent.json")
+        load_calibration_file(tmp_path / "absent.json")
     with pytest.raises(srt.InputError, match="cannot be read"):
-        load_source(tmp_path)
+        load_calibration_file(tmp_path)
 
 
 @pytest.mark.parametrize("status", ["not_converged", "outside_model"])
@@ -537,13 +546,13 @@ def test_values_follow_from_the_recording(recordings, calibrations, saved):
     """Each value moved by five of its sigma leaves residuals that the file does not have."""
     source = saved(calibrations[0])
     check_recording(source, recordings[0], "there")
-    replay(source, recordings[0], "there")
+    recording_history(source, recordings[0], "there")
     for i in range(27):
         vector = calibrations[0].errors.vector.copy()
         vector[i] += 5.0 * calibrations[0].sigma[i]
         edited = saved(replace(calibrations[0], errors=SensorErrors(vector)), "edited.json")
         with pytest.raises(srt.InputError, match="do not follow from there"):
-            replay(edited, recordings[0], "there")
+            recording_history(edited, recordings[0], "there")
 
 
 def test_windows_that_moved_are_no_sign_of_an_edit(recordings, saved):
@@ -558,7 +567,7 @@ def test_windows_that_moved_are_no_sign_of_an_edit(recordings, saved):
     moved = replace(recording, gyro=gyro)
     result = srt.calibrate(moved, "least-squares")
     assert result.status == "converged"
-    replay(saved(result), moved, "there")
+    recording_history(saved(result), moved, "there")
 
 
 def test_another_recording_is_refused(recordings, calibrations, saved):
@@ -580,7 +589,7 @@ def test_the_course_of_the_test(recordings, calibrations, saved):
     and the table, which is level to 1 mrad or else not at all at rest. 10 mrad hold all of it.
     """
     source = saved(calibrations[0])
-    course = replay(source, recordings[0], "there")
+    course = recording_history(source, recordings[0], "there")
     for ends in np.flatnonzero(np.isnan(course.down[:, 0])):
         at = np.argmin(np.abs(course.rest.mean(axis=1) - course.time[ends - 1]))
         assert np.linalg.norm(course.down[ends - 1] - course.rest_down[at]) < 1e-2
@@ -598,18 +607,18 @@ def test_a_merged_calibration(recordings, calibrations, saved, plain_page):
     merged = saved(merge_calibrations(calibrations), "merged.json")
     for recording in recordings:
         check_recording(merged, recording, "there")
-    course = replay(merged, recordings[1], "there")
+    course = recording_history(merged, recordings[1], "there")
     read = Reader(plain_page(make_certificate(merged, course=course)))
     rows = next(t for t in read.tables if "SHA-256 of the samples" in t[0])[1:]
     assert [row[3] for row in rows] == [recording.data_sha256 for recording in recordings]
     assert "holds no residuals" in read.text
     with pytest.raises(srt.InputError, match="same samples"):
-        change_since(merged, saved(calibrations[0]))
+        changes_since(merged, saved(calibrations[0]))
 
 
 def test_a_unit_that_did_not_change(recordings, calibrations, saved):
     """One fixed pair of tests; by the bound on false alarms, one pair in a hundred would fail."""
-    change = change_since(saved(calibrations[1], "new.json"), saved(calibrations[0], "old.json"))
+    change = changes_since(saved(calibrations[1], "new.json"), saved(calibrations[0], "old.json"))
     assert change.names == ()
 
 
@@ -626,14 +635,14 @@ def test_a_free_recording(saved, plain_page):
     assert result.estimator == "least-squares"
     source = saved(result)
     check_recording(source, recording, "there")
-    read = Reader(plain_page(make_certificate(source, course=replay(source, recording, "there"))))
+    read = Reader(plain_page(make_certificate(source, course=recording_history(source, recording, "there"))))
     assert "none (turned freely)" in read.text
     assert "no reference" in read.text
     assert "no serial" in read.text
     vector = result.errors.vector.copy()
     vector[INDEX["accel_bias_x"]] += 5.0 * result.sigma[INDEX["accel_bias_x"]]
     with pytest.raises(srt.InputError, match="do not follow"):
-        replay(saved(replace(result, errors=SensorErrors(vector)), "edited.json"), recording, "there")
+        recording_history(saved(replace(result, errors=SensorErrors(vector)), "edited.json"), recording, "there")
 
 
 @pytest.mark.slow
@@ -646,9 +655,9 @@ def test_both_forms_of_every_kind(recordings, calibrations, saved, tmp_path, kin
         "least-squares": lambda: srt.calibrate(recordings[0], "least-squares"),
     }[kind]()
     source = saved(result)
-    made = make_certificate(source, course=replay(source, recordings[0], "there"))
-    text = page.html_page(made)
-    assert text.count("<svg") == len(pictures(made))
+    made = make_certificate(source, course=recording_history(source, recordings[0], "there"))
+    text = html_page.html_page(made)
+    assert text.count("<svg") == len(certificate_figures(made))
     pdf.write_pdf(made, tmp_path / "x.pdf")
     assert (tmp_path / "x.pdf").read_bytes().startswith(b"%PDF")
 
@@ -664,5 +673,5 @@ def test_both_forms_of_every_kind(recordings, calibrations, saved, tmp_path, kin
 )
 def test_the_fixtures_wobble_is_told_where_it_is_stated(stated, said):
     given = calibration()
-    text = facts._fixture(replace(given, alignment={**given.alignment, **stated}), merged=False)
+    text = unit_description._fixture(replace(given, alignment={**given.alignment, **stated}), merged=False)
     assert text.endswith(said)

@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.reports.certificate.change import FALSE_ALARM
-from srt.reports.certificate.facts import SERIAL_LENGTH, apply_section, facts, recordings_table, temperature, unseen
-from srt.reports.certificate.tables import Cell, Table, plain
+from srt.reports.certificate.parameter_changes import FALSE_ALARM
+from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
+from srt.reports.certificate.unit_description import (
+    SERIAL_LENGTH,
+    application_section,
+    facts,
+    limitations,
+    recordings_table,
+    temperature,
+)
 from srt.reports.text.leave_one_out import overall, probability
 from srt.reports.text.tables import decimals_for, fixed
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
@@ -19,11 +26,11 @@ from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from srt.reports.certificate.change import Change
-    from srt.reports.certificate.checked import Source
-    from srt.reports.certificate.facts import Application
-    from srt.reports.certificate.limits import Limits
-    from srt.reports.certificate.replay import Course
+    from srt.reports.certificate.acceptance_limits import AcceptanceLimits
+    from srt.reports.certificate.calibration_file import CalibrationFile
+    from srt.reports.certificate.parameter_changes import ParameterChanges
+    from srt.reports.certificate.recording_history import RecordingHistory
+    from srt.reports.certificate.unit_description import Application
     from srt.result.calibration import Calibration, Residual
 
 _DIGITS: Final = 7
@@ -46,48 +53,48 @@ class Certificate:
         What matters most, in sentences.
     facts : tuple of (str, str)
         Which unit, when, where, of which data, by which software.
-    parameters : Table
+    parameters : CertificateTable
     held : tuple of str
         What was not measured, and why.
-    residuals : Table or None
+    residuals : CertificateTable or None
         By sequence.
     residual_notes : tuple of str
-    recordings : Table or None
+    recordings : CertificateTable or None
         Of a merged calibration.
-    changes : Table or None
+    changes : CertificateTable or None
         Since an earlier calibration.
     change_notes : tuple of str
     application : Application
         How to apply it.
-    unseen : tuple of str
+    limitations : tuple of str
         What the test cannot see.
     notes : tuple of str
         Warnings of the calibration.
     failed : tuple of str
         Parameters that do not meet their limits.
-    source : Source
-    course : Course or None
-    change : Change or None
+    source : CalibrationFile
+    course : RecordingHistory or None
+    change : ParameterChanges or None
     """
 
     unit: str
     outcome: str
     summary: tuple[str, ...]
     facts: tuple[tuple[str, str], ...]
-    parameters: Table
+    parameters: CertificateTable
     held: tuple[str, ...]
-    residuals: Table | None
+    residuals: CertificateTable | None
     residual_notes: tuple[str, ...]
-    recordings: Table | None
-    changes: Table | None
+    recordings: CertificateTable | None
+    changes: CertificateTable | None
     change_notes: tuple[str, ...]
     application: Application
-    unseen: tuple[str, ...]
+    limitations: tuple[str, ...]
     notes: tuple[str, ...]
     failed: tuple[str, ...]
-    source: Source
-    course: Course | None
-    change: Change | None
+    source: CalibrationFile
+    course: RecordingHistory | None
+    change: ParameterChanges | None
 
     @property
     def title(self) -> str:
@@ -96,17 +103,21 @@ class Certificate:
 
 
 def make_certificate(
-    source: Source, *, course: Course | None = None, limits: Limits | None = None, change: Change | None = None
+    source: CalibrationFile,
+    *,
+    course: RecordingHistory | None = None,
+    limits: AcceptanceLimits | None = None,
+    change: ParameterChanges | None = None,
 ) -> Certificate:
     """Put together what a certificate says.
 
     Parameters
     ----------
-    source : Source
-    course : Course, optional
+    source : CalibrationFile
+    course : RecordingHistory, optional
         Of its recording.
-    limits : Limits, optional
-    change : Change, optional
+    limits : AcceptanceLimits, optional
+    change : ParameterChanges, optional
         Since an earlier calibration of the unit.
 
     Returns
@@ -140,8 +151,8 @@ def make_certificate(
         recordings_table(calibration),
         None if change is None else change_table(source, change),
         () if change is None else tuple(_change_notes(source, change)),
-        apply_section(calibration),
-        unseen(calibration, course),
+        application_section(calibration),
+        limitations(calibration, course),
         tuple(plain(text) for text in calibration.warnings),
         failed,
         source,
@@ -150,13 +161,13 @@ def make_certificate(
     )
 
 
-def parameter_table(calibration: Calibration, limits: Limits | None = None) -> Table:
+def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = None) -> CertificateTable:
     """Set values and sigmas in the units people expect, and what became of the limits.
 
     Parameters
     ----------
     calibration : Calibration
-    limits : Limits, optional
+    limits : AcceptanceLimits, optional
         Adds the limit and the result of every parameter that has one.
     """
     head = ("symbol", "parameter", "value", "sigma", "unit", *(("result", "limit") if limits is not None else ()))
@@ -166,47 +177,54 @@ def parameter_table(calibration: Calibration, limits: Limits | None = None) -> T
         held = name in calibration.held
         value, sigma = float(calibration.errors.vector[i]), float(calibration.sigma[i])
         row = [
-            Cell(SYMBOLS[i]),
-            Cell(name.replace("_", " ")),
-            Cell(*_value(i, value, sigma)),
-            Cell("held", mark="held") if held else Cell(*_value(i, sigma, sigma)),
-            Cell(DISPLAY_UNITS[i]),
+            CertificateCell(SYMBOLS[i]),
+            CertificateCell(name.replace("_", " ")),
+            CertificateCell(*_value(i, value, sigma)),
+            CertificateCell("held", mark="held") if held else CertificateCell(*_value(i, sigma, sigma)),
+            CertificateCell(DISPLAY_UNITS[i]),
         ]
         if limits is not None and met is not None:
             result = "" if not limits.given[i] else "passed" if met[i] else "failed"
             shown = "failed (not measured)" if result == "failed" and held else result
-            row += [Cell(shown, mark=result), Cell(_limit(limits, i))]
+            row += [CertificateCell(shown, mark=result), CertificateCell(_limit(limits, i))]
         rows.append(tuple(row))
     note = "" if limits is None else (
         f"Limits: {plain(limits.name)}. A value meets its limit if it lies within, a sigma if it is not larger; no "
         "sigma is added to a value."
     )  # fmt: skip
-    return Table("Parameters", head, tuple(rows), "llrrl" + ("ll" if limits is not None else ""), note, _STARTS)
+    return CertificateTable(
+        "Parameters", head, tuple(rows), "llrrl" + ("ll" if limits is not None else ""), note, _STARTS
+    )
 
 
-def change_table(source: Source, change: Change) -> Table:
+def change_table(source: CalibrationFile, change: ParameterChanges) -> CertificateTable:
     """Set the change of every parameter over its combined sigma.
 
     Parameters
     ----------
-    source : Source
+    source : CalibrationFile
         The newer one.
-    change : Change
+    change : ParameterChanges
     """
     rows = []
     for i, name in enumerate(NAMES):
         new, old = (float(s.calibration.errors.vector[i]) for s in (source, change.old))
         sigma, ratio = float(change.sigma[i]), float(change.ratio[i])
-        cells = [Cell(SYMBOLS[i]), Cell(name.replace("_", " "))]
+        cells = [CertificateCell(SYMBOLS[i]), CertificateCell(name.replace("_", " "))]
         if math.isnan(sigma):
-            nothing = Cell("-")
-            cells += [*[nothing] * 4, Cell(DISPLAY_UNITS[i]), nothing, Cell("not measured in both", mark="held")]
+            nothing = CertificateCell("-")
+            cells += [
+                *[nothing] * 4,
+                CertificateCell(DISPLAY_UNITS[i]),
+                nothing,
+                CertificateCell("not measured in both", mark="held"),
+            ]
         else:
             values = ((old, sigma), (new, sigma), (new - old, sigma), (sigma, sigma))
-            cells += [Cell(*_value(i, value, size)) for value, size in values]
+            cells += [CertificateCell(*_value(i, value, size)) for value, size in values]
             flagged = bool(change.flagged[i])
-            cells += [Cell(DISPLAY_UNITS[i]), Cell(_signed(ratio), ratio)]
-            cells.append(Cell("changed", mark="changed") if flagged else Cell(""))
+            cells += [CertificateCell(DISPLAY_UNITS[i]), CertificateCell(_signed(ratio), ratio)]
+            cells.append(CertificateCell("changed", mark="changed") if flagged else CertificateCell(""))
         rows.append(tuple(cells))
     head = ("symbol", "parameter", "before", "now", "change", "sigma", "unit", "change / sigma", "")
     compared = int(np.sum(~np.isnan(change.sigma)))
@@ -215,10 +233,10 @@ def change_table(source: Source, change: Change) -> Table:
         f"{change.limit:.2f} sigma is marked: with {compared} parameters compared, chance alone marks any at all in at "
         f"most {FALSE_ALARM:.0%} of comparisons."
     )
-    return Table("Change since the last calibration", head, tuple(rows), "llrrrrlrl", note, _STARTS)
+    return CertificateTable("Change since the last calibration", head, tuple(rows), "llrrrrlrl", note, _STARTS)
 
 
-def residual_table(calibration: Calibration) -> Table | None:
+def residual_table(calibration: Calibration) -> CertificateTable | None:
     """Set what is left over of every sequence; None without residuals.
 
     Parameters
@@ -237,31 +255,40 @@ def residual_table(calibration: Calibration) -> Table | None:
     for turn, residuals in by_turn.items():
         left = _left(residuals)
         ratios = [r.value / r.sigma for r in left]
-        cells = [Cell(plain(turn[0]) + (f" ({turn[1]})" if turn[1] > 1 else "")), Cell(str(len(residuals)))]
-        cells.append(Cell(str(len(left))))
+        cells = [
+            CertificateCell(plain(turn[0]) + (f" ({turn[1]})" if turn[1] > 1 else "")),
+            CertificateCell(str(len(residuals))),
+        ]
+        cells.append(CertificateCell(str(len(left))))
         if left:
             worst = int(np.argmax(np.abs(ratios)))
             rms = math.sqrt(sum(r * r for r in ratios) / len(ratios))
             component = plain(left[worst].component.replace("_", " "))
-            cells += [Cell(f"{rms:.2f}", rms), Cell(_signed(ratios[worst]), ratios[worst]), Cell(component)]
+            cells += [
+                CertificateCell(f"{rms:.2f}", rms),
+                CertificateCell(_signed(ratios[worst]), ratios[worst]),
+                CertificateCell(component),
+            ]
         else:
-            cells += [Cell("-"), Cell("-"), Cell("solved for")]
+            cells += [CertificateCell("-"), CertificateCell("-"), CertificateCell("solved for")]
         if judged:
             row = judged.get(turn)
             freedom = 0 if row is None else row["degrees_of_freedom"]
             cells += [
-                Cell(f"{row['chi_square']:.1f} / {freedom}") if row and freedom else Cell("not checkable"),
-                Cell(probability(row["probability"]) or "-") if row else Cell("-"),
+                CertificateCell(f"{row['chi_square']:.1f} / {freedom}")
+                if row and freedom
+                else CertificateCell("not checkable"),
+                CertificateCell(probability(row["probability"]) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
     note = "left over: residuals that the parameters do not solve for exactly; about 1 sigma each is expected." + (
         " chi-square: how far the sequence is from what all others predict; chance: of a larger one." * bool(judged)
     )
-    return Table("Residuals by sequence", head, tuple(rows), "lrrrrl" + ("rr" if judged else ""), note)
+    return CertificateTable("Residuals by sequence", head, tuple(rows), "lrrrrl" + ("rr" if judged else ""), note)
 
 
 def _summary(
-    calibration: Calibration, limits: Limits | None, failed: tuple[str, ...], change: Change | None
+    calibration: Calibration, limits: AcceptanceLimits | None, failed: tuple[str, ...], change: ParameterChanges | None
 ) -> Iterator[str]:
     if limits is not None:
         count = int(limits.given.sum())
@@ -315,7 +342,7 @@ def _left(residuals: Iterable[Residual]) -> list[Residual]:
     return [r for r in residuals if r.sigma > 0.0 and abs(r.value) > _SOLVED * r.sigma]
 
 
-def _change_notes(source: Source, change: Change) -> Iterator[str]:
+def _change_notes(source: CalibrationFile, change: ParameterChanges) -> Iterator[str]:
     old = change.old
     dates = [plain(s.calibration.provenance.get("date")) or "a date not stated" for s in (old, source)]
     yield f"Before: {plain(old.name)}, of {dates[0]}, SHA-256 {old.sha256}; now of {dates[1]}."
@@ -338,7 +365,7 @@ def _value(i: int, value: float, sigma: float) -> tuple[str, float]:
     return fixed(value * factor, places), value
 
 
-def _limit(limits: Limits, i: int) -> str:
+def _limit(limits: AcceptanceLimits, i: int) -> str:
     sizes = ((limits.value[i], "|value| ≤ {}"), (limits.sigma[i], "sigma ≤ {}"))
     return ", ".join(words.format(f"{size * DISPLAY_FACTORS[i]:.6g}") for size, words in sizes if not math.isnan(size))
 

@@ -55,7 +55,7 @@ _GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class CertificateFigure:
     """A picture of the certificate.
 
     Attributes
@@ -78,7 +78,7 @@ class Picture:
     draw: Callable[[Certificate, Figure | SubFigure], None]
 
 
-def pictures(certificate: Certificate) -> tuple[Picture, ...]:
+def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ...]:
     """Choose the pictures that there is something to show in.
 
     Parameters
@@ -218,21 +218,21 @@ def _settle(axes: Axes) -> None:
 
 
 _PICTURES: Final = (
-    Picture(
+    CertificateFigure(
         "parameters",
         "Parameters with their error bars",
         "Values, and below them their bars of one sigma on a scale of their own. A cross marks what was held.",
         (7.0, 7.2),
         _parameters,
     ),
-    Picture(
+    CertificateFigure(
         "residuals",
         "Residuals of the sequences",
         "What the estimate leaves unexplained, over the sigma that it should have: two in three between the dashes.",
         (7.0, 2.7),
         _residuals,
     ),
-    Picture(
+    CertificateFigure(
         "test",
         "Attitude and acceleration over the test",
         "Lines of the gyros that end on the marks of the accelerometers, and a specific force at rest that is gravity, "
@@ -240,14 +240,14 @@ _PICTURES: Final = (
         (7.0, 6.0),
         _test,
     ),
-    Picture(
+    CertificateFigure(
         "convergence",
         "Convergence of the play-backs",
         "Largest correction of any parameter (accelerometer bias in g) in each pass through the recording.",
         (7.0, 2.3),
         _convergence,
     ),
-    Picture(
+    CertificateFigure(
         "correlation",
         "Correlation of the errors",
         "Errors of two parameters that go together; the fuller the colour, the more. Use the covariance in the "

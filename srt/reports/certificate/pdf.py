@@ -9,8 +9,8 @@ import warnings
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
-from srt.reports.certificate.facts import MATHTEXT
-from srt.reports.certificate.figures import pictures
+from srt.reports.certificate.figures import certificate_figures
+from srt.reports.certificate.unit_description import MATHTEXT
 from srt.reports.figures.style import FAINT, GREY, INK, ConstrainedLayoutEngine, Figure, Line2D
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.reports.certificate.content import Certificate
-    from srt.reports.certificate.figures import Picture
-    from srt.reports.certificate.tables import Table
+    from srt.reports.certificate.figures import CertificateFigure
+    from srt.reports.certificate.tables import CertificateTable
 
 _POINTS: Final = 72.0
 _WIDTH, _HEIGHT = 595.3, 841.9
@@ -92,7 +92,7 @@ def _write(certificate: Certificate, layout: _Layout) -> None:
         layout.paragraph(sentence)
     if certificate.residuals is not None:
         layout.table(certificate.residuals)
-    for picture in pictures(certificate):
+    for picture in certificate_figures(certificate):
         layout.picture(certificate, picture)
     layout.heading("How to apply it", needs=150.0)
     for words, formula in zip(("The unit reads", "and a reading is corrected by"), MATHTEXT, strict=True):
@@ -102,7 +102,7 @@ def _write(certificate: Certificate, layout: _Layout) -> None:
     for table in certificate.application.tables:
         layout.table(table, titled=True)
     layout.heading("What the test cannot see", needs=80.0)
-    layout.bullets(certificate.unseen)
+    layout.bullets(certificate.limitations)
     if certificate.notes:
         layout.heading("Notes of the calibration")
         layout.bullets(certificate.notes)
@@ -166,7 +166,7 @@ class _Layout:
         _put(self.pages[-1], _MARGIN + 20.0, self.y + 15.0, text, 12.0, mathematics=True)
         self.space(26.0)
 
-    def table(self, table: Table, *, titled: bool = False) -> None:
+    def table(self, table: CertificateTable, *, titled: bool = False) -> None:
         """Set a table; its head is repeated on every page."""
         if titled:
             self.space(6.0)
@@ -190,7 +190,7 @@ class _Layout:
         if table.note:
             self.paragraph(table.note, size=_SMALL, colour="#555555")
 
-    def picture(self, certificate: Certificate, picture: Picture) -> None:
+    def picture(self, certificate: Certificate, picture: CertificateFigure) -> None:
         """Set a picture with its title and caption."""
         width = min(_POINTS * picture.size_in[0], _BODY)
         height = width * picture.size_in[1] / picture.size_in[0]
@@ -211,7 +211,7 @@ class _Layout:
         self.space(height + 3.0)
         self.paragraph(picture.caption, size=_SMALL, colour="#555555")
 
-    def _head(self, table: Table, size: float, widths: list[float]) -> None:
+    def _head(self, table: CertificateTable, size: float, widths: list[float]) -> None:
         for text, (x, width), side in zip(table.head, _columns(widths), table.alignment, strict=True):
             self._cell(text, x, width, side, size, weight="bold")
         self.space(size * _LEADING)
@@ -270,7 +270,7 @@ def _columns(widths: list[float]) -> Iterator[tuple[float, float]]:
         x += width + _GAP
 
 
-def _fitted(table: Table) -> tuple[float, list[float]]:
+def _fitted(table: CertificateTable) -> tuple[float, list[float]]:
     """Size of letters at which a table fits the page, and the widths of its columns."""
     gaps = _GAP * (len(table.head) - 1)
     longest = [

@@ -14,7 +14,7 @@ _TEXT = 400
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class CertificateCell:
     """A cell of a table.
 
     Attributes
@@ -32,14 +32,14 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class CertificateTable:
     """A table.
 
     Attributes
     ----------
     title : str
     head : tuple of str
-    rows : tuple of tuple of Cell
+    rows : tuple of tuple of CertificateCell
     alignment : str
         One letter per column: "l" or "r".
     note : str
@@ -50,7 +50,7 @@ class Table:
 
     title: str
     head: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[CertificateCell, ...], ...]
     alignment: str
     note: str = ""
     breaks: AbstractSet[int] = field(default_factory=frozenset)

@@ -34,7 +34,7 @@ from srt.reports.figures.style import (
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
 
 if TYPE_CHECKING:
-    from srt.comparison.estimators import Comparison
+    from srt.comparison.estimator_comparison import Comparison
     from srt.types import Array
 
 
@@ -73,7 +73,7 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     layout = ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.06, hspace=0.04)
     figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
     differences, ratios = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
-    names = [comparison.reference, *comparison.pairs]
+    names = [comparison.reference, *comparison.differences]
     styles = estimator_styles(names)
     width = _ROOM / len(names)
     first = np.arange(N_PARAMETERS, dtype=np.float64) - 0.5 * width * (len(names) - 1)
@@ -112,11 +112,11 @@ def _differences(
     assert comparison.reference is not None
     reference = comparison.calibrations[comparison.reference]
     calibration = comparison.calibrations[name]
-    unit, pair = reference.sigma, comparison.pairs.get(name)
+    unit, pair = reference.sigma, comparison.differences.get(name)
     seen = np.isfinite(unit) if pair is None else pair.compared
     value = np.zeros(N_PARAMETERS) if pair is None else pair.difference / unit
     if pair is not None:
-        spread = pair.spread / unit
+        spread = pair.expected_sigma / unit
         axes.bar(at[seen], 2.0 * spread[seen], 0.95 * width, bottom=-spread[seen], color=colour, alpha=0.25)
         wrong = pair.differing
         axes.plot(at[wrong], value[wrong], "o", markersize=13.0, markerfacecolor="none", markeredgecolor=INK)
@@ -126,7 +126,7 @@ def _differences(
 
 
 def _ratios(axes: Axes, comparison: Comparison, name: str, at: Array, style: tuple[str, str]) -> None:
-    pair = comparison.pairs.get(name)
+    pair = comparison.differences.get(name)
     if pair is None:
         axes.axhline(1.0, color=style[0], linewidth=1.2)
     else:
@@ -177,9 +177,9 @@ def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[s
         colour, marker = styles[name]
         label = f"{name} ±1σ" + (" (reference)" if name == comparison.reference else "")
         handles.append(Line2D([], [], color=colour, marker=marker, markersize=5.0, label=label))
-    if comparison.pairs:
+    if comparison.differences:
         handles.append(Patch(color=GREY, alpha=0.25, label="expected spread of a difference, ±1σ"))
-    if any(pair.differing.any() for pair in comparison.pairs.values()):
+    if any(pair.differing.any() for pair in comparison.differences.values()):
         ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": INK}
         handles.append(Line2D([], [], linestyle="none", label="beyond the limit", **ring))  # type: ignore[arg-type]
     if comparison.calibrations[names[0]].held:

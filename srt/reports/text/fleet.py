@@ -13,7 +13,7 @@ from srt.reports.text.tables import decimals_for, fixed, text_table
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
-    from srt.comparison.fleet import Fleet, Unit
+    from srt.comparison.fleet import Fleet, FleetUnit
 
 _STATUS: Final = {"not_converged": "not conv.", "outside_model": "outside"}
 _HEADS: Final = (
@@ -82,7 +82,7 @@ def size_table(fleet: Fleet) -> str:
 
 def outlying_table(fleet: Fleet) -> str:
     """Set every outlying value beside what the other units say; empty if there is none."""
-    judged = fleet.judgement
+    judged = fleet.outliers
     rows = []
     for number, unit in enumerate(fleet.units):
         for i in fleet.flagged(number):
@@ -106,7 +106,7 @@ def outlying_table(fleet: Fleet) -> str:
 def judging(fleet: Fleet) -> str:
     """Say in a sentence or two by what the units were judged."""
     sound = sum(unit.sound for unit in fleet.units)
-    limit = fleet.judgement.limit[np.isfinite(fleet.judgement.limit)]
+    limit = fleet.outliers.limit[np.isfinite(fleet.outliers.limit)]
     if not len(limit):
         return (
             f"No unit is judged against the fleet: that takes {MINIMUM_UNITS} converged units with a parameter in "
@@ -114,7 +114,7 @@ def judging(fleet: Fleet) -> str:
         )
     low, high = f"{limit.min():.3g}", f"{limit.max():.3g}"
     reach = low if low == high else f"{low} to {high}, by how many units have the parameter"
-    few = int(np.sum(np.isnan(fleet.judgement.limit)))
+    few = int(np.sum(np.isnan(fleet.outliers.limit)))
     return (
         f"Each unit is judged by all the others; outlying is a z beyond {reach}. In a sound fleet of {sound} that "
         f"flags anything at all with a chance of {100.0 * FALSE_ALARMS:.0f} % at most."
@@ -125,12 +125,12 @@ def judging(fleet: Fleet) -> str:
 def _outlying(fleet: Fleet, number: int) -> str:
     found = fleet.flagged(number)
     more = [f"+{len(found) - _SYMBOLS_SHOWN}"] if len(found) > _SYMBOLS_SHOWN else []
-    if not np.any(np.isfinite(fleet.judgement.z[number])):
+    if not np.any(np.isfinite(fleet.outliers.z[number])):
         return "not judged"
     return " ".join([*(SYMBOLS[i] for i in found[:_SYMBOLS_SHOWN]), *more]) or "no"
 
 
-def _largest(fleet: Fleet, number: int, unit: Unit, group: str) -> str:
+def _largest(fleet: Fleet, number: int, unit: FleetUnit, group: str) -> str:
     """Largest value of a group, no finer than its sigma and no longer than a column bears."""
     assert unit.calibration is not None
     where = np.arange(len(NAMES))[GROUP_SLICES[group]]
@@ -142,7 +142,7 @@ def _largest(fleet: Fleet, number: int, unit: Unit, group: str) -> str:
     value = float(unit.calibration.errors.vector[i]) * DISPLAY_FACTORS[i]
     decimals = decimals_for(float(unit.calibration.sigma[i]) * DISPLAY_FACTORS[i])
     text = fixed(value, min(decimals, max(_DIGITS - len(f"{abs(value):.0f}"), 0)))
-    return text + ("*" if fleet.judgement.flagged[number, where].any() else "")
+    return text + ("*" if fleet.outliers.flagged[number, where].any() else "")
 
 
 def _failures(fleet: Fleet) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from srt.estimation.options import Options
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.reports.certificate.tables import Cell, Table, plain
+from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
 from srt.result.calibration import VERSION, software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.model.sensor_model import Triad
-    from srt.reports.certificate.checked import Source
-    from srt.reports.certificate.limits import Limits
-    from srt.reports.certificate.replay import Course
+    from srt.reports.certificate.acceptance_limits import AcceptanceLimits
+    from srt.reports.certificate.calibration_file import CalibrationFile
+    from srt.reports.certificate.recording_history import RecordingHistory
     from srt.result.calibration import Calibration
 
 
@@ -27,14 +27,16 @@ SERIAL_LENGTH: Final = 200
 """Characters of a serial that are shown."""
 
 
-def facts(source: Source, course: Course | None, limits: Limits | None) -> Iterator[tuple[str, str]]:
+def facts(
+    source: CalibrationFile, course: RecordingHistory | None, limits: AcceptanceLimits | None
+) -> Iterator[tuple[str, str]]:
     """Give which unit, when, where, of which data, by which software, as labels and texts.
 
     Parameters
     ----------
-    source : Source
-    course : Course or None
-    limits : Limits or None
+    source : CalibrationFile
+    course : RecordingHistory or None
+    limits : AcceptanceLimits or None
     """
     calibration = source.calibration
     provenance, merged = calibration.provenance, calibration.provenance.get("recordings") or ()
@@ -69,22 +71,24 @@ def facts(source: Source, course: Course | None, limits: Limits | None) -> Itera
         yield "Left out of the test", plain("; ".join(f"{key}: {reason}" for key, reason in voided.items()), 600)
 
 
-def recordings_table(calibration: Calibration) -> Table | None:
+def recordings_table(calibration: Calibration) -> CertificateTable | None:
     """Set the recordings of a merged calibration; None for any other."""
     members = calibration.provenance.get("recordings") or ()
     if not members:
         return None
     rows = tuple(
         (
-            Cell(str(k + 1)),
-            Cell(plain(member.get("serial")) or "-"),
-            Cell(plain(member.get("date")) or "-"),
-            Cell(member.get("data_sha256") or "-"),
-            Cell(plain(member.get("software")) or "-"),
+            CertificateCell(str(k + 1)),
+            CertificateCell(plain(member.get("serial")) or "-"),
+            CertificateCell(plain(member.get("date")) or "-"),
+            CertificateCell(member.get("data_sha256") or "-"),
+            CertificateCell(plain(member.get("software")) or "-"),
         )
         for k, member in enumerate(members)
     )
-    return Table("Recordings merged", ("", "serial", "date", "SHA-256 of the samples", "software"), rows, "rllll")
+    return CertificateTable(
+        "Recordings merged", ("", "serial", "date", "SHA-256 of the samples", "software"), rows, "rllll"
+    )
 
 
 def _site(calibration: Calibration) -> str:
@@ -130,19 +134,19 @@ def _option(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def unseen(calibration: Calibration, course: Course | None) -> tuple[str, ...]:
+def limitations(calibration: Calibration, course: RecordingHistory | None) -> tuple[str, ...]:
     """List what the test cannot see.
 
     Parameters
     ----------
     calibration : Calibration
-    course : Course or None
+    course : RecordingHistory or None
         Names the fastest turn, if there is a recording.
     """
     return tuple(_sentences(calibration, course))
 
 
-def _sentences(calibration: Calibration, course: Course | None) -> Iterator[str]:
+def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Iterator[str]:
     if calibration.held:
         count = len(calibration.held)
         yield f"{count} parameters were not measured: what stands in their place was there before the test."
@@ -210,16 +214,16 @@ class Application:
         What a unit reads, and how to correct it.
     sentences : tuple of str
         What the symbols are.
-    tables : tuple of Table
+    tables : tuple of CertificateTable
         M, s and b of gyros and accelerometers, and U where it is known.
     """
 
     formulas: tuple[str, ...]
     sentences: tuple[str, ...]
-    tables: tuple[Table, ...]
+    tables: tuple[CertificateTable, ...]
 
 
-def apply_section(calibration: Calibration) -> Application:
+def application_section(calibration: Calibration) -> Application:
     """Say how to apply a calibration.
 
     Parameters
@@ -242,15 +246,16 @@ def apply_section(calibration: Calibration) -> Application:
         sigma = calibration.U_sigma_rad
         known = "" if sigma is None else f", known to {1e3 * sigma:.2g} mrad per axis"
         sentences.append(f"transpose(U) v is in the axes of the table on which the unit was mounted{known}.")
-        rows = tuple(tuple(Cell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
-        tables.append(Table("U", ("", "", ""), rows, "rrr"))
+        rows = tuple(tuple(CertificateCell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
+        tables.append(CertificateTable("U", ("", "", ""), rows, "rrr"))
     sentences.append("'srt apply' does this to a recording, 'srt apply --c-header' writes it as C.")
     return Application((READING, CORRECTION), tuple(sentences), tuple(tables))
 
 
-def _triad(title: str, triad: Triad) -> Table:
+def _triad(title: str, triad: Triad) -> CertificateTable:
     numbers = np.column_stack([triad.matrix, triad.asymmetry, triad.bias]).tolist()
     rows = tuple(
-        tuple(Cell(f"{x:+.6e}" if column == 4 else f"{x:+.9f}", x) for column, x in enumerate(row)) for row in numbers
+        tuple(CertificateCell(f"{x:+.6e}" if column == 4 else f"{x:+.9f}", x) for column, x in enumerate(row))
+        for row in numbers
     )
-    return Table(title, ("M, column 1", "column 2", "column 3", "s", "b"), rows, "rrrrr")
+    return CertificateTable(title, ("M, column 1", "column 2", "column 3", "s", "b"), rows, "rrrrr")

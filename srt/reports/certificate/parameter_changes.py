@@ -12,7 +12,7 @@ from srt.exceptions import InputError, clipped
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
-    from srt.reports.certificate.checked import Source
+    from srt.reports.certificate.calibration_file import CalibrationFile
     from srt.types import Array, Mask
 
 
@@ -22,12 +22,12 @@ correlation between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Change:
+class ParameterChanges:
     """New values less old ones.
 
     Attributes
     ----------
-    old : Source
+    old : CalibrationFile
     difference, sigma : ndarray, shape (27,), SI
         Change and its combined sigma, ``sqrt(sigma_new² + sigma_old²)``; NaN where one of the two did not measure it.
     limit : float
@@ -36,7 +36,7 @@ class Change:
         Whether a serial is missing, so that both being one unit is taken on trust.
     """
 
-    old: Source
+    old: CalibrationFile
     difference: Array
     sigma: Array
     limit: float
@@ -58,12 +58,12 @@ class Change:
         return tuple(NAMES[i] for i in np.flatnonzero(self.flagged))
 
 
-def change_since(new: Source, old: Source) -> Change:
+def changes_since(new: CalibrationFile, old: CalibrationFile) -> ParameterChanges:
     """Compare a unit's calibration with an earlier one.
 
     Parameters
     ----------
-    new, old : Source
+    new, old : CalibrationFile
 
     Raises
     ------
@@ -92,4 +92,4 @@ def change_since(new: Source, old: Source) -> Change:
         raise InputError(f"{new.name} and {old.name} have no measured parameter in common: nothing can be compared.")
     limit = -float(ndtri(0.5 * FALSE_ALARM / int(compared.sum())))
     difference = np.where(compared, difference, np.nan)
-    return Change(old, difference, sigma, limit, None in (new.serial, old.serial))
+    return ParameterChanges(old, difference, sigma, limit, None in (new.serial, old.serial))

@@ -83,7 +83,7 @@ class Readings:
 
 
 @dataclass(frozen=True, slots=True)
-class Residual:
+class CorrectionDifference:
     """Length of the vector by which two corrections differ.
 
     Attributes
@@ -101,7 +101,7 @@ class Residual:
     accel_rms: float
 
 
-def compare(title: str, readings: Readings, ours: Correction, theirs: Correction) -> Residual:
+def compare_corrections(title: str, readings: Readings, ours: Correction, theirs: Correction) -> CorrectionDifference:
     """Correct readings in two ways and measure the difference.
 
     Parameters
@@ -113,7 +113,7 @@ def compare(title: str, readings: Readings, ours: Correction, theirs: Correction
 
     Returns
     -------
-    Residual
+    CorrectionDifference
     """
     largest, total = np.zeros(2), np.zeros(2)
     n = len(readings.gyro)
@@ -125,7 +125,7 @@ def compare(title: str, readings: Readings, ours: Correction, theirs: Correction
             total[s] += float(square.sum())
     gyro_max, accel_max = (math.sqrt(value) for value in largest)
     gyro_rms, accel_rms = (math.sqrt(value / n) for value in total)
-    return Residual(title, gyro_max, gyro_rms, accel_max, accel_rms)
+    return CorrectionDifference(title, gyro_max, gyro_rms, accel_max, accel_rms)
 
 
 def _sphere(n: int) -> Array:

@@ -32,7 +32,7 @@ FALSE_ALARM: Final = 0.01
 """Probability that estimators which differ by chance alone are said to disagree: half of it for the largest difference
 of any one parameter, half for the joint tests."""
 
-LEAST_SPREAD: Final = 0.05
+EXPECTED_SIGMA_FLOOR: Final = 0.05
 """Floor of an expected spread, in units of the larger sigma. Two efficient estimators expect no difference at all, and
 still differ by their stopping rules (0.01 sigma), by terms of second order and by how they treat shared noise: nobody
 needs to know that below a twentieth of sigma."""
@@ -44,7 +44,7 @@ _NAMED: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class EstimateDifference:
     """One estimator against the reference.
 
     Attributes
@@ -54,7 +54,7 @@ class Pair:
         Parameters that both observed.
     difference : ndarray, shape (27,), SI
         Estimator less reference; NaN where not compared, as in the next three.
-    spread : ndarray, shape (27,), SI
+    expected_sigma : ndarray, shape (27,), SI
         One sigma that the difference should have.
     normalised : ndarray, shape (27,)
         Difference over spread.
@@ -73,7 +73,7 @@ class Pair:
     reference: str
     compared: Mask
     difference: Array
-    spread: Array
+    expected_sigma: Array
     normalised: Array
     sigma_ratio: Array
     limit: float
@@ -116,7 +116,7 @@ class Pair:
             "compared": int(self.compared.sum()),
             "sigma_ratio_rms": self.efficiency if self.compared.any() else None,
             "difference": finite(self.difference),
-            "spread": finite(self.spread),
+            "spread": finite(self.expected_sigma),
             "normalised": finite(self.normalised),
             "limit": self.limit,
             "differing": list(_names(self.differing)),
@@ -144,21 +144,21 @@ class Pair:
         return f"{self.estimator} differs from {self.reference}: {named} expected spreads {limit}"
 
 
-def make_pair(
+def estimate_difference(
     name: str, other: Calibration, reference_name: str, reference: Calibration, shared: Mask, count: int, pairs: int
-) -> Pair:
+) -> EstimateDifference:
     """Compare two estimates, one of ``pairs`` with ``count`` parameters in all."""
     scale = np.where(shared, np.fmax(other.sigma, reference.sigma), np.nan)
     difference = np.where(shared, other.errors.vector - reference.errors.vector, np.nan)
     excess = other.covariance - reference.covariance
-    spread = np.maximum(np.sqrt(np.abs(np.diag(excess))), LEAST_SPREAD * scale)
+    spread = np.maximum(np.sqrt(np.abs(np.diag(excess))), EXPECTED_SIGMA_FLOOR * scale)
     statistic, p_value = _joint((difference / scale)[shared], (excess / np.outer(scale, scale))[np.ix_(shared, shared)])
-    return Pair(
+    return EstimateDifference(
         estimator=name,
         reference=reference_name,
         compared=shared,
         difference=difference,
-        spread=spread,
+        expected_sigma=spread,
         normalised=difference / spread,
         sigma_ratio=np.where(shared, ratio_of(other.sigma, reference.sigma), np.nan),
         limit=_limit(count),
@@ -189,7 +189,7 @@ def _joint(difference: Array, covariance: Array) -> tuple[float, float]:
     if not difference.size:
         return 0.0, 1.0
     eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    variance = np.maximum(np.abs(eigenvalues), LEAST_SPREAD**2)
+    variance = np.maximum(np.abs(eigenvalues), EXPECTED_SIGMA_FLOOR**2)
     statistic = float(np.sum((vectors.T @ difference) ** 2 / variance))
     return statistic, float(chdtrc(difference.size, statistic))
 

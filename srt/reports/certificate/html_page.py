@@ -13,12 +13,12 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import MissingExtraError
-from srt.reports.certificate.figures import pictures
+from srt.reports.certificate.figures import certificate_figures
 from srt.reports.figures.style import BLUE, DPI, FAINT, GREY, INK, ConstrainedLayoutEngine, Figure
 
 if TYPE_CHECKING:
     from srt.reports.certificate.content import Certificate
-    from srt.reports.certificate.figures import Picture
+    from srt.reports.certificate.figures import CertificateFigure
 
 EXTRA: Final = "report"
 _TEMPLATE: Final = "certificate.html.jinja"
@@ -35,7 +35,7 @@ _REFERENCE: Final = re.compile(r'(\bid="|href="#|url\(#)')
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class PageFigure:
     """A picture as the page holds it.
 
     Attributes
@@ -77,11 +77,11 @@ def html_page(certificate: Certificate) -> str:
 
     source = (files("srt.reports.certificate") / _TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    drawn = {picture.name: _drawn(certificate, picture) for picture in pictures(certificate)}
+    drawn = {picture.name: _drawn(certificate, picture) for picture in certificate_figures(certificate)}
     return environment.from_string(source).render(certificate=certificate, pictures=drawn)
 
 
-def _drawn(certificate: Certificate, picture: Picture) -> Drawn:
+def _drawn(certificate: Certificate, picture: CertificateFigure) -> PageFigure:
     """Draw to SVG: the same text from the same numbers."""
     import matplotlib as mpl
 
@@ -107,4 +107,4 @@ def _drawn(certificate: Certificate, picture: Picture) -> Drawn:
         text,
         count=1,
     )
-    return Drawn(picture.title, picture.caption, text.strip(), round(96 * picture.size_in[0]))
+    return PageFigure(picture.title, picture.caption, text.strip(), round(96 * picture.size_in[0]))

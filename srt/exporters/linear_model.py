@@ -33,7 +33,7 @@ _REVERSED: Final = np.eye(3)[::-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linear:
+class LinearModel:
     """Readings ``y = M v + b`` of a triad.
 
     Attributes
@@ -49,9 +49,9 @@ class Linear:
         """Undo the readings, shape (n, 3)."""
         return np.asarray(np.linalg.solve(self.matrix, (readings - self.bias).T).T)
 
-    def turned(self, C: Array) -> Linear:
+    def turned(self, C: Array) -> LinearModel:
         """The same readings, v in axes that C takes its components to."""
-        return Linear(self.matrix @ C.T, self.bias)
+        return LinearModel(self.matrix @ C.T, self.bias)
 
     @property
     def inverse(self) -> Array:
@@ -59,7 +59,7 @@ class Linear:
         return np.asarray(np.linalg.inv(self.matrix))
 
 
-def linear_part(triad: Triad, motion: Array | None = None) -> Linear:
+def linear_part(triad: Triad, motion: Array | None = None) -> LinearModel:
     """Take the linear part of a triad.
 
     Parameters
@@ -71,7 +71,7 @@ def linear_part(triad: Triad, motion: Array | None = None) -> Linear:
 
     Returns
     -------
-    Linear
+    LinearModel
         In MARS axes.
     """
     matrix, bias = triad.matrix, triad.bias
@@ -85,7 +85,7 @@ def linear_part(triad: Triad, motion: Array | None = None) -> Linear:
         offset = size.mean(axis=0) - slope * motion.mean(axis=0)
         matrix = matrix + np.diag(triad.asymmetry * slope)
         bias = bias + triad.asymmetry * offset
-    return Linear(matrix, bias)
+    return LinearModel(matrix, bias)
 
 
 def lower_rotation(M: Array) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from srt.exceptions import InputError, MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from srt.exporters.source import Source
+    from srt.exporters.export_model import ExportModel
     from srt.types import Array
 
     Texts = Mapping[str, str]
@@ -64,7 +64,7 @@ class Exporter:
     imports : bool
         Whether it holds enough for a pre-calibration.
     options : frozenset of str
-        Settings that it takes; others are refused.
+        ExportSettings that it takes; others are refused.
     asymmetry : bool
         Whether it holds asymmetry.
     """
@@ -75,7 +75,7 @@ class Exporter:
     formula: str
     losses: tuple[str, ...]
     frames: tuple[str, ...]
-    write: Callable[[Source], dict[str, str]]
+    write: Callable[[ExportModel], dict[str, str]]
     read: Callable[[Texts], Fields]
     apply: Callable[[Fields, Array, Array], tuple[Array, Array]]
     advice: tuple[str, ...] = ()

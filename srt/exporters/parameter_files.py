@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.exporters.format import (
+from srt.exporters.export_model import comment
+from srt.exporters.file_format import (
     SINGLE,
     Exporter,
     field,
@@ -33,14 +34,13 @@ from srt.exporters.format import (
     to_yaml,
     whole_lines,
 )
-from srt.exporters.source import comment
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from srt.exporters.format import Fields, Texts
-    from srt.exporters.source import Source
+    from srt.exporters.export_model import ExportModel
+    from srt.exporters.file_format import Fields, Texts
     from srt.types import Array
 
 
@@ -53,9 +53,9 @@ def checksum(text: str) -> str:
     return f"{functools.reduce(operator.xor, text.encode('ascii'), 0):02X}"
 
 
-def _write_vectornav(source: Source) -> dict[str, str]:
+def _write_vectornav(model: ExportModel) -> dict[str, str]:
     lines = []
-    for sensor, linear in (("gyro", source.gyro), ("accel", source.accel)):
+    for sensor, linear in (("gyro", model.gyro), ("accel", model.accel)):
         values = [*linear.inverse.ravel().tolist(), *linear.bias.tolist()]
         # Twelve decimals are finer than single precision for all but the very smallest biases, and need no exponent.
         body = ",".join(["VNWRG", str(_REGISTERS[sensor]), *(f"{value:.12f}" for value in values)])
@@ -131,34 +131,34 @@ def _ardupilot_names(instance: int) -> dict[str, tuple[str, ...]]:
     return _names((f"INS_ACC{n}OFFS_{{}}", f"INS_ACC{n}SCAL_{{}}", f"INS_GYR{n}OFFS_{{}}"))
 
 
-def _parameter_values(source: Source) -> dict[str, Array]:
+def _parameter_values(model: ExportModel) -> dict[str, Array]:
     values = {
-        "accel_offset": single(source.accel.bias),
-        "accel_scale": single(_factors(source.accel.matrix)),
-        "gyro_offset": single(source.gyro.bias),
+        "accel_offset": single(model.accel.bias),
+        "accel_scale": single(_factors(model.accel.matrix)),
+        "gyro_offset": single(model.gyro.bias),
     }
     if not np.all(values["accel_scale"] > 0.0):
         raise InputError("An accelerometer is turned by more than 90°, which three scale factors cannot state.")
     return values
 
 
-def _write_px4(source: Source) -> dict[str, str]:
-    names, values = _px4_names(source.settings.instance or 0), _parameter_values(source)
+def _write_px4(model: ExportModel) -> dict[str, str]:
+    names, values = _px4_names(model.settings.instance or 0), _parameter_values(model)
     # Vehicle, component, name, value, type 9: float.
     lines = [
         f"1\t1\t{name}\t{value:.18f}\t9\n"
         for key in values
         for name, value in zip(names[key], values[key].tolist(), strict=True)
     ]
-    head = [*source.heading(PX4), "", "Vehicle-Id Component-Id Name Value Type"]
+    head = [*model.heading(PX4), "", "Vehicle-Id Component-Id Name Value Type"]
     return {"": comment(head) + "".join(sorted(lines))}
 
 
-def _write_ardupilot(source: Source) -> dict[str, str]:
-    instance = source.settings.instance or 0
+def _write_ardupilot(model: ExportModel) -> dict[str, str]:
+    instance = model.settings.instance or 0
     if instance > 2:
         raise InputError(f"The instance is {instance}, but ArduPilot has parameters for 0, 1 and 2: give one of these.")
-    names, values = _ardupilot_names(instance), _parameter_values(source)
+    names, values = _ardupilot_names(instance), _parameter_values(model)
     for key in ("accel_offset", "gyro_offset"):
         if not values[key].any():
             raise InputError(
@@ -176,7 +176,7 @@ def _write_ardupilot(source: Source) -> dict[str, str]:
     lines = [
         f"{name},{value:.9g}\n" for key in values for name, value in zip(names[key], values[key].tolist(), strict=True)
     ]
-    return {"": comment(source.heading(ARDUPILOT)) + "".join(lines)}
+    return {"": comment(model.heading(ARDUPILOT)) + "".join(lines)}
 
 
 def _parameters(text: str, columns: int, column: int, separator: str | None) -> dict[str, str]:
@@ -262,29 +262,29 @@ _ROS2: Final = "/**"
 _SENSORS: Final = {"gyro": gyro_triad, "accel": accel_triad}
 
 
-def _write_ros2(source: Source) -> dict[str, str]:
+def _write_ros2(model: ExportModel) -> dict[str, str]:
     sensors: dict[str, Any] = {}
     for sensor, triad_of in _SENSORS.items():
-        triad = triad_of(source.calibration.errors)
+        triad = triad_of(model.calibration.errors)
         sensors[sensor] = {
             "matrix": triad.matrix.ravel().tolist(),
             "asymmetry": triad.asymmetry.tolist(),
             "bias": triad.bias.tolist(),
-            "correction": (source.C_FB @ np.linalg.inv(triad.matrix)).ravel().tolist(),
+            "correction": (model.C_FB @ np.linalg.inv(triad.matrix)).ravel().tolist(),
         }
     document = {
         _ROS2: {
             "ros__parameters": {
                 "imu_calibration": {
                     "formula": ROS2.formula,
-                    "axes": source.frame,
-                    "rotation": source.C_FB.ravel().tolist(),
+                    "axes": model.frame,
+                    "rotation": model.C_FB.ravel().tolist(),
                     **sensors,
                 }
             }
         }
     }
-    return {"": to_yaml(document, comment([*source.heading(ROS2), "Matrices by rows."]))}
+    return {"": to_yaml(document, comment([*model.heading(ROS2), "Matrices by rows."]))}
 
 
 def _read_ros2(texts: Texts) -> Fields:

@@ -16,7 +16,7 @@ from srt.model.rotations import rotation_vector
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.exporters.linear import Linear
+    from srt.exporters.linear_model import LinearModel
     from srt.result.calibration import Calibration
     from srt.types import Array
 
@@ -31,8 +31,8 @@ _AXES: Final = {
 LAST_INSTANCE: Final = 9
 
 
-class Described(Protocol):
-    """A format as its files describe it; :class:`srt.exporters.format.Exporter` is one."""
+class FormatDescription(Protocol):
+    """A format as its files describe it; :class:`srt.exporters.file_format.Exporter` is one."""
 
     @property
     def title(self) -> str:
@@ -52,7 +52,7 @@ class Described(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class ExportSettings:
     """What a calibration does not know and some formats ask for; None where not stated.
 
     Attributes
@@ -97,27 +97,27 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class ExportModel:
     """A calibration made ready for one format.
 
     Attributes
     ----------
     calibration : Calibration
-    gyro, accel : Linear
+    gyro, accel : LinearModel
         In the format's axes F.
     frame : str
         What F is: "mars", "table" or "accel".
     C_FB : ndarray, shape (3, 3)
         From MARS axes to F.
-    settings : Settings
+    settings : ExportSettings
     """
 
     calibration: Calibration
-    gyro: Linear
-    accel: Linear
+    gyro: LinearModel
+    accel: LinearModel
     frame: str
     C_FB: Array
-    settings: Settings
+    settings: ExportSettings
 
     def white_noise(self, sensor: str) -> Array | None:
         """White noise of the raw channels, shape (3,), rad/s/√Hz or m/s²/√Hz; None where not known."""
@@ -125,7 +125,7 @@ class Source:
         stated = self.calibration.noise.get(key)
         return None if stated is None else np.array(stated, dtype=np.float64)
 
-    def heading(self, item: Described) -> list[str]:
+    def heading(self, item: FormatDescription) -> list[str]:
         """Say, in ASCII lines for a comment, what the file is of, how it is applied and what it lacks."""
         provenance = self.calibration.provenance
         stated = {

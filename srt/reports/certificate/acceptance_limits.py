@@ -25,7 +25,7 @@ SECTIONS: Final = ("value", "sigma")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Limits:
+class AcceptanceLimits:
     """Largest absolute value and largest sigma of every parameter.
 
     Attributes
@@ -58,7 +58,7 @@ class Limits:
         return np.asarray((value & sigma & calibration.observed) | ~self.given)
 
 
-def load_limits(path: Path) -> Limits:
+def load_acceptance_limits(path: Path) -> AcceptanceLimits:
     """Read a file of limits: sections ``[value]`` and ``[sigma]``, keys such as ``gyro_scale_ppm``.
 
     A key names a parameter or a group, and the unit of the table after it; a parameter's own limit goes before that
@@ -86,7 +86,7 @@ def load_limits(path: Path) -> Limits:
             "the sections are [value] and [sigma]."
         )
     found = {section: _section(path, section, document.get(section, {})) for section in SECTIONS}
-    limits = Limits(found["value"], found["sigma"], path.name)
+    limits = AcceptanceLimits(found["value"], found["sigma"], path.name)
     if not limits.given.any():
         raise InputError(f"The limits {path} limit nothing: add a key such as gyro_scale_ppm = 300.0 under [value].")
     return limits

@@ -33,7 +33,7 @@ _LARGEST_COUNT: Final = 2**53
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class CalibrationFile:
     """A calibration and the file that it came from.
 
     Attributes
@@ -63,7 +63,7 @@ class Source:
         return tuple(t["data_sha256"] for t in tables if t.get("data_sha256"))
 
 
-def load_source(path: Path) -> Source:
+def load_calibration_file(path: Path) -> CalibrationFile:
     """Read a calibration that a certificate may repeat.
 
     Parameters
@@ -72,7 +72,7 @@ def load_source(path: Path) -> Source:
 
     Returns
     -------
-    Source
+    CalibrationFile
 
     Raises
     ------
@@ -93,7 +93,7 @@ def load_source(path: Path) -> Source:
         raise InputError(
             f"The calibration {path} was edited or truncated: {reason}; take the file that 'srt calibrate' wrote."
         )
-    return Source(calibration, path.name, hashlib.sha256(data).hexdigest())
+    return CalibrationFile(calibration, path.name, hashlib.sha256(data).hexdigest())
 
 
 def _number(text: str) -> float:

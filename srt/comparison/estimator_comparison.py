@@ -1,6 +1,6 @@
 """Estimators side by side on one recording, and whether they agree as far as they should.
 
-The statistics of a difference are those of :mod:`srt.comparison.pairs`.
+The statistics of a difference are those of :mod:`srt.comparison.estimate_difference`.
 """
 
 from __future__ import annotations
@@ -14,11 +14,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.comparison.pairs import FALSE_ALARM, Pair, finite, make_pair, ratio_of, some
+from srt.comparison.estimate_difference import (
+    FALSE_ALARM,
+    EstimateDifference,
+    estimate_difference,
+    finite,
+    ratio_of,
+    some,
+)
 from srt.estimation.options import Options
 from srt.estimation.registry import automatic_estimator, find_estimator
 from srt.exceptions import DataError, InputError, SrtError
-from srt.recording.atomic import atomic_write_text
+from srt.recording.atomic_file import atomic_write_text
 from srt.sensor_errors import NAMES, SYMBOLS, UNITS
 from srt.sequences.recognition import label_sequences
 
@@ -128,7 +135,7 @@ class Comparison:
         By the estimator's name, whatever their status.
     reference : str or None
         The estimate taken as efficient; None if none is usable.
-    pairs : mapping of str to Pair
+    differences : mapping of str to EstimateDifference
         Of every other usable estimate with the reference.
     seconds : mapping of str to float
     failures, left_out : mapping of str to str
@@ -139,7 +146,7 @@ class Comparison:
 
     calibrations: Mapping[str, Calibration]
     reference: str | None
-    pairs: Mapping[str, Pair]
+    differences: Mapping[str, EstimateDifference]
     seconds: Mapping[str, float] = field(default_factory=dict)
     failures: Mapping[str, str] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
@@ -149,7 +156,7 @@ class Comparison:
     @property
     def agree(self) -> bool:
         """Whether there are two usable estimates at least, and all agree with the reference."""
-        return bool(self.pairs) and all(pair.agrees for pair in self.pairs.values())
+        return bool(self.differences) and all(pair.agrees for pair in self.differences.values())
 
     @property
     def complete(self) -> bool:
@@ -161,15 +168,15 @@ class Comparison:
         """The outcome in a sentence."""
         if self.reference is None:
             return "There is nothing to compare: no estimator gave a usable result."
-        if not self.pairs:
+        if not self.differences:
             return f"There is nothing to compare: only {self.reference} gave a usable result."
         if not self.agree:
-            ordered = sorted(self.pairs.values(), key=lambda pair: pair.agrees)
+            ordered = sorted(self.differences.values(), key=lambda pair: pair.agrees)
             return "; ".join(pair.sentence() for pair in ordered) + "."
-        worst = max(self.pairs.values(), key=lambda pair: float(np.nanmax(np.abs(pair.normalised))))
+        worst = max(self.differences.values(), key=lambda pair: float(np.nanmax(np.abs(pair.normalised))))
         assert worst.largest is not None
         return (
-            f"{_listing([self.reference, *self.pairs])} agree: largest difference "
+            f"{_listing([self.reference, *self.differences])} agree: largest difference "
             f"{abs(worst.normalised[worst.largest]):.1f} expected spreads ({NAMES[worst.largest]} of "
             f"{worst.estimator}; limit {worst.limit:.1f})."
         )
@@ -210,7 +217,7 @@ class Comparison:
         atomic_write_text(path, json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
     def _estimate_dict(self, name: str) -> dict[str, Any]:
-        calibration, pair = self.calibrations[name], self.pairs.get(name)
+        calibration, pair = self.calibrations[name], self.differences.get(name)
         return {
             "name": name,
             "status": calibration.status,
@@ -267,17 +274,19 @@ def compare(
         raise InputError("The calibrations are of different recordings (data_sha256), and cannot be compared.")
     usable = [name for name, c in calibrations.items() if c.status in USABLE]
     chosen = reference if reference in usable else min(usable, key=_rank, default=None)
-    pairs: dict[str, Pair] = {}
+    pairs: dict[str, EstimateDifference] = {}
     if chosen is not None:
         others = {name: calibrations[name] for name in usable if name != chosen}
         shared = {name: _shared(c, calibrations[chosen]) for name, c in others.items()}
         count = sum(int(mask.sum()) for mask in shared.values())
         for name, other in others.items():
-            pairs[name] = make_pair(name, other, chosen, calibrations[chosen], shared[name], count, len(others))
+            pairs[name] = estimate_difference(
+                name, other, chosen, calibrations[chosen], shared[name], count, len(others)
+            )
     return Comparison(
         calibrations=dict(calibrations),
         reference=chosen,
-        pairs=pairs,
+        differences=pairs,
         seconds=dict(seconds or {}),
         failures=failures,
         left_out=dict(left_out or {}),
@@ -304,7 +313,10 @@ def _shared(a: Calibration, b: Calibration) -> Mask:
 
 
 def _notes(
-    calibrations: Mapping[str, Calibration], wanted: str | None, chosen: str | None, pairs: Mapping[str, Pair]
+    calibrations: Mapping[str, Calibration],
+    wanted: str | None,
+    chosen: str | None,
+    differences: Mapping[str, EstimateDifference],
 ) -> Iterable[str]:
     """What a reader of the verdict should know besides, in sentences."""
     if wanted is not None and chosen not in (wanted, None):
@@ -313,13 +325,13 @@ def _notes(
         if calibration.status not in USABLE:
             status = calibration.status.replace("_", " ")
             yield f"{name} is not compared, its status being {status}: {calibration.message}"
-    for name, pair in pairs.items():
+    for name, pair in differences.items():
         if pair.smaller_sigma:
             yield (
                 f"{name} states a smaller sigma than {pair.reference} for {some(pair.smaller_sigma)}: there "
                 f"{pair.reference} is not the efficient one, or has enlarged its sigmas for its residuals."
             )
-    usable = [name for name in calibrations if name in pairs or name == chosen]
+    usable = [name for name in calibrations if name in differences or name == chosen]
     alone: dict[tuple[str, ...], list[str]] = {}
     for parameter in NAMES:
         holders = tuple(name for name in usable if parameter in calibrations[name].held)

@@ -27,7 +27,7 @@ from srt.sequences.stillness import moved_windows
 if TYPE_CHECKING:
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
-    from srt.reports.certificate.checked import Source
+    from srt.reports.certificate.calibration_file import CalibrationFile
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PlaybackData
     from srt.types import Array, Indices, Mask
@@ -47,7 +47,7 @@ _MOST: Final = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class RecordingHistory:
     """How a test went, from the corrected samples.
 
     Attributes
@@ -84,12 +84,12 @@ class Course:
     count: int
 
 
-def check_recording(source: Source, recording: Recording, name: str) -> None:
+def check_recording(source: CalibrationFile, recording: Recording, name: str) -> None:
     """Refuse a recording that is not the calibration's own.
 
     Parameters
     ----------
-    source : Source
+    source : CalibrationFile
     recording : Recording
     name : str
         What messages call it.
@@ -116,12 +116,12 @@ def check_recording(source: Source, recording: Recording, name: str) -> None:
         )
 
 
-def replay(source: Source, recording: Recording, name: str) -> Course:
+def recording_history(source: CalibrationFile, recording: Recording, name: str) -> RecordingHistory:
     """Play a recording back with the calibration's values, and follow the test.
 
     Parameters
     ----------
-    source : Source
+    source : CalibrationFile
     recording : Recording
         Its own, see :func:`check_recording`.
     name : str
@@ -223,7 +223,7 @@ def _array(value: object, shape: tuple[int, ...]) -> Array | None:
     return out if out.shape == shape and bool(np.all(np.isfinite(out))) else None
 
 
-def _course(calibration: Calibration, data: PlaybackData) -> Course:
+def _course(calibration: Calibration, data: PlaybackData) -> RecordingHistory:
     recording = data.recording
     interval = recording.interval_s
     increments = recording.kind == "increment"
@@ -248,7 +248,7 @@ def _course(calibration: Calibration, data: PlaybackData) -> Course:
         downs += [np.einsum("abn,a->nb", C, rest_down[data.start[k]]), np.full((1, 3), np.nan)]
         times += [recording.time[a:b][at], recording.time[b - 1 : b]]
     rest = recording.time[samples - np.array([0, 1])]
-    return Course(
+    return RecordingHistory(
         np.concatenate(times),
         np.concatenate(downs),
         recording.time,

@@ -11,20 +11,20 @@ import numpy as np
 
 from srt.estimation.g_sensitivity import KEY
 from srt.exceptions import DataError, InputError, SrtError
-from srt.exporters.linear import ASYMMETRY, FACTORS, Linear, linear_part
+from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
+from srt.exporters.export_model import ExportModel, ExportSettings
+from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
 from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
-from srt.exporters.residual import Readings, Residual, compare
-from srt.exporters.source import Settings, Source
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
-from srt.recording.atomic import atomic_path
+from srt.recording.atomic_file import atomic_path
 from srt.result.applier import Applier
 
 if TYPE_CHECKING:
     from os import PathLike
 
-    from srt.exporters.format import Exporter, Fields
-    from srt.exporters.residual import Correction
+    from srt.exporters.correction_difference import Correction
+    from srt.exporters.file_format import Exporter, Fields
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
@@ -34,7 +34,7 @@ _G_SENSITIVITY_WITHIN = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exported:
+class ExportedCalibration:
     """A calibration in another's format, and what that costs.
 
     Attributes
@@ -50,7 +50,7 @@ class Exported:
         The same as a rotation vector.
     readings : Readings
         What the residuals are measured on.
-    residuals : tuple of Residual
+    residuals : tuple of CorrectionDifference
         The file's own first; then, where they apply, with the biases given beside it, and of asymmetry alone.
     losses : tuple of str
         What the format cannot hold of this calibration.
@@ -64,13 +64,13 @@ class Exported:
     C_FB: Array
     turn_mrad: Array
     readings: Readings
-    residuals: tuple[Residual, ...]
+    residuals: tuple[CorrectionDifference, ...]
     losses: tuple[str, ...]
     unknown: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Loaded:
+class ImportedCalibration:
     """A pre-calibration out of another's format.
 
     Attributes
@@ -95,8 +95,8 @@ def export(
     readings: Readings | None = None,
     frame: str | None = None,
     asymmetry: str = "leave",
-    settings: Settings | None = None,
-) -> Exported:
+    settings: ExportSettings | None = None,
+) -> ExportedCalibration:
     """Put a calibration into another's format, in memory.
 
     Parameters
@@ -109,12 +109,12 @@ def export(
     frame : str, optional
         Axes of the file; default: the first that the format takes.
     asymmetry : "leave" or "fit"
-        How the linear part is chosen (:mod:`srt.exporters.linear`); "fit" needs readings.
-    settings : Settings, optional
+        How the linear part is chosen (:mod:`srt.exporters.linear_model`); "fit" needs readings.
+    settings : ExportSettings, optional
 
     Returns
     -------
-    Exported
+    ExportedCalibration
 
     Raises
     ------
@@ -125,7 +125,7 @@ def export(
         If what was written does not give the linear part back.
     """
     chosen = exporter(target)
-    settings = settings or Settings()
+    settings = settings or ExportSettings()
     extra = sorted(settings.stated - chosen.options)
     if extra:
         raise InputError(f"The format {target} has no place for {', '.join(extra)}: leave it out.")
@@ -143,27 +143,27 @@ def export(
     measured_on = readings or Readings.standard(calibration)
     gyro, accel = _linear_parts(calibration, measured_on if asymmetry == "fit" else None)
     C_FB = _axes(calibration, chosen, frame, accel.matrix)
-    source = Source(calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings)
-    texts = chosen.write(source)
-    return Exported(
+    model = ExportModel(calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings)
+    texts = chosen.write(model)
+    return ExportedCalibration(
         format=chosen,
         texts=texts,
         frame=frame,
         C_FB=C_FB,
-        turn_mrad=source.turn_mrad,
+        turn_mrad=model.turn_mrad,
         readings=measured_on,
-        residuals=_residuals(chosen, chosen.read(texts), source, measured_on),
+        residuals=_residuals(chosen, chosen.read(texts), model, measured_on),
         losses=_losses(chosen, calibration),
-        unknown=unknown(source) if "rate_hz" in chosen.options else (),
+        unknown=unknown(model) if "rate_hz" in chosen.options else (),
     )
 
 
-def save(exported: Exported, path: str | PathLike[str]) -> tuple[Path, ...]:
+def save(exported: ExportedCalibration, path: str | PathLike[str]) -> tuple[Path, ...]:
     """Write the files, read them again as they are on disk, and only then let them take their place.
 
     Parameters
     ----------
-    exported : Exported
+    exported : ExportedCalibration
     path : path-like
         Formats of several files append to the stem of its name.
 
@@ -191,7 +191,7 @@ def save(exported: Exported, path: str | PathLike[str]) -> tuple[Path, ...]:
     return tuple(places.values())
 
 
-def load(path: str | PathLike[str], target: str) -> Loaded:
+def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
     """Read a file of another's format as a pre-calibration.
 
     Parameters
@@ -203,7 +203,7 @@ def load(path: str | PathLike[str], target: str) -> Loaded:
 
     Returns
     -------
-    Loaded
+    ImportedCalibration
         ``Prior.from_sigma(sigma, loaded.errors)`` makes a prior of it.
 
     Raises
@@ -234,7 +234,7 @@ def load(path: str | PathLike[str], target: str) -> Loaded:
     except SrtError as error:
         raise InputError(f"{path}, read as {chosen.title}: {error}") from None
     absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
-    return Loaded(errors, U, absent)
+    return ImportedCalibration(errors, U, absent)
 
 
 def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
@@ -260,34 +260,36 @@ def _axes(calibration: Calibration, chosen: Exporter, frame: str, Ma: Array) -> 
     return np.array(rotation).reshape(3, 3)
 
 
-def _linear_parts(calibration: Calibration, fitted: Readings | None) -> tuple[Linear, Linear]:
+def _linear_parts(calibration: Calibration, fitted: Readings | None) -> tuple[LinearModel, LinearModel]:
     rate, force = (None, None) if fitted is None else calibration.apply(fitted.gyro, fitted.accel)
     return linear_part(gyro_triad(calibration.errors), rate), linear_part(accel_triad(calibration.errors), force)
 
 
-def _residuals(chosen: Exporter, fields: Fields, source: Source, readings: Readings) -> tuple[Residual, ...]:
-    calibration, C_FB = source.calibration, source.C_FB
+def _residuals(
+    chosen: Exporter, fields: Fields, model: ExportModel, readings: Readings
+) -> tuple[CorrectionDifference, ...]:
+    calibration, C_FB = model.calibration, model.C_FB
 
     def ours(gyro: Array, accel: Array) -> tuple[Array, Array]:
         rate, force = calibration.apply(gyro, accel)
         return rate @ C_FB.T, force @ C_FB.T
 
     def linear(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        return source.gyro.correct(gyro), source.accel.correct(accel)
+        return model.gyro.correct(gyro), model.accel.correct(accel)
 
     def theirs(gyro: Array, accel: Array) -> tuple[Array, Array]:
         return chosen.apply(fields, gyro, accel)
 
     def beside(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        return chosen.apply(fields, gyro - source.gyro.bias, accel - source.accel.bias)
+        return chosen.apply(fields, gyro - model.gyro.bias, accel - model.accel.bias)
 
     whole = theirs if chosen.biases else beside
     _check(chosen, readings, ours if chosen.asymmetry else linear, whole)
-    out = [compare("this file", readings, ours, theirs)]
+    out = [compare_corrections("this file", readings, ours, theirs)]
     if not chosen.biases:
-        out.append(compare("biases given beside it", readings, ours, beside))
+        out.append(compare_corrections("biases given beside it", readings, ours, beside))
     if _asymmetric(calibration) and not chosen.asymmetry:
-        out.append(compare("asymmetry alone", readings, ours, linear))
+        out.append(compare_corrections("asymmetry alone", readings, ours, linear))
     return tuple(out)
 
 
@@ -296,7 +298,7 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
     if chosen.within is None:
         return
     rate, force = expected(readings.gyro[:1000], readings.accel[:1000])
-    off = compare("", Readings(readings.gyro[:1000], readings.accel[:1000], ""), expected, found)
+    off = compare_corrections("", Readings(readings.gyro[:1000], readings.accel[:1000], ""), expected, found)
     for name, values, worst in (("gyro", rate, off.gyro_max), ("accelerometer", force, off.accel_max)):
         size = max(float(np.abs(values).max()), 1.0)
         if not worst <= chosen.within * size:
@@ -328,6 +330,6 @@ def _forward(chosen: Exporter, fields: Fields) -> tuple[Triad, Triad]:
     linears = []
     for values in (rate_of_gyro, force):
         matrix = np.linalg.inv((values[1:] - values[0]).T)
-        linears.append(Linear(matrix, -matrix @ values[0]))
+        linears.append(LinearModel(matrix, -matrix @ values[0]))
     gyro, accel = (Triad(linear.matrix, np.zeros(3), linear.bias) for linear in linears)
     return gyro, accel
