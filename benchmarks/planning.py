@@ -25,7 +25,8 @@ import sims
 import srt
 from sims.scenarios.library import names
 from sims.scenarios.plan_file import PlanFile, load_plan_file
-from srt.planning.plan import Plan, make_plan, table_1_plan
+from srt.planning.plan import Plan
+from srt.planning.planner import make_plan, table_1_plan
 from srt.sensor_errors import NAMES
 
 console = Console(width=120)
@@ -36,7 +37,7 @@ SEED = 41000
 def planned(file: PlanFile) -> tuple[Plan, Plan, float]:
     """The plan, Table 1 in the same time, and how long planning took, s."""
     began = time.perf_counter()
-    stand, conditions, targets = file.stand.stand(), file.conditions(), file.targets.sigma()
+    stand, conditions, targets = file.stand.kinematics(), file.conditions(), file.targets.sigma()
     plan = make_plan(stand, conditions, targets, total_s=file.plan.total_time_s, limits=file.plan.limits())
     spent = time.perf_counter() - began
     return plan, table_1_plan(stand, conditions, targets, file.plan.total_time_s, file.plan.limits()), spent
@@ -45,7 +46,7 @@ def planned(file: PlanFile) -> tuple[Plan, Plan, float]:
 def least_time(file: PlanFile, table_1: Plan) -> Plan:
     """The shortest plan in which every target is met as well as by the worst of Table 1."""
     targets = file.targets.sigma() * table_1.ratio
-    return make_plan(file.stand.stand(), file.conditions(), targets, limits=file.plan.limits())
+    return make_plan(file.stand.kinematics(), file.conditions(), targets, limits=file.plan.limits())
 
 
 def observed(file: PlanFile, plan: Plan, estimator: str, units: int, title: str) -> np.ndarray:

@@ -42,9 +42,9 @@ from sims.scenarios.scenario import (
 )
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.planning.information import Conditions
-from srt.planning.plan import Limits
-from srt.planning.stand import Stand, StandAxis
+from srt.planning.conditions import Conditions
+from srt.planning.fixture_kinematics import AxisKinematics, FixtureKinematics
+from srt.planning.plan import PlanLimits
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -87,21 +87,21 @@ class StandConfig(Table):
     inner: AxisConfig = AxisConfig()
     outer: AxisConfig = AxisConfig()
 
-    def stand(self) -> Stand:
+    def kinematics(self) -> FixtureKinematics:
         """Give the fixture's freedom in the planner's terms."""
 
-        def axis(config: AxisConfig) -> StandAxis:
-            return StandAxis(
+        def axis(config: AxisConfig) -> AxisKinematics:
+            return AxisKinematics(
                 self.rate_rad_s, self.acceleration_rad_s2, config.travel_deg, config.turns, config.positions_deg,
                 config.set_s,
             )  # fmt: skip
 
-        return Stand(axis(self.inner), axis(self.outer), self.settle_s, self.pause_s)
+        return FixtureKinematics(axis(self.inner), axis(self.outer), self.settle_s, self.pause_s)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
         try:
-            self.stand()
+            self.kinematics()
         except InputError as error:
             raise ValueError(str(error)) from error
         return self
@@ -156,9 +156,9 @@ class PlanOptions(Table):
     longest_test_h: Positive = 8.0
     most_sequences: _Count = 40
 
-    def limits(self) -> Limits:
+    def limits(self) -> PlanLimits:
         """Give the limits in the planner's terms."""
-        return Limits(
+        return PlanLimits(
             self.shortest_window_s, self.longest_window_s, self.largest_turn_deg, self.most_legs,
             self.longest_test_h * 3600.0, self.most_sequences,
         )  # fmt: skip

@@ -26,6 +26,13 @@ def warn(sentence: str) -> None:
     say(f"warning: {sentence}")
 
 
+def announce(*paths: Path | None, quiet: bool = False) -> None:
+    """Print the files that were written; None stands for a file that was not asked for."""
+    written = [str(path) for path in paths if path is not None]
+    if written and not quiet:
+        click.echo(f"\nWritten: {', '.join(written)}")
+
+
 def require_matplotlib() -> None:
     """Raise MissingExtraError where matplotlib is missing, before the work whose result is to be drawn."""
     if find_spec("matplotlib") is None:

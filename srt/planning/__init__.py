@@ -1,1 +1,1 @@
-"""Design of rotation tests: which sequences a fixture can execute, what they show, and which to run for how long."""
+"""Optimal design of rotation tests: executable sequences, their information, and plans for given targets or times."""

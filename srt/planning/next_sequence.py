@@ -1,4 +1,4 @@
-"""The sequence to run next, from what a running test knows already."""
+"""Proposals for the next sequence of a running test, from the calibration of the test so far."""
 
 from __future__ import annotations
 
@@ -9,27 +9,36 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.planning.information import GRAVITY, N_UNKNOWNS, NORTH
-from srt.planning.plan import Limits, Task, check_targets
+from srt.planning.conditions import GRAVITY, N_UNKNOWNS, NORTH
+from srt.planning.plan import PlanLimits, check_targets
+from srt.planning.planner import Planner
+from srt.planning.prediction import OBSERVED_LIMIT
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
     from srt.planning.candidates import Candidate
-    from srt.planning.information import Conditions
-    from srt.planning.plan import Progress
-    from srt.planning.stand import Stand
+    from srt.planning.conditions import Conditions
+    from srt.planning.fixture_kinematics import FixtureKinematics
+    from srt.planning.planner import Progress
     from srt.result.calibration import Calibration
     from srt.types import Array
 
 
-_MOSTLY: Final = 0.95
-_FAR: Final = 1e6
-"""Variance over the target's beyond which a parameter counts as unknown."""
+_LARGEST_DRIFT_SHARE: Final = 0.95
+"""Share of a variance that the drift common to the test may take: the rest keeps the covariance positive definite."""
+_ROUNDING: Final = 1e-6
+"""Smallest eigenvalue of the scaled covariance over its largest: smaller ones are rounding error."""
+_EXACT_GRAVITY: Final = 1e-12
+"""Smallest sigma of gravity, m/s², where it is stated as exact."""
+_LEAST_GAIN: Final = 0.98
+"""Factor of a variance below which a parameter counts as improved."""
+_MOST_LISTED: Final = 3
+"""Improved parameters listed for a proposal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """One more sequence, and what it would do.
+    """Proposal of one more sequence, with the sigmas after it.
 
     Attributes
     ----------
@@ -37,11 +46,12 @@ class Proposal:
     windows_s : (float, float)
         Length of the start and of the end window.
     time_s : float
-        With its waits, without the move to its start.
+        Time of the sequence with its waits, without the move to its start, s.
     ratio : float
-        Worst sigma over target after it; infinite while a target is not seen at all.
+        Worst sigma over target after it; infinite while a target is not observed.
     improved : tuple of (str, float, float)
-        Parameters with a target that it improves most: sigma before (infinite: not seen) and after, SI; at most three.
+        Parameters with a target that it improves most: sigma before (infinite: not observed) and after, SI; at most
+        three.
     """
 
     candidate: Candidate
@@ -52,14 +62,14 @@ class Proposal:
 
 
 def known_information(calibration: Calibration, conditions: Conditions) -> Array:
-    """What a calibration knows, as information on sensor errors, gravity and north.
+    """Information of a calibration on sensor errors, gravity and north.
 
     Parameters
     ----------
     calibration : Calibration
-        Of the test so far. Of parameters that it holds nothing is taken to be known.
+        Calibration of the test so far. Its fixed parameters count as unknown.
     conditions : Conditions
-        For the uncertainty of gravity: it is in the calibration's sigmas, and a further sequence does not lessen it.
+        Conditions of the test: the uncertainty of gravity is part of the sigmas, and no sequence reduces it.
 
     Returns
     -------
@@ -68,7 +78,7 @@ def known_information(calibration: Calibration, conditions: Conditions) -> Array
     Raises
     ------
     InputError
-        A calibration in which nothing was observed.
+        A calibration in which no parameter was observed.
     """
     seen = np.flatnonzero(calibration.observed)
     if seen.size == 0:
@@ -77,96 +87,97 @@ def known_information(calibration: Calibration, conditions: Conditions) -> Array
             "of a recording that could be calibrated."
         )
     P = calibration.covariance[np.ix_(seen, seen)].copy()
-    # The drift that the whole test has in common is in the sigmas of the biases, and no sequence takes it away: it is
-    # added again to what is predicted.
-    P[np.diag_indices_from(P)] -= np.minimum(conditions.drift_variance()[seen], _MOSTLY * np.diag(P))
+    # The drift common to the whole test is part of the bias sigmas, and no sequence reduces it: it is taken out here
+    # and added again to the prediction.
+    P[np.diag_indices_from(P)] -= np.minimum(conditions.drift_variance()[seen], _LARGEST_DRIFT_SHARE * np.diag(P))
     effect = np.asarray(calibration.noise.get("gravity_effect", np.zeros(N_PARAMETERS)), dtype=np.float64)[seen]
     d = np.sqrt(np.diag(P))
     rest = (P - np.outer(effect, effect)) / np.outer(d, d)
-    # The accelerometer scales may be known as well as gravity alone allows: rounding must not make that less.
+    # The accelerometer scales may be limited by gravity alone: rounding must not leave a negative variance.
     values, vectors = np.linalg.eigh(rest)
-    root = (vectors / np.sqrt(np.maximum(values, 1e-6 * values.max()))).T / d
+    root = (vectors / np.sqrt(np.maximum(values, _ROUNDING * values.max()))).T / d
     rows = np.zeros((len(seen), N_UNKNOWNS))
     rows[:, seen] = root
-    # A larger gravity reads as smaller scales: the effect is stored with the sign of larger ones.
-    rows[:, GRAVITY] = -root @ effect / max(conditions.gravity_sigma_m_s2, 1e-12)
+    # Gravity above its stated value looks like smaller scales; the effect is stored with the opposite sign.
+    rows[:, GRAVITY] = -root @ effect / max(conditions.gravity_sigma_m_s2, _EXACT_GRAVITY)
     out: Array = rows.T @ rows
     out[[GRAVITY, NORTH], [GRAVITY, NORTH]] += conditions.prior()[[GRAVITY, NORTH]]
     return out
 
 
 def next_sequences(
-    stand: Stand,
+    fixture: FixtureKinematics,
     conditions: Conditions,
     targets: Array,
     known: Array,
     *,
-    limits: Limits | None = None,
+    limits: PlanLimits | None = None,
     horizon_s: float = 300.0,
     count: int = 5,
     progress: Progress | None = None,
 ) -> tuple[Proposal, ...]:
-    """Propose what to run next: what the best continuation of the test would spend most time on.
+    """Propose the next sequence: those on which the optimal continuation of the test spends most time.
 
-    Sequences may be worth something only together; so the optimum with fractions is found for the rest of the test,
-    from what is known already, and its sequences are proposed.
+    The value of a sequence may depend on others. So the optimal continuous design for the rest of the test is found,
+    from the information so far, and its sequences are proposed.
 
     Parameters
     ----------
-    stand : Stand
+    fixture : FixtureKinematics
     conditions : Conditions
     targets : ndarray, shape (27,), SI
-        NaN: none.
+        Target sigma; NaN: none.
     known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS)
         Information of the test so far, see :func:`known_information`.
-    limits : Limits, optional
+    limits : PlanLimits, optional
     horizon_s : float
-        How long the test may go on, s.
+        Length of the continuation, s.
     count : int
-        Of proposals: different sequences, of those that differ in the sense of turns or in what is up alone, one.
+        Number of proposals. Of sequences that differ only in the sense of rotations or of the vertical, one is
+        proposed.
     progress : callable, optional
-        As for :func:`srt.planning.plan.make_plan`.
+        As for :func:`srt.planning.planner.make_plan`.
 
     Returns
     -------
     tuple of Proposal
-        What is worth most first; fewer than ``count`` if no more is worth running.
+        In the order of their time in the optimum; fewer than ``count`` if it holds fewer.
 
     Raises
     ------
     InputError, DataError
-        As :func:`srt.planning.plan.make_plan`.
+        As :func:`srt.planning.planner.make_plan`.
     """
     check_targets(targets)
-    task = Task(stand, conditions, targets, limits or Limits(), progress, known)
-    task.require_seen()
-    optimum = task.relaxed(horizon_s)
-    spent = optimum.weight * task.columns.cost_s[optimum.which]
+    planner = Planner(fixture, conditions, targets, limits or PlanLimits(), progress, known)
+    planner.require_observable()
+    design = planner.continuous(horizon_s)
+    spent = design.weight * planner.columns.cost_s[design.which]
     by_kind: dict[tuple[str, ...], list[int]] = {}
     for j in np.argsort(-spent).tolist():
-        by_kind.setdefault(_kind(task.signatures.candidates[task.sequence[optimum.which[j]]]), []).append(j)
+        by_kind.setdefault(_kind(planner.signatures.candidates[planner.sequence[design.which[j]]]), []).append(j)
     ranked = sorted(by_kind.values(), key=lambda of: -float(spent[of].sum()))
-    return tuple(_proposal(task, int(optimum.which[of[0]]), targets) for of in ranked[:count])
+    return tuple(_proposal(planner, int(design.which[of[0]]), targets) for of in ranked[:count])
 
 
 def _kind(candidate: Candidate) -> tuple[str, ...]:
     return candidate.down[-1], *(f"{abs(turn)}{axis}" for axis, turn in candidate.rotations)
 
 
-def _proposal(task: Task, column: int, targets: Array) -> Proposal:
-    judge = task.judge
-    rows = task.columns.rows[column]
-    before, after = judge.variances(judge.prior), judge.variances(judge.prior + rows.T @ rows)
-    counted = judge.targets
+def _proposal(planner: Planner, column: int, targets: Array) -> Proposal:
+    criterion = planner.criterion
+    rows = planner.columns.rows[column]
+    before, after = criterion.variances(criterion.prior), criterion.variances(criterion.prior + rows.T @ rows)
+    counted = criterion.targets
     improved = tuple(
         (NAMES[counted[i]], _sigma(before[i], targets[counted[i]]), _sigma(after[i], targets[counted[i]]))
-        for i in np.argsort(after / before)[:3]
-        if after[i] < min(0.98 * before[i], _FAR)
+        for i in np.argsort(after / before)[:_MOST_LISTED]
+        if after[i] < min(_LEAST_GAIN * before[i], OBSERVED_LIMIT**2)
     )
-    first, last = task.windows[column]
-    time_s = float(task.columns.cost_s[column])
+    first, last = planner.windows[column]
+    time_s = float(planner.columns.cost_s[column])
     return Proposal(
-        task.signatures.candidates[task.sequence[column]],
+        planner.signatures.candidates[planner.sequence[column]],
         (float(first), float(last)),
         time_s,
         _sigma(after.max(), 1.0),
@@ -175,5 +186,5 @@ def _proposal(task: Task, column: int, targets: Array) -> Proposal:
 
 
 def _sigma(variance: float, target: float) -> float:
-    """Sigma in SI of a variance in units of the target; more than a thousand targets are none."""
-    return math.inf if variance > _FAR else math.sqrt(variance) * float(target)
+    """Sigma in SI from a variance in units of the squared target; infinite if not observed."""
+    return math.inf if variance > OBSERVED_LIMIT**2 else math.sqrt(variance) * float(target)

@@ -1,4 +1,4 @@
-"""The order of sequences that moves least, and the angles of the axes that the fixture has then."""
+"""Order of sequences with the shortest moves, and the angles of the fixture in that order."""
 
 from __future__ import annotations
 
@@ -10,49 +10,57 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from srt.planning.candidates import Candidate
-    from srt.planning.stand import Stand
+    from srt.planning.fixture_kinematics import FixtureKinematics
     from srt.types import Array
 
 _MOST_PASSES: Final = 100
+"""Improvements of a path at most."""
 _STARTS: Final = 6
+"""Paths, the shortest by nearest neighbours, that are improved."""
+_LEAST_GAIN_S: Final = 1e-9
+"""Shortening that counts as an improvement, s: more than rounding."""
+_LONGEST_RUN: Final = 3
+"""Longest run of sequences that is shifted."""
 
 
-def best_order(candidates: Sequence[Candidate], stand: Stand) -> tuple[tuple[int, ...], tuple[Candidate, ...], float]:
+def best_order(
+    candidates: Sequence[Candidate], fixture: FixtureKinematics
+) -> tuple[tuple[int, ...], tuple[Candidate, ...], float]:
     """Order sequences so that the moves between them are short.
 
     Parameters
     ----------
     candidates : sequence of Candidate
-    stand : Stand
-        Where a start attitude can be had by several angles within the travel, the nearest are taken.
+    fixture : FixtureKinematics
+        Where several angles within the travel give a start attitude, the nearest are taken.
 
     Returns
     -------
     order : tuple of int
         Positions in ``candidates``.
-    ways : tuple of Candidate
+    chosen : tuple of Candidate
         The sequences in that order, at the angles chosen.
     moves_s : float
-        Time between the sequences: pauses, moves and settling, s.
+        Time of pauses, moves and settling between the sequences, s.
 
     Notes
     -----
-    Nearest neighbours from every first sequence; of the best of these paths, runs of sequences are shifted and turned
-    round until nothing improves: a local search, as the problem is a travelling salesman's.
+    This is a travelling-salesman problem, solved by local search. Paths by nearest neighbours start from every
+    sequence; in the shortest of them, runs of sequences are shifted and reversed until nothing improves.
     """
     n = len(candidates)
     if n == 0:
         return (), (), 0.0
-    ways = [c.alternatives(stand) or (c,) for c in candidates]
-    # Between two sequences the nearest pair of angles; the angles of one sequence are then fixed along the path.
+    ways = [c.alternatives(fixture) or (c,) for c in candidates]
+    # Cost of a move: that between the nearest pair of angles. The angles are chosen consistently at the end.
     cost = np.zeros((n, n))
     for i in range(n):
         for j in range(n):
             if i != j:
-                cost[i, j] = min(stand.move_s(a.end_deg, b.start_deg) for a in ways[i] for b in ways[j])
+                cost[i, j] = min(fixture.move_s(a.end_deg, b.start_deg) for a in ways[i] for b in ways[j])
     paths = sorted((_nearest(first, cost) for first in range(n)), key=lambda p: _length(p, cost))
     path = min((_improved(p, cost) for p in paths[:_STARTS]), key=lambda p: _length(p, cost))
-    chosen, total = _angles([ways[i] for i in path], stand)
+    chosen, total = _angles([ways[i] for i in path], fixture)
     return tuple(path), chosen, total
 
 
@@ -70,12 +78,12 @@ def _length(path: Sequence[int], cost: Array) -> float:
 
 
 def _improved(path: list[int], cost: Array) -> list[int]:
-    """Shift runs of up to three sequences, and turn runs round, while that shortens the path; the best change first."""
+    """Shift short runs of sequences and reverse runs while that shortens the path, the best change first."""
     for _ in range(_MOST_PASSES):
         trials = np.array(_neighbours(path))
         lengths = cost[trials[:, :-1], trials[:, 1:]].sum(axis=1)
         best = int(np.argmin(lengths))
-        if lengths[best] > _length(path, cost) - 1e-9:
+        if lengths[best] > _length(path, cost) - _LEAST_GAIN_S:
             return path
         path = trials[best].tolist()
     return path
@@ -83,7 +91,7 @@ def _improved(path: list[int], cost: Array) -> list[int]:
 
 def _neighbours(path: list[int]) -> list[list[int]]:
     n, out = len(path), [path]
-    for size in (1, 2, 3):
+    for size in range(1, _LONGEST_RUN + 1):
         for i in range(n - size + 1):
             run, rest = path[i : i + size], path[:i] + path[i + size :]
             out += [rest[:j] + run + rest[j:] for j in range(len(rest) + 1) if j != i]
@@ -91,13 +99,13 @@ def _neighbours(path: list[int]) -> list[list[int]]:
     return out
 
 
-def _angles(ways: Sequence[Sequence[Candidate]], stand: Stand) -> tuple[tuple[Candidate, ...], float]:
-    """The angles along a path that move least: shortest path through the layers of alternatives."""
+def _angles(ways: Sequence[Sequence[Candidate]], fixture: FixtureKinematics) -> tuple[tuple[Candidate, ...], float]:
+    """Angles with the shortest moves along a path: shortest path through the layers of alternatives."""
     best: list[tuple[float, tuple[Candidate, ...]]] = [(0.0, (c,)) for c in ways[0]]
     for layer in ways[1:]:
         best = [
             min(
-                ((t + stand.move_s(line[-1].end_deg, c.start_deg), (*line, c)) for t, line in best),
+                ((t + fixture.move_s(line[-1].end_deg, c.start_deg), (*line, c)) for t, line in best),
                 key=lambda pair: pair[0],
             )
             for c in layer

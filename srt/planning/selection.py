@@ -1,4 +1,4 @@
-"""Whole sequences from the optimum with fractions: build up, exchange, and share the time among the windows."""
+"""Selection of whole sequences near the continuous optimum, by local search, and optimal lengths of their windows."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.optimize import minimize
 
+from srt.planning.information import equilibrated_inverse
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -16,26 +18,39 @@ if TYPE_CHECKING:
 
 
 _PROMISING: Final = 25
+"""Candidates tried in each place: those with the steepest derivative, and as many by derivative per time."""
 _POWERS: Final = (3.0, 16.0)
-"""Of the mean over the targets that stands for their largest while whole sequences are exchanged: it has a slope."""
+"""Powers of the mean over the targets that stands for their largest in two rounds of search: it is differentiable."""
 _MOST_PASSES: Final = 12
+"""Passes over all places at most; the search ends before when a pass gains too little."""
 _FACTORS: Final = np.geomspace(0.03, 2.0, 9)
+"""Common factors of the windows for which the information is computed; it is interpolated between them."""
 _STEP: Final = 1e-3
-"""Relative step of a window's length for the slope of its information: the error of a central difference is 1e-6."""
+"""Relative step of a window length for the derivative of its information: the error of a central difference is 1e-6."""
+_LEAST_GAIN: Final = 1e-5
+"""Decrease of the logarithm of the criterion in a pass below which the search ends."""
+_BISECTIONS: Final = 60
+"""Bisections for a common factor of windows: to rounding, from any start."""
+
+
+def power_mean(values: Array, power: float) -> Array:
+    """Power mean over the last axis, scaled by the largest value so that no power overflows."""
+    largest = values.max(axis=-1)
+    return np.asarray(largest * np.mean((values / largest[..., None]) ** power, axis=-1) ** (1.0 / power))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Choice:
-    """Sequences to run, with their windows.
+class Selection:
+    """Selected sequences and the lengths of their windows.
 
     Attributes
     ----------
     which : ndarray of int, shape (n,)
-        Sequences of the signatures; may repeat.
+        Positions in the signatures; a sequence may occur several times.
     windows_s : ndarray, shape (n, 2)
         Length of the start and of the end window, s.
     ratio : float
-        Largest sigma over its target.
+        Largest sigma over target.
     """
 
     which: Indices
@@ -44,23 +59,24 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judge:
-    """The accuracy of any choice against the targets.
+class AccuracyCriterion:
+    """Accuracy of a selection of sequences relative to the targets.
 
     Attributes
     ----------
     signatures : Signatures
     scale : ndarray, shape (N_UNKNOWNS,)
-        Units of the unknowns: the targets where there are any.
+        Units of the unknowns, SI: their targets, where there are any.
     prior : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS)
-        Information beforehand, in these units.
+        Information before the test, in these units.
     targets : ndarray of int
+        Unknowns that have a target.
     floor : ndarray, shape (q,)
-        Variance of each target that nothing takes away.
+        Variance of each target that no test reduces.
     shortest_s, longest_s : float
-        Limits of a window.
+        Limits of the length of a window, s.
     correction : ndarray, shape (q,)
-        By which variances are multiplied: what the covariance of the whole test has shown them to be.
+        Factors of the variances, from the covariance of the whole test.
     """
 
     signatures: Signatures
@@ -73,41 +89,48 @@ class Judge:
     correction: Array
 
     def information(self, which: Indices, windows_s: Array) -> Array:
-        """Information of each sequence by itself, shape (n, p, p)."""
+        """Information of each sequence, shape (n, p, p)."""
         rows = self.signatures.whitened(windows_s[:, 0], windows_s[:, 1], which) * self.scale
         return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
 
-    def inverse(self, M: Array) -> Array:
-        """Inverses of information matrices, equilibrated, shape (..., p, p)."""
-        d = 1.0 / np.sqrt(np.einsum("...aa->...a", M))
-        outer = d[..., :, None] * d[..., None, :]
-        return np.asarray(np.linalg.inv(M * outer) * outer)
-
     def variances(self, M: Array) -> Array:
-        """Variances of the targets over theirs squared, shape (..., q)."""
-        raw = np.einsum("...aa->...a", self.inverse(M))[..., self.targets] + self.floor
+        """Variance over squared target, shape (..., q)."""
+        raw = np.einsum("...aa->...a", equilibrated_inverse(M))[..., self.targets] + self.floor
         return np.asarray(self.correction * raw)
 
     def ratio(self, which: Indices, windows_s: Array) -> float:
-        """Largest sigma over its target."""
+        """Largest sigma over target."""
         return float(np.sqrt(self.variances(self.prior + self.information(which, windows_s).sum(axis=0)).max()))
 
     def filled(self, windows_s: Array, budget_s: float) -> Array | None:
-        """Windows within their limits that fill a budget, all by one factor; None if the shortest do not fit."""
+        """Windows scaled by one factor, within their limits, to fill a time; None if the shortest do not fit."""
         if budget_s < self.shortest_s * windows_s.size:
             return None
         return _filled(windows_s.ravel(), budget_s, self.shortest_s, self.longest_s).reshape(windows_s.shape)
 
-    def refine(self, which: Indices, windows_s: Array, budget_s: float | None) -> Choice:
-        """Best lengths of the windows: for the smallest ratio within a budget, or the shortest that meets the targets.
+    def log_variances(self, which: Indices, windows_s: Array) -> tuple[Array, Array]:
+        """Logarithms of the variances over target, shape (q,), and their derivatives by the windows, (q, 2 n)."""
+        n = len(which)
+        h = _STEP * windows_s[None] * np.eye(2)[:, None]
+        # One call for all: with a dozen sequences, most of the time would be overhead.
+        trials = np.concatenate([windows_s[None], windows_s + h, windows_s - h])
+        each = self.information(np.tile(which, 5), trials.reshape(-1, 2)).reshape(5, n, *self.prior.shape)
+        inverse = equilibrated_inverse(self.prior + each[0].sum(axis=0))
+        g, X = np.diag(inverse)[self.targets] + self.floor, inverse[:, self.targets]
+        change = (each[1:3] - each[3:]) / (2.0 * _STEP * windows_s.T[:, :, None, None])
+        slopes = -np.einsum("enqb,bq->qne", X.T @ change, X)
+        return np.log(self.correction * g), slopes.reshape(len(self.targets), -1) / g[:, None]
+
+    def refine(self, which: Indices, windows_s: Array, budget_s: float | None) -> Selection:
+        """Optimal lengths of the windows: the smallest ratio in a time, or the shortest windows that meet the targets.
 
         Parameters
         ----------
         which : ndarray of int, shape (n,)
         windows_s : ndarray, shape (n, 2)
-            First guess.
+            Initial lengths.
         budget_s : float or None
-            Time for all windows together, s; None: as little as the targets allow.
+            Time for all windows together, s; None: the least that the targets allow.
         """
         n = len(which)
         low, high = self.shortest_s, self.longest_s
@@ -115,25 +138,13 @@ class Judge:
         if budget_s is not None:
             first = _filled(first, budget_s, low, high)
 
-        def evaluated(x: Array) -> tuple[Array, Array]:
-            windows = x[: 2 * n].reshape(n, 2)
-            h = _STEP * windows[None] * np.eye(2)[:, None]
-            # All in one: of a dozen sequences, most of the time would be overhead.
-            trials = np.concatenate([windows[None], windows + h, windows - h])
-            each = self.information(np.tile(which, 5), trials.reshape(-1, 2)).reshape(5, n, *self.prior.shape)
-            inverse = self.inverse(self.prior + each[0].sum(axis=0))
-            g, X = np.diag(inverse)[self.targets] + self.floor, inverse[:, self.targets]
-            change = (each[1:3] - each[3:]) / (2.0 * _STEP * windows.T[:, :, None, None])
-            slopes = -np.einsum("enqb,bq->qne", X.T @ change, X)
-            return np.log(self.correction * g), slopes.reshape(len(self.targets), -1) / g[:, None]
-
         last: tuple[Array, tuple[Array, Array]] | None = None
 
         def logs(x: Array) -> tuple[Array, Array]:
-            # Values and slopes are asked for one after the other.
+            # The optimiser asks for values and derivatives one after the other.
             nonlocal last
             if last is None or not np.array_equal(x, last[0]):
-                last = x.copy(), evaluated(x)
+                last = x.copy(), self.log_variances(which, x[: 2 * n].reshape(n, 2))
             return last[1]
 
         bounds: list[tuple[float | None, float | None]] = [(low, high)] * (2 * n)
@@ -146,7 +157,7 @@ class Judge:
             }
         else:
             bounds.append((None, None))
-            # Scaled to one, as the ratios are.
+            # Scaled to one, like the ratios.
             spare = {"fun": lambda x: 1.0 - x[:-1].sum() / budget_s, "jac": lambda _: np.append(-ones / budget_s, 0.0)}
             epigraph = {
                 "fun": lambda x: x[-1] - logs(x)[0],
@@ -167,17 +178,17 @@ class Judge:
         guess = first[: 2 * n].reshape(n, 2)
         if budget_s is not None and self.ratio(which, guess) < ratio:
             windows, ratio = guess, self.ratio(which, guess)
-        return Choice(which, windows, ratio)
+        return Selection(which, windows, ratio)
 
 
 def _filled(windows: Array, budget_s: float, low: float, high: float) -> Array:
-    """Windows within their limits that fill a budget, all by one factor; at the limits if none can."""
+    """Windows scaled by one factor, within their limits, to fill a time; at the limits if no factor can."""
     if budget_s <= low * len(windows):
         return np.full(len(windows), low)
     if budget_s >= high * len(windows):
         return np.full(len(windows), high)
     smallest, largest = 0.0, high / windows.min()
-    for _ in range(60):
+    for _ in range(_BISECTIONS):
         factor = 0.5 * (smallest + largest)
         smallest, largest = (
             (factor, largest) if np.clip(factor * windows, low, high).sum() < budget_s else (smallest, factor)
@@ -186,17 +197,17 @@ def _filled(windows: Array, budget_s: float, low: float, high: float) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pool:
-    """What whole sequences are chosen from.
+class CandidatePool:
+    """Candidates for the selection of whole sequences.
 
     Attributes
     ----------
     which : ndarray of int, shape (m,)
-        Sequences of the signatures.
+        Positions in the signatures.
     windows_s : ndarray, shape (m, 2)
-        In proportion: all are made shorter or longer alike until the sequences fill the time.
+        Relative lengths: they are scaled by one factor until the sequences fill the time.
     starts : tuple of ndarray of int
-        Choices to begin from, positions in ``which``.
+        Initial selections, as positions in ``which``.
     """
 
     which: Indices
@@ -205,73 +216,77 @@ class Pool:
 
 
 def select(
-    judge: Judge,
-    pool: Pool,
+    criterion: AccuracyCriterion,
+    pool: CandidatePool,
     total_s: float,
     per_sequence_s: float,
     most: int,
     progress: Callable[[], None] | None = None,
-) -> Choice:
-    """Choose whole sequences that fit into a time.
+) -> Selection:
+    """Select whole sequences that fit into a time.
 
     From several starts, sequences are added, taken out and exchanged as long as that helps; the windows of the best
     choices then share the time as is best for the targets.
 
     Parameters
     ----------
-    judge : Judge
-    pool : Pool
+    criterion : AccuracyCriterion
+    pool : CandidatePool
     total_s : float
-        For everything, s.
+        Length of the whole test, s.
     per_sequence_s : float
-        What a sequence takes beside its windows and its rotations (moves, waits), s.
+        Time that a sequence takes beside its windows and rotations (moves, waits), s.
     most : int
-        Sequences at the most.
+        Largest number of sequences.
     progress : callable, optional
-        Called after each start.
+        Called after the search from each initial selection.
 
     Raises
     ------
     ValueError
-        No start fits into the time.
+        No initial selection fits into the time.
     """
-    fixed = judge.signatures.own_s[pool.which] + per_sequence_s
-    search = _Search(judge, pool, fixed, total_s, most)
+    fixed = criterion.signatures.between_windows_s[pool.which] + per_sequence_s
+    search = _Search(criterion, pool, fixed, total_s, most)
     found = []
     for start in pool.starts:
         chosen = search.run(start)
         if chosen is not None:
             budget = total_s - float(fixed[chosen].sum())
-            found.append(judge.refine(pool.which[chosen], search.windows(chosen), budget))
+            found.append(criterion.refine(pool.which[chosen], search.windows(chosen), budget))
         if progress is not None:
             progress()
     if not found:
-        raise ValueError(f"{total_s:g} s hold no choice of sequences that shows all targets")
+        raise ValueError(f"{total_s:g} s hold no selection of sequences that observes all targets")
     return min(found, key=lambda choice: choice.ratio)
 
 
 class _Search:
-    """Local search among choices whose windows fill the time, by the power mean of the targets' variances.
+    """Local search among selections whose windows fill the time, by the power mean of the variances over target.
 
-    The information of every sequence is computed for a few common factors of the windows; between them it is
-    interpolated, which it is nearly linear enough for: the windows are shared out exactly at the end.
+    The information of every sequence is computed for a few common factors of the windows and interpolated linearly
+    between them. The error is small, and the lengths of the windows are optimised exactly at the end.
     """
 
-    def __init__(self, judge: Judge, pool: Pool, fixed_s: Array, total_s: float, most: int) -> None:
-        self.judge, self.total_s, self.pool_windows, self.most = judge, total_s, pool.windows_s, most
-        windows = np.clip(_FACTORS[:, None, None] * pool.windows_s, judge.shortest_s, judge.longest_s)
+    def __init__(
+        self, criterion: AccuracyCriterion, pool: CandidatePool, fixed_s: Array, total_s: float, most: int
+    ) -> None:
+        self.criterion, self.total_s, self.pool_windows, self.most = criterion, total_s, pool.windows_s, most
+        windows = np.clip(_FACTORS[:, None, None] * pool.windows_s, criterion.shortest_s, criterion.longest_s)
         self.cost = windows.sum(axis=2) + fixed_s
-        self.information = np.stack([judge.information(pool.which, w) for w in windows])
+        self.information = np.stack([criterion.information(pool.which, w) for w in windows])
         self.power = _POWERS[0]
 
     def windows(self, chosen: Indices) -> Array:
-        """Windows of a choice that fill the time, shape (n, 2), s."""
+        """Windows of a selection that fill the time, shape (n, 2), s."""
         level, share = self._level(self.cost[:, chosen].sum(axis=1)[:, None])
         factor = _FACTORS[level[0]] * (_FACTORS[level[0] + 1] / _FACTORS[level[0]]) ** share[0]
-        return np.asarray(np.clip(factor * self.pool_windows[chosen], self.judge.shortest_s, self.judge.longest_s))
+        return np.asarray(
+            np.clip(factor * self.pool_windows[chosen], self.criterion.shortest_s, self.criterion.longest_s)
+        )
 
     def _level(self, cost: Array) -> tuple[Indices, Array]:
-        """Step of the factor between which and the next the costs, shape (factors, n), reach the time; and how far."""
+        """Interval of factors in which costs, shape (factors, n), reach the time, and the fraction of that interval."""
         level = np.clip((cost <= self.total_s).sum(axis=0) - 1, 0, len(_FACTORS) - 2)
         n = np.arange(cost.shape[1])
         low, high = cost[level, n], cost[level + 1, n]
@@ -279,20 +294,20 @@ class _Search:
         return level, np.where(cost[0] <= self.total_s, share, np.nan)
 
     def values(self, cost: Array, information: Array) -> Array:
-        """Criterion of n choices from their costs (factors, n) and information (factors, n, p, p); inf: too long."""
+        """Criterion of n selections from their costs (factors, n) and information (factors, n, p, p); inf: too long."""
         level, share = self._level(cost)
         fits = np.flatnonzero(np.isfinite(share))
         out = np.full(cost.shape[1], np.inf)
         if fits.size:
             low, high = information[level[fits], fits], information[level[fits] + 1, fits]
-            g = self.judge.variances(self.judge.prior + low + share[fits, None, None] * (high - low))
+            g = self.criterion.variances(self.criterion.prior + low + share[fits, None, None] * (high - low))
             largest = g.max(axis=1)
             mean = np.mean((g / largest[:, None]) ** self.power, axis=1)
             out[fits] = np.log(largest) + np.log(mean) / self.power
         return out
 
     def run(self, start: Indices) -> Indices | None:
-        """Improve a choice; None if nothing that fits is found."""
+        """Improve a selection; None if none fits into the time."""
         chosen = start.tolist()[: self.most]
         while chosen and self.cost[0, chosen].sum() > self.total_s:
             chosen.pop()
@@ -303,7 +318,7 @@ class _Search:
             now = float(self._of(chosen))
             for _ in range(_MOST_PASSES):
                 chosen, value = self._pass(chosen, now)
-                if value > now - 1e-5:
+                if value > now - _LEAST_GAIN:
                     break
                 now = value
         return np.array(chosen, dtype=np.intp)
@@ -313,7 +328,7 @@ class _Search:
         return float(self.values(cost, self.information[:, chosen].sum(axis=1)[:, None])[0])
 
     def _pass(self, chosen: list[int], now: float) -> tuple[list[int], float]:
-        """Try for each place what could stand there, nothing among it, and then one more."""
+        """Replace or drop the sequence in each place, then add one, wherever that decreases the criterion."""
         for i in range(min(len(chosen), self.most - 1), -1, -1):
             rest = chosen[:i] + chosen[i + 1 :]
             cost, information = self.cost[:, rest].sum(axis=1), self.information[:, rest].sum(axis=1)
@@ -326,12 +341,12 @@ class _Search:
         return chosen, now
 
     def _promising(self, cost: Array, information: Array) -> Indices:
-        """Columns of the pool whose information is worth most to a choice, by its slope; also for their time."""
+        """Candidates of the pool that decrease the criterion most, by its derivative and by its derivative per time."""
         level, _ = self._level(cost[:, None])
-        inverse = self.judge.inverse(self.judge.prior + information[level[0]])
-        g, X = np.diag(inverse)[self.judge.targets] + self.judge.floor, inverse[:, self.judge.targets]
-        wanted = self.judge.correction * g
-        weight = self.judge.correction * (wanted / wanted.max()) ** (self.power - 1.0) / wanted.max()
+        inverse = equilibrated_inverse(self.criterion.prior + information[level[0]])
+        g, X = np.diag(inverse)[self.criterion.targets] + self.criterion.floor, inverse[:, self.criterion.targets]
+        wanted = self.criterion.correction * g
+        weight = self.criterion.correction * (wanted / wanted.max()) ** (self.power - 1.0) / wanted.max()
         gain = np.einsum("kab,ab->k", self.information[level[0]], (X * weight) @ X.T)
         return np.union1d(np.argsort(-gain)[:_PROMISING], np.argsort(-gain / self.cost[level[0]])[:_PROMISING]).astype(
             np.intp

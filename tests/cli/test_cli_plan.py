@@ -82,7 +82,7 @@ def test_the_plan_is_simulated_and_calibrated(made, tmp_path, capsys):
     capsys.readouterr()
     assert main(["plan", str(made / "lab.toml"), "--after", str(unit)]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("What the best continuation of the test runs")
+    assert out.startswith("Sequences on which the optimal continuation")
     assert max(map(len, out.splitlines())) <= 100
 
 
@@ -157,10 +157,10 @@ def test_mistakes(tmp_path, monkeypatch, capsys, changes, arguments, code, said)
 def test_what_a_sequence_shows_is_table_2(tmp_path, sequence, component, terms):
     """Savage 2020, Table 2, over g; gyro biases apart, which eqs. 20-22 have."""
     from sims.scenarios.plan_file import load_plan_file
-    from srt.planning.signature import parse_sequence, signature
+    from srt.planning.signature_table import parse_sequence, signature
 
     file = load_plan_file(write(tmp_path / "lab.toml"))
-    stand = file.stand.stand()
+    stand = file.stand.kinematics()
     rows = {
         row.component: dict(row.terms) for row in signature(parse_sequence(sequence, stand), stand, file.conditions())
     }

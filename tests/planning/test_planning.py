@@ -15,18 +15,18 @@ from sims.scenarios.plan_file import load_plan_file
 from srt.exceptions import DataError, InputError
 from srt.model.table1 import SEQUENCES
 from srt.planning.candidates import from_catalogue
-from srt.planning.document import timetable
-from srt.planning.information import N_UNKNOWNS, Conditions
+from srt.planning.conditions import N_UNKNOWNS, Conditions
+from srt.planning.continuous_design import Columns, optimal_design
+from srt.planning.fixture_kinematics import AxisKinematics, FixtureKinematics
 from srt.planning.next_sequence import known_information, next_sequences
-from srt.planning.optimum import Columns, relaxed_optimum
-from srt.planning.plan import Limits, make_plan, table_1_plan
+from srt.planning.plan import PlanLimits
+from srt.planning.planner import make_plan, table_1_plan
 from srt.planning.prediction import predict
-from srt.planning.stand import Stand, StandAxis
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 
-QUICK = Limits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=4, most_sequences=16)
-FEW = Limits(shortest_window_s=2.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=14)
-STAND = Stand(StandAxis(1.0, 10.0), StandAxis(1.0, 10.0), settle_s=0.5, pause_s=0.5)
+QUICK = PlanLimits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=4, most_sequences=16)
+FEW = PlanLimits(shortest_window_s=2.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=14)
+STAND = FixtureKinematics(AxisKinematics(1.0, 10.0), AxisKinematics(1.0, 10.0), settle_s=0.5, pause_s=0.5)
 WHITE = {"gyro_noise_deg_per_sqrt_h": 0.0667, "accel_noise_ug_per_sqrt_hz": 60.0}
 
 
@@ -57,7 +57,7 @@ def table_1_scenario(file, seed, **schedule):
 def white():
     """A plan for a unit of white noise, with its file."""
     file = file_of(WHITE)
-    plan = make_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), total_s=300.0, limits=QUICK)
+    plan = make_plan(file.stand.kinematics(), file.conditions(), file.targets.sigma(), total_s=300.0, limits=QUICK)
     return file, plan
 
 
@@ -73,7 +73,7 @@ def columns_of(strengths, costs):
 @settings(max_examples=25, deadline=None)
 def test_optimum_of_separate_unknowns(pairs):
     strengths, costs = np.array(pairs).T
-    found = relaxed_optimum(columns_of(strengths, costs), 100.0, gap=1e-3)
+    found = optimal_design(columns_of(strengths, costs), 100.0, gap=1e-3)
     # Equal variances: w_i a_i the same for all, with Σ c_i w_i = T.
     exact = math.sqrt(np.sum(costs / strengths) / 100.0)
     assert found.bound <= exact * (1.0 + 1e-6)
@@ -88,7 +88,7 @@ def test_no_weights_are_better_than_the_bound(seed):
     rows = rng.standard_normal((30, 3, 5))
     cost = rng.uniform(1.0, 20.0, 30)
     columns = Columns(rows, cost, 1e-6 * np.eye(5), np.arange(4), 0.01 * rng.uniform(0.0, 1.0, 4))
-    found = relaxed_optimum(columns, 50.0)
+    found = optimal_design(columns, 50.0)
     # One per cent was asked for; half of one is what spreading a little of the time alike costs.
     assert found.gap <= 0.0152
     for _ in range(50):
@@ -125,9 +125,9 @@ def test_a_plan_and_its_bound(white):
     _, plan = white
     assert plan.total_s == pytest.approx(300.0, rel=1e-6)
     assert plan.bound <= plan.ratio
-    steps = timetable(plan)
+    steps = plan.timetable()
     assert steps[-1].end_static_s[1] == pytest.approx(plan.total_s, abs=1e-6)
-    assert all(c.obstacle(plan.stand) is None for c in plan.candidates)
+    assert all(c.obstacle(plan.fixture) is None for c in plan.candidates)
     assert np.all((plan.windows_s >= 4.0 - 1e-9) & (plan.windows_s <= 30.0 + 1e-9))
     # Sources add up to the variance.
     squares = sum(v**2 for v in plan.prediction.sources.values())
@@ -136,7 +136,7 @@ def test_a_plan_and_its_bound(white):
 
 def test_a_plan_is_better_than_table_1(white):
     file, plan = white
-    table_1 = table_1_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), 300.0, QUICK)
+    table_1 = table_1_plan(file.stand.kinematics(), file.conditions(), file.targets.sigma(), 300.0, QUICK)
     assert plan.bound < plan.ratio < table_1.ratio
 
 
@@ -145,7 +145,7 @@ def test_what_a_sequence_is_needed_for_is_what_is_lost_without_it(white):
     for k, need in enumerate(plan.prediction.needed_for[:4]):
         rest = [i for i in range(len(plan.candidates)) if i != k]
         without = predict(
-            [plan.candidates[i] for i in rest], plan.windows_s[rest], plan.stand, plan.conditions, plan.targets
+            [plan.candidates[i] for i in rest], plan.windows_s[rest], plan.fixture, plan.conditions, plan.targets
         )
         for name, factor in need:
             growth = without.sigma[INDEX[name]] / plan.prediction.sigma[INDEX[name]]
@@ -197,9 +197,9 @@ def test_plans_for_limited_travel_are_executed(stand):
     file = file_of(WHITE)
     axes = {name: type(file.stand.inner)(**axis) for name, axis in stand.items()}
     file = file.model_copy(update={"stand": file.stand.model_copy(update=axes)})
-    plan = make_plan(file.stand.stand(), file.conditions(), file.targets.sigma(), total_s=250.0, limits=FEW)
+    plan = make_plan(file.stand.kinematics(), file.conditions(), file.targets.sigma(), total_s=250.0, limits=FEW)
     for candidate in plan.candidates:
-        for axis, angles in zip(plan.stand.axes, zip(*candidate.path_deg, strict=True), strict=True):
+        for axis, angles in zip(plan.fixture.axes, zip(*candidate.path_deg, strict=True), strict=True):
             assert axis.travel_deg[0] <= min(angles) <= max(angles) <= axis.travel_deg[1]
     found = srt.calibrate(sims.simulate(file.scenario(plan)).recording, "least-squares")
     assert found.status == "converged"
@@ -212,7 +212,7 @@ SHOWN_BY_ONE_AXIS = ("gyro_scale_x", "gyro_scale_y", "gyro_asymmetry_x", "gyro_a
 
 def one_axis_stand(file):
     """The outer axis alone; the unit is remounted by hand, in a minute."""
-    return file.stand.model_copy(update={"inner": type(file.stand.inner)(**ONE_AXIS)}).stand()
+    return file.stand.model_copy(update={"inner": type(file.stand.inner)(**ONE_AXIS)}).kinematics()
 
 
 def test_a_fixture_with_one_axis():
@@ -225,7 +225,7 @@ def test_a_fixture_with_one_axis():
         some[INDEX[name]] = everything[INDEX[name]]
     plan = make_plan(stand, file.conditions(), some, total_s=400.0, limits=FEW)
     assert plan.ratio < 2.0
-    assert {axis for c in plan.candidates for axis, _ in c.legs} == {1}
+    assert {axis for c in plan.candidates for axis, _ in c.axis_rotations} == {1}
 
 
 @pytest.mark.parametrize("axes", ["one", pytest.param("two", marks=pytest.mark.slow)])
@@ -236,7 +236,7 @@ def test_the_shortest_test_meets_all_targets_and_hardly_more(axes):
         stand = one_axis_stand(file)
         wanted[[INDEX[name] for name in SHOWN_BY_ONE_AXIS]] = 1e-5
     else:
-        stand = file.stand.stand()
+        stand = file.stand.kinematics()
         wanted[GROUP_SLICES["gyro_scale"]], wanted[GROUP_SLICES["accel_bias"]] = 1e-5, 5e-4
     shortest = make_plan(stand, file.conditions(), wanted, limits=FEW)
     assert shortest.unmet == ()
@@ -252,7 +252,7 @@ def test_targets_out_of_reach_name_the_limit():
         make_plan(STAND, conditions, targets, limits=FEW)
     targets = np.full(27, math.nan)
     targets[INDEX["gyro_scale_x"]] = 1e-6
-    short = Limits(4.0, 30.0, 360, 1, 400.0, most_sequences=6)
+    short = PlanLimits(4.0, 30.0, 360, 1, 400.0, most_sequences=6)
     with pytest.raises(DataError, match=r"out of reach in 0.111 h: gyro_scale_x stays at .* % of its variance by"):
         make_plan(one_axis_stand(file_of()), conditions, targets, limits=short)
 
@@ -297,23 +297,25 @@ def test_the_next_sequences_show_what_is_missing(half_done):
     assert so_far.status == "partial"
     known = known_information(so_far, file.conditions())
     targets = file.targets.sigma()
-    proposals = next_sequences(file.stand.stand(), file.conditions(), targets, known, limits=QUICK)
+    proposals = next_sequences(file.stand.kinematics(), file.conditions(), targets, known, limits=QUICK)
     assert 1 <= len(proposals) <= 5
     assert len({p.candidate.key for p in proposals}) == len(proposals)
     # Only turns about z and about the diagonal of x and y are missing: all that is proposed has a turn about z.
     assert all(any(axis == "z" for axis, _ in p.candidate.rotations) for p in proposals[:2])
     # Run all that is proposed in both senses, for asymmetry, and everything is seen.
     candidates = [p.candidate for p in proposals]
-    candidates += [replace(c, legs=tuple((axis, -turn) for axis, turn in c.legs)) for c in candidates]
+    candidates += [
+        replace(c, axis_rotations=tuple((axis, -turn) for axis, turn in c.axis_rotations)) for c in candidates
+    ]
     windows = np.array([p.windows_s for p in proposals] * 2)
-    both = predict(candidates, windows, file.stand.stand(), file.conditions(), targets, known=known)
+    both = predict(candidates, windows, file.stand.kinematics(), file.conditions(), targets, known=known)
     assert np.all(both.sigma[np.isfinite(targets)] < 30.0 * targets[np.isfinite(targets)])
 
 
 def test_known_information_is_that_of_the_sequences():
     """What a calibration knows, with one more sequence predicted, is what all sequences together predict."""
     file = file_of(WHITE)
-    conditions, stand = file.conditions(), file.stand.stand()
+    conditions, stand = file.conditions(), file.stand.kinematics()
     done = [from_catalogue(s, stand) for s in SEQUENCES.values()]
     scenario = table_1_scenario(file, 9)
     known = known_information(srt.calibrate(sims.simulate(scenario).recording, "least-squares"), conditions)
@@ -336,7 +338,7 @@ def test_a_calibration_that_observed_nothing(half_done):
 @pytest.mark.parametrize("name", names("plan"))
 def test_shipped_plans_are_a_quarter_better_than_table_1(name):
     file = load_plan_file(name)
-    arguments = file.stand.stand(), file.conditions(), file.targets.sigma()
+    arguments = file.stand.kinematics(), file.conditions(), file.targets.sigma()
     total_s, limits = file.plan.total_time_s, file.plan.limits()
     plan = make_plan(*arguments, total_s=total_s, limits=limits)
     table_1 = table_1_plan(*arguments, total_s, limits)

@@ -14,13 +14,13 @@ from sims.physics.motion import RateProfile
 from sims.physics.sequences import TABLE_1, TurnSequence
 from srt.exceptions import InputError
 from srt.model.rotation_integrals import ideal_rotations
-from srt.model.table1 import SEQUENCES, Sequence
-from srt.planning.candidates import Candidate, executable, from_catalogue, words
+from srt.model.table1 import SEQUENCES, RotationSequence
+from srt.planning.candidates import Candidate, executable_candidates, from_catalogue, turn_patterns
+from srt.planning.fixture_kinematics import AxisKinematics, FixtureKinematics
 from srt.planning.order import best_order
-from srt.planning.stand import Stand, StandAxis
 
-LIMITED = Stand(StandAxis(travel_deg=(-180.0, 180.0)), StandAxis(travel_deg=(-180.0, 180.0)))
-OUTER_ONLY = Stand(StandAxis(turns=False, positions_deg=(0.0, 90.0), set_s=300.0), StandAxis())
+LIMITED = FixtureKinematics(AxisKinematics(travel_deg=(-180.0, 180.0)), AxisKinematics(travel_deg=(-180.0, 180.0)))
+OUTER_ONLY = FixtureKinematics(AxisKinematics(turns=False, positions_deg=(0.0, 90.0), set_s=300.0), AxisKinematics())
 ANYWHERE = st.tuples(st.sampled_from((0, 90, 180, 270)), st.sampled_from((0, 90, 180, 270)))
 LEGS = st.lists(
     st.tuples(st.sampled_from((0, 1)), st.integers(-12, 12).filter(bool).map(lambda k: 90 * k)), min_size=1, max_size=8
@@ -81,42 +81,44 @@ def test_integrals_of_ideal_rotations_against_small_steps(start, legs, speed):
 
 
 def test_table_1_is_among_the_words():
-    keys = {c.key for c in executable(Stand(), words())}
+    keys = {c.key for c in executable_candidates(FixtureKinematics(), turn_patterns())}
     for name, sequence in SEQUENCES.items():
-        candidate = from_catalogue(sequence, Stand())
+        candidate = from_catalogue(sequence, FixtureKinematics())
         assert candidate.key in keys, name
         own = TABLE_1[name]
-        assert [a for a, _ in own.fixture_legs()] == [a for a, _ in candidate.legs]
+        assert [a for a, _ in own.fixture_legs()] == [a for a, _ in candidate.axis_rotations]
         assert own.rotations == tuple((axis, float(turn)) for axis, turn in candidate.rotations)
 
 
 def test_limited_travel_is_kept_along_the_whole_way():
-    found = executable(LIMITED, words(largest_turn_deg=360, most_legs=4))
+    found = executable_candidates(LIMITED, turn_patterns(largest_turn_deg=360, most_legs=4))
     assert len(found) > 100
     for candidate in found:
         assert all(-180 <= angle <= 180 for angles in candidate.path_deg for angle in angles)
     # A whole turn fits, from one end to the other.
-    assert any(abs(turn) == 360 for c in found for _, turn in c.legs)
+    assert any(abs(turn) == 360 for c in found for _, turn in c.axis_rotations)
 
 
 def test_an_axis_set_by_hand_does_not_turn():
-    found = executable(OUTER_ONLY, words(largest_turn_deg=360, most_legs=4))
+    found = executable_candidates(OUTER_ONLY, turn_patterns(largest_turn_deg=360, most_legs=4))
     assert found
-    assert {axis for c in found for axis, _ in c.legs} == {1}
+    assert {axis for c in found for axis, _ in c.axis_rotations} == {1}
     assert {c.start_deg[0] for c in found} <= {0, 90}
     assert OUTER_ONLY.move_s((0, 0), (90, 0)) == 300.0
 
 
 @pytest.mark.parametrize("turn_deg", [3.0, 90.0, -360.0, 720.0])
 def test_turning_time_is_the_simulators(turn_deg):
-    axis, profile = StandAxis(0.7, 2.0), RateProfile(0.7, 2.0)
+    axis, profile = AxisKinematics(0.7, 2.0), RateProfile(0.7, 2.0)
     assert axis.turn_s(turn_deg) == pytest.approx(profile.duration_s(math.radians(turn_deg)), rel=1e-12)
 
 
 def test_order_is_the_best_of_all_orders():
     rng = np.random.default_rng(5)
-    every = executable(Stand(settle_s=1.0, pause_s=0.5), words(largest_turn_deg=180, most_legs=2))
-    stand = Stand(settle_s=1.0, pause_s=0.5)
+    every = executable_candidates(
+        FixtureKinematics(settle_s=1.0, pause_s=0.5), turn_patterns(largest_turn_deg=180, most_legs=2)
+    )
+    stand = FixtureKinematics(settle_s=1.0, pause_s=0.5)
     for _ in range(4):
         chosen = [every[k] for k in rng.choice(len(every), 6)]
         order, ways, moves_s = best_order(chosen, stand)
@@ -147,9 +149,13 @@ def test_order_uses_the_nearest_of_several_angles():
             r"Sequence 1 cannot .* rotation 1 \(\+360 deg about the outer axis\) .* 0 to 360 deg",
         ),
         (SEQUENCES["3"], OUTER_ONLY, "inner axis.: that axis does not turn, it is set by hand"),
-        (Sequence("own", "z", "z", 0.0, 0.0, (("z", math.pi),)), None, "no attitude with z down and z along"),
-        (Sequence("own", "z", "y", 0.0, 0.0, (("x", math.pi),)), None, "rotation 1 is about x, .* turn about z first"),
-        (Sequence("own", "z", "y", 0.0, 0.0, (("y", 1.0),)), None, "multiples of 90"),
+        (RotationSequence("own", "z", "z", 0.0, 0.0, (("z", math.pi),)), None, "no attitude with z down and z along"),
+        (
+            RotationSequence("own", "z", "y", 0.0, 0.0, (("x", math.pi),)),
+            None,
+            "rotation 1 is about x, .* turn about z first",
+        ),
+        (RotationSequence("own", "z", "y", 0.0, 0.0, (("y", 1.0),)), None, "multiples of 90"),
     ],
 )
 def test_what_cannot_be_executed_is_said(sequence, stand, said):
@@ -160,12 +166,12 @@ def test_what_cannot_be_executed_is_said(sequence, stand, said):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: StandAxis(rate_rad_s=0.0), "rate_rad_s"),
-        (lambda: StandAxis(travel_deg=(10.0, -10.0)), "the first must be the smaller"),
-        (lambda: StandAxis(travel_deg=(10.0, 80.0)), "No multiple of 90 deg"),
-        (lambda: StandAxis(turns=False, positions_deg=(45.0,)), "multiples of 90"),
-        (lambda: Stand(settle_s=-1.0), "settle_s"),
-        (lambda: Stand(StandAxis(turns=False), StandAxis(turns=False)), "Neither axis"),
+        (lambda: AxisKinematics(rate_rad_s=0.0), "rate_rad_s"),
+        (lambda: AxisKinematics(travel_deg=(10.0, -10.0)), "the first must be the smaller"),
+        (lambda: AxisKinematics(travel_deg=(10.0, 80.0)), "No multiple of 90 deg"),
+        (lambda: AxisKinematics(turns=False, positions_deg=(45.0,)), "multiples of 90"),
+        (lambda: FixtureKinematics(settle_s=-1.0), "settle_s"),
+        (lambda: FixtureKinematics(AxisKinematics(turns=False), AxisKinematics(turns=False)), "Neither axis"),
     ],
 )
 def test_impossible_fixtures(make, said):

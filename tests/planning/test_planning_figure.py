@@ -11,12 +11,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from srt.planning.candidates import Candidate
-from srt.planning.document import timetable
-from srt.planning.figure import plan_figure
-from srt.planning.information import Conditions
+from srt.planning.conditions import Conditions
+from srt.planning.fixture_kinematics import INNER, OUTER, AxisKinematics, FixtureKinematics
 from srt.planning.plan import Plan
+from srt.planning.plan_figure import plan_figure
 from srt.planning.prediction import predict
-from srt.planning.stand import INNER, OUTER, Stand, StandAxis
 from srt.reports.figures.style import save_figure
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
@@ -27,7 +26,7 @@ STARTS = ((0, 0), (90, 270), (180, 90), (270, 180))
 
 def plan(count=4, stand=None, bound=0.2):
     """Sequences one after the other, whether or not anybody would choose them."""
-    stand = stand or Stand(settle_s=1.5, pause_s=1.0)
+    stand = stand or FixtureKinematics(settle_s=1.5, pause_s=1.0)
     candidates = tuple(Candidate(STARTS[k % 4], KINDS[(k + k // 4) % 4]) for k in range(count))
     windows = np.tile([[10.0, 8.0], [6.0, 6.0]], (count // 2, 1))
     targets = np.full(N_PARAMETERS, math.nan)
@@ -35,15 +34,16 @@ def plan(count=4, stand=None, bound=0.2):
     targets[GROUP_SLICES["accel_bias"]] = 1e-4
     prediction = predict(candidates, windows, stand, CONDITIONS, targets)
     draft = Plan(candidates, windows, 0.0, 0.0, stand, CONDITIONS, targets, prediction, bound)
-    return replace(draft, total_s=timetable(draft)[-1].end_static_s[1])
+    return replace(draft, total_s=draft.timetable()[-1].end_static_s[1])
 
 
 def with_sigma(found, sigma):
     return replace(found, prediction=replace(found.prediction, sigma=sigma))
 
 
-LIMITED = Stand(
-    inner=StandAxis(travel_deg=(-400.0, 1300.0)), outer=StandAxis(turns=False, positions_deg=(0.0, 90.0, 180.0, 270.0))
+LIMITED = FixtureKinematics(
+    inner=AxisKinematics(travel_deg=(-400.0, 1300.0)),
+    outer=AxisKinematics(turns=False, positions_deg=(0.0, 90.0, 180.0, 270.0)),
 )
 CASES = {
     "four": plan,
@@ -51,7 +51,7 @@ CASES = {
     "limited travel": lambda: plan(stand=LIMITED),
     "no bound": lambda: plan(bound=math.nan),
     "one": lambda: replace(plan(2), candidates=plan(2).candidates[:1], windows_s=plan(2).windows_s[:1], total_s=60.0),
-    "not seen": lambda: with_sigma(plan(), np.where(np.arange(N_PARAMETERS) == 2, math.inf, plan().targets)),
+    "not observed": lambda: with_sigma(plan(), np.where(np.arange(N_PARAMETERS) == 2, math.inf, plan().targets)),
 }
 
 
@@ -98,7 +98,9 @@ def test_turns_on_slip_rings_are_drawn_whole_between_0_and_360_deg():
         assert parts[:, :, 1].max() <= 360.0
         change = np.abs(np.diff(parts[:, :, 1], axis=1)).sum()
         # Cuts at 0 and 360 take nothing away; times are the timetable's.
-        assert change == pytest.approx(sum(abs(turn) for c in found.candidates for axis, turn in c.legs if axis == k))
+        assert change == pytest.approx(
+            sum(abs(turn) for c in found.candidates for axis, turn in c.axis_rotations if axis == k)
+        )
         assert parts[-1, 1, 0] * 60.0 == pytest.approx(found.total_s)
 
 
@@ -106,7 +108,7 @@ def test_moves_lead_from_one_sequence_to_the_next():
     found = plan()
     for k, (turning, moving) in enumerate(drawn(plan_figure(found))):
         ends = np.array([[c.start_deg[k], c.end_deg[k]] for c in found.candidates])
-        steps = np.array([[s.start_static_s[0], s.end_static_s[1]] for s in timetable(found)]) / 60.0
+        steps = np.array([[s.start_static_s[0], s.end_static_s[1]] for s in found.timetable()]) / 60.0
         parts = pieces(moving)
         at = {round(float(t), 9): float(a) for t, a in parts.reshape(-1, 2)}
         for (_, done), (begin, _), (_, left), (start, _) in zip(steps, steps[1:], ends, ends[1:], strict=False):
@@ -139,8 +141,8 @@ def test_ratios_stand_above_their_symbols_and_sources_have_shapes_of_their_own()
 
 
 def test_what_is_not_seen_is_said():
-    axes = plan_figure(CASES["not seen"]()).axes[2]
-    assert [(t.get_text(), t.xy[0]) for t in axes.texts] == [("not seen", 2)]
+    axes = plan_figure(CASES["not observed"]()).axes[2]
+    assert [(t.get_text(), t.xy[0]) for t in axes.texts] == [("not observed", 2)]
 
 
 @pytest.mark.parametrize(("suffix", "magic"), [(".png", b"\x89PNG"), (".svg", b"<?xml")])

@@ -1,4 +1,4 @@
-"""A plan as a picture: the angles of both axes on the clock, and how far the expected accuracy is from the targets."""
+"""Figure of a plan: the angles of both axes against time, and the expected accuracy relative to the targets."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.planning.document import clock, timetable
-from srt.planning.stand import AXIS_NAMES
+from srt.planning.fixture_kinematics import AXIS_NAMES
+from srt.planning.timetable import clock
 from srt.reports.figures.style import (
     BLUE,
     FAINT,
@@ -43,11 +43,13 @@ if TYPE_CHECKING:
 
 
 _SIZE_INCHES: Final = (12.0, 8.0)
+"""Width and height of the figure."""
 _MINUTE_S: Final = 60.0
 _TURN_DEG: Final = 360.0
 _MOST_IN_A_ROW: Final = 24
-"""Numbers of sequences that stand side by side; more of them take turns on two lines."""
+"""Largest count of sequences whose numbers fit on one line; with more, they alternate between two lines."""
 _COLOURS: Final = (BLUE, VERMILION)
+"""Colours of the inner and of the outer axis."""
 _SOURCES: Final = {
     "gyro_noise": (BLUE, "o"),
     "gyro_quantization": (SKY, "s"),
@@ -62,24 +64,25 @@ _OTHER: Final = (INK, "*")
 
 
 def plan_figure(plan: Plan, *, title: str = "") -> Figure:
-    """Draw the timetable of a plan and its expected accuracy over the targets.
+    """Draw the timetable of a plan and its expected accuracy relative to the targets.
 
     Parameters
     ----------
     plan : Plan
     title : str
-        Of the whole picture; default: sequences and length.
+        Title of the figure; default: sequences and length.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Not known to pyplot; ``srt.reports.figures.style.save_figure`` writes it.
+        Independent of pyplot; ``srt.reports.figures.style.save_figure`` writes it.
 
     Notes
     -----
-    Above, the inner and the outer angle against time. An axis with slip rings is drawn between 0 and 360°, so that a
-    turn of 990° crosses that range nearly three times; an axis with a limited travel at its true angle. Windows are
-    grey, moves between sequences thin and dotted. Below, sigma over target of every parameter that has a target.
+    The upper panels show the inner and the outer angle against time. The angle of an axis with slip rings is wrapped to
+    0 to 360°: a rotation of 990° crosses that range nearly three times. An axis with limited travel is drawn at its
+    true angle. Stationary windows are grey; moves between sequences are thin and dotted. The lower panel shows sigma
+    over target of every parameter that has a target.
     """
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     inner, outer, accuracy = figure.subplots(3, 1, height_ratios=(1.0, 1.0, 1.7))
@@ -91,10 +94,10 @@ def plan_figure(plan: Plan, *, title: str = "") -> Figure:
     outer.set_xlabel("min", loc="right", fontsize=SMALL)
     outer.set_xlim(0.0, plan.total_s / _MINUTE_S)
     handles = [
-        Patch(color=FAINT, label="window: stand still"),
-        Line2D([], [], color=INK, label="turns"),
-        Line2D([], [], color=INK, linewidth=1.0, linestyle=":", label="move to the next start"),
-        Line2D([], [], color=GREY, linewidth=0.8, label="a sequence begins"),
+        Patch(color=FAINT, label="stationary window"),
+        Line2D([], [], color=INK, label="rotation"),
+        Line2D([], [], color=INK, linewidth=1.0, linestyle=":", label="move to the next sequence"),
+        Line2D([], [], color=GREY, linewidth=0.8, label="start of a sequence"),
     ]
     outer.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=4, fontsize=SMALL, frameon=False,
@@ -106,9 +109,9 @@ def plan_figure(plan: Plan, *, title: str = "") -> Figure:
 
 
 def _angle(axes: Axes, plan: Plan, k: int) -> None:
-    """One axis of the fixture against time."""
+    """Draw the angle of one axis of the fixture against time."""
     style(axes)
-    steps = timetable(plan)
+    steps = plan.timetable()
     windows = [w for step in steps for w in (step.start_static_s, step.end_static_s)]
     axes.broken_barh(
         [(a / _MINUTE_S, (b - a) / _MINUTE_S) for a, b in windows],
@@ -120,9 +123,9 @@ def _angle(axes: Axes, plan: Plan, k: int) -> None:
     begins = np.array([step.start_static_s[0] for step in steps]) / _MINUTE_S
     axes.vlines(begins, 0.0, 1.0, transform=axes.get_xaxis_transform(), color=GREY, linewidth=0.8)
     colour = _COLOURS[k]
-    axis = plan.stand.axes[k]
+    axis = plan.fixture.axes[k]
     wraps = axis.turns and axis.travel_deg is None
-    for pieces, width, dashes in ((_turning(plan, k), 1.6, "-"), (_moving(plan, k), 1.0, ":")):
+    for pieces, width, dashes in ((_rotation_pieces(plan, k), 1.6, "-"), (_move_pieces(plan, k), 1.0, ":")):
         t, angle = _wrapped(pieces) if wraps else _joined(pieces)
         axes.plot(t / _MINUTE_S, angle, color=colour, linewidth=width, linestyle=dashes, solid_capstyle="butt")
     if wraps:
@@ -133,12 +136,12 @@ def _angle(axes: Axes, plan: Plan, k: int) -> None:
     axes.set_ylabel(f"{AXIS_NAMES[k]} axis, °", fontsize=MEDIUM, color=colour)
 
 
-def _turning(plan: Plan, k: int) -> Array:
-    """Straight pieces of one axis in the sequences, shape (m, 4): from and to in s, from and to in deg."""
+def _rotation_pieces(plan: Plan, k: int) -> Array:
+    """Straight pieces of the angle of one axis in the sequences, shape (m, 4): two times in s, two angles in deg."""
     out = []
-    for candidate, step in zip(plan.candidates, timetable(plan), strict=True):
-        turns = [plan.stand.axes[axis].turn_s(turn) for axis, turn in candidate.legs]
-        # Turns follow one another; the wait for the fixture to settle is behind the last.
+    for candidate, step in zip(plan.candidates, plan.timetable(), strict=True):
+        turns = [plan.fixture.axes[axis].turn_s(turn) for axis, turn in candidate.axis_rotations]
+        # Rotations follow one another; the wait for the fixture to settle follows the last.
         times = [step.start_static_s[0], *(step.start_static_s[1] + np.cumsum([0.0, *turns])), step.end_static_s[1]]
         path = [pose[k] for pose in candidate.path_deg]
         angles = [path[0], *path, path[-1]]
@@ -146,14 +149,14 @@ def _turning(plan: Plan, k: int) -> Array:
     return np.array(out, dtype=np.float64)
 
 
-def _moving(plan: Plan, k: int) -> Array:
-    """Straight pieces of one axis between the sequences, as in :func:`_turning`: the inner axis moves first."""
+def _move_pieces(plan: Plan, k: int) -> Array:
+    """Straight pieces of the angle of one axis between the sequences; the inner axis moves first."""
     out = []
-    steps = timetable(plan)
+    steps = plan.timetable()
     for (before, after), (done, step) in zip(pairwise(plan.candidates), pairwise(steps), strict=True):
-        ways = [a.way_deg(s, e) for a, s, e in zip(plan.stand.axes, before.end_deg, after.start_deg, strict=True)]
-        each = [a.move_s(s, e) for a, s, e in zip(plan.stand.axes, before.end_deg, after.start_deg, strict=True)]
-        begin = done.end_static_s[1] + plan.stand.pause_s + sum(each[:k])
+        ways = [a.move_deg(s, e) for a, s, e in zip(plan.fixture.axes, before.end_deg, after.start_deg, strict=True)]
+        each = [a.move_s(s, e) for a, s, e in zip(plan.fixture.axes, before.end_deg, after.start_deg, strict=True)]
+        begin = done.end_static_s[1] + plan.fixture.pause_s + sum(each[:k])
         knots = (done.end_static_s[1], begin, begin + each[k], step.start_static_s[0])
         here = float(before.end_deg[k])
         angles = (here, here, here + ways[k], here + ways[k])
@@ -162,13 +165,13 @@ def _moving(plan: Plan, k: int) -> Array:
 
 
 def _joined(pieces: Array) -> tuple[Array, Array]:
-    """Times and angles of pieces in one line each, with a NaN behind every piece."""
+    """Times and angles of all pieces as two arrays, with a NaN after every piece."""
     gap = np.full(len(pieces), np.nan)
     return np.column_stack([pieces[:, :2], gap]).ravel(), np.column_stack([pieces[:, 2:], gap]).ravel()
 
 
 def _wrapped(pieces: Array) -> tuple[Array, Array]:
-    """Cut pieces at whole turns, and put each part between 0 and 360°."""
+    """Cut pieces at multiples of 360° and wrap each part to 0 to 360°."""
     parts = []
     for t0, t1, a0, a1 in pieces.tolist():
         low, high = sorted((a0, a1))
@@ -181,9 +184,9 @@ def _wrapped(pieces: Array) -> tuple[Array, Array]:
 
 
 def _numbers(axes: Axes, plan: Plan) -> None:
-    """Number every sequence above the timetable, between the beginning of its first window and the end of its last."""
+    """Write the number of every sequence above the timetable, centred on the sequence."""
     rows = 1 if len(plan.candidates) <= _MOST_IN_A_ROW else 2
-    for number, step in enumerate(timetable(plan)):
+    for number, step in enumerate(plan.timetable()):
         middle = (step.start_static_s[0] + step.end_static_s[1]) / 2.0
         axes.annotate(
             str(number + 1),
@@ -199,7 +202,7 @@ def _numbers(axes: Axes, plan: Plan) -> None:
 
 
 def _accuracy(axes: Axes, plan: Plan) -> None:
-    """Sigma over target, coloured and shaped by the largest source."""
+    """Draw sigma over target, with colour and marker by the largest noise source."""
     style(axes)
     which = np.flatnonzero(np.isfinite(plan.targets))
     ratios = plan.ratios[which]
@@ -211,7 +214,7 @@ def _accuracy(axes: Axes, plan: Plan) -> None:
     handles = [Line2D([], [], color=INK, linewidth=1.2, label="target")]
     if math.isfinite(plan.bound):
         axes.axhline(plan.bound, color=GREY, linewidth=1.2, linestyle="--")
-        label = f"bound: no plan of this length has all below {plan.bound:.2g}"
+        label = f"lower bound for plans of this length: {plan.bound:.2g}"
         handles.append(Line2D([], [], color=GREY, linewidth=1.2, linestyle="--", label=label))
     axes.vlines(place[seen], np.minimum(ratios[seen], 1.0), np.maximum(ratios[seen], 1.0), color=FAINT, linewidth=3.0)
     for name in (*_SOURCES, *dict.fromkeys(s for s in largest if s not in _SOURCES)):
@@ -226,7 +229,7 @@ def _accuracy(axes: Axes, plan: Plan) -> None:
     low, high = float(shown.min()) / 1.2, float(shown.max()) * 1.2
     axes.set_ylim(low, high)
     for at in place[~seen].tolist():
-        axes.annotate("not seen", (at, high), rotation=90, ha="center", va="top", fontsize=SMALL, color=VERMILION)
+        axes.annotate("not observed", (at, high), rotation=90, ha="center", va="top", fontsize=SMALL, color=VERMILION)
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0) if high < 30.0 * low else (1.0,)))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -239,5 +242,5 @@ def _accuracy(axes: Axes, plan: Plan) -> None:
     axes.set_ylabel("sigma over target", fontsize=MEDIUM)
     axes.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=4, fontsize=SMALL, frameon=False,
-        title="dots by the largest source of the variance", title_fontsize=SMALL, alignment="left",
+        title="markers: largest source of the variance", title_fontsize=SMALL, alignment="left",
     )  # fmt: skip

@@ -1,15 +1,15 @@
-"""The best test of a given length if sequences could be run any fraction of a time, with a proof of how good it is.
+"""Continuous optimal design: the best test of a given length if sequences could be run a fractional number of times.
 
-Minimise over weights w ≥ 0 (how often each column, a sequence with its windows, is run) with ``Σ c w ≤ T`` the largest
-of ``log g_i(w)``, where ``g_i = [M(w)⁻¹]_ii + f_i`` is the variance of parameter i over that of its target, f_i is
-constant, and ``M(w) = M_0 + Σ w_j M_j`` is linear. ``1 / [M⁻¹]_ii`` is concave in M, so that ``log g_i`` is convex:
-what a local method finds is the optimum, and every point bounds it from below. With weights λ of the parameters (λ ≥ 0,
-Σ λ = 1)::
+A column is a sequence with its windows, w_j ≥ 0 the number of times that it is run, c_j its time. The largest
+``log g_i(w)`` is minimised subject to ``Σ c w ≤ T``. Here ``g_i = [M(w)⁻¹]_ii + f_i`` is the variance of parameter i
+over that of its target, f_i is constant, and the information ``M(w) = M_0 + Σ w_j M_j`` is linear in w. As
+``1 / [M⁻¹]_ii`` is concave in M, ``log g_i`` is convex: a local optimum is the global one, and every point gives a
+lower bound. With weights λ of the targets (λ ≥ 0, Σ λ = 1)::
 
     min max_i log g_i  ≥  Σ_i λ_i (log g_i(w) + Σ_j d_ij w_j) − T max_j Σ_i λ_i d_ij / c_j,   d_ij = −∂ log g_i / ∂w_j
 
-for any w, by the tangents there. The best λ is a linear programme; the column that rules its maximum is the one to add
-(column generation), and when none is worth adding the bound is reached.
+for any w, by the tangents at w. The best λ solves a linear programme. The column at which its maximum is reached is
+added (column generation); when no column is worth adding, the bound is reached.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from scipy.optimize import linprog, minimize
 
 from srt.exceptions import DataError
+from srt.planning.information import equilibrated_inverse
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,22 +31,42 @@ if TYPE_CHECKING:
 
 
 GAP: Final = 0.01
-"""The search ends when the bound is this close, as a share of sigma."""
-_MOST_ROUNDS: Final = 40
-_FIRST_PER_TARGET: Final = 3
-_ADDED_PER_ROUND: Final = 20
-_EVEN: Final = (0.1, 0.01)
-"""Share of the time that is spread over all columns, on the way and at the end."""
-_MOST_CUTS: Final = 60
+"""Distance of sigma to its bound, relative, at which the search ends."""
 _ROUGH_GAP: Final = 0.03
-_NO_INFORMATION: Final = 1e-11
-_NO_PART: Final = 1e-3
+"""The same while the larger share of time is still spread over all columns."""
+_LARGEST_GAP: Final = 10.0
+"""Multiple of the gap asked for beyond which the search has failed."""
+_EVEN: Final = (0.1, 0.01)
+"""Share of the time that is spread evenly over all columns: first, and in the final search."""
+_MOST_ROUNDS: Final = 40
+"""Rounds of column generation."""
+_MOST_CUTS: Final = 60
+"""Rounds of constraint generation in the linear programme."""
+_FIRST_PER_TARGET: Final = 3
+"""Columns per target in the first design."""
+_ADDED_PER_ROUND: Final = 20
+"""Columns, or constraints, added in a round."""
+_WORTH_ADDING: Final = 1.0 - 1e-3
+"""Value of a column's time over the mean value of the design's, from which on the column is added."""
+_NEW_SHARE: Final = 0.02
+"""Share of the time that new columns get at first, together."""
 _NO_SHARE: Final = 1e-5
+"""Share of the time below which a column is dropped."""
+_NO_INFORMATION: Final = 1e-11
+"""Eigenvalue of the scaled information, over the largest, below which a direction is unobservable."""
+_NO_PART: Final = 1e-3
+"""Component of a target along unobservable directions above which it is unobservable itself."""
+_NO_ROW: Final = 1e-6
+"""Information on a target from all columns together, in units of the target, below which no column observes it."""
+_CUT_TOLERANCE: Final = 1e-4
+"""Relative violation of a constraint of the linear programme that is accepted."""
+_CACHE_ROWS: Final = 4096
+"""Columns handled at a time, so that they fit the cache."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Everything that can be run: J columns with their information and their time.
+    """Information and time of everything that can be run: J columns.
 
     Attributes
     ----------
@@ -53,11 +74,11 @@ class Columns:
         Whitened Jacobians; the information of a column is ``rowsᵀ rows``. Unknowns are in units of their targets.
     cost_s : ndarray, shape (J,)
     prior : ndarray, shape (p, p)
-        Information that is there without any column.
+        Information before the test.
     targets : ndarray of int, shape (q,)
-        Unknowns that count.
+        Unknowns that have a target.
     floor : ndarray, shape (q,)
-        Variance of each target that nothing takes away.
+        Variance of each target that no test reduces.
     """
 
     rows: Array
@@ -73,38 +94,37 @@ class Columns:
 
     def variances(self, M: Array) -> tuple[Array, Array]:
         """``g_i`` and the columns of M⁻¹ that belong to the targets, shapes (q,) and (p, q)."""
-        scale = 1.0 / np.sqrt(np.diag(M))
-        inverse = np.linalg.inv(M * np.outer(scale, scale)) * np.outer(scale, scale)
+        inverse = equilibrated_inverse(M)
         return np.diag(inverse)[self.targets] + self.floor, inverse[:, self.targets]
 
     def gains(self, X: Array, g: Array, which: Indices | None = None) -> Array:
         """``−∂ log g_i / ∂w_j``, shape (J or n, q)."""
         rows = self.rows if which is None else self.rows[which]
         out = np.empty((len(rows), X.shape[1]))
-        for first in range(0, len(rows), 4096):  # what fits a cache
-            part = rows[first : first + 4096]
-            out[first : first + 4096] = np.einsum("jmq,jmq->jq", part @ X, part @ X) / g
+        for first in range(0, len(rows), _CACHE_ROWS):
+            part = rows[first : first + _CACHE_ROWS]
+            out[first : first + _CACHE_ROWS] = np.einsum("jmq,jmq->jq", part @ X, part @ X) / g
         return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Relaxed:
-    """The optimum with fractions.
+class ContinuousDesign:
+    """Optimal design with fractional numbers of runs.
 
     Attributes
     ----------
     which : ndarray of int, shape (n,)
         Columns that are run.
     weight : ndarray, shape (n,)
-        How often.
+        Number of times that each is run, fractional.
     ratio : float
-        Largest sigma over its target.
+        Largest sigma over target.
     bound : float
-        No test of this length out of these columns, in whole numbers or fractions, has a smaller one.
+        Lower bound of the ratio for any test of this length out of these columns.
     weights : ndarray, shape (q,)
-        λ: how much each target rules.
+        Weights λ of the targets; zero where a target does not limit the design.
     worth : ndarray, shape (J,)
-        Value of every column's time, over that of the best.
+        Value per time of every column, over that of the best.
     """
 
     which: Indices
@@ -116,74 +136,78 @@ class Relaxed:
 
     @property
     def gap(self) -> float:
-        """How much of sigma could still be gained at the very most."""
+        """Largest possible further decrease of sigma, relative."""
         return self.ratio / self.bound - 1.0 if self.bound > 0.0 else math.inf
 
 
-def unseen(columns: Columns) -> Indices:
-    """Targets (positions in ``columns.targets``) that all columns together leave open, by the null space."""
+def unobservable_targets(columns: Columns) -> Indices:
+    """Targets that no design observes, by the null space of all columns: positions in ``columns.targets``."""
     S = columns.information(np.arange(len(columns.cost_s)), np.ones(len(columns.cost_s)))
     d = 1.0 / np.sqrt(np.diag(S))
     values, vectors = np.linalg.eigh(S * np.outer(d, d))
-    open_ways = vectors[:, values < _NO_INFORMATION * values[-1]]
-    share = np.linalg.norm(open_ways, axis=1)[columns.targets]
-    # What has no row at all is no part of it: a thousand times the target after every column.
-    alone = (np.diag(S) - np.diag(columns.prior))[columns.targets] < 1e-6
+    null_space = vectors[:, values < _NO_INFORMATION * values[-1]]
+    share = np.linalg.norm(null_space, axis=1)[columns.targets]
+    # An unknown with no row at all is scaled to one above, and is found apart.
+    alone = (np.diag(S) - np.diag(columns.prior))[columns.targets] < _NO_ROW
     return np.flatnonzero((share > _NO_PART) | alone)
 
 
-def limits_of_time(columns: Columns, time_s: float) -> Array:
-    """Variances of the targets that no time takes away, shape (q,): from a long time, and twice as long."""
+def asymptotic_variances(columns: Columns, time_s: float) -> Array:
+    """Variances of the targets in the limit of a long test, shape (q,), extrapolated from a time and twice that."""
     every = np.arange(len(columns.cost_s))
     weight = time_s / len(every) / columns.cost_s
     once, _ = columns.variances(columns.information(every, weight))
     twice, _ = columns.variances(columns.information(every, 2.0 * weight))
-    # What falls with the time halves; the rest stays.
+    # Variance = constant + a / T: twice the value at 2 T less that at T is the constant.
     return np.asarray(2.0 * twice - once)
 
 
-def relaxed_optimum(
+def optimal_design(
     columns: Columns,
     total_s: float,
     *,
     gap: float = GAP,
-    start: Relaxed | None = None,
+    start: ContinuousDesign | None = None,
     progress: Callable[[int, float], None] | None = None,
-) -> Relaxed:
-    """Solve the problem with fractions.
+) -> ContinuousDesign:
+    """Find the optimal continuous design.
 
     Parameters
     ----------
     columns : Columns
     total_s : float
-        T, s.
+        Time T, s.
     gap : float
-        Relative distance of sigma to the bound at which to stop.
-    start : Relaxed, optional
-        Solution for the first of these columns, to go on from.
+        Relative distance of sigma to its bound at which to stop.
+    start : ContinuousDesign, optional
+        Design of the first of these columns, to start from.
     progress : callable, optional
         Called with the number of rounds and the gap so far.
 
     Raises
     ------
     DataError
-        If the search cannot close the gap to ten times what was asked for.
+        The search cannot close the gap to ten times the value asked for.
     """
-    told = _Told(progress)
+    report = _RoundCounter(progress)
     for even in _EVEN if start is None else _EVEN[-1:]:
-        # Where much is unknown, a sequence may be worthless until another is there that takes it apart, and slopes mean
-        # nothing. So a little of the time goes to all columns alike.
+        # While much is unknown, the value of a sequence may depend on another that separates the errors that it mixes,
+        # and derivatives say nothing. So a part of the time is spread evenly over all columns.
         every = np.arange(len(columns.cost_s))
-        alike = columns.information(every, even * total_s / len(every) / columns.cost_s)
-        helped = replace(columns, prior=alike)
+        spread = columns.information(every, even * total_s / len(every) / columns.cost_s)
+        supported = replace(columns, prior=spread)
         rest_s = (1.0 - even) * total_s
-        start = _generated(
-            helped, rest_s, start or _first(helped, rest_s), gap if even == _EVEN[-1] else _ROUGH_GAP, told
+        start = _column_generation(
+            supported,
+            rest_s,
+            start or _first_design(supported, rest_s),
+            gap if even == _EVEN[-1] else _ROUGH_GAP,
+            report,
         )
     assert start is not None
-    # Of the best weights, (1 - even) with the even part are within this problem, and no worse than by that factor.
+    # The best weights times (1 - even), with the even part, are feasible here: the bound falls by that factor at most.
     best = replace(start, bound=start.bound * math.sqrt(1.0 - _EVEN[-1]))
-    if best.gap > 10.0 * gap:
+    if best.gap > _LARGEST_GAP * gap:
         raise DataError(
             f"The search for the best plan stopped {100.0 * best.gap:.1f} % above its bound: give more time, or more "
             "targets."
@@ -191,8 +215,8 @@ def relaxed_optimum(
     return best
 
 
-class _Told:
-    """Tells the progress, with the rounds counted through."""
+class _RoundCounter:
+    """Progress reports with the rounds numbered through."""
 
     def __init__(self, progress: Callable[[int, float], None] | None) -> None:
         self._progress, self._rounds = progress, 0
@@ -203,52 +227,54 @@ class _Told:
             self._progress(self._rounds, gap)
 
 
-def _first(columns: Columns, total_s: float) -> Relaxed:
-    """A start: the columns that each target gains most from if all are run alike."""
+def _first_design(columns: Columns, total_s: float) -> ContinuousDesign:
+    """First design: the columns that decrease each variance most if all are run for the same time."""
     cost = columns.cost_s
     even = np.full(len(cost), total_s / len(cost)) / cost
     g, X = columns.variances(columns.information(np.arange(len(cost)), even))
     each = columns.gains(X, g) / cost[:, None]
     active = np.unique(np.argsort(-each, axis=0)[:_FIRST_PER_TARGET])
     weight = total_s / len(active) / cost[active]
-    return Relaxed(active, weight, math.inf, 0.0, np.zeros(len(g)), np.zeros(len(cost)))
+    return ContinuousDesign(active, weight, math.inf, 0.0, np.zeros(len(g)), np.zeros(len(cost)))
 
 
-def _generated(columns: Columns, total_s: float, start: Relaxed, gap: float, told: _Told) -> Relaxed:
-    """Column generation from a start until the gap is closed, or nothing more is worth adding."""
+def _column_generation(
+    columns: Columns, total_s: float, start: ContinuousDesign, gap: float, report: _RoundCounter
+) -> ContinuousDesign:
+    """Add columns to a design until the gap is closed or no column is worth adding."""
     cost = columns.cost_s
     active, share = start.which, start.weight * cost[start.which] / total_s
     bound = 0.0
     for _ in range(_MOST_ROUNDS):
-        share = _master(columns, active, share, total_s)
+        share = _best_shares(columns, active, share, total_s)
         keep = share > _NO_SHARE
         active, share = active[keep], share[keep] / share[keep].sum()
         weight = share * total_s / cost[active]
         g, X = columns.variances(columns.information(active, weight))
         gains = columns.gains(X, g)
-        weights = _prices(gains, g, active, weight, cost, total_s)
+        weights = _target_weights(gains, g, active, weight, cost, total_s)
         worth = gains @ weights / cost
         price = float(share @ worth[active])
         log_bound = float(weights @ (np.log(g) + weight @ gains[active]) - total_s * worth.max())
         bound = max(bound, math.exp(0.5 * log_bound))
-        best = Relaxed(active, weight, math.sqrt(g.max()), bound, weights, worth / worth.max())
-        told(best.gap)
+        best = ContinuousDesign(active, weight, math.sqrt(g.max()), bound, weights, worth / worth.max())
+        report(best.gap)
         if best.gap <= gap:
             break
-        # What is worth at least what the time is on the average now: the prices of the best bound make equal what
-        # should be run.
+        # The target weights of the best bound give equal value per time to all columns that should be run: new columns
+        # are those worth at least the present mean.
         fresh = np.setdiff1d(np.argsort(-worth)[: 4 * _ADDED_PER_ROUND], active, assume_unique=False)
-        fresh = fresh[worth[fresh] > price * (1.0 - 1e-3)]
+        fresh = fresh[worth[fresh] > price * _WORTH_ADDING]
         fresh = fresh[np.argsort(-worth[fresh])][:_ADDED_PER_ROUND]
         if fresh.size == 0:
             break
         active = np.concatenate([active, fresh])
-        share = np.concatenate([0.98 * share, np.full(len(fresh), 0.02 / len(fresh))])
+        share = np.concatenate([(1.0 - _NEW_SHARE) * share, np.full(len(fresh), _NEW_SHARE / len(fresh))])
     return best
 
 
-def _master(columns: Columns, active: Indices, share: Array, total_s: float) -> Array:
-    """Best shares of the time for a few columns: sequential quadratic programming on the epigraph."""
+def _best_shares(columns: Columns, active: Indices, share: Array, total_s: float) -> Array:
+    """Best shares of the time for a few columns: sequential quadratic programming in epigraph form."""
     per_share = total_s / columns.cost_s[active]
     rows = columns.rows[active]
     n = len(active)
@@ -285,8 +311,8 @@ def _master(columns: Columns, active: Indices, share: Array, total_s: float) -> 
     return found if logs(found)[0].max() <= first.max() else share
 
 
-def _prices(gains: Array, g: Array, active: Indices, weight: Array, cost: Array, total_s: float) -> Array:
-    """Weights λ of the parameters that give the best bound, by a linear programme whose rows are made as needed."""
+def _target_weights(gains: Array, g: Array, active: Indices, weight: Array, cost: Array, total_s: float) -> Array:
+    """Weights λ of the targets that give the best bound: a linear programme with constraint generation."""
     q = len(g)
     value = np.log(g) + weight @ gains[active]
     per_time = gains / cost[:, None]
@@ -304,12 +330,14 @@ def _prices(gains: Array, g: Array, active: Indices, weight: Array, cost: Array,
             method="highs",
         )
         if result.x is None:
-            raise DataError("The search for the best plan met equations without a solution: report the plan's file.")
+            raise DataError(
+                "The linear programme for the bound of the plan has no solution: please report the plan file."
+            )
         weights = np.maximum(result.x[:q], 0.0)
         weights /= weights.sum()
         worth = per_time @ weights
         broken = np.argsort(-worth)[:_ADDED_PER_ROUND]
-        broken = broken[worth[broken] > worth[rows].max() * (1.0 + 1e-4)]
+        broken = broken[worth[broken] > worth[rows].max() * (1.0 + _CUT_TOLERANCE)]
         if broken.size == 0:
             break
         rows = np.union1d(rows, broken)

@@ -1,7 +1,7 @@
-"""What a fixture can do: travel, rate and acceleration of its two axes, and how long moving takes.
+"""Kinematics of a two-axis fixture: travel, rate and acceleration of its axes, and the time that moves take.
 
-The outer axis is horizontal, the inner axis carries the IMU's z; at angles (0, 0) z is down and y along the outer axis.
-Poses are whole quarter turns of both axes.
+The outer axis is horizontal, the inner axis lies along the IMU's z; at angles (0, 0), z is down and y along the outer
+axis. Static poses have both axes at multiples of 90 deg.
 """
 
 from __future__ import annotations
@@ -16,29 +16,32 @@ INNER: Final = 0
 OUTER: Final = 1
 AXIS_NAMES: Final = ("inner", "outer")
 QUARTER_DEG: Final = 90
+"""Angle between neighbouring static poses, deg."""
+_ANGLE_TOLERANCE_DEG: Final = 1e-9
+"""Rounding error of a stated travel limit, deg."""
 
 
 @dataclass(frozen=True, slots=True)
-class StandAxis:
-    """One axis of a fixture.
+class AxisKinematics:
+    """Kinematics of one axis of a fixture.
 
     Attributes
     ----------
     rate_rad_s, acceleration_rad_s2 : float
-        What a turn is executed with.
+        Largest rate and constant acceleration of a rotation.
     travel_deg : (float, float) or None
-        Limits of the angle; None: slip rings, any number of turns.
+        Limits of the angle; None: slip rings, unlimited rotation.
     turns : bool
-        False: the axis does not turn under control. It is set by hand, between sequences only, to ``positions_deg``.
+        False: the axis is set by hand to ``positions_deg``, between sequences only.
     positions_deg : tuple of float
-        Where an axis that is set by hand can stand, multiples of 90°.
+        Where an axis that is set by hand can fixture, multiples of 90°.
     set_s : float
-        How long setting it by hand takes, s.
+        Time to set it by hand, s.
 
     Raises
     ------
     InputError
-        An axis that no fixture has.
+        Values that are contradictory or out of range.
     """
 
     rate_rad_s: float = 1.0
@@ -58,7 +61,7 @@ class StandAxis:
         if self.travel_deg is not None and not self.travel_deg[0] < self.travel_deg[1]:
             low, high = self.travel_deg
             raise InputError(f"The travel of a fixture axis is {low:g} to {high:g} deg: the first must be the smaller.")
-        if self.turns and not self.standing_deg():
+        if self.turns and not self.rest_angles_deg():
             raise InputError(
                 f"No multiple of 90 deg lies within the travel of {self.travel_deg} deg: the fixture has no pose in "
                 "which an axis of the unit is vertical."
@@ -67,57 +70,63 @@ class StandAxis:
         if not self.turns and (odd or not self.positions_deg):
             raise InputError(f"positions_deg is {list(self.positions_deg)}: give multiples of 90 deg, at least one.")
 
-    def standing_deg(self) -> tuple[int, ...]:
-        """Angles of rest, multiples of 90°: with slip rings one turn of them."""
+    def rest_angles_deg(self) -> tuple[int, ...]:
+        """Angles at which the axis can rest, multiples of 90°; with slip rings, those of one turn."""
         if not self.turns:
             return tuple(sorted({int(p) for p in self.positions_deg}))
         if self.travel_deg is None:
             return (0, 90, 180, 270)
         low, high = self.travel_deg
-        first, last = math.ceil(low / QUARTER_DEG - 1e-9), math.floor(high / QUARTER_DEG + 1e-9)
+        first, last = (
+            math.ceil(low / QUARTER_DEG - _ANGLE_TOLERANCE_DEG),
+            math.floor(high / QUARTER_DEG + _ANGLE_TOLERANCE_DEG),
+        )
         return tuple(QUARTER_DEG * k for k in range(first, last + 1))
 
     def allows(self, angle_deg: float) -> bool:
-        """Whether the axis can be at an angle."""
+        """Return True if the angle is within the travel of an axis that turns."""
         if not self.turns:
             return False
-        return self.travel_deg is None or self.travel_deg[0] - 1e-9 <= angle_deg <= self.travel_deg[1] + 1e-9
+        if self.travel_deg is None:
+            return True
+        low, high = self.travel_deg
+        return low - _ANGLE_TOLERANCE_DEG <= angle_deg <= high + _ANGLE_TOLERANCE_DEG
 
     def turn_s(self, angle_deg: float) -> float:
-        """Time of a turn from rest to rest, trapezoidal or triangular in rate, s."""
+        """Time of a rotation from rest to rest, with a trapezoidal or triangular rate profile, s."""
         size = abs(math.radians(angle_deg))
         if size * self.acceleration_rad_s2 < self.rate_rad_s**2:
             return 2.0 * math.sqrt(size / self.acceleration_rad_s2)
         return size / self.rate_rad_s + self.rate_rad_s / self.acceleration_rad_s2
 
-    def way_deg(self, start_deg: float, end_deg: float) -> float:
-        """Angle of the move from one standing angle to another: the shorter way where both are possible."""
-        way = end_deg - start_deg
-        return math.remainder(way, 360.0) if self.turns and self.travel_deg is None else way
+    def move_deg(self, start_deg: float, end_deg: float) -> float:
+        """Angle of the move between two rest angles, deg: the shorter one where both senses are possible."""
+        angle = end_deg - start_deg
+        return math.remainder(angle, 360.0) if self.turns and self.travel_deg is None else angle
 
     def move_s(self, start_deg: float, end_deg: float) -> float:
-        """Time of the move from one standing angle to another, s."""
-        way = self.way_deg(start_deg, end_deg)
-        if way == 0.0:
+        """Time of the move between two rest angles, s."""
+        angle = self.move_deg(start_deg, end_deg)
+        if angle == 0.0:
             return 0.0
-        return self.turn_s(way) if self.turns else self.set_s
+        return self.turn_s(angle) if self.turns else self.set_s
 
 
 @dataclass(frozen=True, slots=True)
-class Stand:
-    """A fixture's two axes, and its times.
+class FixtureKinematics:
+    """Kinematics of a two-axis fixture.
 
     Attributes
     ----------
-    inner, outer : StandAxis
+    inner, outer : AxisKinematics
     settle_s : float
-        Wait after every turn or move before a window may begin, s.
+        Wait after every rotation or move before a stationary window may begin, s.
     pause_s : float
-        Stillness between the end of a sequence and the move to the next, s.
+        Pause between the end of a sequence and the move to the next, s.
     """
 
-    inner: StandAxis = StandAxis()
-    outer: StandAxis = StandAxis()
+    inner: AxisKinematics = AxisKinematics()
+    outer: AxisKinematics = AxisKinematics()
     settle_s: float = 0.0
     pause_s: float = 0.0
 
@@ -130,11 +139,11 @@ class Stand:
             raise InputError("Neither axis of the fixture turns: a rotation test needs one that does.")
 
     @property
-    def axes(self) -> tuple[StandAxis, StandAxis]:
+    def axes(self) -> tuple[AxisKinematics, AxisKinematics]:
         """Inner and outer axis, in the order of angle pairs."""
         return self.inner, self.outer
 
     def move_s(self, start_deg: tuple[int, int], end_deg: tuple[int, int]) -> float:
-        """Time from a sequence's end to the next one's start window, one axis after the other, s."""
+        """Time from the end of a sequence to the start window of the next; the axes move one after the other, s."""
         moves = sum(a.move_s(s, e) for a, s, e in zip(self.axes, start_deg, end_deg, strict=True))
         return self.pause_s + moves + self.settle_s

@@ -1,0 +1,131 @@
+"""Exchange algorithm: replaces single sequences of a plan, judged by the covariance of the whole test.
+
+Here, unlike while sequences are chosen, bias instability is one process over the whole test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.noise.bias_instability import correlation_times, flicker_covariance
+from srt.planning.information import N_ROWS, equilibrated_inverse
+from srt.planning.selection import power_mean
+from srt.planning.timetable import move_times, window_borders
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from srt.planning.selection import AccuracyCriterion, CandidatePool
+    from srt.types import Array, Indices
+
+
+_SHORTLIST: Final = 16
+"""Candidates tried in each place: their covariance over the whole test takes most of the time."""
+_POWER: Final = 8.0
+"""Power of the mean that stands for the largest variance: high enough to follow it, low enough to have a slope."""
+_MOST_PASSES: Final = 4
+"""Passes over all places at most; the search ends before when a pass gains too little."""
+_LEAST_GAIN: Final = 2e-3
+"""Relative decrease of sigma for which a sequence is exchanged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExchangeSearch:
+    """Accuracy of sequences in their order, and the exchange of single sequences by it.
+
+    Attributes
+    ----------
+    criterion : AccuracyCriterion
+    pool : CandidatePool
+    total_s : float
+        Length of the whole test, s.
+    """
+
+    criterion: AccuracyCriterion
+    pool: CandidatePool
+    total_s: float
+
+    def borders(self, which: Indices, windows_s: Array) -> Array:
+        """Start and end of both windows of every sequence, shape (n, 4), s."""
+        between = self.criterion.signatures.between_windows_s[which]
+        return window_borders(windows_s, between, self._moves(which))
+
+    def _moves(self, which: Indices) -> list[float]:
+        signatures = self.criterion.signatures
+        return move_times([signatures.candidates[k] for k in which.tolist()], signatures.fixture)
+
+    def ratio(self, which: Indices, windows_s: Array) -> float:
+        """Power mean of sigma over target: close to the largest, but differentiable where several are as large."""
+        s, n = self.criterion.signatures, len(which)
+        c = s.conditions
+        R = np.zeros((n, N_ROWS, n, N_ROWS))
+        blocks = s.covariances(windows_s[:, 0], windows_s[:, 1], which)
+        R[np.arange(n), :, np.arange(n)] = sum(
+            part for name, part in blocks.items() if not name.endswith("_bias_instability")
+        )
+        borders = self.borders(which, windows_s)
+        K = flicker_covariance(borders[:, :3].ravel(), borders[:, 1:].ravel(), correlation_times(float(borders[-1, 3])))
+        K = K.reshape(n, 3, n, 3)
+        for floor, effect, part in (
+            (c.gyro_instability, s.by_bias[which], K),
+            (c.accel_instability, s.by_force[which], K[:, ::2, :, ::2]),
+        ):
+            if floor > 0.0:
+                R += floor**2 * np.einsum("kiac,kilj,ljbc->kalb", effect, part, effect, optimize=True)
+        flat = R.reshape(n * N_ROWS, -1)
+        d = 1.0 / np.sqrt(np.diag(flat))
+        L = np.linalg.cholesky(flat * np.outer(d, d))
+        rows = np.linalg.solve(L, (s.H[which].reshape(n * N_ROWS, -1) * self.criterion.scale) * d[:, None])
+        g = np.diag(equilibrated_inverse(self.criterion.prior + rows.T @ rows))[self.criterion.targets]
+        return float(np.sqrt(power_mean(g, _POWER)))
+
+    def filled(self, which: Indices, windows_s: Array) -> Array | None:
+        """Windows scaled by one factor so that the test fills its time; None if they do not fit."""
+        budget = (
+            self.total_s - float(self.criterion.signatures.between_windows_s[which].sum()) - sum(self._moves(which))
+        )
+        return self.criterion.filled(windows_s, budget)
+
+    def improved(
+        self, which: Indices, windows_s: Array, progress: Callable[[], None] | None = None
+    ) -> tuple[Indices, Array]:
+        """Exchange sequences one by one while the largest sigma over target decreases."""
+        now = self.ratio(which, windows_s)
+        for _ in range(_MOST_PASSES):
+            before = now
+            for i in range(len(which)):
+                for k, windows in self._shortlist(which, windows_s, i):
+                    trial = which.copy()
+                    trial[i] = k
+                    changed = windows_s.copy()
+                    changed[i] = windows
+                    full = self.filled(trial, changed)
+                    if full is None:
+                        continue
+                    value = self.ratio(trial, full)
+                    if value < now * (1.0 - _LEAST_GAIN):
+                        which, windows_s, now = trial, full, value
+            if progress is not None:
+                progress()
+            if now > before * (1.0 - 2.0 * _LEAST_GAIN):
+                break
+        return which, windows_s
+
+    def _shortlist(self, which: Indices, windows_s: Array, i: int) -> list[tuple[int, Array]]:
+        """Candidates of the pool for one place, the best by the additive criterion first."""
+        rest = np.delete(np.arange(len(which)), i)
+        M = self.criterion.prior + self.criterion.information(which[rest], windows_s[rest]).sum(axis=0)
+        scale = windows_s.mean() / self.pool.windows_s.mean()
+        windows = np.clip(scale * self.pool.windows_s, self.criterion.shortest_s, self.criterion.longest_s)
+        added = M + self.criterion.information(self.pool.which, windows)
+        worst = power_mean(self.criterion.variances(added), _POWER)
+        cost = windows.sum(axis=1) + self.criterion.signatures.between_windows_s[self.pool.which]
+        # A longer sequence takes time from all others: the variance grows in proportion.
+        value = 0.5 * np.log(worst) + 0.5 * cost / self.total_s
+        order = np.argsort(value)
+        return [
+            (int(self.pool.which[j]), windows[j]) for j in order[:_SHORTLIST].tolist() if self.pool.which[j] != which[i]
+        ]

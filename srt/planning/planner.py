@@ -1,0 +1,443 @@
+"""Planner: sequences, windows and order for the best accuracy in a given time, or for given targets in the least time.
+
+1. The sequences that the fixture can execute, each with several lengths of its windows, are the columns of a continuous
+   design. Its optimum bounds what any plan can reach (:mod:`srt.planning.continuous_design`).
+2. Whole sequences are selected among the columns of most value (:mod:`srt.planning.selection`), ordered for short moves
+   (:mod:`srt.planning.order`), and the windows share the remaining time.
+3. Single sequences are exchanged by the covariance of the whole test (:mod:`srt.planning.exchange`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import DataError, InputError
+from srt.model.table1 import SEQUENCES
+from srt.planning.candidates import executable_candidates, from_catalogue, turn_patterns
+from srt.planning.continuous_design import (
+    Columns,
+    ContinuousDesign,
+    asymptotic_variances,
+    optimal_design,
+    unobservable_targets,
+)
+from srt.planning.exchange import ExchangeSearch
+from srt.planning.information import Signatures
+from srt.planning.plan import MET, Plan, PlanLimits, TooLongError, accuracy_criterion, check_targets, scheduled_plan
+from srt.planning.prediction import predict
+from srt.planning.selection import AccuracyCriterion, CandidatePool, Selection, select
+from srt.sensor_errors import NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from srt.planning.candidates import Candidate
+    from srt.planning.conditions import Conditions
+    from srt.planning.fixture_kinematics import FixtureKinematics
+    from srt.types import Array, Indices
+
+    Progress = Callable[[str, int, float], None]
+
+_GRID: Final = 8
+"""Lengths of equal windows in the coarse continuous design."""
+_FINE_GRID: Final = 9
+"""Lengths of the start and of the end window, each, in the fine design."""
+_FINE_SEQUENCES: Final = 150
+"""Sequences of most value whose windows are refined."""
+_FINE_COLUMNS: Final = 2000
+"""Columns that the refinement adds."""
+_NEARLY: Final = 0.9
+"""Value per time over the best from which on the windows of a sequence are refined."""
+_POOL: Final = 250
+"""Sequences of most value among which whole sequences are selected."""
+_START_COUNTS: Final = (8, 14, 22)
+"""Numbers of sequences in the initial selections."""
+_LEAST_WEIGHT: Final = 0.02
+"""Weight from which on a target is said to limit the plan."""
+_FIRST_TIME_S: Final = 900.0
+"""First guess of the shortest test, s."""
+_TRIES: Final = 12
+"""Lengths tried for the shortest test."""
+_RATIO_TOLERANCE: Final = 0.02
+"""Distance of sigma over target from one at which the search for the shortest continuous design ends."""
+_LONGER: Final = (1.02, 1.04, 1.5)
+"""Lengthening of a plan that is too short: factor beyond the variance, least factor, largest factor."""
+_BISECTIONS: Final = 4
+"""Bisections between a plan that meets the targets and a time that was too short."""
+_CLOSE: Final = 0.03
+"""Relative distance of those two times at which the bisection ends."""
+_ROUNDS: Final = 4
+"""Selections for one length, each with a better estimate of the time of the moves."""
+_LENGTHEN_MOVES: Final = 1.05
+"""Increase of the estimated time between sequences when the moves left no time for the windows."""
+_EXCHANGES: Final = 4
+"""Runs of the exchange algorithm, with the order and the windows optimised after each."""
+_BALANCES: Final = 5
+"""Optimisations of the windows after an exchange, each with corrected variances."""
+_LEAST_GAIN: Final = 5e-3
+"""Relative decrease of sigma for which the exchange algorithm runs once more."""
+_TABLE_1_WINDOW_S: Final = 10.0
+"""Initial length of the windows of Table 1, s."""
+
+
+def make_plan(
+    fixture: FixtureKinematics,
+    conditions: Conditions,
+    targets: Array,
+    *,
+    total_s: float | None = None,
+    limits: PlanLimits | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan a test.
+
+    Parameters
+    ----------
+    fixture : FixtureKinematics
+    conditions : Conditions
+    targets : ndarray, shape (27,), SI
+        Target sigma of every parameter; NaN: none.
+    total_s : float, optional
+        Length of the test, s: the plan minimises the worst sigma over target. Default: the shortest test that meets all
+        targets.
+    limits : PlanLimits, optional
+    progress : callable, optional
+        Called with the stage ("optimum", "plan"), a count, and the relative gap to the optimum.
+
+    Raises
+    ------
+    InputError
+        Targets that are absent or not positive, or a time that is too short for any sequence.
+    DataError
+        A target that the fixture cannot observe, or that no test reaches; the message names the limiting source.
+    """
+    limits = limits or PlanLimits()
+    check_targets(targets)
+    planner = Planner(fixture, conditions, targets, limits, progress)
+    planner.require_observable()
+    if total_s is not None:
+        if not (math.isfinite(total_s) and total_s > 0.0):
+            raise InputError(f"The time for the test is {total_s!r}: give a positive number of seconds.")
+        return planner.plan_for_time(total_s)
+    return planner.shortest_plan()
+
+
+def table_1_plan(
+    fixture: FixtureKinematics, conditions: Conditions, targets: Array, total_s: float, limits: PlanLimits | None = None
+) -> Plan:
+    """Plan the 17 sequences of Table 1, each once, in the best order and with the best windows for a time.
+
+    Raises
+    ------
+    InputError
+        The fixture cannot execute them, or the time is too short.
+    """
+    limits = limits or PlanLimits()
+    check_targets(targets)
+    candidates = [from_catalogue(s, fixture) for s in SEQUENCES.values()]
+    criterion = accuracy_criterion(Signatures(candidates, fixture, conditions), targets, limits)
+    which = np.arange(len(candidates))
+    guess = Selection(which, np.full((len(which), 2), _TABLE_1_WINDOW_S), math.nan)
+    return scheduled_plan(criterion, guess, fixture, conditions, targets, total_s)
+
+
+class Planner:
+    """Search for the best plan among the sequences that a fixture can execute.
+
+    Parameters
+    ----------
+    fixture : FixtureKinematics
+    conditions : Conditions
+    targets : ndarray, shape (27,), SI
+    limits : PlanLimits
+    progress : callable, optional
+    known : ndarray, shape (N_UNKNOWNS, N_UNKNOWNS), optional
+        Information from earlier measurements, SI; default: that on gravity and north.
+    """
+
+    def __init__(
+        self,
+        fixture: FixtureKinematics,
+        conditions: Conditions,
+        targets: Array,
+        limits: PlanLimits,
+        progress: Progress | None = None,
+        known: Array | None = None,
+    ) -> None:
+        self.fixture, self.conditions, self.targets, self.limits = fixture, conditions, targets, limits
+        self._progress = progress
+        patterns = turn_patterns(largest_turn_deg=limits.largest_turn_deg, most_legs=limits.most_legs)
+        candidates = executable_candidates(fixture, patterns)
+        if not candidates:
+            raise InputError("The fixture can execute no sequence at all: widen its travel to 90 deg or more.")
+        self.signatures = Signatures(candidates, fixture, conditions)
+        self.criterion = accuracy_criterion(self.signatures, targets, limits, known)
+        self._number = {c.key: k for k, c in enumerate(candidates)}
+        self._table_1 = [from_catalogue(s) for s in SEQUENCES.values()]
+        self.grid = limits.grid_s(_GRID)
+        self.bounded = self.signatures.with_least_drift()
+        # Least time between sequences. Moves are left out, so that the bound holds for any order.
+        self.least_s = fixture.pause_s + fixture.settle_s
+        self.coarse = self._coarse(self.signatures)
+
+    def _coarse(self, signatures: Signatures) -> Columns:
+        """Columns of all sequences with equal windows of every length of the grid."""
+        rows = np.concatenate([signatures.whitened(t, t) for t in self.grid]) * self.criterion.scale
+        cost = (2.0 * self.grid[:, None] + signatures.between_windows_s + self.least_s).ravel()
+        return Columns(rows, cost, self.criterion.prior, self.criterion.targets, self.criterion.floor)
+
+    def tell(self, what: str, count: int, gap: float) -> None:
+        """Report the progress."""
+        if self._progress is not None:
+            self._progress(what, count, gap)
+
+    def require_observable(self) -> None:
+        """Raise DataError if no sequence that the fixture can execute observes one of the targets."""
+        hidden = [NAMES[self.criterion.targets[i]] for i in unobservable_targets(self.coarse)]
+        if hidden:
+            raise DataError(
+                f"No sequence that this fixture can execute shows {', '.join(hidden)}: take these "
+                "targets out, or use a fixture with more freedom (both axes turning, more travel or positions)."
+            )
+
+    def continuous(self, total_s: float) -> ContinuousDesign:
+        """Optimal continuous design: on the coarse grid of equal windows, then with refined windows."""
+        optimum, self.columns, self.sequence, self.windows = self._optimum(self.signatures, self.coarse, total_s)
+        return optimum
+
+    def bound(self, total_s: float) -> ContinuousDesign:
+        """Optimal continuous design with the least possible drift, for a lower bound."""
+        return self._optimum(self.bounded, self._coarse(self.bounded), total_s)[0]
+
+    def _optimum(
+        self, signatures: Signatures, coarse: Columns, total_s: float
+    ) -> tuple[ContinuousDesign, Columns, Indices, Array]:
+        def tell(count: int, gap: float) -> None:
+            self.tell("optimum", count, gap)
+
+        # No move precedes the first sequence.
+        total_s += self.least_s
+        rough = optimal_design(coarse, total_s, progress=tell)
+        columns, sequence, windows = self._with_fine_windows(signatures, coarse, rough)
+        return optimal_design(columns, total_s, start=rough, progress=tell), columns, sequence, windows
+
+    def _with_fine_windows(
+        self, signatures: Signatures, coarse: Columns, rough: ContinuousDesign
+    ) -> tuple[Columns, Indices, Array]:
+        """Columns with unequal start and end windows for the sequences of most value.
+
+        The information of a sequence is concave in its windows, so that the coarse grid loses little between its
+        points. Sequences that fall short by more are left as they are.
+        """
+        K = len(signatures)
+        by_sequence = rough.worth.reshape(-1, K).max(axis=0)
+        near = np.argsort(-by_sequence)[:_FINE_SEQUENCES]
+        near = near[by_sequence[near] > _NEARLY]
+        fine = self.limits.grid_s(_FINE_GRID)
+        pairs = np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1).reshape(-1, 2)
+        sequence, windows = np.repeat(near, len(pairs)), np.tile(pairs, (len(near), 1))
+        rows = signatures.whitened(windows[:, 0], windows[:, 1], sequence) * self.criterion.scale
+        cost = windows.sum(axis=1) + signatures.between_windows_s[sequence] + self.least_s
+        added = replace(coarse, rows=rows, cost_s=cost)
+        g, X = coarse.variances(coarse.information(rough.which, rough.weight))
+        worth = added.gains(X, g) @ rough.weights / cost
+        good = np.argsort(-worth)[:_FINE_COLUMNS]
+        columns = replace(
+            coarse, rows=np.concatenate([coarse.rows, rows[good]]), cost_s=np.concatenate([coarse.cost_s, cost[good]])
+        )
+        every, equal = np.tile(np.arange(K), len(self.grid)), np.repeat(self.grid, K)
+        return (
+            columns,
+            np.concatenate([every, sequence[good]]),
+            np.concatenate([np.stack([equal, equal], axis=1), windows[good]]),
+        )
+
+    def pool(self, design: ContinuousDesign) -> CandidatePool:
+        """Candidates for whole sequences: those of the continuous optimum, those of nearly equal value, and Table 1."""
+        best: dict[int, int] = {}
+        # Each sequence once, with its best windows.
+        for j in np.argsort(-design.worth, kind="stable").tolist():
+            best.setdefault(int(self.sequence[j]), j)
+            if len(best) == _POOL:
+                break
+        time = np.zeros(len(self.signatures))
+        np.add.at(time, self.sequence[design.which], design.weight * self.columns.cost_s[design.which])
+        for j in design.which[np.argsort(-design.weight, kind="stable")].tolist():
+            best[int(self.sequence[j])] = j  # a sequence of the optimum keeps the windows that it has there
+        known = [self._number[c.key] for c in self._table_1 if c.key in self._number]
+        worth = np.where(np.isin(np.arange(len(self.sequence)), list(best.values())), 2.0, design.worth)
+        for k in known:
+            if k not in best:
+                own = np.flatnonzero(self.sequence == k)
+                best[k] = int(own[np.argmax(worth[own])])
+        sequences = np.array(list(best))
+        columns = np.array(list(best.values()))
+        by_time = np.argsort(-time[sequences], kind="stable")
+        position = {int(k): i for i, k in enumerate(sequences)}
+        starts = [by_time[:count] for count in _START_COUNTS]
+        if known:
+            starts.append(np.array([position[k] for k in known]))
+        return CandidatePool(sequences, self.windows[columns], tuple(starts))
+
+    def plan_for_time(self, total_s: float) -> Plan:
+        """Best plan of a given length."""
+        return self._with_bound(self.integer_plan(self.continuous(total_s), total_s))
+
+    def _with_bound(self, plan: Plan) -> Plan:
+        """Plan with the lower bound of the worst ratio for its length."""
+        bound = self.bound(plan.total_s)
+        first = np.argsort(-bound.weights)
+        limiting = tuple(
+            (NAMES[self.criterion.targets[i]], float(bound.weights[i]))
+            for i in first
+            if bound.weights[i] > _LEAST_WEIGHT
+        )
+        return replace(plan, bound=bound.bound, limiting_targets=limiting)
+
+    def integer_plan(self, design: ContinuousDesign, total_s: float) -> Plan:
+        """Plan of whole sequences near a continuous design; the time of the moves is estimated first, then known."""
+        best: Plan | None = None
+        pool, criterion = self.pool(design), self.criterion
+        per_sequence = self.least_s + self.fixture.outer.move_s(0.0, 90.0)
+        for _ in range(_ROUNDS):
+            most = self.limits.most_sequences
+            try:
+                choice = select(criterion, pool, total_s, per_sequence, most, lambda: self.tell("plan", 0, 0.0))
+                plan = scheduled_plan(criterion, choice, self.fixture, self.conditions, self.targets, total_s)
+            except ValueError:
+                break
+            except TooLongError as error:
+                per_sequence = max(_LENGTHEN_MOVES * per_sequence, error.per_sequence_s)
+                continue
+            if best is None or plan.ratio < best.ratio:
+                best = plan
+            per_sequence = plan.moves_s / max(1, len(plan.candidates) - 1)
+            here = np.array([pool.which.tolist().index(k) for k in choice.which])
+            pool = replace(pool, starts=(here,))
+            criterion = self._corrected(criterion, plan)
+        if best is not None and math.isfinite(best.ratio):
+            best = self._exchanged(best, pool, criterion, total_s)
+        if best is None:
+            raise InputError(
+                f"{total_s:g} s are too short for a test that observes all targets: give more time, shorter windows "
+                "(shortest_window_s), or fewer targets."
+            )
+        return best
+
+    def _exchanged(self, plan: Plan, pool: CandidatePool, criterion: AccuracyCriterion, total_s: float) -> Plan:
+        """Plan after the exchange of sequences; order and windows are optimised again after each run."""
+        for _ in range(_EXCHANGES):
+            test = ExchangeSearch(criterion, pool, total_s)
+            which, windows_s = test.improved(
+                self._positions(plan.candidates), plan.windows_s, lambda: self.tell("plan", 0, 0.0)
+            )
+            found, choice = plan, Selection(which, windows_s, math.nan)
+            for _ in range(_BALANCES):
+                try:
+                    trial = scheduled_plan(criterion, choice, self.fixture, self.conditions, self.targets, total_s)
+                except TooLongError:
+                    break
+                criterion = self._corrected(criterion, trial)
+                found = min(found, trial, key=lambda p: p.ratio)
+            if found.ratio > plan.ratio * (1.0 - _LEAST_GAIN):
+                return found
+            plan = found
+        return plan
+
+    def _corrected(self, criterion: AccuracyCriterion, plan: Plan) -> AccuracyCriterion:
+        """Criterion whose variances equal those of the whole test for a plan, in which the drift is not additive."""
+        if not math.isfinite(plan.ratio):
+            return criterion
+        raw = replace(criterion, correction=np.ones_like(criterion.correction))
+        information = raw.information(self._positions(plan.candidates), plan.windows_s)
+        simple = raw.variances(raw.prior + information.sum(axis=0))
+        return replace(criterion, correction=plan.ratios[criterion.targets] ** 2 / simple)
+
+    def shortest_plan(self) -> Plan:
+        """Shortest plan that meets the targets."""
+        self._require_reach()
+        total_s, design = self._shortest_continuous()
+        too_short = 0.0
+        plan: Plan | None = None
+        for _ in range(_TRIES):
+            try:
+                plan = self.integer_plan(design, total_s)
+                ratio = plan.ratio
+            except InputError:  # too short for any
+                ratio = math.inf
+            if plan is not None and ratio <= MET:
+                return self._with_bound(self._shortened(self._bisected(plan, design, too_short)))
+            too_short = total_s
+            # Variances decrease with the time; whole numbers of sequences cost a little more.
+            margin, least, most = _LONGER
+            total_s *= min(max(margin * ratio**2, least), most)
+            if total_s > self.limits.longest_test_s:
+                break
+            design = self.continuous(total_s)
+        raise self._out_of_reach(plan or self.integer_plan(design, total_s))
+
+    def _bisected(self, plan: Plan, design: ContinuousDesign, too_short_s: float) -> Plan:
+        """Shorter plan between one that meets the targets and a time that was too short, by bisection."""
+        for _ in range(_BISECTIONS):
+            if plan.total_s < (1.0 + _CLOSE) * too_short_s or too_short_s == 0.0:
+                break
+            total_s = math.sqrt(plan.total_s * too_short_s)
+            try:
+                trial = self.integer_plan(design, total_s)
+            except InputError:  # too short for any
+                too_short_s = total_s
+                continue
+            if trial.ratio <= MET:
+                plan = trial
+            else:
+                too_short_s = total_s
+        return plan
+
+    def _require_reach(self) -> None:
+        """Raise DataError if the errors common to the whole test exceed a target, whatever the length of the test."""
+        g = asymptotic_variances(self.coarse, self.limits.longest_test_s)
+        if g.max() > 1.0:
+            k = int(self.criterion.targets[np.argmax(g)])
+            raise DataError(
+                f"The target of {NAMES[k]} is out of reach however long the test is: the uncertainty of gravity and "
+                f"north and the drift of the unit, which no sequence reduces, are {math.sqrt(g.max()):.3g} times the "
+                "target; measure gravity better (gravity_sigma_m_s2), or take a larger target."
+            )
+
+    def _shortest_continuous(self) -> tuple[float, ContinuousDesign]:
+        total_s = _FIRST_TIME_S
+        for _ in range(_TRIES):
+            design = self.continuous(total_s)
+            if abs(design.ratio - 1.0) < _RATIO_TOLERANCE:
+                break
+            total_s = min(total_s * design.ratio**2, 4.0 * self.limits.longest_test_s)
+            if design.bound > 1.0 and total_s > self.limits.longest_test_s:
+                design = self.continuous(self.limits.longest_test_s)
+                if design.bound > 1.0:
+                    raise self._out_of_reach(self.integer_plan(design, self.limits.longest_test_s))
+        return total_s, design
+
+    def _out_of_reach(self, plan: Plan) -> DataError:
+        k = NAMES.index(plan.worst)
+        source, share = plan.prediction.limiting(k)
+        return DataError(
+            f"The targets are out of reach in {self.limits.longest_test_s / 3600.0:.3g} h: {plan.worst} stays at "
+            f"{plan.ratio:.3g} times its target, {100.0 * share:.0f} % of its variance by {source.replace('_', ' ')}; "
+            "take larger targets, a better unit, fixture or gravity, or allow more time."
+        )
+
+    def _shortened(self, plan: Plan) -> Plan:
+        """Plan with the windows shortened as far as the targets allow."""
+        which = self._positions(plan.candidates)
+        choice = self.criterion.refine(which, plan.windows_s, None)
+        total_s = plan.total_s + float(choice.windows_s.sum() - plan.windows_s.sum())
+        prediction = predict(plan.candidates, choice.windows_s, self.fixture, self.conditions, self.targets)
+        shorter = replace(plan, windows_s=choice.windows_s, total_s=total_s, prediction=prediction)
+        return shorter if shorter.ratio <= MET and total_s < plan.total_s else plan
+
+    def _positions(self, candidates: Sequence[Candidate]) -> Indices:
+        return np.array([self._number[c.key] for c in candidates], dtype=np.intp)
