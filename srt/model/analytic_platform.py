@@ -1,18 +1,19 @@
-"""The analytic platform: attitude from gyro samples, and the error integrals gathered on the way.
+"""Analytic platform: attitude from gyro samples, and the integrals that the measurement model needs.
 
-``dĈ/dt = Ĉ (ω̃×) − (ω̂e×) Ĉ`` with Ĉ = I at the start (Savage 2020, eq. 2). As ω̂e is constant in B_Strt, the solution is
-``Ĉ(t) = exp(−ω̂e× t) Ĉ_I(t)`` with Ĉ_I the attitude against inertial space: the Earth's rotation is exact, and the
-inertial attitude is a chain of rotation vectors, each the integral of its interval with the coning term
+The platform solves ``dĈ/dt = Ĉ (ω̂×) − (ω̂e×) Ĉ`` with Ĉ = I at the start ([P] eq. 2; [P]: Savage 2020). As ω̂e is
+constant in B_Strt, the solution is ``Ĉ(t) = exp(−ω̂e× t) Ĉ_I(t)`` with Ĉ_I the attitude relative to inertial space. The
+Earth's rotation is exact. The inertial attitude is a product of rotation vectors, one per sampling interval, each with
+its coning correction:
 
-    ``φ_i = Δθ_i + Δθ_i × s_i / 12``,    s_i the change of Δθ per interval,
+    ``φ_i = Δθ_i + Δθ_i × s_i / 12``,    s_i the change of Δθ per interval.
 
-exact for a rate that changes linearly over three intervals (next error: fifth power of the interval) and for a
-constant rate of any size. The Earth's rate seen in a turning body is a case for it: without the term a turn at 50 Hz
-is 1.5e-8 rad off. The change s is the central difference where the rate is smooth; where it kinks, as between two legs
-about different axes, the difference across the kink would invent coning, and a limiter takes it out.
+The correction is exact for a rate that changes linearly over three intervals (next error: fifth power of the interval)
+and for a constant rate of any magnitude. It also matters for the Earth's rate seen in a rotating body: without it, a
+rotation at 50 Hz has an error of 1.5e-8 rad. The change s is the central difference. A limiter reduces it where the
+rate has a kink, as between two rotations about different axes: a difference across the kink would be false coning.
 
-All sequences of a recording are integrated as one stream in cache-sized blocks; the chain is re-referenced to the
-start of each sequence afterwards.
+All sequences of a recording are integrated as one stream in cache-sized blocks. Afterwards the attitudes are referred
+to the start of each sequence.
 """
 
 from __future__ import annotations
@@ -29,18 +30,23 @@ from srt.model.rotation_integrals import RotationIntegrals
 if TYPE_CHECKING:
     from srt.model.sensor_model import Triad
     from srt.types import Array, Indices
-
-
 BLOCK: Final = 16384
-_SMOOTHING_S: Final = 0.2
-_OCTANT_SEARCH: Final = 8
+"""Samples per block: the 3x3 matrices of a block fit into a processor's cache."""
 
+_SMOOTHING_S: Final = 0.2
+"""Averaging time of the rate that decides the sign of a channel near zero, s; short against a rotation."""
+
+_NOISE_SIGMAS: Final = 3.0
+"""A channel within this many sigma of zero has its sign from the smoothed rate."""
+
+_OCTANT_ITERATIONS: Final = 8
+"""Number of octants: the search for the octant of a sample tries each at most once."""
 
 _PARTS: Final = (2, 12)
 """Fewest and most parts of one rotation."""
 
-_PARTS_IN_ALL: Final = 600
-"""Parts of all rotations of a recording together, which bounds the memory of their integrals."""
+_TOTAL_PARTS: Final = 600
+"""Parts of all rotations of a recording together; bounds the memory of their integrals."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,16 +58,17 @@ class GyroStream:
     increments : ndarray, shape (3, n)
         Raw readings times their interval, rad.
     smooth : ndarray, shape (3, n)
-        Increments averaged over 0.2 s, which decide the sign of a channel that is near zero.
+        Increments averaged over 0.2 s, which decide the sign of a channel near zero.
     interval_s : ndarray, shape (n,)
     starts : ndarray of int, shape (K + 1,)
         Sequence k is the samples starts[k] to starts[k + 1].
     rotation : ndarray of int, shape (K, 2)
-        Where the rotation begins and ends within the stream (windows with integrated attitude lie outside it).
+        First sample of the rotation and one past its last, within the stream. Windows with integrated attitude lie
+        outside it.
     F : ndarray, shape (n,), or None
-        Weight of an attitude error, see :mod:`srt.model.rotation_integrals`; None means 1 everywhere.
+        Weight of an attitude error, see :mod:`srt.model.rotation_integrals`; None: 1 everywhere.
     velocity : ndarray, shape (3, n), m/s, or None
-        Compensated specific force times the interval, whose integral with the attitude is to be gathered.
+        Compensated specific force times the interval, for the integral ``velocity``; None: not computed.
     """
 
     increments: Array
@@ -82,7 +89,7 @@ def gyro_stream(
     rates: bool,
     F: Array | None = None,
 ) -> GyroStream:
-    """Gather the samples that attitude is integrated over.
+    """Collect the gyro samples of all sequences into one stream.
 
     Parameters
     ----------
@@ -94,7 +101,7 @@ def gyro_stream(
     rotation : ndarray of int, shape (K, 2)
         The rotation's samples in the recording's numbering.
     rates : bool
-        Whether the readings are rates.
+        The readings are rates; False: increments.
     F : ndarray, shape (sum of the spans' lengths,), optional
     """
     lengths = spans[:, 1] - spans[:, 0]
@@ -114,7 +121,7 @@ def gyro_stream(
     return GyroStream(increments, smooth, dt, starts, rotation + offset[:, None], F)
 
 
-def integrate(
+def integrate_attitude(
     stream: GyroStream,
     gyro: Triad,
     earth_rate: Array,
@@ -123,45 +130,38 @@ def integrate(
     sample_noise_rad: Array | None = None,
     with_noise: bool = False,
 ) -> tuple[RotationIntegrals, Array]:
-    """Integrate the attitude of every sequence and gather its error integrals.
+    """Integrate the attitude of every sequence, and its error integrals.
 
     Parameters
     ----------
     stream : GyroStream
     gyro : Triad
-        Errors to compensate with.
+        Sensor errors to compensate with.
     earth_rate : ndarray, shape (K, 3), rad/s
         ω̂e in each sequence's B_Strt.
     bias_offset : ndarray, shape (K, 3), rad/s, optional
-        Left-over bias of each sequence, taken off the compensated rate.
+        Residual bias of each sequence, subtracted from the compensated rate.
     sample_noise_rad : ndarray, shape (3,), optional
-        One sigma of a raw sample's angle, random walk and pulses: below three of them the sign in the asymmetry term
-        is that of the smoothed rate, so that noise is not rectified.
+        Standard deviation of a raw sample's angle (random walk and quantization). Within 3 sigma of zero, the
+        asymmetry term takes the sign of the smoothed rate, so that noise is not rectified.
     with_noise : bool
-        Gather the noise integral and the parts of the time integral too.
+        Compute the noise integral and the parts of the time integral too.
 
     Returns
     -------
     integrals : RotationIntegrals
     attitude : ndarray, shape (3, 3, n)
-        Ĉ at mid-interval (mean of both ends) of the samples of integrated windows; of use nowhere else, and
-        empty unless the stream has weights F.
+        Ĉ at mid-interval (mean of both ends) of the samples of integrated windows; not valid elsewhere, and empty
+        unless the stream has weights F.
     """
     K, n = len(stream.starts) - 1, int(stream.starts[-1])
-    inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
-    columns = 7 if stream.velocity is None else 10
-    sums, noise = np.zeros((K, 9, columns)), np.zeros((K, 3, 3, 3)) if with_noise else None
-    parts = _Parts(stream) if with_noise else None
-    turned = np.zeros((K, 3))
-    kept = np.empty((3, 3, n)) if stream.F is not None else np.empty((3, 3, 0))
     sequence_of = np.repeat(np.arange(K), np.diff(stream.starts))
-    chain = np.array([[1.0 + 0j], [0.0]])  # attitude at the end of the block before, against the chain's origin
-    C_before = np.eye(3)
-    edges = np.empty((2, K + 1), dtype=np.complex128)  # the chain at each sequence's start, and at its very end
-    edges[:, 0] = chain[:, 0]
+    inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
+    chain = _AttitudeChain(stream.starts)
+    sums = _ErrorSums(stream, with_noise=with_noise)
+    attitude = np.empty((3, 3, n if stream.F is not None else 0))
     for a in range(0, n, BLOCK):
         b = min(a + BLOCK, n)
-        k_of, dt = sequence_of[a:b], stream.interval_s[a:b]
         # One sample more on either side, for the change of the rate at the block's edges.
         lo, hi = max(a - 1, 0), min(b + 1, n)
         theta, D = _compensate(stream, slice(lo, hi), gyro, inverses, sample_noise_rad)
@@ -171,61 +171,122 @@ def integrate(
         inner = slice(a - lo, a - lo + b - a)
         theta, D = np.ascontiguousarray(theta[:, inner]), D if D.ndim == 2 else D[:, :, inner]
         phi = theta + _cross(theta, change[:, inner]) / 12.0
-        chained = rotations.multiply(chain, rotations.prefix_product(rotations.from_rotation_vector(phi)))
-        chain = chained[:, -1:]
-        ended = np.flatnonzero((stream.starts > a) & (stream.starts <= b))
-        edges[:, ended] = chained[:, stream.starts[ended] - a - 1]
+        C_mid = chain.extend(phi, a)
+        if stream.F is not None:
+            attitude[:, :, a:b] = C_mid
+        sums.add(theta, _times(C_mid, D), a, range(int(sequence_of[a]), int(sequence_of[b - 1]) + 1))
+    to_start = np.swapaxes(_matrices(chain.edges[:, :-1]), 1, 2)
+    if stream.F is not None:
+        attitude = _at_start(stream, attitude, to_start, earth_rate)
+    return sums.integrals(chain.edges, to_start, earth_rate, gyro), attitude
+
+
+class _AttitudeChain:
+    """Product of the rotations of all samples, block by block, relative to the start of the stream.
+
+    Attributes
+    ----------
+    edges : ndarray of complex, shape (2, K + 1)
+        Attitude at each sequence's start, and at the end of the stream.
+    """
+
+    def __init__(self, starts: Indices) -> None:
+        self._starts = starts
+        self._last = np.array([[1.0 + 0j], [0.0]])
+        self._C_before = np.eye(3)
+        self.edges = np.empty((2, len(starts)), dtype=np.complex128)
+        self.edges[:, 0] = self._last[:, 0]
+
+    def extend(self, phi: Array, first: int) -> Array:
+        """Append the rotation vectors (3, m) of the samples from ``first`` on; return Ĉ at mid-interval, (3, 3, m)."""
+        chained = rotations.multiply(self._last, rotations.prefix_product(rotations.from_rotation_vector(phi)))
+        self._last = chained[:, -1:]
+        ended = np.flatnonzero((self._starts > first) & (self._starts <= first + phi.shape[1]))
+        self.edges[:, ended] = chained[:, self._starts[ended] - first - 1]
         C = rotations.to_matrix(chained)
         C_mid = np.empty_like(C)
-        C_mid[:, :, 0] = C_before + C[:, :, 0]
+        C_mid[:, :, 0] = self._C_before + C[:, :, 0]
         np.add(C[:, :, :-1], C[:, :, 1:], out=C_mid[:, :, 1:])
         C_mid *= 0.5
-        C_before = C[:, :, -1].copy()
-        X = _times(C_mid, D)
+        self._C_before = C[:, :, -1].copy()
+        return C_mid
+
+
+class _ErrorSums:
+    """Sums over the samples of each sequence that become the :class:`RotationIntegrals`, in the stream's frame."""
+
+    def __init__(self, stream: GyroStream, *, with_noise: bool) -> None:
+        K = len(stream.starts) - 1
+        self._stream = stream
+        self._sums = np.zeros((K, 9, 7 if stream.velocity is None else 10))
+        self._noise = np.zeros((K, 3, 3, 3)) if with_noise else None
+        self._parts = _PartSums(stream) if with_noise else None
+        self._angle = np.zeros((K, 3))
+
+    def add(self, theta: Array, X: Array, a: int, sequences: range) -> None:
+        """Add a block of m samples from number ``a`` on: Δθ (3, m) and Ĉ D (3, 3, m), of the given sequences."""
+        stream, m = self._stream, theta.shape[1]
+        b = a + m
+        dt = stream.interval_s[a:b]
         flat = X.reshape(9, -1)
         V = _integrands(theta, dt, None if stream.velocity is None else stream.velocity[:, a:b])
         F = None if stream.F is None else stream.F[a:b]
         if F is not None:
-            kept[:, :, a:b] = C_mid
             V *= F
-        if parts is not None:
-            parts.add(flat * V[6], a)
-        for k in range(int(k_of[0]), int(k_of[-1]) + 1):
-            s, e = max(int(stream.starts[k]) - a, 0), min(int(stream.starts[k + 1]) - a, b - a)
-            sums[k] += flat[:, s:e] @ V[:, s:e].T
-            if noise is not None:
-                noise[k] += _outer(X[:, :, s:e], dt[s:e] if F is None else dt[s:e] * F[s:e] ** 2)
-            s, e = max(int(stream.rotation[k, 0]) - a, 0), min(int(stream.rotation[k, 1]) - a, b - a)
+        if self._parts is not None:
+            self._parts.add(flat * V[6], a)
+        for k in sequences:
+            s, e = max(int(stream.starts[k]) - a, 0), min(int(stream.starts[k + 1]) - a, m)
+            self._sums[k] += flat[:, s:e] @ V[:, s:e].T
+            if self._noise is not None:
+                self._noise[k] += _outer(X[:, :, s:e], dt[s:e] if F is None else dt[s:e] * F[s:e] ** 2)
+            s, e = max(int(stream.rotation[k, 0]) - a, 0), min(int(stream.rotation[k, 1]) - a, m)
             if e > s:
-                turned[k] += theta[:, s:e].sum(axis=1)
-    # From the chain's origin to each B_Strt, the Earth turned back: exactly for the attitudes, and for the integrals by
-    # the mean of its turn (less than 1e-3 rad in a sequence, of which the mean leaves a part in ten).
-    to_start = np.swapaxes(_matrices(edges[:, :-1]), 1, 2)
-    elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
-    C_end = rotations.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
-    middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
-    sums = np.einsum("kad,kdbm->kabm", middle, sums.reshape(K, 3, 3, columns))
-    if noise is not None:
-        noise = np.einsum("kad,kdeb,kce->kacb", middle, noise, middle)
-    if stream.F is not None:
-        kept = _at_start(stream, kept, to_start, earth_rate)
-    time = sums[..., 6]
-    # The Earth's part of what was turned, in B; windows count for little here and are left in.
-    turned -= np.einsum("ka,kab->kb", earth_rate, time @ gyro.matrix)
-    return RotationIntegrals(
-        C_end,
-        sums[..., :3],
-        np.einsum("kabb->kab", sums[..., 3:6]),
-        time,
-        _weight(stream),
-        turned,
-        noise,
-        None if parts is None else middle[:, None] @ parts.sums.reshape(3, 3, K, -1).transpose(2, 3, 0, 1),
-        None if stream.velocity is None else sums[..., 7:],
-    ), kept
+                self._angle[k] += theta[:, s:e].sum(axis=1)
+
+    def integrals(
+        self, edges: rotations.Quaternions, to_start: Array, earth_rate: Array, gyro: Triad
+    ) -> RotationIntegrals:
+        """Transform the sums to each sequence's B_Strt.
+
+        Parameters
+        ----------
+        edges : ndarray of complex, shape (2, K + 1)
+            Of the :class:`_AttitudeChain`.
+        to_start : ndarray, shape (K, 3, 3)
+            From the stream's frame to B_Strt.
+        earth_rate : ndarray, shape (K, 3), rad/s
+        gyro : Triad
+        """
+        stream = self._stream
+        # The Earth's rotation is removed exactly from the attitudes, and from the integrals by its mean: it is less
+        # than 1e-3 rad in a sequence, and the mean leaves a tenth of that.
+        elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
+        C_end = rotations.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
+        middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
+        K, _, columns = self._sums.shape
+        sums = np.einsum("kad,kdbm->kabm", middle, self._sums.reshape(K, 3, 3, columns))
+        noise, parts = self._noise, None
+        if noise is not None:
+            noise = np.einsum("kad,kdeb,kce->kacb", middle, noise, middle)
+        if self._parts is not None:
+            parts = middle[:, None] @ self._parts.sums.reshape(3, 3, K, -1).transpose(2, 3, 0, 1)
+        time = sums[..., 6]
+        return RotationIntegrals(
+            C_end=C_end,
+            rate=sums[..., :3],
+            abs_rate=np.einsum("kabb->kab", sums[..., 3:6]),
+            time=time,
+            weight_s=_weight(stream),
+            # The Earth's part of the angle, in B. Integrated windows add little to it and are not excluded.
+            angle=self._angle - np.einsum("ka,kab->kb", earth_rate, time @ gyro.matrix),
+            noise=noise,
+            time_parts=parts,
+            velocity=None if stream.velocity is None else sums[..., 7:],
+        )
 
 
-class _Parts:
+class _PartSums:
     """Sums of a 3x3 quantity over the parts of all rotations, shape (9, K P)."""
 
     def __init__(self, stream: GyroStream) -> None:
@@ -236,7 +297,7 @@ class _Parts:
 
     def add(self, values: Array, first: int) -> None:
         """Add samples, (9, m), from number ``first`` on."""
-        # By running sums: a part of a very short rotation may hold no sample.
+        # Running sums, because a part of a very short rotation may hold no sample.
         running = np.zeros((9, values.shape[1] + 1))
         np.cumsum(values, axis=1, out=running[:, 1:])
         self.sums += np.diff(running[:, np.clip(self._edges - first, 0, values.shape[1])], axis=1)
@@ -248,7 +309,7 @@ def _outer(X: Array, weight: Array) -> Array:
 
 
 def _integrands(theta: Array, dt: Array, velocity: Array | None) -> Array:
-    """What Ĉ D is summed with: Δθ, |Δθ|, time and, where it is there, f times it; shape (7 or 10, m)."""
+    """Weights of Ĉ D in its sums: Δθ, |Δθ|, Δt and, where given, f Δt; shape (7 or 10, m)."""
     V = np.empty((7 if velocity is None else 10, len(dt)))
     V[:3] = theta
     np.abs(theta, out=V[3:6])
@@ -263,7 +324,7 @@ def _matrices(q: rotations.Quaternions) -> Array:
 
 
 def _at_start(stream: GyroStream, C: Array, to_start: Array, earth_rate: Array) -> Array:
-    """Attitudes in the integrated windows from the chain's frame to their B_Strt, the Earth turned back by samples."""
+    """Transform the attitudes in integrated windows to their B_Strt, less the Earth's rotation at each sample."""
     ends = np.cumsum(stream.interval_s)
     middle = ends - 0.5 * stream.interval_s
     for k, (s, e) in enumerate(zip(stream.starts[:-1].tolist(), stream.starts[1:].tolist(), strict=True)):
@@ -342,35 +403,35 @@ def _compensate(
     mean_inverse = np.linalg.inv(gyro.matrix)
     table = np.ascontiguousarray(np.moveaxis(inverses, 0, 2))
     smooth = sigma = None
-    judged = mean_inverse @ y
+    reference = mean_inverse @ y
     if sample_noise_rad is not None:
-        sigma = np.broadcast_to(3.0 * np.sqrt(mean_inverse**2 @ sample_noise_rad**2)[:, None], y.shape)
+        sigma = np.broadcast_to(_NOISE_SIGMAS * np.sqrt(mean_inverse**2 @ sample_noise_rad**2)[:, None], y.shape)
         smooth = stream.smooth[:, block] - gyro.bias[:, None] * dt
-        np.copyto(judged, mean_inverse @ smooth, where=np.abs(judged) < sigma)
-    octant = _octant(judged)
+        np.copyto(reference, mean_inverse @ smooth, where=np.abs(reference) < sigma)
+    octant = _octant(reference)
     D = np.take(table, octant, axis=2)  # contiguous, unlike fancy indexing
     theta = _apply(D, y)
-    # The first judgement left the asymmetry out: the solution may lie in another octant, and that one lead to a third.
-    new = _octant(_judge(theta, D, smooth, sigma))
+    # The first octant ignores the asymmetry: the solution may lie in another octant, and that one lead to a third.
+    new = _octant(_sign_reference(theta, D, smooth, sigma))
     at = np.flatnonzero(new != octant)
     new = new[at]
-    for _ in range(_OCTANT_SEARCH):
+    for _ in range(_OCTANT_ITERATIONS):
         if at.size == 0:
             break
         octant[at] = new
         part = table[:, :, new]
         D[:, :, at] = part
         theta[:, at] = solved = _apply(part, y[:, at])
-        judged = _judge(
+        reference = _sign_reference(
             solved, part, None if smooth is None else smooth[:, at], None if sigma is None else sigma[:, at]
         )
-        new = _octant(judged)
+        new = _octant(reference)
         at, new = at[new != octant[at]], new[new != octant[at]]
     return theta, D
 
 
-def _judge(theta: Array, D: Array, smooth: Array | None, sigma: Array | None) -> Array:
-    """Values whose signs decide the octant: the compensated increments, the smoothed ones where noise may rule."""
+def _sign_reference(theta: Array, D: Array, smooth: Array | None, sigma: Array | None) -> Array:
+    """Values whose signs give the octant: the compensated increments; within 3 sigma of zero, the smoothed ones."""
     if smooth is None or sigma is None:
         return theta
     near_zero = np.abs(theta) < sigma
@@ -385,14 +446,15 @@ def _octant(v: Array) -> Indices:
 
 
 def parts_per_rotation(rotations: int) -> int:
-    """Number of parts that every rotation is cut into: drift within it acts by the attitude of the moment.
+    """Number of equal parts of every rotation: bias drift within a rotation acts through the attitude at its time.
 
-    Four for each half turn of a sequence of three; with two of them its sigmas come out a tenth too small.
+    Twelve parts are four for each 180° rotation of a sequence of three. With two for each, the reported sigmas are
+    10 % too small.
     """
-    return int(np.clip(_PARTS_IN_ALL // max(rotations, 1), *_PARTS))
+    return int(np.clip(_TOTAL_PARTS // max(rotations, 1), *_PARTS))
 
 
 def equal_parts(spans: Indices, parts: int) -> Indices:
-    """Ends of equal parts of sample spans (K, 2), shape (K, parts + 1)."""
+    """Limits of equal parts of sample spans (K, 2), shape (K, parts + 1)."""
     out: Indices = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * np.arange(parts + 1) // parts
     return out

@@ -1,11 +1,11 @@
-"""What a rotation does to gyro errors: the integrals that the measurement model is linear in.
+"""Integrals over a rotation in which the attitude error is linear in the gyro errors.
 
 With Ĉ the attitude (B to B_Strt) and δω̂ = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) the error of the compensated rate
-(D the inverse of the reading model's slope, identity for a calibrated unit), the attitude error that acts on the
-change of the averaged acceleration is ``φ = ∫ F Ĉ δω̂ dt``. F(t) is 1 in the rotation and 0 in windows over which the
-attitude is held; over an integrated window it is the share of the averaging that still lies after t (end window) or
-already lies before t (start window). All of it is linear in four integrals, for an ideal rotation in closed form
-(Savage 2020, eqs. 3, 20-21) and for a recorded one gathered while the attitude is integrated.
+(D the inverse slope of the sensor model, identity for a calibrated IMU), the attitude error that acts on the change of
+the averaged acceleration is ``φ = ∫ F Ĉ δω̂ dt``. The weight F(t) is 1 in the rotation, and 0 in windows in which the
+attitude is held constant. In an integrated window it is the fraction of the averaging after t (end window) or before t
+(start window). φ is linear in four integrals. For an ideal rotation they have a closed form ([P] eqs. 3, 20-21; [P]:
+Savage 2020); for a recorded one :mod:`srt.model.analytic_platform` computes them with the attitude.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ class RotationIntegrals:
     time : ndarray, shape (K, 3, 3)
         ``∫ F (Ĉ D)_ab dt``, s.
     weight_s : ndarray, shape (K,)
-        ``∫ F dt``, s: how long an error of the Earth's rate acts.
-    turned : ndarray, shape (K, 3)
-        ``∫ ω̂ dt`` over the rotation in B less the Earth's rate, rad: along the axis of a single-axis turn.
+        ``∫ F dt``, s: duration over which an error of the Earth's rate acts.
+    angle : ndarray, shape (K, 3)
+        ``∫ ω̂ dt`` over the rotation in B less the Earth's rate, rad; for a single axis, the angle along it.
     noise : ndarray, shape (K, 3, 3, 3), or None
-        ``∫ F² (Ĉ D)_ab (Ĉ D)_cb dt`` as [k, a, c, b], s: contracted with the squared angle random walk of the raw
-        channels b it is the covariance of φ.
+        ``∫ F² (Ĉ D)_ab (Ĉ D)_cb dt`` as [k, a, c, b], s: its contraction with the squared angle random walk of the
+        raw channels b is the covariance of φ.
     time_parts : ndarray, shape (K, P, 3, 3), or None
-        ``time`` of equal parts of the rotation, in their order; an integrated window goes with the part beside it.
+        ``time`` of equal parts of the rotation, in their order. An integrated window belongs to the part beside it.
     velocity : ndarray, shape (K, 3, 3, 3), or None
-        ``∫ F (Ĉ D)_ab f_c dt``, m/s: what gyros that follow the specific force f do to φ.
+        ``∫ F (Ĉ D)_ab f_c dt``, m/s: effect of gyro g-sensitivity on φ, f the specific force.
     """
 
     C_end: Array
@@ -57,7 +57,7 @@ class RotationIntegrals:
     abs_rate: Array
     time: Array
     weight_s: Array
-    turned: Array
+    angle: Array
     noise: Array | None = None
     time_parts: Array | None = None
     velocity: Array | None = None
@@ -69,62 +69,56 @@ def ideal_rotations(
     window_s: float = 0.0,
     F_meas: float = 0.5,
 ) -> RotationIntegrals:
-    """Integrals of rotations turned exactly about IMU axes at constant rates, error-free sensors.
+    """Integrals of exact rotations about IMU axes at constant rates, with error-free sensors.
 
     Parameters
     ----------
     sequences : sequence of RotationSequence
         Rotations about IMU axes (K of them).
     rate_rad_s : float, or sequence of K ndarrays
-        Magnitude of the turning rate, rad/s: one for all, or of every rotation of each sequence.
+        Magnitude of the angular rate, rad/s: one for all, or one for every rotation of each sequence.
     window_s : float
-        T_Meas of a window with integrated attitude, s; 0 where the attitude is held in the windows.
+        T_Meas of a window with integrated attitude, s; 0 where the attitude is held constant in the windows.
     F_meas : float
         Output of the averaging algorithm to a unit ramp (1/2 for linear and overlapping averages).
 
     Returns
     -------
     RotationIntegrals
-        With the T_Meas terms of eq. 21, ``T [I + F (C_End − I)]``, in ``time``, as its gyro errors other than bias
-        do not act at rest. ``noise`` includes the windows for the linear average.
+        ``time`` includes the T_Meas terms of [P] eq. 21, ``T [I + F (C_End − I)]``: at rest only the bias acts.
+        ``noise`` includes the windows for the linear average.
     """
     K = len(sequences)
     C = np.tile(np.eye(3), (K, 1, 1))
-    rate, abs_rate, time, noise = (
-        np.zeros((K, 3, 3, 3)),
-        np.zeros((K, 3, 3)),
-        np.zeros((K, 3, 3)),
-        np.zeros((K, 3, 3, 3)),
-    )
-    weight_s, turned = np.full(K, float(window_s)), np.zeros((K, 3))
+    rate, noise = np.zeros((2, K, 3, 3, 3))
+    abs_rate, time = np.zeros((2, K, 3, 3))
+    weight_s, total_angle = np.full(K, float(window_s)), np.zeros((K, 3))
     count = np.array([len(s.rotations) for s in sequences])
-    for leg in range(count.max(initial=0)):
-        k = np.flatnonzero(count > leg)
-        axis = np.array([AXES.index(sequences[i].rotations[leg][0]) for i in k.tolist()])
-        angle = np.array([sequences[i].rotations[leg][1] for i in k.tolist()])
-        speed = (
-            rate_rad_s if isinstance(rate_rad_s, (int, float)) else np.array([rate_rad_s[i][leg] for i in k.tolist()])
-        )
+    for i in range(count.max(initial=0)):
+        k = np.flatnonzero(count > i)
+        axis = np.array([AXES.index(sequences[j].rotations[i][0]) for j in k.tolist()])
+        angle = np.array([sequences[j].rotations[i][1] for j in k.tolist()])
+        speed = rate_rad_s if isinstance(rate_rad_s, (int, float)) else np.array([rate_rad_s[j][i] for j in k.tolist()])
         size, u = np.abs(angle), np.sign(angle)[:, None] * np.eye(3)[axis]
-        parts = _parts(u)
+        parts = _rodrigues_matrices(u)
         first, _ = _moments(size)
-        # ∫ exp(βu×) dβ from 0 to |θ|; for v ⟂ u it is sin θ v + (1 − cos θ) u×v, the bracket of eq. 3.
+        # ∫ exp(βu×) dβ from 0 to |θ|; for v ⟂ u it is sin θ v + (1 − cos θ) u×v, the bracket of [P] eq. 3.
         swept = C[k] @ np.einsum("in,inab->nab", first, parts)
         rate[k] += swept[:, :, :, None] * u[:, None, None, :]
         abs_rate[k] += swept * np.abs(u)[:, None, :]
         time[k] += swept / np.asarray(speed)[..., None, None]
-        noise[k] += _swept_outer(C[k], parts, size) / np.asarray(speed)[..., None, None, None]
+        noise[k] += _outer_product_integral(C[k], parts, size) / np.asarray(speed)[..., None, None, None]
         weight_s[k] += size / speed
-        turned[k] += size[:, None] * u
+        total_angle[k] += size[:, None] * u
         C[k] = C[k] @ rotation_matrix(u * size[:, None])
     if window_s > 0.0:
-        time += window_s * (np.eye(3) + F_meas * (C - np.eye(3)))
+        time += window_s * (np.eye(3) + F_meas * (C - np.eye(3)))  # [P] eq. 21
         noise += (window_s / 3.0) * (np.einsum("ab,cb->acb", np.eye(3), np.eye(3)) + np.einsum("kab,kcb->kacb", C, C))
-    return RotationIntegrals(C, rate, abs_rate, time, weight_s, turned, noise)
+    return RotationIntegrals(C, rate, abs_rate, time, weight_s, total_angle, noise)
 
 
-def _parts(u: Array) -> Array:
-    """``exp(βu×) = uuᵀ + cos β (I − uuᵀ) + sin β u×``: the three matrices, shape (3, n, 3, 3)."""
+def _rodrigues_matrices(u: Array) -> Array:
+    """Matrices of ``exp(βu×) = uuᵀ + cos β (I − uuᵀ) + sin β u×`` (Rodrigues), shape (3, n, 3, 3)."""
     along = u[:, :, None] * u[:, None, :]
     return np.stack([along, np.eye(3) - along, cross_matrix(u)])
 
@@ -132,7 +126,7 @@ def _parts(u: Array) -> Array:
 def _moments(angle: Array) -> tuple[Array, Array]:
     """Integrals from 0 to θ of (1, cos β, sin β), shape (3, n), and of their products, shape (3, 3, n).
 
-    Products of 1 with another are left at zero: of a turn about an axis of B they multiply columns that are.
+    Products of 1 with another are left at zero: for a rotation about an axis of B they multiply zero columns.
     """
     s, c = np.sin(angle), np.cos(angle)
     half, cross, none = 0.5 * s * c, 0.5 * s**2, np.zeros_like(angle)
@@ -141,8 +135,8 @@ def _moments(angle: Array) -> tuple[Array, Array]:
     return first, products
 
 
-def _swept_outer(C: Array, parts: Array, angle: Array) -> Array:
+def _outer_product_integral(C: Array, parts: Array, angle: Array) -> Array:
     """``∫ A_ab A_cb dβ`` with A = C exp(βu×) from 0 to |θ|, shape (n, 3, 3, 3)."""
     _, products = _moments(angle)
-    turned = C @ parts
-    return np.asarray(np.einsum("ijn,inab,jncb->nacb", products, turned, turned, optimize=True))
+    rotated = C @ parts
+    return np.asarray(np.einsum("ijn,inab,jncb->nacb", products, rotated, rotated, optimize=True))

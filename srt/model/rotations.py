@@ -1,8 +1,8 @@
-"""Rotations as unit quaternions, and prefix products of long chains of them.
+"""Rotations as unit quaternions, their prefix products, and conversions to matrices and rotation vectors.
 
-A unit quaternion w + xi + yj + zk is held as two complex numbers, ``a = w - iz`` and ``b = -y - ix`` (the first
-row of a matrix of SU(2)), in an array of shape (2, n): products then are four complex multiplications of whole arrays.
-Attitude chains are ``q_i = q_{i-1} ∘ dq_i``, a body rotation on the right.
+A unit quaternion w + xi + yj + zk is stored as two complex numbers, ``a = w - iz`` and ``b = -y - ix`` (the first
+row of a matrix of SU(2)), in an array of shape (2, n). A product is then four complex multiplications of whole arrays.
+Attitudes follow ``q_i = q_{i-1} ∘ dq_i``, with the body rotation on the right.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ if TYPE_CHECKING:
 
     Quaternions = NDArray[np.complex128]
 
-_SMALL = 0.05
+_SMALL_ANGLE_SQUARED = 0.05
+"""Squared rotation angle, rad², below which the Taylor series are exact to double precision."""
 
 
 def from_rotation_vector(phi: Array) -> Quaternions:
     """Quaternions of rotation vectors of shape (3, n), rad; result (2, n)."""
     squared = np.einsum("in,in->n", phi, phi)
-    if squared.size and squared.max() < _SMALL:
+    if squared.size and squared.max() < _SMALL_ANGLE_SQUARED:
         # Taylor series of cos(θ/2) and sin(θ/2)/θ in θ²; the first neglected term is below 1e-17 for θ² < 0.05.
         s = squared * 0.25
         cos_half = 1.0 - s * (1 / 2 - s * (1 / 24 - s * (1 / 720 - s * (1 / 40320 - s / 3628800))))
@@ -62,8 +63,8 @@ def conjugate(q: Quaternions) -> Quaternions:
 def prefix_product(q: Quaternions) -> Quaternions:
     """All partial products q_0 ∘ q_1 ∘ ... ∘ q_i of a chain, shape (2, n).
 
-    Pairs are multiplied, the half-length chain is solved in the same way and filled in: two products per
-    element, all of them on whole arrays, and rounding errors grow with log n only.
+    Pairs are multiplied, the prefix products of the half-length chain follow by recursion, and the others from them:
+    two products per element, all on whole arrays. Rounding errors grow with log n only.
     """
     n = q.shape[1]
     if n == 1:
@@ -80,7 +81,7 @@ def prefix_product(q: Quaternions) -> Quaternions:
 def to_matrix(q: Quaternions) -> Array:
     """Direction cosine matrices, shape (3, 3, n), body to reference, normalised."""
     w, z, y, x = q.real[0].copy(), -q.imag[0], -q.real[1], -q.imag[1]
-    # Rounding lets the norm drift by parts in 1e-16 per level of the product tree; dividing it out costs one pass.
+    # Rounding changes the norm by about 1e-16 per level of the product tree; the division normalises it in one pass.
     two = 2.0 / (w * w + x * x + y * y + z * z)
     xs, ys, zs = x * two, y * two, z * two
     wx, wy, wz = w * xs, w * ys, w * zs

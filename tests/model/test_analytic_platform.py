@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import sims
 from srt.model import analytic_platform, rotations
-from srt.model.analytic_platform import gyro_stream, integrate
+from srt.model.analytic_platform import gyro_stream, integrate_attitude
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.sensor_model import Triad, gyro_triad
 from srt.model.table1 import SEQUENCES
@@ -108,11 +108,11 @@ def one_stream(increments, dt, **more):
 def test_constant_body_rate_is_exact_for_any_angle_per_sample(angle_per_sample):
     u = np.array([0.36, -0.48, 0.8])
     n = 500
-    found, _ = integrate(one_stream(np.tile(u * angle_per_sample, (n, 1)), 0.02), PERFECT, np.zeros((1, 3)))
+    found, _ = integrate_attitude(one_stream(np.tile(u * angle_per_sample, (n, 1)), 0.02), PERFECT, np.zeros((1, 3)))
     expected = Rotation.from_rotvec(u * angle_per_sample * n).as_matrix()
     # The sum of n angles is known to n/2 of their rounding errors, in ours and in the reference.
     np.testing.assert_allclose(found.C_end[0], expected, rtol=0, atol=(16 + n * angle_per_sample) * EPS)
-    np.testing.assert_allclose(found.turned[0], u * angle_per_sample * n, rtol=n * EPS)
+    np.testing.assert_allclose(found.angle[0], u * angle_per_sample * n, rtol=n * EPS)
 
 
 def increments_of(rate, dt, n):
@@ -148,13 +148,13 @@ def test_earth_rate_in_a_turning_body_at_50_hz():
         return np.stack([x, β_dot, z], axis=-1)
 
     increments = increments_of(rate, dt, n)
-    found, _ = integrate(one_stream(increments, dt), PERFECT, earth[None])
+    found, _ = integrate_attitude(one_stream(increments, dt), PERFECT, earth[None])
     assert np.abs(found.C_end[0] - np.eye(3)).max() < 1e-11
     earth_back = Rotation.from_rotvec(-earth * duration).as_matrix()
     without = np.abs(earth_back @ one_by_one(increments) - np.eye(3)).max()
     # Per radian turned (β̇ dt)²/12 · ω_e/β̇: at the mean rate of 0.8 rad/s over 2π it is 1.2e-8 rad.
     assert 0.5e-8 < without < 3e-8
-    np.testing.assert_allclose(found.turned[0], [0.0, 2 * math.pi, 0.0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.angle[0], [0.0, 2 * math.pi, 0.0], rtol=0, atol=1e-12)
 
 
 def coning_rate(amplitude, frequency, duration):
@@ -184,7 +184,7 @@ def test_classical_coning_converges_with_the_fourth_power_of_the_interval():
     counts = (200, 400, 800, 1600)
     for n in counts:
         increments = increments_of(rate, duration / n, n)
-        found, _ = integrate(one_stream(increments, duration / n), PERFECT, np.zeros((1, 3)))
+        found, _ = integrate_attitude(one_stream(increments, duration / n), PERFECT, np.zeros((1, 3)))
         errors.append(np.abs(found.C_end[0] - np.eye(3)).max())
         bare.append(np.abs(one_by_one(increments) - np.eye(3)).max())
     for (coarse, fine), n in zip(pairwise(errors), counts, strict=False):
@@ -233,12 +233,12 @@ def test_samples_beside_a_span_do_not_matter():
     gyro = random_recording(40)
     spans = np.array([[5, 15], [15, 22], [30, 31], [32, 34]])
     earth = np.zeros((4, 3))
-    found, _ = integrate(gyro_stream(gyro, 0.01, spans, spans, rates=False), PERFECT, earth)
+    found, _ = integrate_attitude(gyro_stream(gyro, 0.01, spans, spans, rates=False), PERFECT, earth)
     other = 10.0 * np.random.default_rng(3).normal(size=gyro.shape)
     for k, (a, b) in enumerate(spans.tolist()):
         mixed = other.copy()
         mixed[a:b] = gyro[a:b]
-        alone, _ = integrate(gyro_stream(mixed, 0.01, spans, spans, rates=False), PERFECT, earth)
+        alone, _ = integrate_attitude(gyro_stream(mixed, 0.01, spans, spans, rates=False), PERFECT, earth)
         np.testing.assert_allclose(alone.C_end[k], found.C_end[k], rtol=0, atol=32 * EPS)
     single = Rotation.from_rotvec(gyro[30]).as_matrix()
     np.testing.assert_allclose(found.C_end[2], single, rtol=0, atol=32 * EPS)
@@ -268,7 +268,7 @@ def legs(*ramps):
 def test_a_kink_between_legs_invents_no_coning(profile):
     """About one axis at a time the attitude is the product of the legs, exactly, however abruptly they change."""
     increments = legs((0, profile), (1, profile), (2, -profile), (1, 2 * profile))
-    found, _ = integrate(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)))
+    found, _ = integrate_attitude(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)))
     total = profile.sum()
     expected = (
         Rotation.from_rotvec([total, 0, 0])
@@ -282,7 +282,7 @@ def test_a_kink_between_legs_invents_no_coning(profile):
 def test_a_rate_that_changes_linearly_gets_its_whole_coning_term():
     """φ = Δθ_i + Δθ_i × (Δθ_{i+1} − Δθ_{i−1}) / 24 inside; the first and the last sample have no change."""
     increments = 0.01 * np.array([1.0, -0.6, 0.8]) + np.outer(np.arange(20.0), [1e-4, 2e-4, -3e-4])
-    found, _ = integrate(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)))
+    found, _ = integrate_attitude(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)))
     change = np.zeros_like(increments)
     change[1:-1] = (increments[2:] - increments[:-2]) / 2.0
     expected = one_by_one(increments + np.cross(increments, change) / 12.0)
@@ -310,7 +310,7 @@ ERRORS = gyro_triad(
         }
     )
 )
-FIELDS = ("C_end", "rate", "abs_rate", "time", "weight_s", "turned", "noise")
+FIELDS = ("C_end", "rate", "abs_rate", "time", "weight_s", "angle", "noise")
 
 
 def assert_same(a, b, n):
@@ -335,11 +335,11 @@ def test_blocks_leave_no_trace(monkeypatch, weighted):
     F = np.random.default_rng(1).uniform(size=total) if weighted else None
     earth = 7e-5 * np.random.default_rng(2).normal(size=(len(spans), 3))
     stream = gyro_stream(gyro, 0.01, spans, spans, rates=False, F=F)
-    found, kept = integrate(stream, ERRORS, earth, with_noise=True)
+    found, kept = integrate_attitude(stream, ERRORS, earth, with_noise=True)
     assert kept.shape == ((3, 3, total) if weighted else (3, 3, 0))
     for block in (997, 1 << 20):
         monkeypatch.setattr(analytic_platform, "BLOCK", block)
-        other, other_kept = integrate(stream, ERRORS, earth, with_noise=True)
+        other, other_kept = integrate_attitude(stream, ERRORS, earth, with_noise=True)
         assert_same(other, found, n)
         np.testing.assert_allclose(other_kept, kept, rtol=0, atol=64 * EPS)
     monkeypatch.setattr(analytic_platform, "BLOCK", B)
@@ -349,7 +349,7 @@ def test_blocks_leave_no_trace(monkeypatch, weighted):
         weights = None if F is None else F[at : at + length]
         at += length
         alone = gyro_stream(gyro, 0.01, span[None], span[None], rates=False, F=weights)
-        single, _ = integrate(alone, ERRORS, earth[k : k + 1], with_noise=True)
+        single, _ = integrate_attitude(alone, ERRORS, earth[k : k + 1], with_noise=True)
         for name in FIELDS:
             np.testing.assert_allclose(
                 getattr(single, name)[0], getattr(found, name)[k], rtol=1e-12, atol=4 * EPS * n, err_msg=name
@@ -361,7 +361,7 @@ def test_long_chain_against_one_by_one_multiplication():
     n = analytic_platform.BLOCK + 77
     sizes = 0.05 * np.sin(np.arange(n) / 50.0)
     axis = np.array([0.6, -0.48, 0.64])
-    found, _ = integrate(one_stream(sizes[:, None] * axis, 0.01), PERFECT, np.zeros((1, 3)))
+    found, _ = integrate_attitude(one_stream(sizes[:, None] * axis, 0.01), PERFECT, np.zeros((1, 3)))
     expected = Rotation.from_rotvec(sizes.sum() * axis).as_matrix()
     # Rounding errors of n samples' angles add up like a random walk; each is below eps.
     np.testing.assert_allclose(found.C_end[0], expected, rtol=0, atol=6 * math.sqrt(n) * EPS)
@@ -370,8 +370,8 @@ def test_long_chain_against_one_by_one_multiplication():
 def test_bias_offset_is_taken_off_the_compensated_rate():
     increments = random_recording(200)
     offset = np.array([[1e-3, -2e-3, 3e-3]])
-    shifted, _ = integrate(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)), bias_offset=offset)
-    direct, _ = integrate(one_stream(increments - 0.01 * offset, 0.01), PERFECT, np.zeros((1, 3)))
+    shifted, _ = integrate_attitude(one_stream(increments, 0.01), PERFECT, np.zeros((1, 3)), bias_offset=offset)
+    direct, _ = integrate_attitude(one_stream(increments - 0.01 * offset, 0.01), PERFECT, np.zeros((1, 3)))
     np.testing.assert_allclose(shifted.C_end, direct.C_end, rtol=0, atol=64 * EPS)
     np.testing.assert_allclose(shifted.rate, direct.rate, rtol=0, atol=64 * EPS)
 
@@ -388,11 +388,11 @@ def test_sign_of_a_resting_noisy_channel_is_that_of_its_smoothed_rate():
     whole = np.array([[0, n]])
     stream = gyro_stream(rates, dt, whole, whole, rates=True)
     white = np.full(3, sigma * math.sqrt(dt))
-    without, _ = integrate(stream, triad, np.zeros((1, 3)))
-    smoothed, _ = integrate(stream, triad, np.zeros((1, 3)), sample_noise_rad=white * np.sqrt(dt))
+    without, _ = integrate_attitude(stream, triad, np.zeros((1, 3)))
+    smoothed, _ = integrate_attitude(stream, triad, np.zeros((1, 3)), sample_noise_rad=white * np.sqrt(dt))
     mean = rates.mean(axis=0) - bias
-    seen_without = mean - without.turned[0] / (n * dt)
-    seen_smoothed = mean - smoothed.turned[0] / (n * dt)
+    seen_without = mean - without.angle[0] / (n * dt)
+    seen_smoothed = mean - smoothed.angle[0] / (n * dt)
     # What asymmetry really adds is asymmetry · |ω|. By samples it is the mean of |ω + noise|: σ √(2/π) at rest.
     rectified = asymmetry * sigma * math.sqrt(2 / math.pi)
     assert seen_without[2] > 0.8 * rectified
@@ -437,7 +437,7 @@ def test_window_weights_reproduce_eq_21(recordings, average):
     integrals = {}
     for name, flags in (("held", still), ("integrated", ~still)):
         stream, _, _ = data.stream(flags)
-        integrals[name], _ = integrate(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
+        integrals[name], _ = integrate_attitude(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
     held, integrated = integrals["held"], integrals["integrated"]
     C = held.C_end
     expected = WINDOW_S * (np.eye(3) + 0.5 * (C - np.eye(3)))
@@ -464,13 +464,13 @@ def test_recorded_integrals_are_the_ideal_ones(recordings):
     recording = recordings(200.0)
     data = prepare(recording, recording.sequences)
     stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
-    found, _ = integrate(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
+    found, _ = integrate_attitude(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
     ideal = ideal_rotations(list(SEQUENCES.values()))
     angle = np.array([np.abs(s.angles_rad).sum() for s in SEQUENCES.values()])
     # (ω dt)²/12 of the angle for the mean of both ends; rounding for what does not depend on it.
     share = (1.0 / 200.0) ** 2 / 12.0 * angle
     np.testing.assert_allclose(found.C_end, ideal.C_end, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found.turned, ideal.turned, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.angle, ideal.angle, rtol=0, atol=1e-12)
     for name in ("rate", "abs_rate"):
         difference = np.abs(getattr(found, name) - getattr(ideal, name)).reshape(data.K, -1).max(axis=1)
         assert np.all(difference <= share + 1e-12), name
@@ -493,7 +493,7 @@ def test_sample_rate_does_not_matter(recordings):
         recording = recordings(rate_hz)
         data = prepare(recording, recording.sequences)
         stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
-        by_rate[rate_hz], _ = integrate(stream, PERFECT, np.zeros((data.K, 3)))
+        by_rate[rate_hz], _ = integrate_attitude(stream, PERFECT, np.zeros((data.K, 3)))
     angle = np.array([np.abs(s.angles_rad).sum() for s in SEQUENCES.values()])
     for rate_hz in (50.0, 100.0):
         np.testing.assert_allclose(by_rate[rate_hz].C_end, by_rate[1000.0].C_end, rtol=0, atol=1e-12)
@@ -520,7 +520,7 @@ def test_sample_rate_with_the_earth_turning():
         data = prepare(recording, recording.sequences)
         stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
         earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
-        found, _ = integrate(stream, PERFECT, earth)
+        found, _ = integrate_attitude(stream, PERFECT, earth)
         truth = np.array([before.T @ after for before, after in motion.attitudes])
         # A ramp's corner inside a sample: β̈ ω_e dt³/12, 10 · 7.3e-5 · 8e-6 / 12 = 5e-10 rad at 50 Hz, twice per leg.
         assert np.abs(found.C_end - truth).max() < 16 * bound_rad
@@ -544,8 +544,8 @@ def test_attitude_and_integrals_on_the_turning_earth():
     data = prepare(recording, recording.sequences)
     stream, _, weights = data.stream(np.ones(6, dtype=bool))
     earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
-    found, attitudes = integrate(stream, PERFECT, earth, with_noise=True)
-    still, _ = integrate(stream, PERFECT, np.zeros((3, 3)), with_noise=True)
+    found, attitudes = integrate_attitude(stream, PERFECT, earth, with_noise=True)
+    still, _ = integrate_attitude(stream, PERFECT, np.zeros((3, 3)), with_noise=True)
     for k, (before, after) in enumerate(motion.attitudes):
         C = before.T @ after
         np.testing.assert_allclose(found.C_end[k], C, rtol=0, atol=1e-9)
@@ -563,7 +563,7 @@ def test_attitude_and_integrals_on_the_turning_earth():
             data.rotation[k : k + 1],
             rates=True,
         )
-        turn, _ = integrate(alone, PERFECT, earth[k : k + 1])
+        turn, _ = integrate_attitude(alone, PERFECT, earth[k : k + 1])
         expected = turn.time[0] + np.eye(3) * (F * dt)[s:first].sum() + C * (F * dt)[last:e].sum()
         elapsed = dt[s:e].sum()
         part = 7.292115e-5 * elapsed * found.weight_s[k]

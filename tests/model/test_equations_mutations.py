@@ -45,7 +45,7 @@ def brute_force_integrals(sequence, rate):
         "abs_rate": np.zeros((3, 3)),
         "time": np.zeros((3, 3)),
         "noise": np.zeros((3, 3, 3)),
-        "turned": np.zeros(3),
+        "angle": np.zeros(3),
         "weight_s": 0.0,
     }
     for axis, angle in sequence.rotations:
@@ -59,7 +59,7 @@ def brute_force_integrals(sequence, rate):
             out["abs_rate"] += dt * A * np.abs(ω)
             out["time"] += dt * A
             out["noise"] += dt * np.einsum("ab,cb->acb", A, A)
-            out["turned"] += dt * ω
+            out["angle"] += dt * ω
             out["weight_s"] += dt
         C = C @ Rotation.from_rotvec(angle * u).as_matrix()
     return out | {"C_end": C}

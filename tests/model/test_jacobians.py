@@ -14,7 +14,7 @@ import sims
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import measurement_model as model
-from srt.model.analytic_platform import integrate
+from srt.model.analytic_platform import integrate_attitude
 from srt.model.rotations import cross_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad, outside_model
 from srt.recording.recording import Site
@@ -230,7 +230,7 @@ def test_attitude_error_jacobian(motions, size):
     errors = draw(size)
     data, player = play_back(motions[False], errors, "held")
     gyro = gyro_triad(errors)
-    at, _ = integrate(player.stream, gyro, np.zeros((data.K, 3)))
+    at, _ = integrate_attitude(player.stream, gyro, np.zeros((data.K, 3)))
     J = model.attitude_error_jacobian(at)
     D = np.linalg.norm(gyro.inverses, 2, axis=(1, 2)).max()
     angle, seconds = (v[::2] for v in turning(data))
@@ -240,7 +240,7 @@ def test_attitude_error_jacobian(motions, size):
             continue
         d = STEPS[i] * np.eye(N_PARAMETERS)[i]
         plus, minus = (
-            integrate(player.stream, gyro_triad(errors.plus(sign * d)), np.zeros((data.K, 3)))[0].C_end
+            integrate_attitude(player.stream, gyro_triad(errors.plus(sign * d)), np.zeros((data.K, 3)))[0].C_end
             for sign in (1.0, -1.0)
         )
         change = (minus - plus) / (2 * STEPS[i]) @ np.swapaxes(at.C_end, 1, 2)

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 import sims
 from sims.physics.imu import exact_increments
 from srt.exceptions import DataError
-from srt.model.analytic_platform import gyro_stream, integrate
+from srt.model.analytic_platform import gyro_stream, integrate_attitude
 from srt.model.sensor_model import (
     MIN_SINGULAR_VALUE,
     SIGNS,
@@ -258,7 +258,7 @@ def test_stream_of_gyro_samples_is_compensated_as_exactly():
         true = rng.normal(size=(400, 3)) * 10.0 ** rng.uniform(-4.0, 0.0, (400, 3))
         spans = np.stack([np.arange(400), np.arange(1, 401)], axis=1)
         stream = gyro_stream(triad.read(true), 0.01, spans, spans, rates=True)
-        found = integrate(stream, triad, np.zeros((400, 3)))[0].turned / 0.01
+        found = integrate_attitude(stream, triad, np.zeros((400, 3)))[0].angle / 0.01
         assert np.all(np.linalg.norm(found - true, axis=1) <= 2 * rounding(triad, true))
         checked += 1
     assert checked > 30
