@@ -6,9 +6,9 @@ Conventions, everywhere in this package:
   to the Earth at the start / end of a sequence. T: table-mounted body frame, z along the fixture's inner axis.
   NED: local north, east, down. ``C_ab`` takes b-components to a-components.
 * Specific force f at rest points up: f = −g u_dwn. Gravity g is a positive magnitude.
-* SI units inside (rad, rad/s, m/s², s); a name at a border carries its unit (``latitude_deg``).
-* Readings: ``ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias``, ``f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias``; the 27 errors and their order
-  are in :mod:`srt.sensor_errors`.
+* SI units inside (rad, rad/s, m/s², s); names in files and options carry their unit (``latitude_deg``).
+* Sensor model: ``ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias``, ``f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias``; :mod:`srt.sensor_errors`
+  lists the 27 errors.
 * Arrays of samples have the shape (n, 3), states (27,), covariances (27, 27).
 """
 
@@ -60,7 +60,7 @@ _HOME = {
     "NAMES": "sensor_errors",
     "SensorErrors": "sensor_errors",
 }
-"""Where each public name lives; loaded on first use, so that `srt --help` need not wait for numpy."""
+"""Module of each public name. Modules load on first use, so that `srt --help` does not import numpy."""
 
 __all__ = [
     "INDEX",

@@ -1,4 +1,4 @@
-"""Exceptions: one sentence for the user and the exit code of the command line each; helpers for such sentences."""
+"""Exceptions, each with one sentence for the user and an exit code of the command line; helpers for the sentences."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ if TYPE_CHECKING:
 
 
 class SrtError(Exception):
-    """Base of all errors of this package; the message is one sentence for the person who reads it.
+    """Base class of the errors of this package; the message is one sentence for the user.
 
     Attributes
     ----------
     exit_code : int
-        What the command line exits with: 1, the data cannot support a result; 2, wrong usage or unreadable input.
+        Exit code of the command line: 1, the data cannot support a result; 2, wrong usage or unreadable input.
     fault : str or None
-        Its name in the catalogue of faults (:mod:`srt.diagnosis.faults`), if it stands there.
+        Name of the fault in the catalogue (:mod:`srt.diagnosis.faults`), if it has one.
     """
 
     exit_code = 2
@@ -34,13 +34,13 @@ class InputError(SrtError):
 
 
 class DataError(SrtError):
-    """Readable data that cannot support the result asked for (exit code 1)."""
+    """Data that are readable but cannot support the requested result (exit code 1)."""
 
     exit_code = 1
 
 
 class MissingExtraError(InputError):
-    """An optional dependency is absent; the message says what to install."""
+    """Missing optional dependency; the message says what to install."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(
@@ -50,14 +50,14 @@ class MissingExtraError(InputError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Say " (did you mean ...?)" where a known name resembles the given one, else nothing.
+    """Suggestion " (did you mean ...?)" if a known name resembles the given one, else an empty text.
 
     Parameters
     ----------
     name : str
-        What was found.
+        Unknown name.
     known : iterable of str
-        What could have been meant.
+        Valid names.
 
     Returns
     -------
@@ -70,13 +70,13 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def clipped(text: str, length: int = 60) -> str:
-    """Give a name out of a file as a message may show it: printable, and short enough for a sentence.
+    """Shorten a name from a file for a message, with unprintable characters replaced by "?".
 
     Parameters
     ----------
     text : str
     length : int
-        Characters.
+        Largest number of characters.
 
     Returns
     -------

@@ -1,12 +1,12 @@
-"""The 27 sensor errors: names, order, units, and the value type that everything else passes around.
+"""Sensor errors: names, order, units and values of the 27 parameters.
 
-Reading model of a triad in the MARS frame B (``ω`` the true angular rate, ``f`` the true specific force)::
+Sensor model of a triad in the MARS frame B (``ω`` the true angular rate, ``f`` the true specific force)::
 
     ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias + noise      Mg = I + κ_LinScal + κ_Mis,  κ_ij = κ_ji = υ_ij / 2
     f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias + noise      Ma = I + λ_LinScal + λ_Mis,  λ_ij = μ_ij
 
 Savage 2020, eqs. 6-11. Biases are in rad/s and m/s², everything else is dimensionless or rad.
-This module holds names and values only; the arithmetic of compensation is in :mod:`srt.model.sensor_model`.
+This module has names and values only; :mod:`srt.model.sensor_model` has the compensation.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ParameterGroup:
-    """A block of like parameters in the state.
+    """Group of like parameters in the state.
 
     Attributes
     ----------
     name : str
         Common stem of the parameter names.
     suffixes : tuple of str
-        One per parameter; the full name is ``name_suffix``.
+        Suffix of each parameter; its full name is ``name_suffix``.
     symbols : tuple of str
         The papers' symbols.
     unit : str
         SI unit.
     display_unit, display_factor : str, float
-        The unit people expect in a table, and how many of it make one SI unit.
+        Unit in printed tables, and the number of such units in one SI unit.
     """
 
     name: str
@@ -53,7 +53,7 @@ class ParameterGroup:
 
 
 _AXES = ("x", "y", "z")
-_UG = 1e6 / 9.80665
+_UG = 1e6 / 9.80665  # m/s² to µg
 _DEG_H = 206264.80624709636  # rad/s to °/h
 
 GROUPS: Final = (
@@ -73,7 +73,7 @@ GROUPS: Final = (
     ),
     ParameterGroup("gyro_bias", _AXES, ("κx", "κy", "κz"), "rad/s", "°/h", _DEG_H),
 )
-"""The groups in state order (fixed by the file format)."""
+"""Groups in the order of the state, which the file format fixes."""
 
 NAMES: Final = tuple(f"{g.name}_{s}" for g in GROUPS for s in g.suffixes)
 SYMBOLS: Final = tuple(s for g in GROUPS for s in g.symbols)
@@ -82,7 +82,7 @@ DISPLAY_UNITS: Final = tuple(g.display_unit for g in GROUPS for _ in g.suffixes)
 DISPLAY_FACTORS: Final = tuple(g.display_factor for g in GROUPS for _ in g.suffixes)
 N_PARAMETERS: Final = len(NAMES)
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
-"""Position of every parameter name in the state."""
+"""Position of each parameter in the state, by name."""
 
 
 def _group_slices() -> dict[str, slice]:
@@ -94,11 +94,11 @@ def _group_slices() -> dict[str, slice]:
 
 
 GROUP_SLICES: Final = _group_slices()
-"""Position of every group in the state: ``x[GROUP_SLICES["gyro_scale"]]``."""
+"""Position of each group in the state: ``x[GROUP_SLICES["gyro_scale"]]``."""
 
 
 def expand_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Resolve parameter and group names to parameter names in state order.
+    """Parameter names, in state order, of a list of parameter and group names.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def expand_names(names: Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorErrors:
-    """The 27 sensor errors of one IMU, immutable.
+    """Values of the 27 sensor errors of one IMU, immutable.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class SensorErrors:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, float]) -> SensorErrors:
-        """Build from names; parameters not named are zero. Raises InputError for an unknown name."""
+        """Build sensor errors from values by name; others are zero. Raises InputError for an unknown name."""
         unknown = sorted(set(values) - set(NAMES))
         if unknown:
             raise InputError(f"Unknown sensor error {unknown[0]!r}; the names are {', '.join(NAMES)}.")
@@ -181,5 +181,5 @@ class SensorErrors:
         return hash(self.vector.tobytes())
 
     def plus(self, delta: ArrayLike) -> SensorErrors:
-        """Add a correction of shape (27,)."""
+        """Sum with a correction of shape (27,)."""
         return SensorErrors(self.vector + np.asarray(delta, dtype=np.float64))

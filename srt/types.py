@@ -1,4 +1,4 @@
-"""Array types, by element; shapes are stated where they are used."""
+"""Array types by element; docstrings state the shapes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Array: TypeAlias = NDArray[np.float64]
 """Real numbers: samples (n, 3), states (27,), covariances (27, 27)."""
 
 Mask: TypeAlias = NDArray[np.bool_]
-"""One truth value per element."""
+"""Truth value per element."""
 
 Indices: TypeAlias = NDArray[np.intp]
 """Positions in another array."""
 
 Counts: TypeAlias = NDArray[np.int64]
-"""Whole numbers that are counted or stored, independent of the platform."""
+"""Integers that are counted or stored, of the same size on all platforms."""

@@ -1,1 +1,1 @@
-"""Equations of the papers: sensor model, analytic platform, measurement model, closed form, Table 1."""
+"""Mathematical models of the papers: sensor model, analytic platform, measurement model, closed form, Table 1."""

@@ -40,7 +40,7 @@ _NOISE_SIGMAS: Final = 3.0
 """A channel within this many sigma of zero has its sign from the smoothed rate."""
 
 _OCTANT_ITERATIONS: Final = 8
-"""Number of octants: the search for the octant of a sample tries each at most once."""
+"""Limit of the iterations that search the octant of a sample: the number of octants."""
 
 _PARTS: Final = (2, 12)
 """Fewest and most parts of one rotation."""

@@ -1,8 +1,8 @@
-"""The closed-form inversion of the 17 sequences: Savage 2020, eqs. 13-14, as a table.
+"""Closed-form inversion of the 17 sequences as a table: [P] eqs. 13-14 ([P]: Savage 2020, [N]: Savage 2017 part 3).
 
-Every sensor error is a combination of one to two measured components and of errors already found. Two signs differ
-from the printed eq. 13: the accelerometer asymmetry is ``λ_iii = −(End − Strt + 2 λ_i) / 2g`` (eqs. 4-5 and the 2017
-examples, eqs. 53-55, give the plus; eq. 13 prints a minus).
+Every sensor error is a linear combination of one or two measured components and of errors already determined. One sign
+differs from the printed eq. 13: the accelerometer asymmetry is ``λ_iii = −(End − Strt + 2 λ_i) / 2g``. Eqs. 4-5 and
+[N] eqs. 53-55 give the plus; eq. 13 prints a minus.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Component(NamedTuple):
-    """One measured number: a sequence and "x", "y", "z" of Δa_H in B_Strt, or "start" / "end" for a_Down."""
+    """Component of an SRT measurement: a sequence, and "x", "y", "z" of Δa_H in B_Strt or "start" / "end" of a_Down."""
 
     sequence: str
     kind: str
@@ -32,7 +32,7 @@ class Component(NamedTuple):
 class Formula:
     """``parameter = Σ coefficient · component + Σ coefficient · parameter``.
 
-    Coefficients are for components divided by g, and for accelerometer biases divided by g.
+    Components and accelerometer biases are divided by g.
     """
 
     parameter: str
@@ -46,13 +46,14 @@ def _f(parameter: str, *components: tuple[float, str, str], given: tuple[tuple[f
 
 _4PI, _2PI = 4.0 * math.pi, 2.0 * math.pi
 
-# Scale factor, per gyro axis: sequence, its reversed twin, component and sign of the signature.
+# Per gyro axis: sequence, sequence of opposite rotation, component and sign of the signature ([P] eq. 13).
 _SCALE = (("x", "2", "2a", "y", 1.0), ("y", "1", "1a", "x", -1.0), ("z", "3", "3a", "y", -1.0))
 
 _COMMON: Final = (
-    _f("gyro_orthogonality_yz", (1 / 4, "4", "y")),
-    _f("gyro_orthogonality_zx", (1 / 4, "5", "x")),
-    _f("gyro_orthogonality_xy", (1 / 4, "6", "y")),
+    _f("gyro_orthogonality_yz", (1 / 4, "4", "y")),  # υyz = Δ4y/4g
+    _f("gyro_orthogonality_zx", (1 / 4, "5", "x")),  # υzx = Δ5x/4g
+    _f("gyro_orthogonality_xy", (1 / 4, "6", "y")),  # υxy = Δ6y/4g
+    # λx = −Δ14x/2 − gυzx, λy = −Δ13y/2 − gυyz, λz = −[Δ7z + πg(κxx + κxxx)]/2
     _f("accel_bias_x", (-1 / 2, "14", "x"), given=((-1.0, "gyro_orthogonality_zx"),)),
     _f("accel_bias_y", (-1 / 2, "13", "y"), given=((-1.0, "gyro_orthogonality_yz"),)),
     _f(
@@ -60,12 +61,14 @@ _COMMON: Final = (
         (-1 / 2, "7", "z"),
         given=((-math.pi / 2, "gyro_scale_x"), (-math.pi / 2, "gyro_asymmetry_x")),
     ),
+    # μxy = (Δ7x − gυxy)/2g; the others alike, from their own sequences
     _f("accel_misalignment_xy", (1 / 2, "7", "x"), given=((-1 / 2, "gyro_orthogonality_xy"),)),
     _f("accel_misalignment_xz", (1 / 2, "8", "x"), given=((-1 / 2, "gyro_orthogonality_zx"),)),
     _f("accel_misalignment_yx", (1 / 2, "12", "y"), given=((-1 / 2, "gyro_orthogonality_xy"),)),
     _f("accel_misalignment_yz", (1 / 2, "11", "y"), given=((-1 / 2, "gyro_orthogonality_yz"),)),
     _f("accel_misalignment_zx", (1 / 2, "9", "z"), given=((-1 / 2, "gyro_orthogonality_zx"),)),
     _f("accel_misalignment_zy", (1 / 2, "10", "z"), given=((-1 / 2, "gyro_orthogonality_yz"),)),
+    # λii = −(End + Strt)/2g, λiii = −(End − Strt + 2λi)/2g; x from sequence 9, y from 7, z from 8
     *(
         formula
         for axis, sequence in (("x", "9"), ("y", "7"), ("z", "8"))
@@ -83,33 +86,33 @@ _COMMON: Final = (
 
 
 def formulas(sequences: Collection[str], *, asymmetry: bool = True) -> tuple[Formula, ...]:
-    """The formulas that a set of sequences supports, each after those it needs.
+    """Formulas that a set of sequences supports, in an order in which each follows those that it uses.
 
     Parameters
     ----------
     sequences : collection of str
-        Ids that were executed.
+        Ids of the recorded sequences.
     asymmetry : bool
-        False leaves out gyro scale-factor asymmetry: eq. 14 in place of the first six formulas of eq. 13. An axis
-        without its reversed sequence (1a-3a) is treated so in any case.
+        False omits gyro scale-factor asymmetry: [P] eq. 14 replaces the first six formulas of eq. 13. This is always so
+        for an axis without its sequence of opposite rotation (1a-3a).
 
     Returns
     -------
     tuple of Formula
-        Of the parameters that can be found; the others are missing from it.
+        Of the parameters that these sequences determine.
     """
     have = set(sequences)
     chosen: list[Formula] = []
     for axis, forward, reverse, kind, sign in _SCALE:
         pair = ((sign, forward), (-sign, reverse))
-        if {forward, reverse} <= have:
+        if {forward, reverse} <= have:  # κyy = −(Δ1x − Δ1ax)/4πg, κyyy = −(Δ1x + Δ1ax)/4πg; x and z alike
             chosen.append(_f(f"gyro_scale_{axis}", *((c / _4PI, s, kind) for c, s in pair)))
             if asymmetry:
                 chosen.append(_f(f"gyro_asymmetry_{axis}", *((sign / _4PI, s, kind) for s in (forward, reverse))))
-        else:
+        else:  # [P] eq. 14: κyy = −Δ1x/2πg
             chosen.extend(_f(f"gyro_scale_{axis}", (c / _2PI, s, kind)) for c, s in pair if s in have)
     found = {f.parameter for f in chosen}
-    # Without its own formula a gyro asymmetry is held at a given value and costs nothing else.
+    # A gyro asymmetry without a formula is fixed at a given value; formulas that use it remain valid.
     given = {name for name in NAMES if name.startswith("gyro_asymmetry")} - found
     for formula in _COMMON:
         if {c.sequence for _, c in formula.components} <= have and {p for _, p in formula.parameters} <= found | given:
@@ -120,12 +123,12 @@ def formulas(sequences: Collection[str], *, asymmetry: bool = True) -> tuple[For
 
 
 def components(chosen: tuple[Formula, ...]) -> tuple[Component, ...]:
-    """The measured components that formulas use, each once, in order of first use."""
+    """Measured components that formulas use, each once, in order of first use."""
     return tuple(dict.fromkeys(c for f in chosen for _, c in f.components))
 
 
 def inversion_matrix(chosen: tuple[Formula, ...], gravity_m_s2: float) -> Array:
-    """Coefficients of eq. 13: parameters from components.
+    """Matrix that gives the parameters from the measured components ([P] eq. 13).
 
     Returns
     -------
@@ -148,13 +151,13 @@ def inversion_matrix(chosen: tuple[Formula, ...], gravity_m_s2: float) -> Array:
 
 
 def missing_parameters(chosen: tuple[Formula, ...]) -> tuple[str, ...]:
-    """The names of the 24 closed-form parameters that have no formula."""
+    """Names of the 24 closed-form parameters that have no formula."""
     found = {f.parameter for f in chosen}
     return tuple(n for n in NAMES if n not in found and not n.startswith("gyro_bias"))
 
 
 def sequences_needed(parameter: str) -> tuple[str, ...]:
-    """The sequences that a parameter's full formula reads, directly or through other parameters."""
+    """Sequences that the full formula of a parameter uses, directly or through other parameters."""
     table = {f.parameter: f for f in formulas([str(i) for i in range(1, 15)] + ["1a", "2a", "3a"])}
     formula = table[parameter]
     needed = {c.sequence for _, c in formula.components}

@@ -1,4 +1,4 @@
-"""What is known of a unit before the test: mean and covariance of its sensor errors."""
+"""Prior of the sensor errors: their mean and covariance before the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 _SYMMETRY: Final = 1e-9
-"""Largest asymmetry of a correlation matrix that counts as rounding of the file it came from."""
+"""Largest asymmetry of a correlation matrix that counts as rounding of its file."""
 
 PRIOR_SIGMA: Final = {
     "gyro_scale": 0.3,
@@ -27,11 +27,11 @@ PRIOR_SIGMA: Final = {
     "accel_misalignment": 0.3,
     "gyro_bias": 0.3,
 }
-"""One sigma of each parameter group without any data, SI. Those of asymmetries exceed all configured grades."""
+"""Standard deviation of each parameter group without any data, SI; asymmetries: larger than in any configured grade."""
 
 
 def prior_sigma() -> Array:
-    """Prior one sigma of the 27 parameters."""
+    """Default prior standard deviations of the 27 parameters, SI."""
     out = np.empty(N_PARAMETERS)
     for group, sigma in PRIOR_SIGMA.items():
         out[GROUP_SLICES[group]] = sigma
@@ -39,7 +39,7 @@ def prior_sigma() -> Array:
 
 
 class CalibratedErrors(Protocol):
-    """Earlier calibration, as far as a prior needs it; :class:`srt.Calibration` is one."""
+    """Attributes of an earlier calibration that a prior uses; :class:`srt.Calibration` has them."""
 
     @property
     def errors(self) -> SensorErrors:
@@ -94,7 +94,7 @@ class Prior:
         if np.any(variance <= 0.0):
             name = NAMES[int(np.argmin(variance))]
             raise InputError(
-                f"The prior's variance of {name} is {variance.min():.3g}: give a positive one, or hold the parameter."
+                f"The prior's variance of {name} is {variance.min():.3g}: give a positive one, or fix the parameter."
             )
         unit = P / np.sqrt(np.outer(variance, variance))
         if np.abs(unit - unit.T).max() > _SYMMETRY:
@@ -111,12 +111,12 @@ class Prior:
 
     @classmethod
     def from_sigma(cls, sigma: Array, mean: SensorErrors | None = None) -> Prior:
-        """Build an uncorrelated prior from one sigma per parameter, shape (27,)."""
+        """Build an uncorrelated prior from one standard deviation per parameter, shape (27,)."""
         return cls(mean or SensorErrors(), np.diag(np.asarray(sigma, dtype=np.float64) ** 2))
 
     @classmethod
     def from_calibration(cls, calibration: CalibratedErrors, *, growth: float = 1.0) -> Prior:
-        """Take an earlier calibration as the prior, its sigmas times ``growth``; what it held gets the wide default.
+        """Build a prior from a calibration with its sigmas times ``growth``; fixed parameters get the default prior.
 
         Raises
         ------
@@ -125,11 +125,11 @@ class Prior:
         """
         if not 0.0 < growth < np.inf:
             raise InputError(f"The growth of a prior's sigmas is {growth!r}: give a positive number.")
-        unseen = ~calibration.observed
+        unobserved = ~calibration.observed
         P = calibration.covariance * growth**2
-        P[unseen, unseen] = prior_sigma()[unseen] ** 2
+        P[unobserved, unobserved] = prior_sigma()[unobserved] ** 2
         return cls(calibration.errors, P)
 
     def as_dict(self) -> dict[str, Any]:
-        """Values that a calibration's provenance stores."""
+        """Mean and covariance as the provenance of a calibration stores them."""
         return {"mean": self.mean.as_dict(), "covariance": self.covariance.tolist()}

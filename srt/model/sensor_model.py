@@ -1,13 +1,13 @@
-"""Exact compensation of sensor readings, composition of errors, and the MARS gauge.
+"""Sensor model and its exact compensation, composition of errors, and the MARS gauge ([P] eqs. 6-11; [P]: Savage 2020).
 
 The reading of a triad is ``y = M v + s ∘ |v| + b`` (``v`` the true rate or specific force). It is piecewise linear:
-within one octant of ``v`` it reads ``y = (M + diag(s ∘ sign v)) v + b``. Compensation solves it exactly by finding
-the octant; nothing is linearised, so errors of 50 % are a legal input. The solution is unique while
-``M + diag(s ∘ σ)`` keeps the sign of its determinant for every sign vector σ.
+within one octant of ``v`` it is ``y = (M + diag(s ∘ sign v)) v + b``. Compensation finds the octant and solves this
+exactly. Nothing is linearised, so errors of 50 % are allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the
+same sign of its determinant for every sign vector σ.
 
-Gauge. A gyro matrix ``Mg`` stated in any frame T is ``Mg = P U`` with P symmetric positive definite and U a rotation
-(polar decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix is P; the accelerometer matrix
-becomes ``Ma Uᵀ``. Savage 2020, eq. 8, holds to first order; P is exact.
+Gauge. A gyro matrix ``Mg`` in any frame T is ``Mg = P U`` with P symmetric positive definite and U a rotation (polar
+decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix is P; the accelerometer matrix becomes
+``Ma Uᵀ``. [P] eq. 8 holds to first order; P is exact.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-# Which entry of the 3x3 error matrix each parameter fills, and with what weight.
+# Entries (row, column) of the 3x3 error matrix that each parameter fills: both (i, j) and (j, i), or (i, j) alone.
 _ORTHOGONALITY_PAIRS: Final = ((0, 1), (1, 2), (2, 0))
 _MISALIGNMENT_PAIRS: Final = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
@@ -59,12 +59,18 @@ ACCEL_BASIS: Final = _accel_basis()
 SIGNS: Final = 1.0 - 2.0 * ((np.arange(8)[:, None] >> np.arange(3)) & 1)
 
 MIN_SINGULAR_VALUE: Final = 0.15
-"""Below this a triad is taken to be no IMU (axes nearly coplanar, or a dead sensor)."""
+"""Smallest singular value of a triad's matrix that is accepted; below it the axes are nearly coplanar."""
+
+_OCTANT_ITERATIONS: Final = 8
+"""Limit of the iterations that search the octant of a sample: the number of octants."""
+
+_CONTRACTION_ITERATIONS: Final = 100
+"""Iterations on the border between octants; a contraction by 0.5 reaches double precision in 53."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triad:
-    """One triad's reading model ``y = M v + s ∘ |v| + b``.
+    """Sensor model of a triad, ``y = M v + s ∘ |v| + b``.
 
     Attributes
     ----------
@@ -99,18 +105,19 @@ class Triad:
         inverses = self.inverses
         octant = octants(flat @ np.linalg.inv(self.matrix).T)
         solution = np.einsum("nij,nj->ni", inverses[octant], flat)
-        for _ in range(8):  # a wrong octant is mended by the solution it leads to; few samples need a second look
+        # The solution in a wrong octant points to another octant; few samples need a second iteration.
+        for _ in range(_OCTANT_ITERATIONS):
             wrong = np.flatnonzero(octants(solution) != octant)
             if wrong.size == 0:
                 break
             octant[wrong] = octants(solution[wrong])
             solution[wrong] = np.einsum("nij,nj->ni", inverses[octant[wrong]], flat[wrong])
         else:
-            # On the border between octants rounding can make the search alternate; the contraction
-            # v <- M⁻¹(y - s ∘ |v|) converges there whatever the sign.
+            # On the border between octants, rounding can make the search alternate. The contraction
+            # v <- M⁻¹(y - s ∘ |v|) converges there for either sign.
             inverse = np.linalg.inv(self.matrix).T
             v = solution[wrong]
-            for _ in range(100):
+            for _ in range(_CONTRACTION_ITERATIONS):
                 v = (flat[wrong] - self.asymmetry * np.abs(v)) @ inverse
             solution[wrong] = v
         out: Array = solution.reshape(y.shape)
@@ -129,12 +136,12 @@ def octants(v: Array) -> Indices:
 
 
 def gyro_triad(errors: SensorErrors) -> Triad:
-    """Reading model of the gyros: Mg, κ_Asym, κ_Bias."""
+    """Sensor model of the gyros: Mg, κ_Asym, κ_Bias."""
     return _triad(errors, "gyro", "orthogonality", GYRO_BASIS)
 
 
 def accel_triad(errors: SensorErrors) -> Triad:
-    """Reading model of the accelerometers: Ma, λ_Asym, λ_Bias."""
+    """Sensor model of the accelerometers: Ma, λ_Asym, λ_Bias."""
     return _triad(errors, "accel", "misalignment", ACCEL_BASIS)
 
 
@@ -146,7 +153,7 @@ def _triad(errors: SensorErrors, sensor: str, angles: str, basis: Array) -> Tria
 
 
 def errors_from_triads(gyro: Triad, accel: Triad) -> SensorErrors:
-    """Read the 27 errors off two triads whose gyro matrix is symmetric (MARS)."""
+    """Sensor errors of two triads whose gyro matrix is symmetric (MARS)."""
     vector = np.empty(N_PARAMETERS)
     dg, da = gyro.matrix - np.eye(3), accel.matrix - np.eye(3)
     vector[GROUP_SLICES["gyro_scale"]] = np.diag(dg)
@@ -161,7 +168,7 @@ def errors_from_triads(gyro: Triad, accel: Triad) -> SensorErrors:
 
 
 def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
-    """Bring two triads stated in any frame T to the MARS gauge.
+    """Transform two triads from any frame T to the MARS gauge.
 
     Returns
     -------
@@ -177,12 +184,12 @@ def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
 
     Notes
     -----
-    Asymmetry multiplies the absolute values of MARS components; it is carried over unchanged, which is exact
-    for U = I and its definition otherwise.
+    Asymmetry multiplies the absolute values of MARS components. It is not transformed: this is exact for U = I, and
+    the definition of asymmetry otherwise.
     """
     if np.linalg.det(gyro.matrix) <= 0.0:
         raise DataError(
-            "The gyro triad comes out left-handed (determinant of its scale and misalignment matrix "
+            "The gyro triad is left-handed (determinant of its scale and misalignment matrix "
             f"{np.linalg.det(gyro.matrix):.3g}): one axis is flipped or two are swapped; correct the axis mapping."
         )
     U, P = polar(gyro.matrix, side="left")
@@ -196,18 +203,18 @@ def to_mars(gyro: Triad, accel: Triad) -> tuple[SensorErrors, Array]:
 
 
 def compose(errors: SensorErrors, delta: ArrayLike) -> tuple[SensorErrors, Array]:
-    """Correct errors by ``delta``, an error of the data *compensated* with ``errors``.
+    """Compose errors with ``delta``, the errors of the data *compensated* with ``errors``.
 
-    Closed-form coefficients are a Jacobian at zero error, so what they find is an error left in the compensated data:
+    Closed-form coefficients are a Jacobian at zero error, so they give the errors of the compensated data:
     ``Mg <- Mg (I + δκ)``, ``κ_Bias <- κ_Bias + Mg δκ_Bias``, ``κ_iii <- κ_iii + (Mg)_ii δκ_iii``; likewise for the
-    accelerometers. The product is no longer symmetric: the gauge is restored.
+    accelerometers. The product is not symmetric, so it is transformed to the MARS gauge.
 
     Parameters
     ----------
     errors : SensorErrors
         Errors that the data were compensated with.
     delta : array_like, shape (27,)
-        Errors found in the compensated data.
+        Errors of the compensated data.
 
     Returns
     -------
@@ -229,15 +236,15 @@ def compose(errors: SensorErrors, delta: ArrayLike) -> tuple[SensorErrors, Array
 
 
 def outside_model(errors: SensorErrors) -> str | None:
-    """Say why errors are no IMU's, or return None.
+    """Reason why the sensor errors lie outside the model, or None.
 
-    The model asks for Mg positive definite, det Ma > 0, and singular values of both above 0.15.
+    The model requires Mg positive definite, det Ma > 0, and singular values of both above 0.15.
     """
     Mg, Ma = gyro_triad(errors).matrix, accel_triad(errors).matrix
     if np.linalg.eigvalsh(Mg)[0] <= 0.0:
         return "the gyro matrix is not positive definite (a flipped or swapped gyro axis?)"
     if np.linalg.det(Ma) <= 0.0:
-        return "the accelerometer triad is left-handed against the gyros (a flipped or swapped axis?)"
+        return "the accelerometer triad has the opposite handedness to the gyros (a flipped or swapped axis?)"
     for name, M in (("gyro", Mg), ("accelerometer", Ma)):
         smallest = float(np.linalg.svd(M, compute_uv=False)[-1])
         if smallest < MIN_SINGULAR_VALUE:

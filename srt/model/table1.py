@@ -1,7 +1,7 @@
-"""Table 1 of Savage 2020 as data: the 17 rotation sequences for which a closed form exists.
+"""Table 1 of Savage 2020: the 17 rotation sequences that have a closed form.
 
-The 2017 paper's table starts sequences 2 and 2a with y along the outer axis and the inner angle 0, from where no
-rotation about x is possible; the 2020 table (x along outer, inner +90°) is the right one.
+Table 1 of Savage 2017 starts sequences 2 and 2a with y along the outer axis and the inner angle 0, where no rotation
+about x is possible. The 2020 table (x along outer, inner +90°) is correct.
 
 Fixture: outer axis horizontal, along table y; inner axis along IMU z. Nominal attitude, IMU to fixture base:
 ``C_nom(inner, outer) = R_y(outer) R_z(inner)``.
@@ -18,7 +18,7 @@ import numpy as np
 AXES: Final = ("x", "y", "z")
 
 SIGNED_AXES: Final = (*AXES, *(f"-{axis}" for axis in AXES))
-"""IMU axes with a direction: "-z" is the one that points against z."""
+"""IMU axes with a sign: "-z" points opposite to z."""
 
 
 def axis_vector(axis: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -37,9 +37,9 @@ class RotationSequence:
     id : str
         Name in Table 1.
     down : str
-        IMU axis that points down at the start, one of :data:`SIGNED_AXES`: with "-z" the z axis points up.
+        IMU axis that points down at the start, one of :data:`SIGNED_AXES`; "-z": the z axis points up.
     along_outer : str
-        IMU axis that points along the outer rotation axis at the start, likewise.
+        IMU axis that points along the outer rotation axis at the start, one of :data:`SIGNED_AXES`.
     inner_rad, outer_rad : float
         Initial fixture angles, rad.
     rotations : tuple of (axis, angle)
@@ -55,7 +55,7 @@ class RotationSequence:
 
     @property
     def horizontal(self) -> tuple[str, ...]:
-        """The two IMU axes that are horizontal at the start, as letters in their order."""
+        """Letters of the two IMU axes that are horizontal at the start, in order."""
         return tuple(axis for axis in AXES if axis != self.down[-1])
 
     @property
