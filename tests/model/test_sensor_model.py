@@ -372,7 +372,7 @@ def test_left_handed_gyros_are_refused(matrix):
         ({"gyro_scale_x": -1.5}, "gyro matrix is not positive definite"),
         # Off-diagonal above the diagonal: x and y swapped, say.
         ({"gyro_orthogonality_xy": 2.5}, "gyro matrix is not positive definite"),
-        ({"accel_scale_z": -2.0}, "accelerometer triad is left-handed"),
+        ({"accel_scale_z": -2.0}, "accelerometer triad has the opposite handedness to the gyros"),
         ({"gyro_scale_y": -0.9}, "gyro axes are nearly coplanar (smallest singular value 0.100)"),
         ({"accel_scale_y": -0.86}, "accelerometer axes are nearly coplanar (smallest singular value 0.140)"),
         ({"accel_scale_y": -0.84}, None),
