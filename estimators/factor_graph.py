@@ -17,7 +17,8 @@ import numpy as np
 from gtsam.symbol_shorthand import A, B, D, E, F, G, Q, U, X
 
 from estimators import factors
-from estimators.linear_system import N_ERRORS, edge_numbers, fixed_headings, fixture_starts, total
+from estimators.linear_system import N_ERRORS, total
+from estimators.linearisation import edge_numbers, fixed_headings, fixture_starts
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.dense_solution import solve
-from estimators.linear_system import N_ERRORS, linearise
+from estimators.linear_system import N_ERRORS
+from estimators.linearisation import linearise
 from estimators.residual_analysis import deletion_table, unmodelled_noise
 from estimators.solution_analysis import FixedParameters, analyse_solution, make_calibration, with_prior
 from estimators.solver import IterationState, Solver

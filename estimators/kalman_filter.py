@@ -20,7 +20,8 @@ from scipy.special import chdtrc
 
 from estimators.accuracy_targets import targets_met
 from estimators.iteration import apply_correction
-from estimators.linear_system import N_ERRORS, attitude_columns, linearise
+from estimators.linear_system import N_ERRORS, attitude_columns
+from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances, global_columns
 from estimators.solver import LinearSolution, Solver
 from estimators.square_root_filter import SquareRootFilter

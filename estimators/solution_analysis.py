@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from estimators.dense_solution import apply_weights, covariance_by_source, solve
-from estimators.linear_system import N_ERRORS, linearise
+from estimators.linear_system import N_ERRORS
+from estimators.linearisation import linearise
 from estimators.residual_analysis import (
     contradiction_warnings,
     contradictions,

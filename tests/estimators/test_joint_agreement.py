@@ -46,7 +46,7 @@ from estimators.graph import GraphSolver
 from estimators.iteration import iterate
 from estimators.joint_model import JointModel, open_joint_model
 from estimators.kalman_filter import KalmanSolver, run_filter
-from estimators.linear_system import linearise
+from estimators.linearisation import linearise
 from estimators.solver import IterationState, LinearSolution, Solver
 
 EPS = np.finfo(float).eps

@@ -38,7 +38,8 @@ from estimators.factor_graph import FactorGraph
 from estimators.graph import solve_linear
 from estimators.iteration import apply_correction
 from estimators.joint_model import JointModel, open_joint_model
-from estimators.linear_system import N_ERRORS, edge_numbers, linearise
+from estimators.linear_system import N_ERRORS
+from estimators.linearisation import edge_numbers, linearise
 
 EPS = np.finfo(float).eps
 G = 9.80665

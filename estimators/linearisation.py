@@ -1,0 +1,312 @@
+"""Linearisation of a joint model about a state: measurements and priors as rows of a linear system."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from estimators.joint_model import pose_nominal
+from estimators.linear_system import N_ERRORS, LinearSystem, RowGroup, total, whiten
+from srt.model import measurement_model as model
+from srt.model.rotations import inverse_right_jacobian, rotation_vector
+from srt.sensor_errors import N_PARAMETERS
+
+if TYPE_CHECKING:
+    from estimators.joint_model import JointModel
+    from estimators.joint_state import CompensatedData, JointState
+    from srt.model.prior import Prior
+    from srt.types import Array, Indices, Mask
+
+    Block = tuple[str, Indices | int, Array]
+    """Name of columns, number within them of each member (−1: none), Jacobian (n or 1, d, width)."""
+
+_RECORDING = np.array([-1], dtype=np.intp)
+"""Owner of rows that belong to no sequence."""
+
+
+def linearise(
+    joint: JointModel, state: JointState, compensated: CompensatedData, free: Mask, prior: Prior | None = None
+) -> LinearSystem:
+    """Linearise a joint model about a state.
+
+    Parameters
+    ----------
+    joint : JointModel
+    state : JointState
+        With its attitudes.
+    compensated : CompensatedData
+        Data compensated with it.
+    free : ndarray of bool, shape (27,)
+        Sensor errors to estimate; the others are fixed.
+    prior : Prior, optional
+        Prior of the sensor errors.
+    """
+    builder = _Builder(joint, state, compensated)
+    builder.add_windows()
+    builder.add_rotations()
+    builder.add_fixture_starts()
+    builder.add_instability()
+    builder.add_alignment()
+    builder.add_site()
+    builder.add_bias_walk()
+    builder.add_edges()
+    if prior is not None:
+        builder.add_prior(prior)
+    A, b = np.concatenate(builder.A), np.concatenate(builder.b)
+    active = _active_columns(joint, builder.columns, free)
+    return LinearSystem(A, b, builder.columns, active, tuple(builder.rows), free, builder.whitening, compensated)
+
+
+def edge_numbers(joint: JointModel, compensated: CompensatedData) -> Indices:
+    """Number of the unknown quantization error at both edges of every window, shape (W, 2); −1 where there is none."""
+    shared = np.stack([joint.is_end, joint.is_start], axis=1) & bool(compensated.edge_slope.any())
+    numbers = np.cumsum(shared.ravel()).reshape(shared.shape) - 1
+    return np.where(shared, numbers, -1)
+
+
+def fixed_headings(joint: JointModel) -> Indices:
+    """Windows whose heading is fixed: the first one of a free level frame; every start without fixture states."""
+    data, fixed = joint.data, []
+    seen: set[int] = set()
+    for k in joint.order.tolist():
+        frame = int(joint.sequence_frame[k])
+        if joint.level_frames[frame].fixture:
+            if not joint.fixture_states:
+                fixed.append(int(data.start[k]))
+        elif frame not in seen:
+            seen.add(frame)
+            fixed.append(int(data.start[k]))
+    if not joint.fixture_states:
+        fixed += [w for _, w in data.poses]
+    return np.array(sorted(set(fixed)), dtype=np.intp)
+
+
+def fixture_starts(joint: JointModel) -> list[tuple[int, int, Array]]:
+    """Sequence, window and nominal attitude of every start on the fixture, including poses without their rotation."""
+    data = joint.data
+    starts = [
+        (k, int(data.start[k]), nominal) for k in joint.order.tolist() if (nominal := joint.nominal[k]) is not None
+    ]
+    return starts + [(int(joint.window_sequence[w]), w, pose_nominal(label)) for label, w in data.poses]
+
+
+def _columns(joint: JointModel, compensated: CompensatedData, edges: Indices) -> dict[str, slice]:
+    """Columns of the system by name."""
+    sizes = {
+        "errors": N_ERRORS,
+        "bias": 3 * (joint.data.K if joint.bias_walks else 1),
+        "base": 3,
+        "mounting": 3,
+        "gravity": 1,
+        "earth_rate": 3 * len(joint.level_frames),
+        "instability": compensated.instability.size,
+        "attitude": 3 * len(compensated.force),
+        "edge": 3 * int(edges.max() + 1),
+    }
+    stops = np.cumsum(list(sizes.values())).tolist()
+    return {name: slice(stop - size, stop) for (name, size), stop in zip(sizes.items(), stops, strict=True)}
+
+
+def _active_columns(joint: JointModel, columns: dict[str, slice], free: Mask) -> Mask:
+    """Mask of the columns that are estimated."""
+    active = np.ones(max(c.stop for c in columns.values()), dtype=np.bool_)
+    bias = columns["bias"]
+    active[columns["errors"]] = free[:N_ERRORS]
+    active[bias] = np.tile(free[N_ERRORS:], (bias.stop - bias.start) // 3)
+    active[columns["earth_rate"]] = np.concatenate([frame.unknown_sigma > 0.0 for frame in joint.level_frames])
+    active[columns["base"]] = active[columns["mounting"]] = joint.fixture_states
+    # Gravity is estimated without a fixture, too.
+    active[columns["gravity"]] = joint.options.fixture_states
+    active[columns["attitude"].start + 3 * fixed_headings(joint) + 2] = False
+    return active
+
+
+class _Builder:
+    """Rows of a linear system, group by group."""
+
+    def __init__(self, joint: JointModel, state: JointState, compensated: CompensatedData) -> None:
+        assert state.attitude is not None
+        self.joint, self.state, self.compensated, self.attitude = joint, state, compensated, state.attitude
+        self.edges = edge_numbers(joint, compensated)
+        self.columns = _columns(joint, compensated, self.edges)
+        self.n = max(c.stop for c in self.columns.values())
+        self.A: list[Array] = []
+        self.b: list[Array] = []
+        self.rows: list[RowGroup] = []
+        self.whitening: dict[str, Array] = {}
+        self.m = 0
+
+    def add(self, kind: str, owner: Indices, residual: Array, noise: dict[str, Array], blocks: list[Block]) -> None:
+        """Add a group of rows: their sequences, residuals (n, d), covariances by source, blocks of Jacobians."""
+        count, size = residual.shape
+        if count == 0:
+            return
+        W = whiten(total(noise))
+        J = np.zeros((count, size, self.n))
+        for name, number, jacobian in blocks:
+            width = jacobian.shape[2]
+            at = np.broadcast_to(np.asarray(number), count)
+            members = np.flatnonzero(at >= 0)
+            columns = self.columns[name].start + width * at[members, None] + np.arange(width)
+            J[members[:, None, None], np.arange(size)[:, None], columns[:, None, :]] += (W @ jacobian)[members]
+        self.A.append(J.reshape(count * size, -1))
+        self.b.append(np.einsum("nij,nj->ni", W, residual).ravel())
+        self.whitening[kind] = W
+        shares = {s: W @ R @ np.swapaxes(W, 1, 2) for s, R in noise.items() if np.any(R)}
+        self.rows.append(RowGroup(kind, self.m, np.asarray(owner), shares, size))
+        self.m += count * size
+
+    def add_prior_of(self, name: str, number: int, value: Array, covariance: dict[str, Array], kind: str = "") -> None:
+        """Add the prior of one unknown of columns ``name``, with mean zero."""
+        unit = np.eye(len(value))[None]
+        self.add(kind or name, _RECORDING, value[None], covariance, [(name, number, unit)])
+
+    def add_windows(self) -> None:
+        """Specific force and rate of every window."""
+        joint, compensated, A = self.joint, self.compensated, self.attitude
+        to_body = np.swapaxes(A, 1, 2)
+        windows, sequence = np.arange(len(A)), joint.window_sequence
+        gravity = joint.data.gravity + self.state.gravity
+        residual, by_attitude, by_gravity = model.specific_force_residual(compensated.force, A, gravity)
+        self.add(
+            "force",
+            sequence,
+            residual,
+            compensated.force_noise,
+            [
+                ("errors", 0, -compensated.force_jacobian[:, :, :N_ERRORS]),
+                ("attitude", windows, by_attitude @ to_body),
+                ("gravity", 0, by_gravity[:, :, None]),
+                ("instability", 0, -compensated.instability.force),
+            ],
+        )
+        residual, by_attitude, by_earth = model.angular_rate_residual(compensated.rate, A, joint.earth_rate(self.state))
+        per_rate = compensated.edge_slope / joint.data.windows.duration_s[:, None, None]
+        self.add(
+            "rate",
+            sequence,
+            residual,
+            compensated.rate_noise,
+            [
+                ("errors", 0, -compensated.rate_jacobian[:, :, :N_ERRORS]),
+                ("bias", sequence if joint.bias_walks else 0, -compensated.rate_jacobian[:, :, N_ERRORS:]),
+                ("attitude", windows, by_attitude @ to_body),
+                ("earth_rate", joint.window_frame, by_earth),
+                ("edge", self.edges[:, 0], per_rate),
+                ("edge", self.edges[:, 1], -per_rate),
+                ("instability", 0, -compensated.instability.rate),
+            ],
+        )
+
+    def add_rotations(self) -> None:
+        """Rotation between the windows of every sequence."""
+        joint, compensated, data = self.joint, self.compensated, self.joint.data
+        sequences, slope = np.arange(data.K), compensated.edge_slope
+        start, end = self.attitude[data.start], self.attitude[data.end]
+        residual, by_start, by_end, by_rotation, by_earth = model.rotation_residual(
+            compensated.rotation, start, end, joint.earth_rate(self.state)[data.start], compensated.duration_s
+        )
+        by_errors = by_rotation @ compensated.rotation_jacobian
+        self.add(
+            "turn",
+            sequences,
+            residual,
+            compensated.rotation_noise,
+            [
+                ("errors", 0, by_errors[:, :, :N_ERRORS]),
+                ("bias", sequences if joint.bias_walks else 0, by_errors[:, :, N_ERRORS:]),
+                ("attitude", data.start, by_start @ np.swapaxes(start, 1, 2)),
+                ("attitude", data.end, by_end @ np.swapaxes(end, 1, 2)),
+                ("earth_rate", joint.sequence_frame, by_earth),
+                ("edge", self.edges[data.start, 1], -by_rotation @ slope),
+                ("edge", self.edges[data.end, 0], by_rotation @ compensated.rotation @ slope),
+                ("instability", 0, by_rotation @ compensated.instability.rotation),
+            ],
+        )
+
+    def add_fixture_starts(self) -> None:
+        """Start attitudes in the angles of the fixture."""
+        joint, starts = self.joint, fixture_starts(self.joint)
+        if not joint.fixture_states or not starts:
+            return
+        owner, windows = (np.array([start[i] for start in starts], dtype=np.intp) for i in (0, 1))
+        A = self.attitude[windows]
+        residual, by_attitude, by_base, by_U = model.start_attitude_residual(
+            A, np.stack([nominal for _, _, nominal in starts]), self.state.base, self.state.U, joint.heading_rad
+        )
+        variance = np.diag(joint.start_sigma**2)
+        self.add(
+            "start",
+            owner,
+            residual,
+            {"earth_rate_alignment": np.broadcast_to(variance, residual.shape[:1] + variance.shape)},
+            [
+                ("attitude", windows, by_attitude @ np.swapaxes(A, 1, 2)),
+                ("base", 0, by_base),
+                ("mounting", 0, by_U),
+            ],
+        )
+
+    def add_instability(self) -> None:
+        """Unknowns of the bias instability by sensor: independent, with unit variance."""
+        is_gyro = self.compensated.instability.is_gyro
+        for sensor, numbers in (("gyro", np.flatnonzero(is_gyro)), ("accel", np.flatnonzero(~is_gyro))):
+            unit = np.broadcast_to(np.eye(3), (len(numbers), 3, 3))
+            zero, owner = np.zeros((len(numbers), 3)), np.full(len(numbers), -1, dtype=np.intp)
+            noise = {f"{sensor}_bias_instability": unit}
+            self.add(f"{sensor}_instability", owner, zero, noise, [("instability", numbers, unit)])
+
+    def add_alignment(self) -> None:
+        """Priors of base and mounting."""
+        joint, state = self.joint, self.state
+        if not joint.fixture_states:
+            return
+        covariance = {"earth_rate_alignment": joint.alignment_sigma**2 * np.eye(3)[None]}
+        for name, rotation in (("base", state.base), ("mounting", joint.U_prior.T @ state.U)):
+            v = rotation_vector(rotation[None])
+            self.add(name, _RECORDING, v, covariance, [(name, 0, inverse_right_jacobian(v))])
+
+    def add_site(self) -> None:
+        """Priors of gravity and of the unknown part of the Earth's rate."""
+        joint, state = self.joint, self.state
+        if joint.options.fixture_states:
+            variance = joint.data.recording.site.gravity_sigma_m_s2**2
+            self.add_prior_of("gravity", 0, np.array([state.gravity]), {"gravity": np.array([[[variance]]])})
+        for number, frame in enumerate(joint.level_frames):
+            if frame.unknown_sigma.any():
+                sigma = np.where(frame.unknown_sigma > 0.0, frame.unknown_sigma, 1.0)
+                covariance = {"earth_rate_alignment": np.diag(sigma**2)[None]}
+                self.add_prior_of("earth_rate", number, state.earth_rate[number], covariance, f"earth_rate:{number}")
+
+    def add_bias_walk(self) -> None:
+        """Steps of the gyro bias between sequences."""
+        joint, deviation = self.joint, self.state.bias_deviation
+        if not joint.bias_walks:
+            return
+        before, after = joint.order[:-1], joint.order[1:]
+        unit = np.broadcast_to(np.eye(3), (len(before), 3, 3))
+        covariance = {"gyro_bias_instability": (joint.bias_walk_sigma() ** 2)[:, :, None] * np.eye(3)}
+        owner, blocks = np.full(len(before), -1), [("bias", after, unit), ("bias", before, -unit)]
+        self.add("walk", owner, deviation[after] - deviation[before], covariance, list(blocks))
+
+    def add_edges(self) -> None:
+        """Unknowns of the quantization at window edges: independent, with unit variance."""
+        data, count = self.joint.data, int(self.edges.max() + 1)
+        unit = np.broadcast_to(np.eye(3), (count, 3, 3))
+        owner = np.empty(count, dtype=np.intp)
+        if count:
+            owner[self.edges[data.end, 0]] = np.arange(data.K)
+            owner[self.edges[data.start, 1]] = np.arange(data.K)
+        zero = np.zeros((count, 3))
+        self.add("edge", owner, zero, {"gyro_quantization": unit}, [("edge", np.arange(count), unit)])
+
+    def add_prior(self, prior: Prior) -> None:
+        """Prior of the sensor errors, that of the gyro bias being a prior of its mean over the sequences."""
+        difference = self.state.errors.vector - prior.mean.vector
+        difference[N_ERRORS:] += self.state.bias_deviation.mean(axis=0)
+        number = self.joint.data.K if self.joint.bias_walks else 1
+        E = np.eye(N_PARAMETERS)[None]
+        blocks: list[Block] = [("errors", 0, E[:, :, :N_ERRORS])]
+        blocks += [("bias", i, E[:, :, N_ERRORS:] / number) for i in range(number)]
+        self.add("prior", _RECORDING, difference[None], {"prior": prior.covariance[None]}, blocks)
