@@ -10,13 +10,16 @@ numbers in it replaced by hostile ones. What is checked of every one:
 - no more than ``--memory`` MiB are reserved beyond what the process has at its start, and less than 10 s are used;
 - no file is opened outside the input's folder, no program is run, no pickle is read, no code is made of the input.
 
-A reader's inputs run in a process of their own, so that a crash is counted, not suffered. The numbers of the inputs
-are the seeds: the same number makes the same input.
+A reader's inputs run in a process of their own, so that a crash is counted and does not end the run. The readers that
+start a child process get a fork of it in place of a new interpreter, which takes 5 ms in place of 200 ms; the fork is
+watched, too. The numbers of the inputs are the seeds: the same number makes the same input.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
+import io
 import os
 import resource
 import shutil
@@ -25,11 +28,13 @@ import struct
 import subprocess
 import sys
 import sysconfig
+import tempfile
 import traceback
 import warnings
 import zlib
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -42,6 +47,7 @@ import srt
 from srt.exceptions import DataError, InputError
 from srt.recording.imported_samples import to_recording
 from srt.recording.importer_registry import IMPORTERS, import_file, importer
+from srt.recording.importers import child_process
 from srt.recording.recording import Site
 
 SECONDS_PER_INPUT = 10
@@ -82,6 +88,66 @@ class Watch:
             path = os.path.realpath(os.fsdecode(args[0]))
             if not path.startswith(self.allowed) and not path.startswith(f"{self.temporary}/srt-"):
                 self.seen.append(f"open {path}"[:200])
+
+
+class Fork:
+    """A fork that reads one file, as :func:`srt.recording.importers.child_process.spawn` starts an interpreter.
+
+    Its events are added to those of the watch, if one is given.
+    """
+
+    def __init__(self, request: bytes, scratch: Path, watch: Watch | None = None) -> None:
+        self.watch, self.events = watch, scratch / "events"
+        source, sink = os.pipe()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # forks of a process with threads: it has none of ours
+            self.id = os.fork()
+        if not self.id:
+            self._answer(request, scratch, sink)
+        os.close(sink)
+        self.stdout = os.fdopen(source, "rb")
+
+    def _answer(self, request: bytes, scratch: Path, sink: int) -> None:
+        code = 1
+        try:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 1)
+            os.dup2(nowhere, 2)
+            tempfile.tempdir = str(scratch)
+            with os.fdopen(sink, "wb") as out:
+                child_process.answer(request, out)
+            code = 0
+        except MemoryError:
+            code = child_process.OUT_OF_MEMORY
+        finally:
+            if self.watch is not None:
+                self.watch.on = False
+                self.events.write_text("\n".join(self.watch.seen), encoding="utf-8")
+            os._exit(code)
+
+    def wait(self) -> int:
+        code = os.waitstatus_to_exitcode(os.waitpid(self.id, 0)[1])
+        if self.watch is not None and self.events.exists():
+            self.watch.seen += self.events.read_text(encoding="utf-8").splitlines()
+        return code
+
+    def kill(self) -> None:
+        os.kill(self.id, signal.SIGKILL)
+
+
+class InProcess:
+    """The answer of a reader in this process, in place of a child's."""
+
+    def __init__(self, request: bytes, _scratch: Path) -> None:
+        self.stdout = io.BytesIO()
+        child_process.answer(request, self.stdout)
+        self.stdout.seek(0)
+
+    def wait(self) -> int:
+        return 0
+
+    def kill(self) -> None:
+        pass
 
 
 def place(seed: Seed, folder: Path, rng: np.random.Generator | None, pool: list[bytes]) -> Path:
@@ -156,9 +222,12 @@ def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> 
     # What is loaded or made once, is so before the watch begins.
     for each in IMPORTERS:
         importer(each)
+    impose, child_process.impose, child_process.spawn = child_process.impose, lambda _: True, InProcess
     for seed in seeds:
         _fresh(folder)
         read(name, seed, place(seed, folder, None, pool))
+    gc.collect()  # files that the libraries left open
+    child_process.impose, child_process.spawn = impose, partial(Fork, watch=watch)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
@@ -179,7 +248,8 @@ def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> 
                 outcomes[outcome if outcome in ("read", "refused") else "failed"] += 1
                 if outcome not in ("read", "refused"):
                     print(f"{index} {outcome!r}", flush=True)
-    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10
+    peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    grown = (max(peaks) - before) >> 10
     print(f"done {outcomes['read']} {outcomes['refused']} {grown}", flush=True)
 
 

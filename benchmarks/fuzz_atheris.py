@@ -18,6 +18,7 @@ with atheris.instrument_imports(include=["srt", "pyulog", "rosbags", "pymavlink"
 
     from srt.exceptions import DataError, InputError
     from srt.recording.importer_registry import IMPORTERS
+    from srt.recording.importers import child_process
 
     # Readers and their libraries are loaded on use elsewhere; only what is imported here is watched.
     for module in ("pyulog.core", "pymavlink.DFReader", "rosbags.rosbag1.reader", "rosbags.rosbag2.reader"):
@@ -30,6 +31,7 @@ LARGEST = 1 << 16
 
 def main() -> None:
     name, *options = sys.argv[1:]
+    child_process.spawn, child_process.impose = fuzz.InProcess, lambda _: True
     seeds = fuzz.seeds_of(name)
     with TemporaryDirectory(prefix="fuzz-") as scratch:
         folder, corpus = Path(scratch) / "input", Path(scratch) / "corpus"

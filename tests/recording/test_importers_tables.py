@@ -14,7 +14,14 @@ from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError, InputError
 from srt.recording import importer_registry
 from srt.recording.import_options import ImportOptions, parse_axis_map, parse_columns, parse_lsb, parse_offset
-from srt.recording.imported_samples import ImportedSamples, StatedUnits, samples_in_si, join_streams, to_recording, without_repeats
+from srt.recording.imported_samples import (
+    ImportedSamples,
+    StatedUnits,
+    join_streams,
+    samples_in_si,
+    to_recording,
+    without_repeats,
+)
 from srt.recording.importer_registry import IMPORTERS, find_importer, import_file
 from srt.recording.importers.channels import meaning_of
 

@@ -1,12 +1,11 @@
 """ArduPilot logs (DataFlash, .bin or .log as text): IMU, or GYR with ACC; rad/s and m/s² as ArduPilot defines them.
 
-The library finds the messages and their layout; numpy takes their columns, all samples at once.
+pymavlink finds the messages and their layout; numpy reads the columns of all samples at once.
 """
 
 from __future__ import annotations
 
 import struct
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,18 +14,18 @@ import numpy as np
 from srt.exceptions import InputError, did_you_mean
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.guarded import library, require, silence_below
+from srt.recording.importers.child_process import in_child
 from srt.recording.importers.log_streams import Stream, choose_instance, join, to_imported
+from srt.recording.importers.parser_errors import clear_errors
 
 if TYPE_CHECKING:
     import mmap
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from srt.recording.import_options import ImportOptions
-    from srt.recording.imported_samples import Imported
+    from srt.recording.imported_samples import ImportedSamples
     from srt.types import Mask
 
 MAGIC: Final = b"\xa3\x95\x80"  # the first message of a log defines the message that defines messages
@@ -38,18 +37,29 @@ TOPICS: Final = {
     "IMU": (("IMU", (*GYRO_COLUMNS, *ACCEL_COLUMNS)),),
     "GYR": (("GYR", GYRO_COLUMNS), ("ACC", ACCEL_COLUMNS)),
 }
-"""What ``topic`` may say, and the messages and columns that it stands for, in order of preference."""
+"""Values of the option ``topic``, and the messages and columns that each stands for, in order of preference."""
 
 _TITLE = "ArduPilot log"
-_VARIANTS = ("", "1", "2", "3")  # before there was a column for it, the instance stood in the message's name
+
+_VARIANTS = ("", "1", "2", "3")
+"""Suffixes of message names: old logs state the instance there, and not in a column."""
+
 _STAMPS = (("SampleUS", 10**6), ("TimeUS", 10**6), ("TimeMS", 10**3))
+"""Columns of time, in order of preference, and their ticks in a second."""
+
+_LATEST_STAMP = 2**62
+"""Ticks; larger stamps are damage, and their differences would overflow 64 bits."""
+
 _HEADER_BYTES = 3
-_TEXT_BLOCK = 1 << 16
+"""Two fixed bytes and the type, before the fields of a message."""
+
+_LONGEST_LINE = 1 << 16
+"""Characters of a line in a log as text; ArduPilot's have at most some hundreds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Log:
-    """A log's messages of interest.
+    """Messages of a log that hold samples of an IMU.
 
     Attributes
     ----------
@@ -61,7 +71,7 @@ class _Log:
     tables: dict[str, dict[str, NDArray[Any]]]
 
     def instances(self, message: str) -> dict[int, tuple[str, Mask | slice]]:
-        """By instance: the name under which its messages stand, and which of them are its own."""
+        """Name and rows of the messages of each instance."""
         found: dict[int, tuple[str, Mask | slice]] = {}
         for variant in _VARIANTS:
             table = self.tables.get(message + variant)
@@ -85,14 +95,29 @@ class _Log:
         if stamps is None:
             raise InputError(f"{self.path}: the message {name} has no time stamps: it is not ArduPilot's.")
         time, ticks = stamps
-        if time.dtype.kind not in "iu" or (time.size and int(time.max()) >= 2**62):
+        if time.dtype.kind not in "iu" or (time.size and int(time.max()) >= _LATEST_STAMP):
             raise InputError(f"{self.path}: the time stamps of {name} are no plausible ones: the log is damaged.")
         values = np.stack([np.asarray(table[column][rows], dtype=np.float64) for column in columns], axis=1)
         temperature = np.asarray(table["T"][rows], dtype=np.float64) if "T" in table else None
         return Stream(f"{name} [{instance}]", time.astype(np.int64), ticks, values, temperature)
 
 
-def _read(path: Path, options: ImportOptions) -> Imported:
+def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Read the IMU of a log, in this process.
+
+    Parameters
+    ----------
+    path : Path
+    options : ImportOptions
+
+    Returns
+    -------
+    ImportedSamples
+
+    Raises
+    ------
+    InputError
+    """
     wanted = options.topic
     if wanted is not None and wanted not in TOPICS:
         raise InputError(
@@ -108,24 +133,23 @@ def _read(path: Path, options: ImportOptions) -> Imported:
             f"(found: {there}): log the IMU (LOG_BITMASK), or the raw IMU (GYR, ACC)."
         )
     topic = wanted or complete[0]
-    notes = ["ArduPilot has applied its own calibration: what is found here is left over from that."]
+    notes = ["ArduPilot has applied its own calibration: the errors found here are the residuals of it."]
     if len(complete) > 1 and wanted is None:
         notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
     instance = choose_instance(path, topic, list(log.instances(TOPICS[topic][0][0])), options.instance, notes)
-    with np.errstate(all="ignore"):
-        streams = []
-        for message, columns in TOPICS[topic]:
-            others = log.instances(message)
-            streams.append(log.stream(message, instance if instance in others else next(iter(others)), columns))
-        stream = streams[0] if len(streams) == 1 else join(streams[0], streams[1], notes)
+    streams = []
+    for message, columns in TOPICS[topic]:
+        others = log.instances(message)
+        streams.append(log.stream(message, instance if instance in others else next(iter(others)), columns))
+    stream = streams[0] if len(streams) == 1 else join(streams[0], streams[1], notes)
     return to_imported(stream, options, notes)
 
 
 def _tables(path: Path) -> dict[str, dict[str, NDArray[Any]]]:
     names = [message + variant for parts in TOPICS.values() for message, _ in parts for variant in _VARIANTS]
     take = _from_text if _is_text(path) else _from_binary
-    with _indexed(path, binary=take is _from_binary) as reader:
-        tables = {name: take(path, reader, name) for name in names}
+    reader = _indexed(path, binary=take is _from_binary)
+    tables = {name: take(path, reader, name) for name in names}
     return {name: table for name, table in tables.items() if table}
 
 
@@ -201,8 +225,8 @@ def _from_text(path: Path, reader: Any, name: str) -> dict[str, NDArray[Any]]:
 
 
 def _line(data: mmap.mmap, start: int) -> str:
-    end = data.find(b"\n", start, start + _TEXT_BLOCK)
-    return data[start : end if end >= 0 else start + _TEXT_BLOCK].decode("latin-1").rstrip()
+    end = data.find(b"\n", start, start + _LONGEST_LINE)
+    return data[start : end if end >= 0 else start + _LONGEST_LINE].decode("latin-1").rstrip()
 
 
 def _is_number(cell: str) -> bool:
@@ -213,22 +237,15 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-@contextmanager
-def _indexed(path: Path, *, binary: bool) -> Iterator[Any]:
-    """Let the library find all messages, and close its file whatever happens."""
-    module = require("pymavlink", "An ArduPilot log", lambda: __import__("pymavlink.DFReader", fromlist=["DFReader"]))
-    base = module.DFReader_binary if binary else module.DFReader_text
-    # Looking for the satellites' time would parse all messages one by one.
-    kind: Any = type("Reader", (base,), {"init_clock": lambda _: None})
-    reader = kind.__new__(kind)
-    try:
-        with library(path, _TITLE), silence_below():
-            reader.__init__(str(path))
-        yield reader
-    finally:
-        for name in ("data_map", "filehandle"):
-            with suppress(AttributeError, BufferError):
-                getattr(reader, name).close()
+def _indexed(path: Path, *, binary: bool) -> Any:
+    """Let the library find all messages."""
+    from pymavlink import DFReader
+
+    base = DFReader.DFReader_binary if binary else DFReader.DFReader_text
+    # The search for the satellites' time would parse all messages one by one.
+    reader = type("Reader", (base,), {"init_clock": lambda _: None})
+    with clear_errors(path, _TITLE):
+        return reader(str(path))
 
 
 def _is_text(path: Path) -> bool:
@@ -245,6 +262,6 @@ ARDUPILOT: Final = Importer(
     (),  # .bin and .log are what many others call their files, too
     "formats",
     _sniff,
-    _read,
+    in_child(f"{__name__}:{read_log.__name__}", "pymavlink", "An ArduPilot log"),
     frozenset({"topic", "instance"}),
 )

@@ -1,27 +1,27 @@
-"""What logs of several sensors have in common: choosing one of them, the order of its samples, joining two streams."""
+"""Streams of logs with several sensors: choice of a sensor, order of its samples, junction of two streams."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.exceptions import InputError, did_you_mean
 from srt.recording.import_options import option
-from srt.recording.imported_samples import Imported, Units, assemble, join_streams
+from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
     from srt.recording.import_options import ImportOptions
-    from srt.types import Array, Counts
+    from srt.types import Array, Counts, Indices, Mask
 
 SI_UNITS: Final = ("rad/s", "m/s^2")
 
 LATE_LIMIT_S: Final = 1.0
-"""Samples that arrive this late were delayed on the way; a clock that goes back further was set."""
+"""Delay of samples on the way that is put right, s; a clock that goes back further was set."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,7 @@ class Stream:
     Attributes
     ----------
     name : str
-        What messages and notes call it.
+        For messages and notes.
     stamps : ndarray of int64, shape (n,)
     per_second : int
         Ticks of the stamps, a power of ten.
@@ -44,17 +44,26 @@ class Stream:
     stamps: Counts
     per_second: int
     values: Array
-    temperature: Array | None = field(default=None)
+    temperature: Array | None = None
+
+    def rows(self, which: Indices | Mask | slice) -> Stream:
+        """Some of the samples."""
+        temperature = None if self.temperature is None else self.temperature[which]
+        return Stream(self.name, self.stamps[which], self.per_second, self.values[which], temperature)
+
+    def columns(self, which: slice) -> Stream:
+        """Some of the columns of readings, without the temperature."""
+        return Stream(self.name, self.stamps, self.per_second, self.values[:, which])
 
 
 def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None, how: str, notes: list[str]) -> str:
-    """Choose one of several sensors: the one asked for, else the one with most samples, naming the others in a note.
+    """Choose one of several sensors: the given one, else the one with most samples; a note names the others.
 
     Parameters
     ----------
     path : Path
     what : str
-        What each is, such as "topic".
+        Word for a sensor in messages, such as "topic".
     counts : mapping of str to int
         Samples of each.
     wanted : str or None
@@ -69,7 +78,7 @@ def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None,
     Raises
     ------
     InputError
-        If the one asked for is not there, or there is none.
+        If the given one is absent.
     """
     there = ", ".join(f"{name} ({count})" for name, count in sorted(counts.items())[:12])
     if wanted is not None:
@@ -86,7 +95,7 @@ def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None,
 
 
 def choose_instance(path: Path, topic: str, there: list[int], wanted: int | None, notes: list[str]) -> int:
-    """Choose one of several sensors of the same kind: the one asked for, else the first, naming the others in a note.
+    """Choose one of several sensors of a kind: the given one, else the first; a note names the others.
 
     Parameters
     ----------
@@ -103,7 +112,7 @@ def choose_instance(path: Path, topic: str, there: list[int], wanted: int | None
     Raises
     ------
     InputError
-        If the one asked for is not there.
+        If the given one is absent.
     """
     listed = ", ".join(map(str, there))
     if wanted is None:
@@ -118,7 +127,7 @@ def choose_instance(path: Path, topic: str, there: list[int], wanted: int | None
 
 
 def in_order(stream: Stream, notes: list[str]) -> Stream:
-    """Sort samples that arrived late by their stamps; a clock that was set back is left for the recording to refuse."""
+    """Sort samples that arrived late by their stamps; the recording refuses a clock that was set back."""
     stamps = stream.stamps
     if stamps.size < 2:
         return stream
@@ -127,14 +136,7 @@ def in_order(stream: Stream, notes: list[str]) -> Stream:
         return stream
     order = np.argsort(stamps, kind="stable")
     notes.append(f"{stream.name}: {np.count_nonzero(late)} samples that arrived late were put in order.")
-    temperature = stream.temperature
-    return Stream(
-        stream.name,
-        stamps[order],
-        stream.per_second,
-        stream.values[order],
-        None if temperature is None else temperature[order],
-    )
+    return stream.rows(order)
 
 
 def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
@@ -155,7 +157,7 @@ def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
     InputError
         Streams without time in common, or stamps that do not increase.
     """
-    gyro, accel = (_without_twins(in_order(stream, notes), notes) for stream in (gyro, accel))
+    gyro, accel = (_without_repeats(in_order(stream, notes), notes) for stream in (gyro, accel))
     if not (gyro.stamps.size and accel.stamps.size):
         empty = gyro if not gyro.stamps.size else accel
         raise InputError(f"{empty.name} holds no samples: choose another sensor.")
@@ -165,18 +167,11 @@ def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
     zero = gyro.stamps[0]
     seconds = [(stream.stamps - zero) / stream.per_second for stream in (gyro, accel)]
     kept, values = join_streams(seconds[0], seconds[1], accel.values, notes)
-    temperature = gyro.temperature
-    return Stream(
-        gyro.name,
-        gyro.stamps[kept],
-        gyro.per_second,
-        np.hstack([gyro.values[kept], values]),
-        None if temperature is None else temperature[kept],
-    )
+    return replace(gyro.rows(kept), values=np.hstack([gyro.values[kept], values]))
 
 
-def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more: Any) -> Imported:
-    """Bring a stream of six columns, rates in SI, to what readers give back.
+def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more: Any) -> ImportedSamples:
+    """Make imported samples of a stream of six columns.
 
     Parameters
     ----------
@@ -184,21 +179,21 @@ def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more
     options : ImportOptions
     notes : list of str
     **more
-        Further arguments of :func:`srt.recording.imported_samples.assemble`.
+        Further arguments of :func:`srt.recording.imported_samples.samples_in_si`.
 
     Returns
     -------
-    Imported
+    ImportedSamples
     """
     stream = in_order(stream, notes)
     gyro_unit, accel_unit = more.pop("units", SI_UNITS)
     unit = {10**9: "ns", 10**6: "us", 10**3: "ms"}[stream.per_second]
-    return assemble(
+    return samples_in_si(
         options,
         gyro=stream.values[:, :3],
         accel=stream.values[:, 3:],
         time=stream.stamps,
-        stated=Units(gyro_unit, accel_unit, unit),
+        stated=StatedUnits(gyro_unit, accel_unit, unit),
         kind=more.pop("kind", "rate"),
         temperature=stream.temperature,
         notes=tuple(notes),
@@ -206,19 +201,12 @@ def to_imported(stream: Stream, options: ImportOptions, notes: list[str], **more
     )
 
 
-def _without_twins(stream: Stream, notes: list[str]) -> Stream:
+def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
     """Drop samples that repeat the one before, stamp and readings: interpolation needs stamps that increase."""
-    twins = np.zeros(stream.stamps.size, dtype=bool)
-    twins[1:] = (stream.stamps[1:] == stream.stamps[:-1]) & np.all(stream.values[1:] == stream.values[:-1], axis=1)
-    count = int(twins.sum())
+    repeats = np.zeros(stream.stamps.size, dtype=bool)
+    repeats[1:] = (stream.stamps[1:] == stream.stamps[:-1]) & np.all(stream.values[1:] == stream.values[:-1], axis=1)
+    count = int(repeats.sum())
     if not count:
         return stream
     notes.append(f"{stream.name}: {count} repeated samples (same stamp, same readings) dropped.")
-    temperature = stream.temperature
-    return Stream(
-        stream.name,
-        stream.stamps[~twins],
-        stream.per_second,
-        stream.values[~twins],
-        None if temperature is None else temperature[~twins],
-    )
+    return stream.rows(~repeats)

@@ -1,25 +1,20 @@
-"""Opening the storage files of bags through rosbags: which files, guarded against what a hostile one may ask for."""
+"""Storage files of ROS bags, opened through rosbags."""
 
 from __future__ import annotations
 
 import importlib
-import shutil
 import sqlite3
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
-from functools import cache, partial
-from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
-from srt.exceptions import InputError, MissingExtraError
+from srt.exceptions import InputError
 from srt.recording.importer_registry import head
-from srt.recording.importers.guarded import INFLATED_LIMIT, READ_FACTOR, BoundedPath, inflate, library
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
 BAG1: Final = "ROS 1 bag"
 MCAP: Final = "ROS 2 bag (MCAP)"
@@ -27,244 +22,146 @@ SQLITE: Final = "ROS 2 bag (SQLite)"
 FOLDER: Final = "ROS 2 bag (folder)"
 
 METADATA: Final = "metadata.yaml"
-ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
-_METADATA_LIMIT = 1 << 22
-_OPENING, _CLOSING = (np.frombuffer(marks, dtype=np.uint8) for marks in (b"[{", b"]}"))
-_DEEPEST = 64
-_INFLATED_FACTOR = 256
-"""How many times a compressed storage file may grow: readings at rest with empty covariances shrink by some tens."""
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
-_MAGIC = ((b"#ROSBAG V", BAG1), (b"\x89MCAP0\r\n", MCAP), (b"SQLite format 3\0", SQLITE))
-_SUFFIXES = {BAG1: ".bag", MCAP: ".mcap", SQLITE: ".db3"}
+_FIRST_BYTES = ((b"#ROSBAG V", BAG1), (b"\x89MCAP0\r\n", MCAP), (b"SQLite format 3\0", SQLITE))
+
+_TOPICS_LISTED = 8
+"""Topics that a message lists; a bag of a vehicle has hundreds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bag:
-    """An open bag.
+    """An open bag; its files are closed with the process.
 
     Attributes
     ----------
     path : Path
         File or folder.
     title : str
-        What kind it is, for messages.
-    readers : sequence
-        Readers of rosbags, one for each storage file.
+        Its kind, for messages.
+    reader : object
+        Reader of rosbags.
     decode : callable
         Makes a message object of serialised bytes and the name of their type.
-    release : callable
-        Closes files and removes temporary ones.
     """
 
     path: Path
     title: str
-    readers: Sequence[Any]
+    reader: Any
     decode: Callable[[bytes, str], Any]
-    release: Callable[[], None]
 
     def counts(self, message_type: str) -> dict[str, int]:
-        """Messages in each topic of a type."""
+        """Number of messages in each topic of a type."""
         result: dict[str, int] = {}
-        for connection in self._connections():
+        for connection in self.reader.connections:
             if connection.msgtype == message_type:
                 result[connection.topic] = result.get(connection.topic, 0) + int(connection.msgcount)
         return result
 
     def listing(self) -> str:
-        """Topics and their types, the first few."""
-        there = sorted({f"{each.topic} ({each.msgtype})"[:100] for each in self._connections()})
-        return ", ".join(there[:8]) + (" ..." if len(there) > 8 else "")
+        """The first topics, with their types."""
+        there = sorted({f"{each.topic} ({each.msgtype})"[:100] for each in self.reader.connections})
+        return ", ".join(there[:_TOPICS_LISTED]) + (" ..." if len(there) > _TOPICS_LISTED else "")
 
-    def messages(self, topic: str, message_type: str) -> Iterator[tuple[int, bytes]]:
-        """Times of recording in ns, and serialised messages."""
-        for reader in self.readers:
-            wanted = [each for each in reader.connections if each.topic == topic and each.msgtype == message_type]
-            if wanted:
-                for _, when, raw in reader.messages(connections=wanted):
-                    yield when, raw
-
-    def close(self) -> None:
-        """Close all files."""
-        self.release()
-
-    def _connections(self) -> Iterator[Any]:
-        for reader in self.readers:
-            yield from reader.connections
+    def messages(self, topic: str, message_type: str) -> Iterator[tuple[int, Any]]:
+        """Times of recording in ns, and messages."""
+        wanted = [each for each in self.reader.connections if each.topic == topic and each.msgtype == message_type]
+        for _, when, raw in self.reader.messages(connections=wanted):
+            # A file without its folder does not state that each message is compressed; a serialised message never
+            # starts with these bytes.
+            plain = _zstd().decompress(raw) if raw[:4] == _ZSTD_MAGIC else raw
+            yield when, self.decode(plain, message_type)
 
 
 def title_of(path: Path) -> str:
-    """What kind of bag a path is, by its content; empty if none. Never raises."""
+    """Kind of bag at a path, by its content; empty if it is none. Never raises."""
     try:
         if path.is_dir():
             return FOLDER if (path / METADATA).is_file() else ""
     except (OSError, ValueError):
         return ""
     start = head(path, 16)
-    found = next((title for magic, title in _MAGIC if start.startswith(magic)), "")
-    # Many programs keep their own things in SQLite.
+    found = next((title for magic, title in _FIRST_BYTES if start.startswith(magic)), "")
+    # Many programs store their own data in SQLite.
     return "" if found == SQLITE and path.suffix.lower() != ".db3" else found
 
 
-def open_bag(path: Path) -> Bag:
-    """Open a bag, within :func:`bounded_decompression`; what its library raises passes through.
+def open_bag(path: Path, message_type: str) -> Bag:
+    """Open a bag; errors of rosbags pass through.
 
     Parameters
     ----------
     path : Path
         File, or folder with ``metadata.yaml``.
+    message_type : str
+        The type whose definition and serialisation are checked.
 
     Returns
     -------
     Bag
-        To be closed.
 
     Raises
     ------
     InputError
-        No bag, files outside its folder, a database that computes instead of holding data, messages defined in
-        another way.
+        No bag, files outside its folder, a database that computes, another definition of the messages.
     """
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.rosbag2.storage_mcap import McapReader
+
     title = title_of(path)
-    with ExitStack() as stack:
-        files = _storage_files(path, stack) if title == FOLDER else [path]
-        readers = []
-        for file in files:
-            reader = _reader(file)
-            reader.open()
-            stack.callback(reader.close)
-            readers.append(reader)
-            if isinstance(reader.path, BoundedPath):
-                reader.path.allow(READ_FACTOR)
-        store = _types(ros1=title == BAG1)
-        if title == BAG1:
-            _check_definitions(path, readers, store)
-            decode = store.deserialize_ros1
-        else:
-            _check_serialization(path, readers)
-            decode = store.deserialize_cdr
-        return Bag(path, title or "ROS bag", readers, decode, stack.pop_all().close)
-    raise AssertionError  # unreachable: the stack swallows nothing
-
-
-@contextmanager
-def bounded_decompression() -> Iterator[None]:
-    """Let the library's decompressors of chunks give no more than a chunk states, or the limit.
-
-    The library takes them from two tables, and has no other place where a limit could be set.
-
-    Raises
-    ------
-    MissingExtraError
-        If the library is absent.
-    """
-    try:
-        from rosbags.rosbag1.reader import decompressors
-        from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
-    except ImportError:
-        raise MissingExtraError("rosbags", "formats", "A ROS bag") from None
-    bz2, lz4 = importlib.import_module("bz2"), importlib.import_module("lz4.frame")
-    bounded1 = {
-        "bz2": partial(inflate, bz2.BZ2Decompressor),
-        "lz4": partial(inflate, lz4.LZ4FrameDecompressor),
-    }
-    bounded2 = {
-        "lz4": partial(inflate, lz4.LZ4FrameDecompressor),
-        "zstd": partial(inflate, zstd().ZstdDecompressor),
-    }
-    before = dict(decompressors), dict(DECOMPRESSORS)
-    decompressors.update(bounded1)
-    DECOMPRESSORS.update(bounded2)
-    try:
-        yield
-    finally:
-        decompressors.update(before[0])
-        DECOMPRESSORS.update(before[1])
+    for file in path.iterdir() if title == FOLDER else [path]:
+        kind = title_of(file) or (MCAP if head(file, 4) == _ZSTD_MAGIC else "")
+        if kind and title == FOLDER and not file.resolve().is_relative_to(path.resolve()):
+            raise InputError(f"{path} holds {file.name[:200]!r}, which lies outside the bag: it is not read.")
+        if kind == SQLITE:
+            _check_database(file)
+    kinds: dict[str, Any] = {BAG1: Reader1, MCAP: McapReader, SQLITE: Reader2, FOLDER: Reader2}
+    if title not in kinds:
+        raise InputError(f"{path} is no storage file of a bag, by its first bytes: copy it again.")
+    reader = kinds[title](path)
+    reader.open()
+    store = _definitions(ros1=title == BAG1)
+    for connection in reader.connections:
+        if connection.msgtype != message_type:
+            continue
+        topic = f"{path}: topic {connection.topic[:100]}"
+        if title == BAG1 and connection.digest not in ("*", store.generate_msgdef(message_type)[1]):
+            raise InputError(
+                f"{topic} has another definition of sensor_msgs/Imu than ROS: its readings cannot be interpreted."
+            )
+        if title != BAG1 and connection.ext.serialization_format != "cdr":
+            raise InputError(
+                f"{topic} is serialised as {connection.ext.serialization_format[:40]!r}, but cdr is expected: record "
+                "it with the default of ROS 2."
+            )
+    return Bag(path, title, reader, store.deserialize_ros1 if title == BAG1 else store.deserialize_cdr)
 
 
 @cache
-def _types(*, ros1: bool) -> Any:
-    """The definitions of ROS itself, made once."""
+def _definitions(*, ros1: bool) -> Any:
+    """The message definitions of ROS itself."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
-def zstd() -> Any:
-    """The module of zstd: of the standard library from Python 3.14 on, else the one that rosbags brings along."""
+def _zstd() -> Any:
+    """The module of zstd: of the standard library from Python 3.14 on."""
     try:
         return importlib.import_module("compression.zstd")
     except ImportError:
         return importlib.import_module("backports.zstd")
 
 
-def _reader(file: Path) -> Any:
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-
-    title = title_of(file)
-    if title == BAG1:
-        return Reader1(BoundedPath(file, _SUFFIXES[title]))
-    if title == SQLITE:
-        _check_database(file)
-        return Reader2(file)
-    if title == MCAP:
-        return Reader2(BoundedPath(file, _SUFFIXES[title]))
-    raise InputError(f"{file} is no storage file of a bag, by its first bytes: copy it again.")
-
-
-def _storage_files(folder: Path, stack: ExitStack) -> list[Path]:
-    """The files that the metadata name, all of them inside the folder."""
-    from ruamel.yaml import YAML
-
-    metadata = folder / METADATA
-    if metadata.stat().st_size > _METADATA_LIMIT:
-        raise InputError(f"{metadata} is larger than any list of files of a bag: it is damaged; copy the folder again.")
-    with library(metadata, "list of a bag's files"):
-        text = metadata.read_text(encoding="utf-8")
-    marks = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
-    opened = np.isin(marks, _OPENING).astype(np.int64) - np.isin(marks, _CLOSING)
-    if opened.size and int(np.cumsum(opened).max()) > _DEEPEST:
-        # The parser's time grows with the square of the depth.
-        raise InputError(f"{metadata} is nested deeper than any list of a bag's files: it is damaged.")
-    with library(metadata, "list of a bag's files"):
-        document = YAML(typ="safe", pure=True).load(text)
-        names = [str(PurePosixPath(name)) for name in document["rosbag2_bagfile_information"]["relative_file_paths"]]
-    if not names:
-        raise InputError(f"{metadata} names no storage file: the recording was not closed properly; reindex the bag.")
-    files = []
-    for name in dict.fromkeys(names):
-        parts = PurePosixPath(name).parts
-        # Early versions put the bag's own folder in front of each name.
-        file = folder / parts[-1] if len(parts) == 2 and parts[0] != ".." else folder / name
-        if len(parts) > 2 or not file.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{metadata} names {name[:200]!r}, which lies outside the bag: it is not read.")
-        if not file.is_file():
-            raise InputError(f"{metadata} names {name[:200]!r}, which is not in the folder: copy the bag whole.")
-        files.append(_unpacked(file, stack) if head(file, 4) == ZSTD_MAGIC else file)
-    return files
-
-
-def _unpacked(file: Path, stack: ExitStack) -> Path:
-    """Decompress a storage file into a temporary folder that goes with the bag."""
-    limit = INFLATED_LIMIT + _INFLATED_FACTOR * file.stat().st_size
-    place = Path(stack.enter_context(TemporaryDirectory(prefix="srt-"))) / file.name.removesuffix(".zstd")
-    with zstd().open(file, "rb") as source, place.open("wb") as target:
-        left = limit
-        while block := source.read(1 << 20):
-            left -= len(block)
-            if left < 0 or shutil.disk_usage(place.parent).free < len(block):
-                raise InputError(f"{file} grows beyond {limit - left >> 20} MiB: decompress it first, with zstd -d.")
-            target.write(block)
-    return place
-
-
 def _check_database(file: Path) -> None:
-    """Refuse a database in which reading a table runs what the file's author wrote, for as long as they like."""
+    """Refuse a database that is cut off, or in which reading a table runs statements of the file's author."""
     if any(mark in str(file) for mark in "?#%"):
-        raise InputError(f"The path {file} has a '?', '#' or '%' in it, at which the reader stops: rename it.")
+        raise InputError(f"The path {file} has a '?', '#' or '%' in it, which the reader cannot open: rename it.")
     start = head(file, 100)
-    # A database that was cut off is read as if zeros followed.
+    # SQLite reads a database that was cut off as if zeros followed.
     page = int.from_bytes(start[16:18], "big")
     stated = (1 << 16 if page == 1 else page) * int.from_bytes(start[28:32], "big")
     if file.stat().st_size < stated:
@@ -279,22 +176,3 @@ def _check_database(file: Path) -> None:
         raise InputError(
             f"{file} has a table or view {str(computed[0])[:60]!r} that computes: no recorder writes such."
         )
-
-
-def _check_definitions(path: Path, readers: Sequence[Any], store: Any) -> None:
-    """Refuse messages that are called Imu, but are other ones."""
-    for each in (connection for reader in readers for connection in reader.connections):
-        if each.msgtype == "sensor_msgs/msg/Imu" and each.digest not in ("*", store.generate_msgdef(each.msgtype)[1]):
-            raise InputError(
-                f"{path}: topic {each.topic[:100]} has another definition of sensor_msgs/Imu than ROS: "
-                "its readings cannot be told."
-            )
-
-
-def _check_serialization(path: Path, readers: Sequence[Any]) -> None:
-    for each in (connection for reader in readers for connection in reader.connections):
-        if each.msgtype == "sensor_msgs/msg/Imu" and each.ext.serialization_format != "cdr":
-            raise InputError(
-                f"{path}: topic {each.topic[:100]} is serialised as {each.ext.serialization_format[:40]!r}, but cdr "
-                "is expected: record it with the default of ROS 2."
-            )

@@ -1,16 +1,14 @@
-"""PX4 logs (ULog): an IMU's rates, increments, or gyros and accelerometers apart, with the units that PX4 defines.
+"""PX4 logs (ULog): rates, increments, or separate gyros and accelerometers, in the units that PX4 defines.
 
 Topics in the order in which they are tried:
 
 - ``sensor_combined``: means over ``gyro_integral_dt``, in rad/s and m/s², after PX4's own calibration;
-- ``vehicle_imu``: increments over ``delta_angle_dt`` and ``delta_velocity_dt``, in rad and m/s, after it as well;
-- ``sensor_gyro`` with ``sensor_accel``: readings as the driver gives them, in rad/s and m/s².
+- ``vehicle_imu``: increments over ``delta_angle_dt`` and ``delta_velocity_dt``, in rad and m/s, also calibrated by PX4;
+- ``sensor_gyro`` with ``sensor_accel``: readings of the driver, in rad/s and m/s², not calibrated.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,8 +17,9 @@ import numpy as np
 from srt.exceptions import InputError, did_you_mean
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.guarded import BoundedFile, library, require, silence
+from srt.recording.importers.child_process import in_child
 from srt.recording.importers.log_streams import Stream, choose_instance, join, to_imported
+from srt.recording.importers.parser_errors import clear_errors
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from srt.recording.import_options import ImportOptions
-    from srt.recording.imported_samples import Imported
+    from srt.recording.imported_samples import ImportedSamples
     from srt.types import Array, Counts
 
 MAGIC: Final = b"ULog\x01\x12\x35"
@@ -39,28 +38,33 @@ GYRO: Final = "sensor_gyro"
 ACCEL: Final = "sensor_accel"
 
 TOPICS: Final = {COMBINED: (COMBINED,), INCREMENTS: (INCREMENTS,), GYRO: (GYRO, ACCEL)}
-"""What ``topic`` may say, and the topics of the log that it stands for, in order of preference."""
+"""Values of the option ``topic``, and the topics of the log that each stands for, in order of preference."""
+
+_TITLE = "ULog"
 
 _US = 10**6
-_TITLE = "ULog"
-_LARGEST_MESSAGE = 65535  # a message's length is stated in two bytes
-_FIELD_LIMIT = 4096  # of any message; PX4's largest have some hundreds
-_OWN_FIELD_LIMIT = 64  # of those read here
-_SUBSCRIBED_FIELDS = 200_000  # in all; a large log has ten thousand
-_NOT_KNOWN_US = 0x7FFFFFFF  # in accelerometer_timestamp_relative
-_DURATION_MISMATCH = 1e-3  # of gyro and accelerometer intervals, beyond which a note says so
+"""Ticks of a stamp in a second."""
+
+_LATEST_STAMP_US = 2**62
+"""Stamps of 146 000 years and more are damage; their differences would overflow 64 bits."""
+
+_NOT_KNOWN_US = 0x7FFFFFFF
+"""PX4's value of accelerometer_timestamp_relative for "no reading yet", µs."""
+
+_DURATION_MISMATCH = 1e-3
+"""Relative difference of gyro and accelerometer intervals beyond which a note reports it: a sample at 1 kHz."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Log:
-    """What is asked of a log once it has been parsed.
+    """Topics of a parsed log.
 
     Attributes
     ----------
     path : Path
     data : dict of (topic, instance) to dict of column to ndarray
     info : dict of str to object
-        The log's own words on the system that wrote it.
+        Key and value pairs on the system that wrote the log.
     damaged : bool
     """
 
@@ -83,20 +87,35 @@ class _Log:
         return columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
 
     def stamps(self, topic: str, instance: int) -> Counts:
-        """When the samples were taken, µs: the driver's stamp where there is one."""
+        """Times of the samples, µs: the driver's stamp where there is one."""
         data = self.data[topic, instance]
         raw = data.get("timestamp_sample", data.get("timestamp"))
         if raw is None or raw.dtype != np.dtype(np.uint64):
             raise InputError(f"{self.path}: {topic} has no time stamps of 64 bits: it is not PX4's topic of that name.")
-        if raw.size and int(raw.max()) >= 2**62:
+        if raw.size and int(raw.max()) >= _LATEST_STAMP_US:
             raise InputError(f"{self.path}: {topic} has stamps of more than 100 000 years: the log is damaged.")
-        # Some drivers leave the sample's own stamp at zero.
+        # Some drivers leave the stamp of the sample at zero.
         if not raw.any() and "timestamp" in data and data["timestamp"].dtype == raw.dtype:
-            raw = np.minimum(data["timestamp"], np.uint64(2**62))
+            raw = np.minimum(data["timestamp"], np.uint64(_LATEST_STAMP_US))
         return raw.astype(np.int64)
 
 
-def _read(path: Path, options: ImportOptions) -> Imported:
+def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Read the IMU of a log, in this process.
+
+    Parameters
+    ----------
+    path : Path
+    options : ImportOptions
+
+    Returns
+    -------
+    ImportedSamples
+
+    Raises
+    ------
+    InputError
+    """
     wanted = options.topic
     if wanted is not None and wanted not in TOPICS:
         raise InputError(
@@ -106,7 +125,7 @@ def _read(path: Path, options: ImportOptions) -> Imported:
     log = _parse(path)
     notes: list[str] = []
     if log.damaged:
-        notes.append("The log is damaged; what could be read of it was read.")
+        notes.append("The log is damaged; its readable messages were read.")
     complete = [topic for topic, parts in TOPICS.items() if all(log.instances(part) for part in parts)]
     if not complete or wanted not in (None, *complete):
         there = ", ".join(f"{name} [{instance}]" for name, instance in sorted(log.data)) or "none of them"
@@ -117,15 +136,13 @@ def _read(path: Path, options: ImportOptions) -> Imported:
     if len(complete) > 1 and wanted is None:
         notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
     serial = log.info.get("sys_uuid")
-    # What a damaged log holds in place of numbers shall not warn, but be found by the checks of a recording.
-    with np.errstate(all="ignore"):
-        stream, more = _READERS[topic](log, instance, notes)
+    stream, more = _READERS[topic](log, instance, notes)
     return to_imported(stream, options, notes, serial=serial if isinstance(serial, str) else None, **more)
 
 
 def _combined(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
     """Gyro means at their stamps, accelerometers at theirs."""
-    notes.append(f"PX4 has calibrated {COMBINED}: what is found here is left over from that calibration.")
+    notes.append(f"PX4 has calibrated {COMBINED}: the errors found here are the residuals of that calibration.")
     stamps = log.stamps(COMBINED, instance)
     gyro = log.column(COMBINED, instance, *_triad("gyro_rad"))
     accel = log.column(COMBINED, instance, *_triad("accelerometer_m_s2"))
@@ -145,7 +162,7 @@ def _combined(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dict[
 
 
 def _increments(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
-    notes.append(f"PX4 has calibrated {INCREMENTS}: what is found here is left over from that calibration.")
+    notes.append(f"PX4 has calibrated {INCREMENTS}: the errors found here are the residuals of that calibration.")
     values = [log.column(INCREMENTS, instance, *_triad(name)) for name in ("delta_angle", "delta_velocity")]
     spans = [log.column(INCREMENTS, instance, name) for name in ("delta_angle_dt", "delta_velocity_dt")]
     apart = np.abs(spans[0] - spans[1]) > _DURATION_MISMATCH * spans[0]
@@ -182,58 +199,13 @@ _READERS: Final = {COMBINED: _combined, INCREMENTS: _increments, GYRO: _apart}
 
 
 def _parse(path: Path) -> _Log:
-    """Parse the topics of an IMU, after a look at the definitions."""
-    pyulog = require("pyulog", "A PX4 log", lambda: __import__("pyulog"))
-    wanted = sorted({part for parts in TOPICS.values() for part in parts})
-    with closing(BoundedFile(path)) as file, library(path, _TITLE), silence():
-        formats = pyulog.ULog(file, parse_header_only=True).message_formats
-    sizes = {name: [(kind, count) for kind, count, _ in form.fields] for name, form in formats.items()}
-    _check_formats(path, sizes, wanted)
-    with closing(BoundedFile(path)) as file, library(path, _TITLE), silence():
-        log = _frugal(pyulog.ULog)(file, wanted)
+    """Parse the topics of an IMU."""
+    from pyulog import ULog
+
+    with clear_errors(path, _TITLE):
+        log = ULog(str(path), sorted({part for parts in TOPICS.values() for part in parts}))
     data = {(each.name, each.multi_id): each.data for each in log.data_list}
     return _Log(path, data, log.msg_info_dict, bool(log.file_corruption))
-
-
-def _frugal(base: Any) -> Any:
-    """The library's parser, with an end to the fields that it makes for subscriptions, each of a few bytes."""
-    left = _SUBSCRIBED_FIELDS
-
-    class Added(base._MessageAddLogged):  # type: ignore[misc]
-        def __init__(self, *args: Any) -> None:
-            nonlocal left
-            super().__init__(*args)
-            left -= len(self.field_data)
-            if left < 0:
-                raise OSError("it subscribes to more fields than any log has")
-
-    return type("Reader", (base,), {"_MessageAddLogged": Added})
-
-
-def _check_formats(path: Path, formats: dict[str, list[tuple[str, int]]], wanted: list[str]) -> None:
-    """Refuse definitions that unfold to more fields than a message has room for: the library would make them all."""
-    fields: Counter[str] = Counter()
-
-    def unfold(name: str, depth: int) -> int:
-        if name not in formats:
-            return 1
-        if depth > len(formats) or depth > 32:
-            raise InputError(f"{path}: the definition of {name[:40]!r} contains itself: the log is damaged.")
-        if name not in fields:
-            # Sums stop growing at the limit, so that their digits do not.
-            total = 0
-            for kind, count in formats[name]:
-                total = min(total + max(count, 1) * unfold(kind, depth + 1), _LARGEST_MESSAGE)
-            fields[name] = total
-        return fields[name]
-
-    for name in formats:
-        limit = _OWN_FIELD_LIMIT if name in wanted else _FIELD_LIMIT
-        if unfold(name, 0) > limit:
-            raise InputError(
-                f"{path}: the definition of {name[:40]!r} has more than {limit} fields: the log is damaged, or not "
-                "one of PX4."
-            )
 
 
 def _sniff(path: Path) -> bool:
@@ -246,6 +218,6 @@ ULOG: Final = Importer(
     (".ulg",),
     "formats",
     _sniff,
-    _read,
+    in_child(f"{__name__}:{read_log.__name__}", "pyulog", "A PX4 log"),
     frozenset({"topic", "instance"}),
 )
