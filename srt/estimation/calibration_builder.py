@@ -93,9 +93,9 @@ def _status(result: SolverResult, fixed: Mapping[str, str], inflation: float) ->
     if misfit and result.gross_misfit:
         status = "not_converged"
         message = (
-            f"The corrections became negligible after {len(result.corrections)} iterations, but the residuals are far too "
-            f"large (chi-square {chi_square:.2g} for {freedom} degrees of freedom): a wrong minimum, a wrong label, or "
-            "a unit that the sensor model does not describe."
+            f"The corrections became negligible after {len(result.corrections)} iterations, but the residuals are far "
+            f"too large (chi-square {chi_square:.2g} for {freedom} degrees of freedom): a wrong minimum, a wrong label, "
+            "or a unit that the sensor model does not describe."
         )
     elif misfit:
         warnings = (

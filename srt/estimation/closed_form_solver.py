@@ -1,4 +1,9 @@
-"""Closed-form solver: SRT, iterated; its leave-one-out by the formulas that the other sequences support."""
+"""Closed-form solver: the inversion of Savage 2020 [P], eqs. 13-14, at the current estimate of the sensor errors.
+
+Eq. 13 reads one component of the measurements per parameter. The solver keeps this choice of components, S, and inverts
+their full Jacobian: ``δ = (S H)⁻¹ S z``; at zero error that equals the coefficients of the paper. Leave-one-out solves
+the formulas that the other sequences support.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +39,7 @@ _BIAS = GROUP_SLICES["gyro_bias"]
 
 
 class ClosedFormSolver:
-    """Solves the components that the closed form reads, one per parameter, and the pooled rest rate.
+    """Solution of the components that the closed form reads, one per parameter, and of the pooled rest rate.
 
     Parameters
     ----------
@@ -50,32 +55,32 @@ class ClosedFormSolver:
 
     def __init__(self, data: PlaybackData, options: Options) -> None:
         self.data = data
-        held = set(options.fixed_names)
-        supported = closed_form.formulas(set(data.ids), asymmetry=not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= held)
-        self.formulas = tuple(f for f in supported if f.parameter not in held)
+        fixed = set(options.fixed_names)
+        supported = closed_form.formulas(set(data.ids), asymmetry=not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= fixed)
+        self.formulas = tuple(f for f in supported if f.parameter not in fixed)
         if not self.formulas:
             raise DataError(
                 f"The sequences {', '.join(data.ids)} support none of the closed-form formulas; "
                 "use the least-squares estimator, or record more of Table 1."
             )
         self.components = closed_form.components(self.formulas)
-        self.missing = tuple(n for n in closed_form.missing_parameters(supported) if n not in held)
-        self.rest_axes = [i for i, name in enumerate(NAMES[_BIAS]) if name not in held]
+        self.missing = tuple(n for n in closed_form.missing_parameters(supported) if n not in fixed)
+        self.rest_axes = [i for i, name in enumerate(NAMES[_BIAS]) if name not in fixed]
         self.kept = np.array([INDEX[f.parameter] for f in self.formulas] + [_BIAS.start + i for i in self.rest_axes])
 
     @cached_property
-    def held(self) -> Mask:
-        """Parameters without a formula, and those held on request."""
+    def fixed(self) -> Mask:
+        """Parameters without a formula, and those fixed on request, shape (27,)."""
         out = np.ones(N_PARAMETERS, dtype=np.bool_)
         out[self.kept] = False
         return out
 
     @cached_property
     def selection(self) -> Array:
-        """S: what the formulas see of the measurements, shape (number of kept parameters, n_z).
+        """Selection matrix S from the measurements to the formulas, shape (number of kept parameters, n_z).
 
-        One row per formula: its own combination of components, averaged over the occurrences of a sequence. Then the
-        rest rates.
+        One row per formula, its combination of components averaged over the occurrences of a sequence; then the rest
+        rates.
         """
         own = np.zeros((len(self.formulas), len(self.components)))
         order = {c: j for j, c in enumerate(self.components)}
@@ -107,7 +112,7 @@ class ClosedFormSolver:
         return 2 * k + sequence.horizontal.index(kind)
 
     def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:  # noqa: ARG002 - no weights here
-        """G of δ = G z: the full Jacobian of the selected components, inverted."""
+        """Gain G = (S H)⁻¹ S of δ = G z: the inverse of the full Jacobian of the selected components."""
         S = self.selection
         G = np.zeros((N_PARAMETERS, S.shape[1]))
         G[self.kept] = np.linalg.solve(S @ measurements.H[:, self.kept], S)
@@ -115,7 +120,7 @@ class ClosedFormSolver:
 
     @cached_property
     def coefficients(self) -> Array:
-        """Eq. 13 on the averaged components, and the rest rate as the gyro bias, shape (27, n_z)."""
+        """Coefficients of [P] eq. 13 for the averaged components; the rest rate is the gyro bias; shape (27, n_z)."""
         A = closed_form.inversion_matrix(self.formulas, self.data.gravity) @ self._averaged
         for i in self.rest_axes:
             A[_BIAS.start + i, A.shape[1] - 3 + i] = 1.0
@@ -123,7 +128,7 @@ class ClosedFormSolver:
 
 
 def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
-    """Calibrate by the closed-form SRT, iterated by play-back.
+    """Calibrate by the iterated closed-form SRT.
 
     Raises
     ------
@@ -142,29 +147,26 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     start, U = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
     solution = iterate(data, options, solver, start, U, progress, fixed_sigma=uncertain)
-    held = {name: reason_on_request(name, uncertain) for name in options.fixed_names}
+    fixed = {name: reason_on_request(name, uncertain) for name in options.fixed_names}
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
-        held[name] = (
-            f"sequence {', '.join(absent)} is missing or void; the value is the fixture start's"
-            if options.start == "auto"
-            else f"sequence {', '.join(absent)} is missing or void; the value is the given start's"
-        )
+        source = "estimated from the fixture's nominal angles" if options.start == "auto" else "that of the given start"
+        fixed[name] = f"sequence {', '.join(absent)} is missing or void; the value is {source}"
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    result = solver_result(data, options, solution, held, without_sequences)
-    return build_calibration("closed-form", data, options, result, held, warnings=warnings)
+    result = solver_result(data, options, solution, fixed, without_sequences)
+    return build_calibration("closed-form", data, options, result, fixed, warnings=warnings)
 
 
 def without_sequences(
     data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
 ) -> list[LeaveOneOutEstimate]:
-    """Without a sequence, the formulas that the others support are solved."""
+    """Estimates without each sequence, by the formulas that the other sequences support."""
     measurements, n = solution.measurements, len(solution.measurements.z)
-    held = options.fixed_names
-    axes = [i for i in range(3) if NAMES[_BIAS.start + i] not in held]
+    fixed = options.fixed_names
+    axes = [i for i in range(3) if NAMES[_BIAS.start + i] not in fixed]
     rates = np.eye(n)[[n - 3 + i for i in axes]]
-    # Of uncorrelated measurements, what a sequence has of the variance goes with it.
+    # For uncorrelated measurements, the information of a sequence is its share of the variance.
     weight = solution.gain**2 * np.diag(solution.measurement_covariance)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
@@ -175,7 +177,7 @@ def without_sequences(
     for k, (rows, windows) in enumerate(rows_by_sequence):
         again = data.ids.count(data.ids[k]) > 1
         ids = frozenset(data.ids) if again else frozenset(data.ids) - {data.ids[k]}
-        parameters, coefficients = _supported(ids, held)
+        parameters, coefficients = _supported(ids, fixed)
         S = coefficients @ (_measured(data, without=k) if again else measured)
         kept = list(parameters)
         if pools[k].any():
@@ -198,10 +200,10 @@ _PLACE: Final = {component: i for i, component in enumerate(_COMPONENTS)}
 
 
 @lru_cache(maxsize=256)
-def _supported(ids: frozenset[str], held: tuple[str, ...]) -> tuple[tuple[int, ...], Array]:
-    """Parameters that a set of sequences has formulas for, and the formulas' coefficients of :data:`_COMPONENTS`."""
-    asymmetry = not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= {*held}
-    formulas = [f for f in closed_form.formulas(ids, asymmetry=asymmetry) if f.parameter not in held]
+def _supported(ids: frozenset[str], fixed: tuple[str, ...]) -> tuple[tuple[int, ...], Array]:
+    """Parameters for which a set of sequences has formulas, and the coefficients of :data:`_COMPONENTS` in these."""
+    asymmetry = not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= {*fixed}
+    formulas = [f for f in closed_form.formulas(ids, asymmetry=asymmetry) if f.parameter not in fixed]
     coefficients = np.zeros((len(formulas), len(_COMPONENTS)))
     for row, formula in zip(coefficients, formulas, strict=True):
         for coefficient, component in formula.components:

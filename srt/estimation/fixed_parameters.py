@@ -1,4 +1,4 @@
-"""How well the values of held parameters are known: they go into the covariance of all that is estimated with them."""
+"""Uncertainty of fixed parameters, which enters the covariance of the estimated ones."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 def fixed_sigma(data: PlaybackData, options: Options) -> Array:
-    """One sigma of every parameter's start value, should it be held, shape (27,), SI.
+    """1-sigma of every parameter's initial value, for the case that it is fixed, shape (27,), SI.
 
-    Values given by the user, and asymmetries held on request, are taken as exact. A start from the fixture is as good
-    as the fixture (its accelerometer bias also takes in half of an asymmetry it leaves out); any other is the prior.
+    Values given by the user, and asymmetries fixed on request, count as exact. An initial estimate from the fixture is
+    as accurate as the fixture (its accelerometer bias also absorbs the neglected asymmetry). Otherwise it is the prior.
     """
     if isinstance(options.start, SensorErrors):
         return np.zeros(N_PARAMETERS)
@@ -38,5 +38,5 @@ def fixed_sigma(data: PlaybackData, options: Options) -> Array:
 
 
 def reason_on_request(name: str, sigma: Array) -> str:
-    """Why a parameter is held that the user asked to hold."""
-    return "held on request" + (", taken as exact" if sigma[INDEX[name]] == 0.0 else "")
+    """Reason text of a parameter that the user fixed."""
+    return "fixed on request" + (", taken as exact" if sigma[INDEX[name]] == 0.0 else "")

@@ -1,22 +1,20 @@
-"""Gyros that follow specific force: a bias that changes with the pose, and turns with the body (Savage 2020, §9.4).
+"""Gyro g-sensitivity: a gyro bias proportional to specific force (Savage 2020 [P], §9.4).
 
-Raw gyro readings have one more term, ``ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias + Γ f + noise``, f the specific force in B.
-At rest f is known and so is the Earth's rate, and every window w is one equation ``r_w = κ_Bias + Γ f_w`` for the rate
-left at rest. A vertical along one axis shows a sum of bias and Γ; other poses take it apart. Weighted least squares
-with the windows' durations as weights p gives
+The sensor model gets one more term, ``ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias + Γ f + noise``, with f the specific force in B.
+At rest f and the Earth rate are known, so that every window w gives ``r_w = κ_Bias + Γ f_w`` for its rest rate.
+Weighted least squares, with the window durations as weights p, gives
 
     ``Γ = Σ_w r_w l_wᵀ``,    l_w = p_w S⁺ (f_w − f̄),    S = Σ_w p_w (f_w − f̄)(f_w − f̄)ᵀ,
 
-and the bias is what is left of the pooled rate, at no specific force. As the l_w add up to zero the bias takes no part
-in Γ; and as S⁺ is taken from the same f, an error of the accelerometers that is linear in f changes Γ f by a constant.
+and the bias is the pooled rest rate at zero specific force. The l_w add up to zero, so that the bias does not enter Γ.
+An accelerometer error linear in f changes Γ f by a constant only.
 
-In a turn f is what the accelerometers recorded: a reading of what the gyros felt at that moment, lever arms and the
-start of a turn included, where gravity carried along by the attitude would be neither; and it is there before the
-attitude is. Its noise comes in as Γ times the accelerometers' random walk, parts in a thousand of the gyros' own.
+In a rotation f is the recorded specific force, lever-arm accelerations included, which is what acts on the gyros. Its
+noise enters as Γ times the velocity random walk, 1e-3 of the gyro noise.
 
-So the term is taken off the raw samples before anything else is done, and is renewed with every play-back like the
-biases of the sequences. What is wrong with r_w goes through Γ into every window and, by ``−∫ F (Ĉ D)_ab f_c dt``, into
-the attitude error of every turn (:func:`carried`). Neglected: the noise of the f_w, which acts times Γ.
+Γ f is subtracted from the raw samples first and updated in every iteration, like the biases of the sequences. An error
+of r_w propagates through Γ into every window and, by ``−∫ F (Ĉ D)_ab f_c dt``, into the attitude error of every
+rotation. Neglected: the noise of f_w, which acts times Γ.
 """
 
 from __future__ import annotations
@@ -38,36 +36,36 @@ if TYPE_CHECKING:
 
 
 MODE: Final = "g-sensitive"
-"""Value of the option ``gyro_bias`` that asks for all this."""
+"""Value of the option ``gyro_bias`` that estimates g-sensitivity."""
 KEY: Final = "g_sensitivity"
-"""Of the diagnostics of a result."""
-LEAST_SPREAD: Final = 0.1
-"""Of g, rms: a direction along which the specific force of the windows varies less than this is not seen."""
+"""Key of g-sensitivity in the diagnostics of a calibration."""
+LEAST_FORCE_VARIATION: Final = 0.1
+"""Rms variation of the windows' specific force, in g, below which g-sensitivity along a direction is not observable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseRegression:
-    """How the rates of W windows make a g-sensitivity.
+    """Regression of the rest rates of W windows on specific force.
 
     Attributes
     ----------
     weights : ndarray, shape (W, 3), s²/m
         l_w; they add up to zero.
-    unseen : ndarray, shape (m, 3)
-        Unit vectors in B along which the windows hardly differ; Γ is zero along them.
+    unobserved : ndarray, shape (m, 3)
+        Unit vectors in B along which the specific force hardly varies; Γ is zero along them.
     """
 
     weights: Array
-    unseen: Array
+    unobserved: Array
 
     def fit(self, rate: Array) -> Array:
-        """Γ of the rates of windows, shape (W, 3) or (W, 3, S): (3, 3) or (3, 3, S), rad/s per m/s²."""
+        """Γ, shape (3, 3) or (3, 3, S), rad/s per m/s², from window rates, shape (W, 3) or (W, 3, S)."""
         out: Array = np.einsum("wa...,wc->ac...", rate, self.weights)
         return out
 
 
 def pose_regression(force: Array, pool: Array, gravity: float) -> PoseRegression:
-    """Set up the regression of rates at rest on the specific force.
+    """Set up the regression of rest rates on specific force.
 
     Parameters
     ----------
@@ -77,15 +75,15 @@ def pose_regression(force: Array, pool: Array, gravity: float) -> PoseRegression
         Weights of the windows, which add up to one.
     gravity : float, m/s²
     """
-    spread = force - pool @ force
-    sizes, axes = np.linalg.eigh((pool[:, None] * spread).T @ spread)
-    seen = sizes > (LEAST_SPREAD * gravity) ** 2
+    deviation = force - pool @ force
+    sizes, axes = np.linalg.eigh((pool[:, None] * deviation).T @ deviation)
+    seen = sizes > (LEAST_FORCE_VARIATION * gravity) ** 2
     inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T
-    return PoseRegression(pool[:, None] * (spread @ inverse), axes[:, ~seen].T)
+    return PoseRegression(pool[:, None] * (deviation @ inverse), axes[:, ~seen].T)
 
 
 def compensate_stream(stream: GyroStream, force: Array, accel: Triad, matrix: Array) -> GyroStream:
-    """Take Γ f off raw gyro samples, and leave f with them.
+    """Subtract Γ f from raw gyro samples, and store the velocity increments with them.
 
     Parameters
     ----------
@@ -94,7 +92,7 @@ def compensate_stream(stream: GyroStream, force: Array, accel: Triad, matrix: Ar
     force : ndarray, shape (3, n), m/s²
         Raw specific force of the same samples.
     accel : Triad
-        Errors to compensate it with.
+        Sensor model of the accelerometers.
     matrix : ndarray, shape (3, 3), rad/s per m/s²
         Γ.
     """
@@ -111,7 +109,7 @@ def compensate_g_sensitivity(
     kind: Literal["rate", "increment"] = "rate",
     dt: float | ArrayLike | None = None,
 ) -> Array:
-    """Take Γ f off gyro readings by a calibration that holds Γ; the result is for :meth:`srt.Calibration.apply`.
+    """Subtract Γ f from gyro readings; the result is an input of :meth:`srt.Calibration.apply`.
 
     Parameters
     ----------
@@ -130,11 +128,11 @@ def compensate_g_sensitivity(
     Raises
     ------
     InputError
-        If the calibration holds no g-sensitivity; and what :meth:`srt.Calibration.apply` raises.
+        If the calibration holds no g-sensitivity, or as :meth:`srt.Calibration.apply` raises it.
     """
     if KEY not in calibration.diagnostics:
         raise InputError(
-            f"The calibration holds no g-sensitivity: calibrate with gyro_bias={MODE!r}, or apply it as it is."
+            f"The calibration holds no g-sensitivity: calibrate with gyro_bias={MODE!r}, or apply it without this step."
         )
     force = calibration.apply(gyro, accel, kind=kind, dt=dt)[1]
     matrix: Array = np.array(calibration.diagnostics[KEY]["matrix"], dtype=np.float64)

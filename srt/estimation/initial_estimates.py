@@ -118,7 +118,9 @@ def estimate_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[Senso
     readings = np.concatenate([force[data.start], force[data.end]])
     Ma, accel_bias = _fit_affine(-data.gravity * vertical, readings, data.gravity)
     if np.linalg.det(Mg) > 0.0 and np.linalg.det(Ma) <= 0.0:
-        raise DataError("The accelerometers come out left-handed against the gyros: " + _wrong_axes(Ma, "accelerometer"))
+        raise DataError(
+            "The accelerometers come out left-handed against the gyros: " + _wrong_axes(Ma, "accelerometer")
+        )
     if np.linalg.det(Mg) <= 0.0:
         raise DataError("The gyros come out left-handed against the rotations: " + _wrong_axes(Mg, "gyro"))
     errors, U = to_mars(Triad(Mg, np.zeros(3), np.zeros(3)), Triad(Ma, np.zeros(3), accel_bias))
@@ -353,7 +355,11 @@ class _Stage:
         H = model.horizontal_jacobian(measured.integrals, axes, force[data.start], force[data.end], measured.accel)
         rows = 2 * K + self.windows
         scale = np.concatenate(
-            [np.full(3 * K, g * _ROTATION_SIGMA_RAD), np.full(len(rows), g * _ROTATION_SIGMA_RAD), np.full(3, _REST_SIGMA_RAD_S)]
+            [
+                np.full(3 * K, g * _ROTATION_SIGMA_RAD),
+                np.full(len(rows), g * _ROTATION_SIGMA_RAD),
+                np.full(3, _REST_SIGMA_RAD_S),
+            ]
         )
         z = np.concatenate([change.ravel(), measured.z[rows], measured.z[-3:]]) / scale
         H = np.concatenate([H.reshape(3 * K, -1), measured.H[rows], measured.H[-3:]]) * self.sizes / scale[:, None]

@@ -1,8 +1,12 @@
-"""Play-back iteration (Savage 2020, §8): correct the compensation, play the recording back, until nothing is left.
+"""Iteration of the solution until the corrections are negligible (Savage 2020 [P], §8).
 
-Two steps are built in. The full Jacobian at the estimate, added, is the default: its fixed point is the closed form's
-and it converges quadratically. The coefficients of eq. 13 are a Jacobian at zero error; what they find is an error of
-the compensated data, so it is composed with the estimate, not added.
+Each iteration re-processes (plays back, [P] §8) the recorded data with the corrected compensation, and solves for a
+correction δ = G z. Two steps are available:
+
+* Jacobian (default): the full Jacobian at the estimate; δ is added. This is a Gauss-Newton step. It converges
+  quadratically, and its fixed point is that of the closed form.
+* Coefficients: those of [P] eq. 13, the Jacobian at zero error. δ is then an error of the compensated data and is
+  composed with the estimate: Mg ← Mg (I + δκ).
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.estimation import measurement_covariance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.srt_measurements import SrtProcessor
@@ -30,31 +35,36 @@ if TYPE_CHECKING:
 
 
 CONVERGED_CORRECTION: Final = 1e-9
+"""Correction, in units of ``_UNIT``, that counts as negligible; noise-free data reach it."""
 CONVERGED_SIGMAS: Final = 0.01
+"""Correction, in sigma of the parameter, that counts as negligible: it changes an error by 1e-4 in quadrature."""
 _UNIT: Final = np.ones(N_PARAMETERS)
-_UNIT[GROUP_SLICES["accel_bias"]] = 9.80665
+_UNIT[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
+"""Units in which corrections are compared, SI: 1, 1 rad, 1 rad/s, and 1 g for accelerometer biases."""
 _MAX_STEP: Final = 0.7
+"""Largest correction of one iteration, in ``_UNIT``: beyond it the linear step gives a direction, but no length."""
 _NEAR: Final = 1e-3
+"""Correction, in ``_UNIT``, below which the full covariance of the measurements is computed and used as weights."""
 _LEAST_SCATTER: Final = 0.1
-"""Of the variance of biases between sequences: where g-sensitivity takes all but this, none of it is seen."""
+"""Share of the variance of biases between sequences that must remain beside g-sensitivity to be estimated at all."""
 
 
 class Solver(Protocol):
-    """Turns measurements into corrections; the closed form and least squares differ in this alone."""
+    """Linear solution for the corrections. The closed form and least squares differ in this alone."""
 
     def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
-        """Matrix G of the correction δ = G z, shape (27, n_z); rows of held parameters are zero.
+        """Matrix G of the correction δ = G z, shape (27, n_z); rows of fixed parameters are zero.
 
-        ``covariance`` is that of z, a rough one until the iteration is ``near`` the solution.
+        ``covariance`` is that of z; it is approximate until the iteration is ``near`` the solution.
         """
 
     @property
     def coefficients(self) -> Array | None:
-        """Inversion at zero error for the composed step, shape (27, n_z), if there is one."""
+        """Inversion at zero error for the composed step ([P] eq. 13), shape (27, n_z); None without one."""
 
     @property
-    def held(self) -> Mask:
-        """Parameters that keep their start value, shape (27,)."""
+    def fixed(self) -> Mask:
+        """Parameters that keep their initial value, shape (27,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,17 +78,17 @@ class Solution:
     covariance : dict of str to ndarray, shape (27, 27)
         By source of error.
     measurement_covariance, residual_covariance : ndarray, shape (n_z, n_z)
-        Of z before the estimate, and of what the estimate leaves of it.
+        Covariance of z, and of the residuals after the estimate.
     gain : ndarray, shape (27, n_z)
     measurements : SrtMeasurements
-        The last one.
+        Measurements of the last iteration.
     corrections : tuple of float
-        Largest correction of each play-back (biases of accelerometers in g).
+        Largest correction of each iteration (accelerometer biases in g).
     status, message : str
     integrated : tuple of int
-        Windows that did not stand still and were integrated.
+        Windows that moved; their attitude was integrated.
     wander : ndarray, shape (3,), rad/s
-        One sigma of a sequence's gyro bias about the test's that was used, raw channels.
+        1-sigma of a sequence's gyro bias about that of the test, as used, raw channels.
     bias_by_sequence : ndarray, shape (K, 3), rad/s
         Bias of each sequence less the common one, as used.
     g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
@@ -102,11 +112,11 @@ class Solution:
 
 
 class _DivergenceError(Exception):
-    """The iteration cannot go on; the message says why."""
+    """The iteration cannot continue; the message gives the reason."""
 
 
 class Iteration:
-    """State of one run of play-backs; :func:`iterate` is the way in."""
+    """State of an iteration; :func:`iterate` runs it."""
 
     def __init__(
         self,
@@ -133,7 +143,7 @@ class Iteration:
         self.processor = SrtProcessor(data, options, self.integrated)
 
     def run(self, U: Array, progress: Callable[[int, float], None] | None) -> Solution:
-        """Play back until the correction is negligible."""
+        """Iterate until the corrections are negligible, or the largest number of iterations is reached."""
         errors = self.first
         corrections: list[float] = []
         sigma = np.zeros(N_PARAMETERS)
@@ -143,7 +153,7 @@ class Iteration:
         final: SrtMeasurements | None = None
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
-            # Once near, the full weights are taken, and kept: they change with the estimate by parts in a thousand.
+            # Near the solution the full weights are computed once: they change with the estimate by about 1e-3.
             near = near or (bool(corrections) and corrections[-1] < _NEAR)
             fresh = near and weights is None
             measurements = self._play(errors, U, nominal=nominal, with_noise=fresh)
@@ -163,7 +173,7 @@ class Iteration:
                     progress(i + 1, size)
                 _require_inside(errors)
             except _DivergenceError as reason:
-                status, message = "outside_model", f"After play-back {i + 1} {reason}."
+                status, message = "outside_model", f"After iteration {i + 1} {reason}."
                 break
             settled = self._update_offsets(measurements, sigma)
             negligible = np.all(
@@ -172,9 +182,9 @@ class Iteration:
             if near and negligible and settled and not self._release_moving(measurements):
                 status, message = (
                     "converged",
-                    f"Converged after {len(self.before) + len(corrections)} play-backs.",
+                    f"Converged after {len(self.before) + len(corrections)} iterations.",
                 )
-                # The correction just made is a hundredth of a sigma: what it leaves of z is known without a replay.
+                # The last correction is below 0.01 sigma: linear prediction gives z without another iteration.
                 integrals = replace(measurements.integrals, noise=self.noise[0], time_parts=self.noise[1])
                 final = replace(measurements, z=measurements.z - measurements.H @ correction, integrals=integrals)
                 break
@@ -182,7 +192,7 @@ class Iteration:
                 weights = None
         else:
             message = (
-                f"Not converged after {len(corrections)} play-backs: the last correction was "
+                f"Not converged after {len(corrections)} iterations: the last correction was "
                 f"{corrections[-1] if corrections else np.inf:.2e} (largest parameter, accelerometer bias in g)."
             )
         if final is None:
@@ -205,13 +215,13 @@ class Iteration:
         except (np.linalg.LinAlgError, ValueError):
             gain = np.full((N_PARAMETERS, len(measurements.z)), np.nan)
         if not np.all(np.isfinite(gain)):
-            raise _DivergenceError("the equations are singular (a sequence labelled wrongly, or not turned?)")
+            raise _DivergenceError("the equations are singular (wrong label, or a sequence without rotation?)")
         return gain
 
     def _correct(
         self, errors: SensorErrors, measurements: SrtMeasurements, gain: Array
     ) -> tuple[SensorErrors, Array, Array]:
-        # U follows the data (axes and verticals), so that no mounting error is left in the nominal attitudes.
+        # U is estimated from the data (axes and verticals), so that the nominal attitudes hold no mounting error.
         U = measurements.U
         composed = self.options.step == "coefficients" and self.solver.coefficients is not None
         coefficients = self.solver.coefficients
@@ -219,7 +229,7 @@ class Iteration:
         if not np.all(np.isfinite(delta)):
             raise _DivergenceError("the correction is not finite")
         largest = float(np.max(np.abs(delta) / _UNIT))
-        if largest > _MAX_STEP:  # far from the solution a linear step of that size means nothing but a direction
+        if largest > _MAX_STEP:
             delta *= _MAX_STEP / largest
         if composed:
             try:
@@ -229,11 +239,11 @@ class Iteration:
             vector, U = corrected.vector.copy(), turn @ U
         else:
             vector = errors.vector + delta
-        vector[self.solver.held] = self.start.vector[self.solver.held]
+        vector[self.solver.fixed] = self.start.vector[self.solver.fixed]
         return SensorErrors(vector), U, vector - errors.vector
 
     def _update_offsets(self, measurements: SrtMeasurements, sigma: Array) -> bool:
-        """Renew g-sensitivity and the sequences' own biases; True once they have stopped moving."""
+        """Update g-sensitivity and the biases of the sequences; return True if the change is negligible."""
         followed = 0.0
         if measurements.poses is not None:
             left = measurements.poses.fit(measurements.rest_rate)
@@ -257,18 +267,18 @@ class Iteration:
         return np.asarray(np.sqrt(np.linalg.inv(measurements.gyro.matrix) ** 2 @ self.wander**2))
 
     def _scatter(self, measurements: SrtMeasurements) -> Array:
-        """Wander of the bias that the scatter of the sequences' rest rates shows beyond their noise (raw channels)."""
+        """1-sigma of the bias between sequences from the scatter of their rest rates beyond noise, raw channels."""
         left = measurements.scatter_left()
         if len(measurements.share) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
         deviation = measurements.bias_by_sequence / np.sqrt(left)
         doubt = measurement_covariance.earth_rate_sigma(self.data)
         expected = measurement_covariance.rest_rate_variance(measurements, self.data) + doubt**2
-        excess = measurement_covariance.excess_scatter(deviation, expected)
+        excess = measurement_covariance.excess_variance(deviation, expected)
         return np.asarray(np.sqrt(measurements.gyro.matrix**2 @ excess))
 
     def _release_moving(self, measurements: SrtMeasurements) -> bool:
-        """Stop holding the attitude in windows that turned beyond their noise; True if there are new ones."""
+        """Mark windows that rotated beyond their noise for integration; return True if there are new ones."""
         rest = measurements.rest_rate - measurements.pool @ measurements.rest_rate
         moving = moved_windows(self.data, measurements.gyro, measurements.accel, rest, self._compensated(measurements))
         moving &= ~self.integrated
@@ -282,7 +292,7 @@ class Iteration:
         return np.asarray(sum(self._by_source(measurements).values()))
 
     def _rough(self, measurements: SrtMeasurements) -> Array:
-        """Covariance for the first, coarse steps: weights only need to be of the right order there."""
+        """Approximate covariance for the first iterations: 1e-2 m/s² and 1e-6 rad/s, orders of magnitude only."""
         K, W = self.data.K, len(measurements.pool)
         return np.diag(np.concatenate([np.full(2 * K + W, 1e-4), np.full(3, 1e-12)]))
 
@@ -307,13 +317,13 @@ class Iteration:
         except _DivergenceError:
             gain, status = np.zeros((N_PARAMETERS, len(measurements.z))), "outside_model"
         covariance = {name: gain @ R @ gain.T for name, R in by_source.items()}
-        # What is held is not known exactly, and its error goes into what is estimated with it.
-        by_held = measurements.H * np.where(self.solver.held, self.fixed_sigma, 0.0)
-        covariance["held_values"] = gain @ by_held @ by_held.T @ gain.T
-        total = total + by_held @ by_held.T
+        # The errors of the fixed values propagate into the estimated parameters.
+        by_fixed = measurements.H * np.where(self.solver.fixed, self.fixed_sigma, 0.0)
+        covariance["held_values"] = gain @ by_fixed @ by_fixed.T @ gain.T
+        total = total + by_fixed @ by_fixed.T
         if self.data.noise.gyro_flicker is None:
-            # The bias reported is the unit's; that of this test is one draw of it. A drift that is stated holds that
-            # already: what all windows have of it in common is an error of the bias and of nothing else.
+            # The reported bias is that of the unit; the bias of this test is one draw of it. A stated bias instability
+            # includes this already: its part common to all windows is an error of the bias alone.
             bias = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
             covariance["gyro_bias_instability"][bias, bias] += self.wander**2
         left = np.eye(len(measurements.z)) - measurements.H @ gain
@@ -336,7 +346,7 @@ class Iteration:
 
 
 def _require_inside(errors: SensorErrors) -> None:
-    """Raise where errors are no IMU's."""
+    """Raise if the errors lie outside the range of the sensor model."""
     reason = outside_model(errors)
     if reason is not None:
         raise _DivergenceError(reason)
@@ -354,7 +364,7 @@ def iterate(
     resume: Solution | None = None,
     fixed_sigma: Array | None = None,
 ) -> Solution:
-    """Iterate play-backs from a first estimate.
+    """Iterate from an initial estimate until the corrections are negligible.
 
     Parameters
     ----------
@@ -362,17 +372,17 @@ def iterate(
     options : Options
     solver : Solver
     errors : SensorErrors
-        First estimate, and the values of held parameters.
+        Initial estimate; fixed parameters keep these values.
     U : ndarray, shape (3, 3)
         T to MARS components.
     progress : callable, optional
-        Called with the number of play-backs and the largest correction.
+        Called with the number of the iteration and the largest correction.
     excess : (float, float)
-        Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
+        Unmodelled error beyond the sensor noise, 1-sigma: rotation, rad; specific force per window, m/s².
     resume : Solution, optional
-        Go on from where this solution on the same data ended (its errors, windows, biases and nearness).
+        Solution on the same data to continue from (its errors, windows and biases).
     fixed_sigma : ndarray, shape (27,), optional
-        One sigma of each parameter's first value, for those that are held; zero means exact.
+        1-sigma of each parameter's initial value, used for fixed parameters; zero means exact.
     """
     uncertain = np.zeros(N_PARAMETERS) if fixed_sigma is None else fixed_sigma
     return Iteration(data, options, solver, errors, excess, resume, uncertain).run(U, progress)

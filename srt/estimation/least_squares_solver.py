@@ -1,8 +1,14 @@
-"""Least squares on the shared measurement model, iterated: any manoeuvres, labelled or free; its leave-one-out.
+"""Least-squares solver: weighted least squares on the shared measurement model, for any manoeuvres.
 
-All components of all sequences are weighted by the inverse of their full covariance, shared terms included. What the
-recording does not excite is found out, named and held; noise beyond the sensors' own is estimated from the residuals
-where these ask for it.
+All measurements z of all sequences have the weight R⁻¹ of their full covariance, shared terms included. One iteration
+solves ``δ = (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹ z`` for the free parameters. Parameters that the recording does not determine are
+fixed and reported. If the residuals are larger than the sensor noise explains, an unmodelled rotation error and an
+unmodelled specific-force error are estimated from them by restricted maximum likelihood and added to R; a misfit that
+remains multiplies all sigmas by ``√(chi-square / degrees of freedom)`` (Birge ratio).
+
+Leave-one-out removes the rows of a sequence from the information matrix. With the measurements split into u (the rows
+of horizontal and down components) and a pooled rate p, the information is that of u plus that of p given u, so that
+one inverse of R serves all sequences.
 """
 
 from __future__ import annotations
@@ -41,42 +47,43 @@ if TYPE_CHECKING:
 
 
 _ROUNDS: Final = 3
+"""Largest number of re-estimations of fixed parameters, and of unmodelled errors."""
 
 
 class LeastSquaresSolver:
-    """Weighted least squares with the parameters that the recording excites.
+    """Weighted least squares for the parameters that the recording determines.
 
     Parameters
     ----------
     requested : tuple of str
-        Parameters held on request.
+        Parameters fixed on request.
     """
 
     coefficients = None
 
     def __init__(self, requested: tuple[str, ...]) -> None:
         self.requested = np.array([n in requested for n in NAMES])
-        self.held = self.requested.copy()
+        self.fixed = self.requested.copy()
         self._prior = admission_sigma()
         self._selected = False
 
     def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
-        """G of δ = G z; the first, coarse steps lean on the prior for what the data do not show."""
+        """Gain G of δ = G z; the first iterations use the prior for parameters that the data do not determine."""
         R = covariance
         scale = 1.0 / np.sqrt(np.diag(R))
         factor = cho_factor(R * np.outer(scale, scale), lower=True)
         L = factor[0]
         A = solve_triangular(L, measurements.H * scale[:, None] * self._prior, lower=True)
         if near and not self._selected:
-            self.held = self.requested | ~admit(A, ~self.requested)
+            self.fixed = self.requested | ~admit(A, ~self.requested)
             self._selected = True
-        free = np.flatnonzero(~self.held)
+        free = np.flatnonzero(~self.fixed)
         normal = A[:, free].T @ A[:, free]
         if not near:
             normal = normal + np.eye(len(free))
         weighted = solve_triangular(L, A[:, free], lower=True, trans="T").T * scale
         G = np.zeros((N_PARAMETERS, len(scale)))
-        # Equilibrated: parameters in units of their own conditional sigma.
+        # Equilibrated: each parameter in units of its conditional sigma.
         d = 1.0 / np.sqrt(np.diag(normal))
         G[free] = (self._prior[free] * d)[:, None] * cho_solve(
             cho_factor(normal * np.outer(d, d), lower=True), d[:, None] * weighted
@@ -90,32 +97,33 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     Raises
     ------
     DataError
-        If no usable stillness-turn-stillness is found, or readings are impossible.
+        If no rotation between two stationary windows is found, or readings are impossible.
     """
     options.refuse(("step", "loss", "prior", "fixture_states", "live", "targets"), "Least squares")
     labels = recording.sequences or find_turns(recording)
     data = open_session(recording, labels, options.average)
     first = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
-    held = {n: reason_on_request(n, uncertain) for n in options.fixed_names}
+    fixed = {n: reason_on_request(n, uncertain) for n in options.fixed_names}
     for _ in range(_ROUNDS):
-        solution, solver, excess = _solve(data, options, tuple(held), first, uncertain, progress)
+        solution, solver, excess = _solve(data, options, tuple(fixed), first, uncertain, progress)
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
-        weak = ~solver.held & (sigma > OBSERVED_BELOW * admission_sigma())
-        for n, is_held, is_weak in zip(NAMES, solver.held, weak, strict=True):
-            if (is_held or is_weak) and n not in held:
-                held[n] = "the poses and turns of this recording do not show it apart from the others"
+        weak = ~solver.fixed & (sigma > OBSERVED_BELOW * admission_sigma())
+        for n, is_fixed, is_weak in zip(NAMES, solver.fixed, weak, strict=True):
+            if (is_fixed or is_weak) and n not in fixed:
+                fixed[n] = "not distinguishable from the other parameters by the poses and rotations of this recording"
         if solution.status != "converged" or not weak.any():
             break
     warnings: tuple[str, ...] = ()
     if any(excess):
         warnings = (
-            f"Residuals are larger than the sensors' noise explains: {np.degrees(excess[0]):.2g}° per turn and "
-            f"{excess[1]:.2g} m/s² per pose were added, and the sigmas include them.",
+            f"The residuals are larger than the sensor noise explains: an unmodelled rotation error of "
+            f"{np.degrees(excess[0]):.2g}° and an unmodelled specific-force error of {excess[1]:.2g} m/s² per window "
+            "(1-sigma) were estimated, and the sigmas include them.",
         )
-    inflation = _inflation(solution, solver.held)
-    result = solver_result(data, options, solution, held, without_sequences)
-    return build_calibration("least-squares", data, options, result, held, warnings=warnings, inflation=inflation)
+    inflation = _inflation(solution, solver.fixed)
+    result = solver_result(data, options, solution, fixed, without_sequences)
+    return build_calibration("least-squares", data, options, result, fixed, warnings=warnings, inflation=inflation)
 
 
 def _solve(
@@ -126,14 +134,14 @@ def _solve(
     uncertain: Array,
     progress: Progress | None,
 ) -> tuple[Solution, LeastSquaresSolver, tuple[float, float]]:
-    """Iterate with given parameters held; where residuals ask for it again, with noise beyond the sensors' own."""
+    """Iterate with given parameters fixed; repeat with unmodelled errors if the residuals contradict the noise."""
     solver = LeastSquaresSolver(requested)
     solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
     excess = (0.0, 0.0)
     for _ in range(_ROUNDS):
-        if solution.status != "converged" or not _misfit(solution, solver.held):
+        if solution.status != "converged" or not _misfit(solution, solver.fixed):
             break
-        new = _excess(solution, data, solver.held, excess)
+        new = _excess(solution, data, solver.fixed, excess)
         if np.allclose(new, excess, rtol=0.1, atol=1e-6):
             break
         excess = new
@@ -152,45 +160,41 @@ def _solve(
     return solution, solver, excess
 
 
-def _misfit(solution: Solution, held: Mask) -> bool:
-    return is_misfit(*chi_square(solution, held))
+def _misfit(solution: Solution, fixed: Mask) -> bool:
+    return is_misfit(*chi_square(solution, fixed))
 
 
-def _inflation(solution: Solution, held: Mask) -> float:
-    """Factor on the sigmas where residuals stay larger than all noise explains (Birge)."""
-    if solution.status != "converged" or not _misfit(solution, held):
+def _inflation(solution: Solution, fixed: Mask) -> float:
+    """Birge ratio: factor on the sigmas if the residuals remain larger than the noise explains, else 1."""
+    if solution.status != "converged" or not _misfit(solution, fixed):
         return 1.0
-    statistic, freedom = chi_square(solution, held)
+    statistic, freedom = chi_square(solution, fixed)
     return float(np.sqrt(statistic / freedom))
 
 
-def _excess(solution: Solution, data: PlaybackData, held: Mask, present: tuple[float, float]) -> tuple[float, float]:
-    """One sigma of attitude per turn and of specific force per pose, by restricted maximum likelihood."""
+def _excess(solution: Solution, data: PlaybackData, fixed: Mask, present: tuple[float, float]) -> tuple[float, float]:
+    """Unmodelled rotation error, rad, and specific-force error per window, m/s², 1-sigma, by restricted likelihood."""
     measurements = solution.measurements
     unit = measurement_covariance.covariances(measurements, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
     parts = (unit["turn_excess"], unit["pose_excess"])
     known = solution.measurement_covariance - sum(size**2 * part for size, part in zip(present, parts, strict=True))
-    a, b = restricted_likelihood(measurements.z, measurements.H[:, ~held], known, parts)
+    a, b = restricted_likelihood(measurements.z, measurements.H[:, ~fixed], known, parts)
     return float(np.sqrt(a)), float(np.sqrt(b))
 
 
 def without_sequences(
     data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
 ) -> list[LeaveOneOutEstimate]:
-    """Weighted least squares on what is left: the block of a sequence taken out of the inverse covariance.
-
-    The measurements are the rows u of horizontal and down components, and a pooled rate p. Of a Gaussian (u, p) the
-    information is that of u and that of p given u, so that each sequence costs no more than its own few rows.
-    """
+    """Weighted least squares without each sequence (see the module docstring)."""
     measurements, n = solution.measurements, len(solution.measurements.z)
     estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
-    # The weights are those of the noise; what held values add to the covariance came after them.
-    by_held = measurements.H * np.where(estimated, 0.0, fixed_sigma(data, options))
-    noise = solution.measurement_covariance - by_held @ by_held.T
+    # The weights are those of the noise alone; fixed values were added to the covariance after the solution.
+    by_fixed = measurements.H * np.where(estimated, 0.0, fixed_sigma(data, options))
+    noise = solution.measurement_covariance - by_fixed @ by_fixed.T
     sigma = np.sqrt(np.maximum(np.diag(solution.gain @ noise @ solution.gain.T), 0.0))
     unit = np.where(estimated, sigma, 0.0)
     back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
-    # Of the last pool nothing is taken: the estimate with all sequences.
+    # The last pool leaves nothing out: it gives the estimate with all sequences.
     pools = np.concatenate([pooling_weights_without(data, solution, rows_by_sequence), measurements.pool[None]])
     gain = _bias_gain(data, options, solution)
     with_u, own = _pooled_noise(data, solution, gain, pools)
@@ -198,8 +202,8 @@ def without_sequences(
     H_pools = np.einsum("kw,wap->kap", pools, model.rate_error_jacobian(measurements.rate, measurements.gyro)) * unit
     z_pools = measurements.z[n - 3 :] + (pools - measurements.pool) @ rates
     pooled = np.concatenate([H_pools, z_pools[:, :, None]], axis=2)
-    # Taking off whole biases instead of their differences from the pooled one changes no estimate, and leaves the
-    # pooled rate to its own rows.
+    # Subtracting whole biases instead of their differences from the pooled one changes no estimate and keeps the
+    # pooled rate in rows of its own.
     T = np.eye(n)[: n - 3]
     T[: 2 * data.K, n - 3 :] = -_offset_effect(data, solution, gain)
     R = T @ noise @ T.T
@@ -223,13 +227,13 @@ def without_sequences(
 
 
 def _bias_gain(data: PlaybackData, options: Options, solution: Solution) -> Array:
-    """Share of a sequence's own rest rate that was taken as its bias."""
+    """Share of a sequence's own rest rate that was used as its bias."""
     compensated = np.sqrt(np.linalg.inv(solution.measurements.gyro.matrix) ** 2 @ solution.wander**2)
     return measurement_covariance.bias_gain(solution.measurements, data, options.gyro_bias, compensated)
 
 
 def _offset_effect(data: PlaybackData, solution: Solution, gain: Array) -> Array:
-    """What a pooled rate does to the horizontal components through the biases less it, shape (2 K, 3)."""
+    """Effect of a pooled rate on the horizontal components through the biases less it, shape (2 K, 3)."""
     measurements = solution.measurements
     per_rate = measurements.integrals.time @ measurements.gyro.matrix
     M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)

@@ -1,20 +1,19 @@
-"""Leave-one-out: every sequence against all others, and the estimate without it.
+"""Leave-one-out: consistency of every sequence with the others, and the estimate without it.
 
-All of it is linear algebra at the solution: measurements z with covariance R and Jacobian H of the errors still in the
-estimate. Nothing is estimated again.
+All is linear algebra at the solution, with measurements z, covariance R and Jacobian H; no estimation is repeated.
 
-*A sequence against the others*: with ``M = R⁻¹ − R⁻¹ H (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹``, chi-square of all residuals is
-``zᵀ M z``, and without the rows D of a sequence it is smaller by ``(M z)_Dᵀ (M_DD)⁻¹ (M z)_D``: the square of what the
-others mispredict of D, in its own sigma. Directions in which M_DD vanishes are those that nothing else shows.
+*Consistency test.* With ``M = R⁻¹ − R⁻¹ H (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹``, chi-square of all residuals is ``zᵀ M z``. Without the
+rows D of a sequence it is smaller by ``(M z)_Dᵀ (M_DD)⁻¹ (M z)_D``: the squared difference of D from its prediction by
+the other sequences, in units of its sigma. Directions in which M_DD vanishes are determined by D alone.
 
-*A sequence left out*: information N' and gradient g' of the estimate without it give the change ``N'⁻¹ g'`` of every
-parameter and its variance. A parameter whose sigma grows a hundredfold, or to what an estimator would hold, is *lost*:
-here it keeps the value found, and the others are estimated beside it.
+*Estimate without a sequence.* Its information N' and gradient g' give the change ``N'⁻¹ g'`` of every parameter and its
+variance. A parameter is *lost* if its sigma grows a hundredfold, or so much that an estimator would fix it; it then
+keeps its value and the others are estimated beside it.
 
-What a sequence alone brings are its two horizontal components and the down components of windows that no other one
-uses. Leaving it out takes its windows out of the pooled rest rate too, and where a sequence's bias is taken off in
-part, the pooled rate that is left decides how much. Noise is taken as it was found with all sequences; so is the
-knowledge of north, which a gap in a chain of free turns would lower.
+The rows of a sequence are its two horizontal components and the down components of windows that no other sequence uses.
+Its windows also leave the pooled rest rate; where a sequence has a bias of its own, the remaining pooled rate changes
+that bias. The noise figures are those found with all sequences. So is the heading knowledge, although a gap in a chain
+of free rotations would reduce it.
 """
 
 from __future__ import annotations
@@ -41,38 +40,44 @@ if TYPE_CHECKING:
     SequenceRows = tuple[Indices, Indices]
 
 SUSPECT_PROBABILITY: Final = 1e-4
-"""Chance below which a sequence is said to contradict the others; over 17 sequences, about once in 600 recordings."""
+"""p-value below which a sequence contradicts the others: over 17 sequences, one false alarm in about 600 recordings."""
 
 _LOST: Final = 100.0
+"""Growth of a sigma above which a parameter counts as lost without a sequence."""
 _INDEPENDENT: Final = 1e-10
+"""Eigenvalue of the remaining information, over the largest, below which a direction is not determined."""
 LEAST_PREDICTED_SHARE: Final = 1.0 / _LOST**2
-"""Where the others predict a measurement a hundred times less surely than it is made, they do not check it."""
+"""Share of a measurement's variance in the residual, below which the others do not check it: their prediction is then
+less accurate than the measurement by a factor of 100."""
 
-_NAMED: Final = 0.05
-_SHOWN: Final = 0.05
+_LEAST_COMPONENT: Final = 0.05
+"""Component of a direction, over the largest, from which a parameter takes part in it."""
+_LEAST_SHARE: Final = 0.05
+"""Share of a parameter's information from which a sequence is listed for it."""
 _LAST: Final = ("accel_asymmetry", "gyro_asymmetry")
+"""Groups that are fixed first when the remaining sequences do not determine everything."""
 _RANK: Final = np.array([next((i for i, g in enumerate(_LAST, 1) if n.startswith(g)), 0) for n in NAMES])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConsistencyTest:
-    """A group of measurements against all the others.
+    """Chi-square test of a group of measurements against the prediction by all others.
 
     Attributes
     ----------
     chi_square : float
-    freedom : int
-        Directions that the others predict.
+    degrees_of_freedom : int
+        Number of directions that the other measurements predict.
     unchecked : int
-        Directions that nothing else shows.
-    witnessed : ndarray of bool, shape (27,)
-        Parameters that these directions move.
+        Number of directions that no other measurement determines.
+    determined : ndarray of bool, shape (27,)
+        Parameters that take part in the unchecked directions.
     """
 
     chi_square: float
-    freedom: int
+    degrees_of_freedom: int
     unchecked: int
-    witnessed: Mask
+    determined: Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,11 +87,11 @@ class LeaveOneOutEstimate:
     Attributes
     ----------
     change : ndarray, shape (27,), SI
-        Estimate without it less estimate; zero for parameters that are lost.
+        Estimate without the group less estimate with it; zero for lost parameters.
     lost : ndarray of bool, shape (27,)
-        Parameters that the rest does not show.
+        Parameters that the remaining measurements do not determine.
     information : ndarray, shape (27,)
-        Share of a parameter's information that goes with it, ``1 − variance / variance without it``; 1 if lost.
+        Share of a parameter's information in the group, ``1 − variance / variance without it``; 1 if lost.
     """
 
     change: Array
@@ -96,7 +101,7 @@ class LeaveOneOutEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceDiagnostics:
-    """A sequence, or a recording among merged ones, and what the verdict has of it."""
+    """Leave-one-out diagnostics of a sequence, or of one of several merged recordings."""
 
     title: str
     occurrence: int
@@ -105,20 +110,20 @@ class SequenceDiagnostics:
 
     @property
     def finite(self) -> bool:
-        """Whether all of it are numbers."""
+        """True if all values are finite."""
         parts = (self.without.change, self.without.information, np.array(self.consistency.chi_square))
         return all(bool(np.all(np.isfinite(part))) for part in parts)
 
 
 def consistency_tests(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[ConsistencyTest]:
-    """Every group of measurements against all the others.
+    """Consistency test of every group of measurements.
 
     Parameters
     ----------
     z : ndarray, shape (n,)
-        Residuals at the solution, or anywhere else in the linear range.
+        Residuals at the solution, or at another point of the linear range.
     H : ndarray, shape (n, 27)
-        Jacobian; columns of zeros are not estimated.
+        Jacobian; columns of zeros belong to fixed parameters.
     R : ndarray, shape (n, n)
         Covariance.
     groups : sequence of ndarray of int
@@ -140,7 +145,7 @@ def consistency_tests(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -
     left = whitener - Q @ (Q.T @ whitener)  # M is its square: the projector is idempotent
     Mz = left.T @ (left @ z)
     out: list[ConsistencyTest | None] = [None] * len(groups)
-    # Groups of one size go through the eigenvalues together: one by one, most of the time would be overhead.
+    # Groups of equal size share one call for the eigenvalues: single calls would be mostly overhead.
     for count in {len(D) for D in groups}:
         which = [i for i, D in enumerate(groups) if len(D) == count]
         at = np.stack([groups[i] for i in which])
@@ -151,30 +156,30 @@ def consistency_tests(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -
         seen = values > LEAST_PREDICTED_SHARE
         statistics = np.sum(np.where(seen, u**2 / np.where(seen, values, 1.0), 0.0), axis=1)
         for i, D, root, V, there, statistic in zip(which, at, own, vectors, seen, statistics, strict=True):
-            witnessed = np.zeros(N_PARAMETERS, dtype=np.bool_)
+            determined = np.zeros(N_PARAMETERS, dtype=np.bool_)
             if not there.all():
                 # M E_D u = 0 says E_D u = H c: c is what this group alone shows.
                 c = solve_triangular(triangle, Q.T @ (whitener[:, D] @ root @ V[:, ~there])) / size[:, None]
-                witnessed[estimated] = named(c / sigma[:, None])
-            out[i] = ConsistencyTest(float(statistic), int(there.sum()), int((~there).sum()), witnessed)
+                determined[estimated] = participating(c / sigma[:, None])
+            out[i] = ConsistencyTest(float(statistic), int(there.sum()), int((~there).sum()), determined)
     return [c for c in out if c is not None]
 
 
-def named(directions: Array) -> Mask:
-    """Parameters that take part in directions, shape (p, m), in units of their sigma."""
+def participating(directions: Array) -> Mask:
+    """Mask of the parameters that take part in directions, shape (p, m), in units of their sigma."""
     size = np.abs(directions)
-    return np.asarray(np.any(size > _NAMED * np.max(size, axis=0, initial=1e-300), axis=1))
+    return np.asarray(np.any(size > _LEAST_COMPONENT * np.max(size, axis=0, initial=1e-300), axis=1))
 
 
 def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask) -> LeaveOneOutEstimate:
-    """Estimate again from what is left.
+    """Estimate from the remaining information.
 
     Parameters
     ----------
     information : ndarray, shape (2, 27, 27)
-        Of the estimate with all measurements, and of what is left of it.
+        Information of all measurements, and of the remaining ones.
     gradient : ndarray, shape (27,)
-        Of what is left, at the solution with all.
+        Gradient of the remaining measurements at the solution of all.
     estimated : ndarray of bool, shape (27,)
     """
     out = LeaveOneOutEstimate(np.zeros(N_PARAMETERS), np.zeros(N_PARAMETERS, dtype=np.bool_), np.zeros(N_PARAMETERS))
@@ -184,8 +189,8 @@ def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask)
     full, rest = (N[np.ix_(e, e)] for N in information)
     size = 1.0 / np.sqrt(np.diag(full))
     variance = np.diag(np.linalg.inv(full * np.outer(size, size)))
-    unit = size * np.sqrt(variance)  # own sigma
-    # Seen through imperfections of turns alone, a parameter may stay within what is admitted; it is lost all the same.
+    unit = size * np.sqrt(variance)  # 1-sigma of the full estimate
+    # A parameter determined by imperfections of the rotations alone may stay below the admission limit; it is lost too.
     limit = np.minimum(OBSERVED_BELOW * admission_sigma()[e] / unit, _LOST)
     N, g = rest * np.outer(unit, unit), gradient[e] * unit
     values, vectors = np.linalg.eigh(0.5 * (N + N.T))
@@ -199,8 +204,8 @@ def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask)
         share = 1.0 - 1.0 / np.maximum(np.diag(P), 1.0)
         change = P @ g
     if lost.any() or not there.all():
-        # As the estimators choose: in their order of admission, then without what stays weak beside the others.
-        free = _admitted(np.where(there, values, 0.0), vectors, limit, e)
+        # The choice of the estimators: in their order of admission, then without parameters that stay weak.
+        free = _free_parameters(np.where(there, values, 0.0), vectors, limit, e)
         while free.any():
             P = np.linalg.inv(N[np.ix_(free, free)])
             sigma = np.sqrt(np.maximum(np.diag(P), 0.0))
@@ -218,7 +223,7 @@ def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask)
 
 
 def leave_one_out_estimates(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -> list[LeaveOneOutEstimate]:
-    """Weighted least squares without each group of measurements.
+    """Weighted least-squares estimates without each group of measurements.
 
     Parameters
     ----------
@@ -238,8 +243,8 @@ def leave_one_out_estimates(z: Array, H: Array, R: Array, groups: Sequence[Indic
     return out
 
 
-def _admitted(values: Array, vectors: Array, limit: Array, members: Indices) -> Mask:
-    """Parameters that information determines beside those admitted before them, asymmetries last."""
+def _free_parameters(values: Array, vectors: Array, limit: Array, members: Indices) -> Mask:
+    """Mask of the parameters determined beside those admitted before them, asymmetries last."""
     left = (vectors * values) @ vectors.T
     free = np.zeros(len(members), dtype=np.bool_)
     for n in sorted(range(len(members)), key=lambda n: _RANK[members[n]]):
@@ -256,12 +261,12 @@ def verdict(
     statistic: float,
     freedom: int,
 ) -> dict[str, Any]:
-    """Put the verdict together, as JSON values.
+    """Verdict of the measurements on the result, as JSON values.
 
     Parameters
     ----------
     evidence : iterable of SequenceDiagnostics
-        In the order of the sequences; none if only the whole is known.
+        In the order of the sequences; empty if only the total chi-square is known.
     covariance : ndarray, shape (27, 27)
         As reported.
     observed : ndarray of bool, shape (27,)
@@ -272,10 +277,10 @@ def verdict(
     Returns
     -------
     dict
-        "chi_square", "degrees_of_freedom", "probability" (of a larger chi-square by noise alone; None without a degree
-        of freedom), "sequences", "parameters" (those observed), "weakest_combination".
+        "chi_square", "degrees_of_freedom", "probability" (p-value of chi-square; None without degrees of freedom),
+        "sequences", "parameters" (those observed), "weakest_combination".
     """
-    # Far from a solution, as where an iteration did not converge, the linear model may be none.
+    # Far from a solution, where an iteration did not converge, the linear algebra may fail.
     rows = list(evidence)
     rows = rows if all(row.finite for row in rows) else []
     seen = np.flatnonzero(observed)
@@ -291,11 +296,11 @@ def verdict(
 
 
 def most_contradicted(sequences: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
-    """Find the sequence that contradicts the others most, if its chance is small."""
+    """Sequence that contradicts the others most, if its p-value is at most :data:`SUSPECT_PROBABILITY`."""
     checked = [row for row in sequences if row["degrees_of_freedom"]]
     if not checked:
         return None
-    # Probabilities underflow: the statistic over its degrees of freedom orders what is hopeless.
+    # p-values underflow; chi-square per degree of freedom still gives an order.
     worst = max(checked, key=lambda row: row["chi_square"] / row["degrees_of_freedom"])
     return worst if worst["probability"] <= SUSPECT_PROBABILITY else None
 
@@ -310,15 +315,15 @@ def _sequence(row: SequenceDiagnostics, sigma: Array, observed: Mask) -> dict[st
     influence = np.zeros(N_PARAMETERS)
     influence[kept] = without.change[kept] / sigma[kept]
     largest = int(np.argmax(np.abs(influence)))
-    checkable = "no" if against.freedom == 0 else "partly" if against.unchecked else "yes"
+    checkable = "no" if against.degrees_of_freedom == 0 else "partly" if against.unchecked else "yes"
     return {
         "sequence": row.title,
         "occurrence": row.occurrence,
         "chi_square": against.chi_square,
-        "degrees_of_freedom": against.freedom,
-        "probability": _probability(against.chi_square, against.freedom),
+        "degrees_of_freedom": against.degrees_of_freedom,
+        "probability": _probability(against.chi_square, against.degrees_of_freedom),
         "checkable": checkable,
-        "only_witness_of": _names(against.witnessed & observed),
+        "only_witness_of": _names(against.determined & observed),
         "lost_without": _names(without.lost & observed),
         "largest_influence": (
             {"parameter": NAMES[largest], "sigmas": float(influence[largest])} if kept.any() else None
@@ -333,7 +338,7 @@ def _parameters(rows: Sequence[SequenceDiagnostics], covariance: Array, seen: In
         return []
     C = covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
     values, vectors = np.linalg.eigh(C)
-    # Rounding must not make a combination better known than any covariance can say.
+    # A limit on the eigenvalues: rounding must not make a combination better known than the covariance can state.
     values = np.maximum(values, len(seen) * np.finfo(np.float64).eps * values[-1])
     inflation = np.einsum("ij,j,ij->i", vectors, 1.0 / values, vectors)
     apart = np.abs(C - np.diag(np.diag(C)))
@@ -351,7 +356,7 @@ def _parameters(rows: Sequence[SequenceDiagnostics], covariance: Array, seen: In
                 "shown_by": [
                     {"sequence": rows[k].title, "occurrence": rows[k].occurrence, "share": float(share[k])}
                     for k in np.argsort(-share, kind="stable").tolist()
-                    if share[k] >= _SHOWN
+                    if share[k] >= _LEAST_SHARE
                 ],
                 "information": share.tolist(),
                 "variance_inflation": max(float(inflation[n]), 1.0),
@@ -364,13 +369,15 @@ def _parameters(rows: Sequence[SequenceDiagnostics], covariance: Array, seen: In
 
 
 def _weakest(covariance: Array, seen: Indices) -> dict[str, Any] | None:
-    """Find the combination that the data narrow down least, in units of the sigma before any data."""
+    """Combination of parameters whose sigma the data reduce least, relative to the prior sigma."""
     if not len(seen):
         return None
     prior = prior_sigma()[seen]
     values, vectors = np.linalg.eigh(covariance[np.ix_(seen, seen)] / np.outer(prior, prior))
     direction = vectors[:, -1] * np.sign(vectors[np.argmax(np.abs(vectors[:, -1])), -1])
-    order = [n for n in np.argsort(-np.abs(direction), kind="stable").tolist() if abs(direction[n]) > 2.0 * _NAMED]
+    order = [
+        n for n in np.argsort(-np.abs(direction), kind="stable").tolist() if abs(direction[n]) > 2.0 * _LEAST_COMPONENT
+    ]
     return {
         "sigma_over_prior": float(np.sqrt(max(values[-1], 0.0))),
         "combination": {NAMES[seen[n]]: float(direction[n]) for n in order},
@@ -382,48 +389,48 @@ def _names(mask: Mask) -> list[str]:
 
 
 class LeaveOneOutEstimator(Protocol):
-    """Leave-one-out of a solver."""
+    """Leave-one-out estimator of a solver."""
 
     def __call__(
         self, data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
     ) -> list[LeaveOneOutEstimate]:
-        """Estimate without each sequence; ``rows_by_sequence`` as of :func:`rows_of_sequences`."""
+        """Estimates without each sequence; ``rows_by_sequence`` from :func:`rows_of_sequences`."""
 
 
 def sequence_diagnostics(
-    without_sequences: LeaveOneOutEstimator, data: PlaybackData, options: Options, solution: Solution, held: Mask
+    leave_one_out: LeaveOneOutEstimator, data: PlaybackData, options: Options, solution: Solution, fixed: Mask
 ) -> tuple[SequenceDiagnostics, ...]:
-    """Compare every sequence of a solution with all others.
+    """Leave-one-out diagnostics of every sequence of a solution.
 
     Parameters
     ----------
-    without_sequences : LeaveOneOutEstimator
-        Of the solver.
+    leave_one_out : LeaveOneOutEstimator
+        Leave-one-out estimator of the solver.
     data : PlaybackData
     options : Options
     solution : Solution
-    held : ndarray of bool, shape (27,)
+    fixed : ndarray of bool, shape (27,)
 
     Returns
     -------
     tuple of SequenceDiagnostics
         In the order of the sequences; empty where the linear model is singular.
     """
-    if held.all():
+    if fixed.all():
         return ()
-    H, rows_by_sequence = np.where(held, 0.0, solution.measurements.H), rows_of_sequences(data)
+    H, rows_by_sequence = np.where(fixed, 0.0, solution.measurements.H), rows_of_sequences(data)
     try:
         against = consistency_tests(
             solution.measurements.z, H, solution.measurement_covariance, [rows for rows, _ in rows_by_sequence]
         )
-        without = without_sequences(data, options, solution, rows_by_sequence)
+        without = leave_one_out(data, options, solution, rows_by_sequence)
     except np.linalg.LinAlgError:
         return ()
     return tuple(SequenceDiagnostics(*row) for row in zip(data.ids, data.occurrences, against, without, strict=True))
 
 
 def rows_of_sequences(data: PlaybackData) -> list[SequenceRows]:
-    """Rows of z that a sequence alone brings, and the windows that no other one uses."""
+    """Rows of z that belong to one sequence alone, and its windows that no other one uses, for every sequence."""
     used = np.bincount(data.start, minlength=len(data.windows.duration_s))
     used += np.bincount(data.end, minlength=len(used))
     out = []
@@ -434,7 +441,7 @@ def rows_of_sequences(data: PlaybackData) -> list[SequenceRows]:
 
 
 def pooling_weights_without(data: PlaybackData, solution: Solution, rows_by_sequence: list[SequenceRows]) -> Array:
-    """Weights of the windows in the pooled rest rate without each sequence, shape (K, W); zeros if none is left."""
+    """Weights of the windows in the pooled rest rate without each sequence, shape (K, W); zero if none remains."""
     pools = np.tile(solution.measurements.pool, (data.K, 1))
     for pool, (_, windows) in zip(pools, rows_by_sequence, strict=True):
         pool[windows] = 0.0

@@ -1,9 +1,9 @@
-"""Covariance of the SRT measurements, source by source (Savage 2020, §9).
+"""Covariance of the SRT measurements, source by source (Savage 2020 [P], §9).
 
-Every source of error says in one way what it does: how unit draws of it disturb the attitude error φ of each sequence,
-the mean rate of each window and the mean specific force of each window. One projection then makes its covariance of
-the measurements, so that what is shared stays shared: a window used by two turns, the bias taken from all windows,
-one north error for the whole recording.
+Each error source is a :class:`Disturbance`: the effect of unit-variance draws on the attitude error φ of each sequence,
+and on the mean rate and mean specific force of each window. One projection G takes all of them to the measurements, and
+``R = G Gᵀ``. Correlations are therefore included: a window shared by two rotations, the gyro bias pooled over all
+windows, one heading error for the whole recording.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 
 _SCATTER_PROBABILITY: Final = 1e-3
+"""p-value of chi-square below which the scatter of the biases between sequences exceeds their noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ class Disturbance:
 
 
 def project(measurements: SrtMeasurements, data: PlaybackData, source: Disturbance, bias_gain: Array) -> Array:
-    """What a source does to the measurement vector z, shape (n_z, S).
+    """Effect G of a source on the measurement vector z, shape (n_z, S).
 
     Parameters
     ----------
@@ -66,8 +67,8 @@ def project(measurements: SrtMeasurements, data: PlaybackData, source: Disturban
         rate, by_g_sensitivity = measurements.after_g_sensitivity(source.rate)
         rest = np.tensordot(measurements.pool, rate, 1)
         own = np.tensordot(measurements.share, rate, 1) - rest
-        # The offset taken off in a sequence is in units of the compensated rate.
-        phi = phi + by_g_sensitivity - _per_rate(measurements) @ (bias_gain[:, None] * own)
+        # The bias offset of a sequence is subtracted from the compensated rate.
+        phi = phi + by_g_sensitivity - _phi_per_rate(measurements) @ (bias_gain[:, None] * own)
     M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)
     z = np.zeros((2 * K + W + 3, S))
     horizontal = M @ phi
@@ -81,18 +82,18 @@ def project(measurements: SrtMeasurements, data: PlaybackData, source: Disturban
     return z
 
 
-def _per_rate(measurements: SrtMeasurements) -> Array:
-    """∫ F Ĉ dt: effect on φ of an error of the compensated rate, shape (K, 3, 3)."""
+def _phi_per_rate(measurements: SrtMeasurements) -> Array:
+    """Effect of an error of the compensated rate on φ, ∫ F Ĉ dt, shape (K, 3, 3), s."""
     out: Array = measurements.integrals.time @ measurements.gyro.matrix
     return out
 
 
 def bias_gain(measurements: SrtMeasurements, data: PlaybackData, mode: str, wander: Array) -> Array:
-    """Share of a sequence's own rest rate to be taken as its bias, shape (3,).
+    """Share of a sequence's own rest rate that is used as its bias, shape (3,).
 
-    With a bias that differs from sequence to sequence by σ and rest rates known to s, the best linear estimate takes
-    the share σ² / (σ² + s²) of a sequence's own deviation and pools the rest. Where an instability is stated, the share
-    is the one that leaves least of the drift in the rotations: the bias goes on drifting after the window.
+    For biases that differ between sequences by σ and rest rates with noise s, the best linear estimate takes the share
+    σ² / (σ² + s²) of a sequence's own deviation. Where a bias instability is stated, the share minimises the remaining
+    drift in the rotations, because the bias keeps drifting after the window.
     """
     if mode not in ("auto", G_SENSITIVE):
         return np.full(3, 1.0 if mode == "per-sequence" else 0.0)
@@ -120,7 +121,7 @@ def rest_rate_variance(measurements: SrtMeasurements, data: PlaybackData) -> Arr
 
 
 def earth_rate_sigma(data: PlaybackData) -> float:
-    """One-sigma error of the Earth's rate in a pose, rad/s."""
+    """1-sigma error of the Earth rate in a pose, rad/s."""
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
         return EARTH_RATE_RAD_S / math.sqrt(3.0)
@@ -129,7 +130,7 @@ def earth_rate_sigma(data: PlaybackData) -> float:
     return EARTH_RATE_RAD_S * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
 
 
-def excess_scatter(rates: Array, expected: Array) -> Array:
+def excess_variance(rates: Array, expected: Array) -> Array:
     """Variance of biases between sequences beyond what their noise explains, shape (3,), (rad/s)².
 
     Parameters
@@ -137,8 +138,8 @@ def excess_scatter(rates: Array, expected: Array) -> Array:
     rates : ndarray, shape (K, 3), rad/s
         Rest rate of each sequence.
     expected : ndarray, shape (3,), (rad/s)²
-        Variance that noise alone gives; an axis whose scatter it explains (chi-square, 1e-3), without the sequence
-        that is farthest off, has no excess.
+        Variance by noise alone. An axis has no excess if noise explains its scatter (chi-square, p > 1e-3) with or
+        without the sequence that deviates most.
     """
     n = len(rates) - 1
 
@@ -149,7 +150,7 @@ def excess_scatter(rates: Array, expected: Array) -> Array:
 
     wanders = scatters(rates)
     if n > 2:
-        # A bias that wanders shows in many sequences; what one of them alone brings is a fault of that one.
+        # A varying bias shows in many sequences; a deviation of one sequence alone is a fault of that sequence.
         order = np.argsort(np.abs(rates - np.median(rates, axis=0)), axis=0)
         wanders &= scatters(np.take_along_axis(rates, order, axis=0)[:-1])
     return np.asarray(np.where(wanders, np.var(rates, axis=0, ddof=1) - expected, 0.0))
@@ -158,17 +159,17 @@ def excess_scatter(rates: Array, expected: Array) -> Array:
 def disturbances(
     measurements: SrtMeasurements, data: PlaybackData, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Disturbance]:
-    """All sources of noise by name, in the order they are reported.
+    """All error sources by name, in the order of the report.
 
     Parameters
     ----------
     measurements : SrtMeasurements
-        Played with ``with_noise=True``.
+        Processed with ``with_noise=True``.
     data : PlaybackData
     wander : ndarray, shape (3,), rad/s
         One sigma of a sequence's gyro bias about the test's, raw channels, where no instability is stated.
     excess : (float, float)
-        Noise beyond that of the sensors, one sigma: attitude per turn, rad; specific force per window, m/s².
+        Unmodelled errors, 1-sigma: rotation, rad; specific force per window, m/s².
     """
     noise, windows = data.noise, data.windows
     T = windows.duration_s
@@ -179,11 +180,11 @@ def disturbances(
     return {
         "gyro_noise": _gyro_noise(measurements, data),
         "gyro_quantization": _gyro_quantization(measurements, data),
-        "gyro_bias_instability": _instability(measurements, data, wander),
+        "gyro_bias_instability": _bias_instability(measurements, data, wander),
         "accel_noise": Disturbance(force=_own_draw(D_force * white[:, None, :])),
         "accel_quantization": Disturbance(force=_own_draw(D_force * edge[:, None, :])),
         "accel_bias_instability": accel_drift(data, D_force),
-        "earth_rate_alignment": _alignment(measurements, data),
+        "earth_rate_alignment": _earth_rate_error(measurements, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
         "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess[0] * np.eye(3), (data.K, 3, 3)))),
         "pose_excess": Disturbance(force=_own_draw(np.broadcast_to(excess[1] * np.eye(3), (len(T), 3, 3)))),
@@ -197,7 +198,7 @@ def covariances(
     gain: Array,
     excess: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, Array]:
-    """Covariance of z, source by source; their sum is the covariance of z."""
+    """Covariance of z by source; the sum over the sources is the covariance of z."""
     out = {}
     for name, source in disturbances(measurements, data, wander, excess).items():
         G = project(measurements, data, source, gain)
@@ -206,7 +207,7 @@ def covariances(
 
 
 def _own_draw(blocks: Array) -> Array:
-    """Spread (n, 3, m) blocks so that every row of blocks has its own m draws: (n, 3, n m)."""
+    """Block-diagonal arrangement of (n, 3, m) blocks, so that each has its own m draws, shape (n, 3, n m)."""
     n, rows, m = blocks.shape
     out = np.zeros((n, rows, n, m))
     out[np.arange(n), :, np.arange(n)] = blocks
@@ -214,9 +215,9 @@ def _own_draw(blocks: Array) -> Array:
 
 
 def _gyro_noise(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
-    """White noise of the rotation samples, and of the windows' means (and their share in integrated windows)."""
+    """Angular random walk: in the rotations, in the window means, and in integrated windows."""
     if measurements.integrals.noise is None:
-        raise ValueError("the play-back was made without its noise integrals")
+        raise ValueError("the measurements were processed without their noise integrals")
     T, q = data.windows.duration_s, data.noise.gyro_white
     D = np.linalg.inv(measurements.gyro.matrix)
     means = _own_draw(D[None] * (q / np.sqrt(T)[:, None])[:, None, :])
@@ -225,7 +226,7 @@ def _gyro_noise(measurements: SrtMeasurements, data: PlaybackData) -> Disturbanc
     for which in (data.start, data.end):
         for k, w in enumerate(which.tolist()):
             if measurements.integrated[w]:
-                # F averages 1/2 over the window: that part of φ is the window's own mean, the rest is independent.
+                # F is 1/2 on average over the window: this part of φ is the window mean, the rest is independent of it.
                 C = measurements.integrals.C_end[k] if which is data.end else np.eye(3)
                 A = C @ D
                 outer[k] -= 0.25 * T[w] * np.einsum("ab,cb->acb", A, A)
@@ -239,7 +240,7 @@ def _gyro_noise(measurements: SrtMeasurements, data: PlaybackData) -> Disturbanc
 
 
 def _gyro_quantization(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
-    """Errors of the readings of the angle at both edges of every window, where the rotations begin and end too."""
+    """Angle quantization error at the window boundaries, where the rotations begin and end."""
     K, W, T = data.K, len(data.windows.duration_s), data.windows.duration_s
     A = np.linalg.inv(measurements.gyro.matrix) * data.noise.gyro_edge
     phi, rate = np.zeros((K, 3, W, 2, 3)), np.zeros((W, 3, W, 2, 3))
@@ -250,28 +251,28 @@ def _gyro_quantization(measurements: SrtMeasurements, data: PlaybackData) -> Dis
     return Disturbance(phi=phi.reshape(K, 3, -1), rate=rate.reshape(W, 3, -1))
 
 
-def _instability(measurements: SrtMeasurements, data: PlaybackData, wander: Array) -> Disturbance:
-    """Drift of the bias as stated; a bias of its own in every sequence where the scatter of these shows one."""
+def _bias_instability(measurements: SrtMeasurements, data: PlaybackData, wander: Array) -> Disturbance:
+    """Gyro bias instability as specified; otherwise independent biases of the sequences, as their scatter shows."""
     D = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
     if data.noise.gyro_flicker is not None:
         return gyro_drift(data, measurements.integrals, D)
     own = _own_draw(np.broadcast_to(D * wander, (data.K, 3, 3)))
-    return Disturbance(phi=_per_rate(measurements) @ own, rate=own[measurements.window_sequence])
+    return Disturbance(phi=_phi_per_rate(measurements) @ own, rate=own[measurements.window_sequence])
 
 
 def gyro_drift(data: PlaybackData, integrals: RotationIntegrals, slope: Array) -> Disturbance:
-    """Bias instability of the gyros as stated, in rotations and windows.
+    """Gyro bias instability, as specified, in rotations and windows.
 
     Parameters
     ----------
     data : PlaybackData
     integrals : RotationIntegrals
-        Gathered with the parts of the time integral.
+        With the parts of the time integral.
     slope : ndarray, shape (3, 3) or (W, 3, 3)
         Compensated rate of a unit bias of the raw channels.
     """
     if data.noise.gyro_flicker is None or integrals.time_parts is None:
-        raise ValueError("no instability is stated, or the play-back was made without its noise integrals")
+        raise ValueError("no bias instability is stated, or the measurements have no noise integrals")
     phi = np.einsum("kpab,kpn->kabn", integrals.time_parts * data.noise.gyro_flicker, data.drift.parts)
     slope = np.broadcast_to(slope * data.noise.gyro_flicker, (len(data.drift.windows), 3, 3))
     rate = slope[:, :, :, None] * data.drift.windows[:, None, None, :]
@@ -279,7 +280,7 @@ def gyro_drift(data: PlaybackData, integrals: RotationIntegrals, slope: Array) -
 
 
 def accel_drift(data: PlaybackData, slope: Array) -> Disturbance:
-    """Bias instability of the accelerometers as stated, in the windows.
+    """Accelerometer bias instability, as specified, in the windows.
 
     Parameters
     ----------
@@ -291,8 +292,8 @@ def accel_drift(data: PlaybackData, slope: Array) -> Disturbance:
     return Disturbance(force=force.reshape(*force.shape[:2], -1))
 
 
-def _alignment(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
-    """Error of ω̂e: fixture attitude errors across the Earth's rate, or the part of it that is not known."""
+def _earth_rate_error(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
+    """Error of ω̂e: fixture attitude errors times the Earth rate, and the unknown part of the Earth rate."""
     axes = _attitude_errors(measurements, data)
     parts = [np.cross(axes, measurements.earth_rate[:, :, None], axis=1), _unknown_earth_rate(measurements, data)]
     delta = np.concatenate(parts, axis=2)
@@ -303,8 +304,8 @@ def _alignment(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance
 def _attitude_errors(measurements: SrtMeasurements, data: PlaybackData) -> Array:
     """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (K, 3, S).
 
-    One draw per recording of base level x, y and north; one per sequence of the inner and the outer angle it starts
-    from. The mounting is not among them: it is taken up by U. With a measured vertical only the part about it counts.
+    One draw per recording of base level x, y and north; one per sequence of its initial inner and outer angle. The
+    mounting is estimated in U. With a measured vertical only the rotation about it remains.
     """
     fixture = data.recording.fixture
     if fixture is None or data.nominal is None:
@@ -322,7 +323,7 @@ def _attitude_errors(measurements: SrtMeasurements, data: PlaybackData) -> Array
 
 
 def _unknown_earth_rate(measurements: SrtMeasurements, data: PlaybackData) -> Array:
-    """What is not known of the Earth's rate, as unit draws in B_Strt, shape (K, 3, S), rad/s."""
+    """Unknown part of the Earth rate (no latitude or no heading), per unit draw in B_Strt, shape (K, 3, S), rad/s."""
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
         size, directions = EARTH_RATE_RAD_S / math.sqrt(3.0), 3
@@ -333,7 +334,7 @@ def _unknown_earth_rate(measurements: SrtMeasurements, data: PlaybackData) -> Ar
     if data.nominal is not None:
         frames = measurements.U @ np.swapaxes(data.nominal, 1, 2)
         return np.asarray(size * frames[:, :, :directions])
-    # Free turns: the Earth-fixed frame is carried along where one turn starts from the window another ended with.
+    # Free rotations: the Earth-fixed frame is propagated if a rotation starts from the end window of another.
     down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
     chains = 0
     carried: dict[int, tuple[int, Array]] = {}

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-# In this order parameters are admitted: one that is collinear with those before it is the one held.
+# In this order parameters are admitted: one that is collinear with those before it is the one fixed.
 _ADMISSION: Final = (
     expand_names(["gyro_bias"])
     + expand_names(["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"])

@@ -1,20 +1,20 @@
-"""One play-back: the recorded data through corrected compensation to the SRT measurements (Savage 2020, eqs. 1-2).
+"""SRT measurements of the compensated data (Savage 2020 [P], eqs. 1-2) and their Jacobian.
 
 The measurements of K sequences over W windows are one vector ``z = [Δa_H (2 per sequence), a_Down (W), ω_rest (3)]``:
 the change of horizontal specific force along two horizontal directions of B_Strt, the down part of every window, and
-the pooled rate left at rest. With the right errors z is zero but for noise, whatever the fixture did.
+the pooled gyro rate at rest less the Earth rate. With the true errors z is noise alone; fixture errors cancel.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.estimation.g_sensitivity import MODE, compensate_stream, pose_regression
 from srt.model import measurement_model as model
-from srt.model.analytic_platform import integrate
+from srt.model.analytic_platform import integrate_attitude
 from srt.model.rotations import cross_matrix, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.model.table1 import AXES
@@ -30,16 +30,20 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 
+_PARALLEL: Final = 0.1
+"""Ratio of singular values below which all measured directions count as parallel."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SrtMeasurements:
-    """What one play-back measured, and the linear model around it.
+    """SRT measurements of one iteration, and the linear model around them.
 
     Attributes
     ----------
     z : ndarray, shape (2 K + W + 3,)
         Measurements, m/s² and rad/s.
     H : ndarray, shape (2 K + W + 3, 27)
-        Their derivative with respect to errors still in the estimate.
+        Derivative of z with respect to the remaining sensor errors.
     integrals : RotationIntegrals
     basis : ndarray, shape (K, 2, 3)
         Horizontal directions of the components, in B_Strt.
@@ -52,7 +56,7 @@ class SrtMeasurements:
     rate : ndarray, shape (W, 3), rad/s
         Compensated mean rate of the windows, in B.
     rest_rate : ndarray, shape (W, 3), rad/s
-        ``rate`` less the Earth's.
+        ``rate`` less the Earth rate.
     pool : ndarray, shape (W,)
         Weights of the windows in the pooled rate.
     share : ndarray, shape (K, W)
@@ -63,14 +67,14 @@ class SrtMeasurements:
     earth_rate : ndarray, shape (K, 3), rad/s
         ω̂e in B_Strt.
     gyro, accel : Triad
-        Reading models that the data were compensated with.
+        Sensor models that the data were compensated with.
     U : ndarray, shape (3, 3)
         T to MARS components, from the recorded axes and verticals; identity without a fixture.
     integrated : ndarray of bool, shape (W,)
     nominal_vertical : bool
-        Whether the vertical was the nominal one.
+        True if the vertical was the nominal one.
     poses : PoseRegression, or None
-        How g-sensitivity follows from ``rest_rate``; None where the gyros are taken not to follow specific force.
+        Regression of ``rest_rate`` on specific force; None where gyro g-sensitivity is not estimated.
     """
 
     z: Array
@@ -96,7 +100,7 @@ class SrtMeasurements:
 
     @property
     def bias_by_sequence(self) -> Array:
-        """Rate left at rest, per sequence, less the pooled one, shape (K, 3), rad/s."""
+        """Rest rate of each sequence less the pooled one, shape (K, 3), rad/s."""
         out: Array = self.share @ self.rest_rate - self.pool @ self.rest_rate
         return out
 
@@ -111,7 +115,7 @@ class SrtMeasurements:
         Returns
         -------
         rate : ndarray, shape (W, 3, S), rad/s
-            Less the g-sensitivity that was taken for them.
+            Less the estimated g-sensitivity that they cause.
         phi : ndarray, shape (K, 3, S), rad
             On φ in B_Strt.
         """
@@ -123,7 +127,7 @@ class SrtMeasurements:
         return rate - np.einsum("acs,wc->was", followed, self.force), phi
 
     def scatter_left(self) -> float:
-        """Share of the variance of a bias per sequence that the regression on specific force leaves."""
+        """Share of the variance of a bias per sequence that remains after the regression on specific force."""
         if self.poses is None:
             return 1.0
         W, K = len(self.pool), len(self.share)
@@ -136,21 +140,21 @@ class SrtMeasurements:
 
 
 class SrtProcessor:
-    """Plays a recording back with any errors.
+    """Data processing of one recording ([P] §3): sensor errors in, SRT measurements out.
 
-    Holds what does not depend on them: the gyro samples of the rotations and the averages of the windows.
+    The gyro samples of the rotations and the averages of the windows do not depend on the errors and are stored.
     """
 
     def __init__(self, data: PlaybackData, options: Options, integrated: Mask | None = None) -> None:
         W = len(data.windows.duration_s)
         self.data, self.options = data, options
         self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated
-        self._follows = options.gyro_bias == MODE
-        self._stream, self._force, self._weights = data.stream(self.integrated, with_force=self._follows)
+        self._g_sensitive = options.gyro_bias == MODE
+        self._stream, self._force, self._weights = data.stream(self.integrated, with_force=self._g_sensitive)
         self._roles()
 
     def _roles(self) -> None:
-        """Which sequence each window belongs to (as its start where it has the choice), and the pooling weights."""
+        """Assign each window to a sequence (as its start window, if it is one) and set the pooling weights."""
         data, duration = self.data, self.data.windows.duration_s
         W = len(duration)
         self._sequence, self._is_end = np.full(W, -1, dtype=np.intp), np.zeros(W, dtype=np.bool_)
@@ -159,7 +163,7 @@ class SrtProcessor:
         for k, w in enumerate(data.end.tolist()):
             if self._sequence[w] < 0:
                 self._sequence[w], self._is_end[w] = k, True
-        # Of a window that moved the mean rate is no rest rate; where all are integrated, none was found moving.
+        # The mean rate of a window that moved is no rest rate. If all windows are integrated, none was found moving.
         rested = duration if self.integrated.all() else np.where(self.integrated, 0.0, duration)
         self._pool = rested / rested.sum()
         self._share = np.zeros((data.K, W))
@@ -169,8 +173,8 @@ class SrtProcessor:
             if not self._share[k].any():
                 self._share[k] = self._pool
         self._share /= self._share.sum(axis=1, keepdims=True)
-        # For free turns, the axis of B that a horizontal direction is built from: one choice for all play-backs, as the
-        # weights of the measurements go with it.
+        # Free turns: the axis of B from which a horizontal direction is built. It stays the same in all iterations,
+        # because the weights of the measurements depend on it.
         self._least_vertical = np.argmin(np.abs(data.windows.accel_mean[data.start]), axis=1)
         # The two axes of T that are horizontal at the start of each labelled sequence.
         self._horizontal = np.array(
@@ -179,7 +183,7 @@ class SrtProcessor:
 
     @property
     def stream(self) -> GyroStream:
-        """The gyro samples that are integrated."""
+        """Gyro samples that are integrated."""
         return self._stream
 
     def process(
@@ -192,7 +196,7 @@ class SrtProcessor:
         g_sensitivity: Array | None = None,
         with_noise: bool = False,
     ) -> SrtMeasurements:
-        """Play back once.
+        """Compensate the recorded data with given errors and form the SRT measurements.
 
         Parameters
         ----------
@@ -201,79 +205,83 @@ class SrtProcessor:
         U : ndarray, shape (3, 3), optional
             T to MARS components for the nominal attitudes.
         nominal_vertical : bool
-            Take the vertical from the nominal attitude instead of the measured specific force (first play-back).
+            Take the vertical from the nominal attitude instead of the measured specific force (first iteration).
         bias_offset : ndarray, shape (K, 3), optional
             Gyro bias of each sequence less the common one, rad/s.
         g_sensitivity : ndarray, shape (3, 3), rad/s per m/s², optional
-            Γ, taken off the raw gyro readings (raw channels, axes of B) where the options ask for it; default zero.
+            Γ (raw channels, axes of B), used where the options ask for it; default zero.
         with_noise : bool
-            Gather the noise integrals too.
+            Compute the noise integrals too.
         """
-        data, noise = self.data, self.data.noise
+        data = self.data
         gyro, accel = gyro_triad(errors), accel_triad(errors)
         U = np.eye(3) if U is None else U
         force = accel.compensate(data.windows.accel_mean)
         stream, gyro_mean, poses = self._stream, data.windows.gyro_mean, None
-        if self._follows and self._force is not None:
+        if self._g_sensitive and self._force is not None:
             matrix = np.zeros((3, 3)) if g_sensitivity is None else g_sensitivity
             stream = compensate_stream(stream, self._force, accel, matrix)
             gyro_mean = gyro_mean - force @ matrix.T
             poses = pose_regression(force, self._pool, data.gravity)
         rate = gyro.compensate(gyro_mean)
-        f_start, f_end = force[data.start], force[data.end]
-        down = -f_start / np.linalg.norm(f_start, axis=1, keepdims=True)
+        down = -force[data.start] / np.linalg.norm(force[data.start], axis=1, keepdims=True)
         earth_rate, nominal_down = self._earth_rate(U, down, nominal_vertical)
         if nominal_vertical and nominal_down is not None:
             down = nominal_down
-        integrals, attitude = integrate(
+        integrals, attitude = integrate_attitude(
             stream,
             gyro,
             earth_rate,
             bias_offset=bias_offset,
-            sample_noise_rad=noise.gyro_sample(data.recording.nominal_interval_s),
+            sample_noise_rad=data.noise.gyro_sample(data.recording.nominal_interval_s),
             with_noise=with_noise,
         )
-        C = integrals.C_end
-        a_start, a_end = f_start.copy(), np.einsum("kab,kb->ka", C, f_end)
-        self._average_integrated(attitude, accel, force, a_start, a_end)
+        carried = self._carried_force(integrals, attitude, accel, force)
         basis = self._basis(down, U)
-        horizontal = np.einsum("kia,ka->ki", basis, a_end - a_start)
-        window_C = np.where(self._is_end[:, None, None], C[self._sequence], np.eye(3))
+        window_C = np.where(self._is_end[:, None, None], integrals.C_end[self._sequence], np.eye(3))
         rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
+        # Δa_H = horizontal part of (â_End − â_Strt)  ([P] eq. 1)
+        horizontal = np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0])
         z_down = self._down(force, down, window_C)
-        z = np.concatenate([horizontal.ravel(), z_down, self._pool @ rest])
-        H = np.concatenate(
+        return SrtMeasurements(
+            z=np.concatenate([horizontal.ravel(), z_down, self._pool @ rest]),
+            H=self._jacobian(integrals, basis, force, rate, gyro, accel),
+            integrals=integrals,
+            basis=basis,
+            acceleration=0.5 * (carried[:, 0] + carried[:, 1]),
+            carried=carried,
+            force=force,
+            rate=rate,
+            rest_rate=rest,
+            pool=self._pool,
+            share=self._share,
+            window_attitude=window_C,
+            window_sequence=self._sequence,
+            earth_rate=earth_rate,
+            gyro=gyro,
+            accel=accel,
+            U=self._orientation(integrals, force, U),
+            integrated=self.integrated,
+            nominal_vertical=nominal_vertical and nominal_down is not None,
+            poses=poses,
+        )
+
+    def _jacobian(
+        self, integrals: RotationIntegrals, basis: Array, force: Array, rate: Array, gyro: Triad, accel: Triad
+    ) -> Array:
+        """Derivative of z with respect to the sensor errors ([P] eqs. 3-5), shape (2 K + W + 3, 27)."""
+        data = self.data
+        horizontal = model.horizontal_jacobian(integrals, basis, force[data.start], force[data.end], accel)
+        return np.concatenate(
             [
-                model.horizontal_jacobian(integrals, basis, f_start, f_end, accel).reshape(2 * data.K, -1),
+                horizontal.reshape(2 * data.K, -1),
                 model.down_jacobian(force, accel),
                 np.tensordot(self._pool, model.rate_error_jacobian(rate, gyro), 1),
             ]
         )
-        return SrtMeasurements(
-            z,
-            H,
-            integrals,
-            basis,
-            0.5 * (a_start + a_end),
-            np.stack([a_start, a_end], axis=1),
-            force,
-            rate,
-            rest,
-            self._pool,
-            self._share,
-            window_C,
-            self._sequence,
-            earth_rate,
-            gyro,
-            accel,
-            self._orientation(integrals, force, U),
-            self.integrated,
-            nominal_vertical and nominal_down is not None,
-            poses,
-        )
 
     def _earth_rate(self, U: Array, down: Array, nominal_vertical: bool) -> tuple[Array, Array | None]:
-        """ω̂e in each B_Strt, and the nominal vertical there (None without a fixture)."""
+        """Earth rate ω̂e in each B_Strt, and the nominal vertical there (None without a fixture)."""
         data = self.data
         base = data.earth_rate_base()
         if data.nominal is None:
@@ -298,36 +306,37 @@ class SrtProcessor:
         return out
 
     def _down(self, force: Array, down: Array, window_C: Array) -> Array:
+        """Down measurement of every window, shape (W,), m/s²."""
         g = self.data.gravity
         if self.options.down == "tilt-immune":
             out: Array = g - np.linalg.norm(force, axis=1)
         else:
+            # a_Down = û_dwn·â + g  ([P] eq. 1)
             vertical = np.einsum("wab,wa->wb", window_C, down[self._sequence])
             out = g + np.einsum("wa,wa->w", vertical, force)
         return out
 
-    def _average_integrated(self, attitude: Array, accel: Triad, force: Array, a_start: Array, a_end: Array) -> None:
-        """Averages of Ĉ f̂ over the windows whose attitude is integrated, in place of the held ones."""
-        if self._force is None or self._weights is None:
-            return
+    def _carried_force(self, integrals: RotationIntegrals, attitude: Array, accel: Triad, force: Array) -> Array:
+        """Mean of â = Ĉ f̂ over the start and the end window of every sequence, shape (K, 2, 3), m/s²."""
         data, stream = self.data, self._stream
+        out = np.stack([force[data.start], np.einsum("kab,kb->ka", integrals.C_end, force[data.end])], axis=1)
+        if self._force is None or self._weights is None:
+            return out
         for k in range(data.K):
-            s, e = int(stream.starts[k]), int(stream.starts[k + 1])
             first, last = stream.rotation[k]
-            for w, lo, hi, out in (
-                (data.start[k], s, int(first), a_start),
-                (data.end[k], int(last), e, a_end),
-            ):
+            windows = ((data.start[k], stream.starts[k], first), (data.end[k], last, stream.starts[k + 1]))
+            for side, (w, lo, hi) in enumerate(windows):
                 if self.integrated[w]:
-                    # One slope of the reading model for the whole window: its mean decides the signs.
+                    # One slope of the sensor model for the whole window: its mean decides the signs.
                     D = accel.sensitivity(force[w])
                     f = D @ (self._force[:, lo:hi] - accel.bias[:, None])
-                    out[k] = np.einsum("abn,bn->a", attitude[:, :, lo:hi], f * self._weights[lo:hi])
+                    out[k, side] = np.einsum("abn,bn->a", attitude[:, :, lo:hi], f * self._weights[lo:hi])
+        return out
 
     def _orientation(self, integrals: RotationIntegrals, force: Array, U: Array) -> Array:
-        """Best rotation from T to MARS: turning axes seen by the gyros, and verticals seen at rest (Wahba's problem).
+        """Rotation U from T to MARS by Wahba's problem: measured rotation axes and measured verticals at rest.
 
-        It takes the mounting on the table into itself, so that of the mounting error nothing is left in ω̂e.
+        U includes the mounting error of the IMU on the table, so that ω̂e is free of it.
         """
         data = self.data
         if data.nominal is None:
@@ -339,13 +348,13 @@ class SrtProcessor:
         for k, sequence in enumerate(data.catalogue):
             if sequence is not None and len(sequence.rotations) == 1:
                 angle = float(sequence.angles_rad[0])
-                turned = integrals.turned[k]
+                turned = integrals.angle[k]
                 in_T.append(np.sign(angle) * sequence.axes)
                 in_B.append(turned[None] / np.linalg.norm(turned))
         B = np.concatenate(in_B).T @ np.concatenate(in_T)
         left, singular, right = np.linalg.svd(B)
-        if singular[1] < 0.1 * singular[0]:
-            # Parallel verticals and no turn of one axis leave the rotation about them open: there the last U decides.
-            left, _, right = np.linalg.svd(B + 0.1 * singular[0] * U)
+        if singular[1] < _PARALLEL * singular[0]:
+            # Parallel verticals and no single-axis rotation leave the angle about the vertical open: take the last U's.
+            left, _, right = np.linalg.svd(B + _PARALLEL * singular[0] * U)
         out: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
         return out

@@ -154,10 +154,10 @@ def test_held_parameters_are_marked_with_the_reason(recording, capfd):
     assert main(["calibrate", str(recording), "--hold", "accel_bias_y"]) == 0
     out, err = capfd.readouterr()
     assert rows_of(out)["accel_bias_y"][3] == "held"
-    assert "accel_bias_y: held on request" in out
+    assert "accel_bias_y: fixed on request" in out
     assert "Status partial" in out
     assert err.splitlines()[-1].startswith("srt: warning: ")
-    assert err.splitlines()[-1].endswith("held, not observed: accel_bias_y: held on request.")
+    assert err.splitlines()[-1].endswith("held, not observed: accel_bias_y: fixed on request.")
 
 
 @pytest.mark.parametrize("status", ["not_converged", "outside_model"])
@@ -175,7 +175,7 @@ def test_one_playback_is_not_enough(recording, tmp_path, capfd):
     assert main(["calibrate", str(recording), "-q", "--max-playbacks", "1"]) == 1
     out, err = capfd.readouterr()
     assert out == ""
-    assert "Not converged after 1 play-back" in err
+    assert "Not converged after 1 iteration" in err
     assert err.count("\n") == 1
 
 

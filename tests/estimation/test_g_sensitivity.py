@@ -264,7 +264,7 @@ def test_with_one_vertical_nothing_is_taken_and_it_says_so():
     stated = found.diagnostics["g_sensitivity"]
     assert not np.array(stated["matrix"]).any()
     unseen = np.array(stated["not_seen_along"])
-    np.testing.assert_allclose(unobserved @ unseen.T, np.eye(3), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(unseen @ unseen.T, np.eye(3), rtol=0, atol=1e-12)
     assert any("is not observable: the specific force varies" in w for w in found.warnings)
     bias = found.errors.vector[GROUP_SLICES["gyro_bias"]]
     # To second order: what is left of the compensation at the estimate.

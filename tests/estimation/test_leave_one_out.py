@@ -97,7 +97,7 @@ def test_linear_problem_without_each_group():
         np.testing.assert_allclose(left.information, 1.0 - np.diag(P) / np.diag(P_rest), atol=1e-8)
         assert not left.lost.any()
         assert against.chi_square == pytest.approx(statistic - statistic_rest, rel=1e-8)
-        assert (against.freedom, against.unchecked) == (len(D), 0)
+        assert (against.degrees_of_freedom, against.unchecked) == (len(D), 0)
 
 
 def test_what_one_group_alone_shows_is_lost_and_not_checkable():
@@ -111,9 +111,9 @@ def test_what_one_group_alone_shows_is_lost_and_not_checkable():
     H[np.ix_(np.setdiff1d(np.arange(len(z)), groups[2]), alone)] = 0.0
     z = z - H @ solved(z, H, R)[0]
     against, left = (f(z, H, R, groups)[2] for f in (consistency_tests, leave_one_out_estimates))
-    assert (against.freedom, against.unchecked) == (4, 2)
+    assert (against.degrees_of_freedom, against.unchecked) == (4, 2)
     assert np.flatnonzero(left.lost).tolist() == alone
-    assert set(alone) <= set(np.flatnonzero(against.witnessed).tolist())
+    assert set(alone) <= set(np.flatnonzero(against.determined).tolist())
     rest = np.setdiff1d(np.arange(len(z)), groups[2])
     others = np.setdiff1d(np.arange(N_PARAMETERS), alone)
     x, P, statistic = solved(z[rest], H[np.ix_(rest, others)], R[np.ix_(rest, rest)])
@@ -132,7 +132,7 @@ def test_a_group_of_all_measurements_leaves_nothing():
     (against,) = consistency_tests(z, H, R, everything)
     # Of its own surplus it is checkable: the residuals of all.
     assert against.chi_square == pytest.approx(solved(z, H, R)[2], rel=1e-8)
-    assert against.freedom == len(z) - N_PARAMETERS
+    assert against.degrees_of_freedom == len(z) - N_PARAMETERS
 
 
 def test_inflation_correlation_and_weakest_combination():

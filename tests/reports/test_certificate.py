@@ -150,7 +150,7 @@ def test_numbers_on_the_page_are_those_of_the_file(saved, plain_page, tmp_path, 
             assert float(row[3]) == pytest.approx(stated["sigma"] * factor, abs=step)
         else:
             assert row[3] == "held"
-            assert SYMBOLS[INDEX[stated["name"]]] in read.text.split("Held, not measured")[1]
+            assert SYMBOLS[INDEX[stated["name"]]] in read.text.split("Fixed, not measured")[1]
     for word in ("SN-1", "2026-05-04", "45°", "23.2 °C", "range 1.5 °C", f"{1:064x}", "test 0.1.0", source.sha256):
         assert word in read.text
     assert f"{27 - len(held)} of 27 parameters were measured" in read.text

@@ -118,7 +118,7 @@ def test_apply_refuses_what_does_not_fit(calibration):
 def test_too_few_playbacks_is_a_status(unit):
     result = srt.calibrate(unit[0], max_playbacks=1)
     assert result.status == "not_converged"
-    assert "Not converged after 1 play-backs" in result.message
+    assert "Not converged after 1 iterations" in result.message
 
 
 def test_coplanar_accelerometers_are_outside_the_model(unit):
@@ -177,7 +177,7 @@ def test_held_parameters_keep_the_given_values(unit):
     result = srt.calibrate(recording, hold=("accel_asymmetry", "gyro_bias_x"), start=truth)
     for name in ("accel_asymmetry_y", "gyro_bias_x"):
         assert result.errors[name] == truth[name]
-        assert result.held[name] == "held on request, taken as exact"
+        assert result.held[name] == "fixed on request, taken as exact"
         assert np.isnan(result.sigma[INDEX[name]])
 
 
