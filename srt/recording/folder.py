@@ -9,7 +9,9 @@ from __future__ import annotations
 import hashlib
 import os
 import tomllib
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,7 +19,7 @@ import numpy as np
 
 from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
-from srt.recording.atomic_file import atomic_path, unwritable
+from srt.recording.atomic_file import atomic_write_text, unwritable
 from srt.recording.importer_registry import is_foreign
 from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
 from srt.recording.samples import SAMPLES_FORMATS, Samples, read_samples, write_samples
@@ -201,13 +203,13 @@ def write_recording(
     samples_format : str
         "csv", "npz", "parquet" or "h5".
     overwrite : bool
-        Whether a folder that holds files may be written to. Files that are not replaced stay.
+        Write to a folder that has files already. Files of other names remain.
 
     Raises
     ------
     InputError
-        A folder with files in it, an unknown format, a path that cannot be written. Nothing half-written is
-        left: ``recording.toml`` appears last.
+        A folder with files in it, an unknown format, a path that cannot be written. The folder then has the recording
+        that it had before, complete, and no file in part.
     MissingExtraError
         If the format needs a package that is not installed.
     """
@@ -218,23 +220,52 @@ def write_recording(
         )
     folder = Path(directory)
     created = _prepare(folder, overwrite=overwrite)
-    name = f"samples.{samples_format}"
+    name = _unused_name(folder, samples_format)
     temperature = recording.temperature
     constant = temperature is not None and temperature.strides == (0,)
     # The column views do not copy; writers do, one column or block at a time.
     samples = Samples(recording.gyro, recording.accel, recording.time, None if constant else temperature)
     try:
-        with atomic_path(folder / TOML_NAME) as new_toml:
-            new_toml.write_text(_emit(recording, name), encoding="utf-8", newline="\n")
-            with atomic_path(folder / name) as new_samples:
-                write_samples(new_samples, samples)
-                # All is written; only renamings are left. Between the two there shall be no recording rather
-                # than old keys with new samples.
-                (folder / TOML_NAME).unlink(missing_ok=True)
+        write_samples(folder / name, samples)
+        try:
+            # Until this renaming, the folder has the old recording; from then on, the new one.
+            atomic_write_text(folder / TOML_NAME, _emit(recording, name))
+        except BaseException:
+            with suppress(OSError):
+                (folder / name).unlink(missing_ok=True)
+            raise
     except BaseException:
         if created and not any(folder.iterdir()):
             folder.rmdir()
         raise
+    usual = f"samples.{samples_format}"
+    if name != usual:
+        _rename_samples(folder, name, usual, _emit(recording, usual))
+
+
+def _unused_name(folder: Path, samples_format: str) -> str:
+    """Name for the new samples file that no file in the folder has."""
+    numbered = (f"samples-{number}.{samples_format}" for number in count(2))
+    return next(name for name in chain([f"samples.{samples_format}"], numbered) if not os.path.lexists(folder / name))
+
+
+def _rename_samples(folder: Path, name: str, usual: str, toml_text: str) -> None:
+    """Rename the new samples to the usual name, which the old ones have.
+
+    ``recording.toml`` names a complete file throughout. The recording is complete under either name, so errors end the
+    renaming silently; the old samples are then removed, and the next overwriting takes their name.
+    """
+    link = folder / f".{name}.link"
+    superseded = name
+    try:
+        link.hardlink_to(folder / name)
+        link.replace(folder / usual)
+        atomic_write_text(folder / TOML_NAME, toml_text)
+    except (OSError, NotImplementedError, InputError):  # some file systems have no links
+        superseded = usual
+    for path in (link, folder / superseded):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def _find_toml(path: Path) -> Path:

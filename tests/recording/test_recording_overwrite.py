@@ -1,0 +1,152 @@
+"""Overwriting a recording: whatever call fails, the folder has the old or the new recording, complete."""
+
+from __future__ import annotations
+
+import builtins
+import errno
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from srt.exceptions import InputError
+from srt.recording.folder import load_recording, write_recording
+from srt.recording.recording import Recording, Site
+from srt.recording.samples import SAMPLES_FORMATS
+
+OLD, NEW = 40, 60
+
+
+def recording(n):
+    rng = np.random.default_rng(n)
+    return Recording(0.01 * np.arange(1, n + 1), rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), Site(9.8))
+
+
+class FailingCalls:
+    """Layer over the calls that change files: the call of the given number fails, as on a full disk."""
+
+    OS_CALLS = ("fsync", "replace", "rename", "unlink", "link")
+
+    def __init__(self, monkeypatch, folder, failing):
+        self.folder, self.failing, self.calls = folder, failing, []
+        for name in self.OS_CALLS:
+            monkeypatch.setattr(os, name, self.wrapped(name, getattr(os, name)))
+        for module in (builtins, io):
+            monkeypatch.setattr(module, "open", self.opened(module.open))
+
+    def count(self, name):
+        self.calls.append(name)
+        if len(self.calls) - 1 == self.failing:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def wrapped(self, name, call):
+        def layer(*args, **kwargs):
+            self.count(name)
+            return call(*args, **kwargs)
+
+        return layer
+
+    def opened(self, call):
+        def layer(file, mode="r", *args, **kwargs):
+            inside = isinstance(file, str | os.PathLike) and Path(file).is_relative_to(self.folder)
+            if not inside or mode in ("r", "rb"):
+                return call(file, mode, *args, **kwargs)
+            self.count("open")
+            stream = call(file, mode, *args, **kwargs)
+            return Writing(stream, self) if "w" in mode else stream
+
+        return layer
+
+
+class Writing:
+    """Open file whose writes are counted."""
+
+    def __init__(self, stream, calls):
+        self.stream, self.calls = stream, calls
+
+    def write(self, data):
+        self.calls.count("write")
+        return self.stream.write(data)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *args):
+        self.stream.close()
+
+    def __getattr__(self, name):
+        return getattr(self.stream, name)
+
+
+def folder_with_old(path, samples_format):
+    write_recording(recording(OLD), path, samples_format=samples_format)
+    (path / "notes.txt").write_text("kept")
+    return {p.name: p.read_bytes() for p in path.iterdir()}
+
+
+@pytest.mark.parametrize("samples_format", SAMPLES_FORMATS)
+def test_each_failing_call_leaves_a_complete_recording(tmp_path, samples_format):
+    failing, failed = 0, []
+    while True:
+        folder = tmp_path / str(failing)
+        before = folder_with_old(folder, samples_format)
+        error = None
+        with pytest.MonkeyPatch.context() as patch:
+            layer = FailingCalls(patch, folder, failing)
+            try:
+                write_recording(recording(NEW), folder, samples_format=samples_format, overwrite=True)
+            except InputError as refused:
+                error = refused
+        loaded = load_recording(folder)
+        now = {p.name: p.read_bytes() for p in folder.iterdir()}
+        assert now["notes.txt"] == b"kept"
+        if error is not None:
+            assert "No space left" in str(error)
+            assert {name: now[name] for name in before} == before
+        else:
+            assert np.array_equal(loaded.gyro, recording(NEW).gyro)
+        if len(layer.calls) <= failing:
+            break
+        failed.append((layer.calls[failing], error is not None))
+        failing += 1
+    # Opening, syncing and renaming the samples, and the same for recording.toml, end with an error.
+    assert {name for name, refused in failed if refused} >= {"open", "fsync", "replace"}
+    assert samples_format != "csv" or ("write", True) in failed
+    assert sum(refused for _, refused in failed) >= 5
+    assert error is None
+    assert sorted(now) == ["notes.txt", "recording.toml", f"samples.{samples_format}"]
+
+
+def test_nothing_is_left_of_a_first_write_that_fails(tmp_path):
+    failing = 0
+    while True:
+        folder = tmp_path / str(failing)
+        error = None
+        with pytest.MonkeyPatch.context() as patch:
+            layer = FailingCalls(patch, folder, failing)
+            try:
+                write_recording(recording(NEW), folder)
+            except InputError as refused:
+                error = refused
+        if len(layer.calls) <= failing:
+            break
+        # Where the removal of a temporary file is the call that fails, the file stays.
+        assert error is None or layer.calls[failing] == "unlink" or not folder.exists()
+        assert error is not None or np.array_equal(load_recording(folder).gyro, recording(NEW).gyro)
+        failing += 1
+    assert failing > 5
+
+
+def test_a_file_system_without_links_keeps_the_new_recording_under_another_name(tmp_path, monkeypatch):
+    folder_with_old(tmp_path, "csv")
+
+    def unsupported(*_args, **_kwargs):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", unsupported)
+    for n, name in ((NEW, "samples-2.csv"), (NEW + 1, "samples.csv")):
+        write_recording(recording(n), tmp_path, overwrite=True)
+        assert len(load_recording(tmp_path).gyro) == n
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["notes.txt", "recording.toml", name]
