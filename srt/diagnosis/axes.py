@@ -1,9 +1,9 @@
-"""Axes and frames: signs and names of axes that are right angles off, from labels and from each other.
+"""Axes and frames: swapped axes and wrong signs, from the labels and from gravity against the gyros.
 
-Specific force at rest is fixed to the Earth, so in the body it turns against the body: ``df/dt = f × ω``. Over turns
-that gives ``K`` of ``df/dt = f × (K ω̃)`` whatever the labels say: the unit matrix for sound readings, the inverse of
-the gyros' factor for a wrong unit, and for axes ``f̃ = Pa f`` and ``ω̃ = Pg ω`` with signed permutations
-``K = det(Pa) Pa Pg⁻¹``. The sign of all accelerometers together does not show in it.
+The specific force of a body that only rotates is fixed to the Earth, so in body axes ``df/dt = f × ω``. The rotations
+therefore give ``K`` of ``df/dt = f × (K ω̃)`` without any label: the identity for correct readings, the inverse of the
+gyros' factor for a wrong unit, and ``K = det(Pa) Pa Pg⁻¹`` for axes ``f̃ = Pa f`` and ``ω̃ = Pg ω`` that are signed
+permutations. A common sign of all accelerometers cancels.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _EYE: Final = np.eye(3)
     "frame_turned",
     "frames_disagree",
 )
-def axes(evidence: Evidence) -> Iterator[Finding]:
-    """Signed permutations of both triads against the labels, on which the turning of gravity must agree."""
+def axis_permutations(evidence: Evidence) -> Iterator[Finding]:
+    """Name signed permutations of both triads against the labels; the rotation of gravity must agree with them."""
     gyro, accel = gyro_axes(evidence), accel_axes(evidence)
     relation = None
     if gyro is None or accel is None or not (_is(gyro, _EYE) and _is(accel, _EYE)):
@@ -47,31 +47,31 @@ def axes(evidence: Evidence) -> Iterator[Finding]:
         relation = None if relation is None else nearest_axes(relation)
     if gyro is None or accel is None:
         if relation is not None and not _is(relation, _EYE):
-            yield _between(relation)
+            yield _relative_finding(relation)
         return
     if _is(gyro, _EYE) and _is(accel, _EYE):
         return
     if relation is not None and not _is(relation, np.linalg.det(accel) * accel @ gyro.T):
         return  # the labels are wrong, not the axes
-    yield _named(gyro, accel)
+    yield _permutation_finding(gyro, accel)
 
 
 def _is(first: Array, second: Array) -> bool:
     return bool(np.abs(first - second).max() < 0.5)
 
 
-def _between(relation: Array) -> Finding:
-    """Gyros against accelerometers where no label tells which of them is right: the simpler of two explanations."""
+def _relative_finding(relation: Array) -> Finding:
+    """Fault of gyros against accelerometers, without labels that tell which is right: the simpler explanation."""
     proper = np.linalg.det(relation) > 0.0
-    # An improper relation is one of improper gyros; of improper accelerometers it is proper, with the sign reversed.
+    # Improper gyros make K improper; improper accelerometers make it proper, with the sign reversed.
     if not proper or _is(relation, -_EYE):
-        return _named(relation.T, _EYE)
+        return _permutation_finding(relation.T, _EYE)
     other = _one_sensor("accel", -relation)
-    return other if other is not None else _named(relation.T, _EYE)
+    return other if other is not None else _permutation_finding(relation.T, _EYE)
 
 
-def _named(gyro: Array, accel: Array) -> Finding:
-    """The fault that these axes are."""
+def _permutation_finding(gyro: Array, accel: Array) -> Finding:
+    """Fault of these two signed permutations."""
     if _is(accel, _EYE) and (one := _one_sensor("gyro", gyro)) is not None:
         return one
     if _is(gyro, _EYE) and (one := _one_sensor("accel", accel)) is not None:
@@ -85,7 +85,7 @@ def _named(gyro: Array, accel: Array) -> Finding:
 
 
 def _one_sensor(sensor: str, axes: Array) -> Finding | None:
-    """The fault of one triad alone, if it is one of those that have a name."""
+    """Fault of one triad alone; None if it has no name of its own."""
     undo = mapping(axes)
     if _is(axes, -_EYE):
         return finding(f"{sensor}_sign_convention", mapping=undo)
@@ -98,32 +98,32 @@ def _one_sensor(sensor: str, axes: Array) -> Finding | None:
 
 
 _BLOCK_S: Final = 0.1
-"""Stretches over which gyro readings are summed and accelerometer readings averaged: long against the noise of a
-sample, short against a turn, as the axis is taken to stand still over two of them."""
-_SPANS: Final = 1e-3
-"""Smallest over largest eigenvalue of the normal equations, below which some axis was hardly turned."""
-_EXPLAINED: Final = 0.3
-"""Share of the power that may stay unexplained by labels: sound readings leave some hundredths, wrong labels most."""
-_BY_HAND: Final = 0.65
+"""Block, s, over which gyro readings are integrated and accelerometer readings averaged: long enough to suppress the
+noise of a sample, short enough for the rotation axis to be constant over two blocks."""
+_LEAST_EIGENVALUE: Final = 1e-3
+"""Smallest over largest eigenvalue of the normal equations, below which one axis was hardly rotated."""
+_UNEXPLAINED_BY_LABELS: Final = 0.3
+"""Share of the power that the labels may leave unexplained: correct readings leave a few %, wrong labels most."""
+_UNEXPLAINED_BY_GYROS: Final = 0.65
+"""The same for the rotation of gravity: a hand accelerates the unit about as much as gravity rotates in it."""
 _FEWEST_BLOCKS: Final = 50
-"""Likewise by gyros: a hand pushes the unit about as much as gravity turns in it. Nine coefficients explain 6 % of what
-is nothing but noise in so many blocks."""
-_NEAR: Final = 0.5
-"""Deviation of an element of a unit row that is still the same axis: half-way to another, 30°."""
+"""Blocks in which nine coefficients explain 6 % of pure noise."""
+_AXIS_TOLERANCE: Final = 0.5
+"""Deviation of an element of a unit row that still belongs to the same axis: 30°, near half-way to the next."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ManoeuvreReadings:
-    """Rests and the turns between them, labelled or found, as rates.
+    """Means of the stationary windows, and the samples of the manoeuvres between them, labelled or found.
 
     Attributes
     ----------
     rate, force : ndarray, shape (W, 3), rad/s and m/s²
         Mean readings of the windows.
     spans : ndarray of int, shape (K, 2)
-        First sample of each turn without a gap, and one past its last.
+        First sample of each manoeuvre without a gap, and one past its last.
     between : ndarray of int, shape (K, 2)
-        Windows before and after it.
+        Window before and window after it.
     """
 
     rate: Array
@@ -133,7 +133,7 @@ class ManoeuvreReadings:
 
 
 def manoeuvre_readings(evidence: Evidence) -> ManoeuvreReadings | None:
-    """Windows and turns of the labels, or all that were found in a recording without labels; None without any."""
+    """Readings of the labelled manoeuvres, or of those found in a recording without labels; None without any."""
     if evidence.has_labels:
         data = evidence.data
         if data is None:
@@ -156,12 +156,12 @@ def manoeuvre_readings(evidence: Evidence) -> ManoeuvreReadings | None:
 
 
 def gravity_relation(evidence: Evidence) -> Array | None:
-    """K of ``df/dt = f × (K ω̃)`` over all turns, by least squares.
+    """Matrix K of ``df/dt = f × (K ω̃)`` over all rotations, by least squares.
 
     Returns
     -------
     ndarray, shape (3, 3), or None
-        None if the turns do not cover all axes, or the readings do not obey any such relation.
+        None if the rotations do not cover all axes, or no K explains the readings.
     """
     turns = manoeuvre_readings(evidence)
     if turns is None:
@@ -188,15 +188,15 @@ def gravity_relation(evidence: Evidence) -> Array | None:
     if blocks < _FEWEST_BLOCKS or seen == 0.0 or not np.all(np.isfinite(matrix)):
         return None
     values = np.linalg.eigvalsh(matrix)
-    if values[0] <= _SPANS * values[-1]:
+    if values[0] <= _LEAST_EIGENVALUE * values[-1]:
         return None
     relation = np.asarray(np.linalg.solve(matrix, right.ravel()), dtype=np.float64).reshape(3, 3)
     # The power that least squares explains is the solution times the right-hand side.
-    return relation if seen - float(np.sum(relation * right)) <= _BY_HAND * seen else None
+    return relation if seen - float(np.sum(relation * right)) <= _UNEXPLAINED_BY_GYROS * seen else None
 
 
 def nearest_axes(matrix: Array) -> Array | None:
-    """Signed permutation whose rows a matrix's rows lie nearest to, whatever their lengths; None if near none."""
+    """Signed permutation nearest to the directions of the rows of a matrix; None if none is near."""
     length = np.linalg.norm(matrix, axis=1, keepdims=True)
     if not (np.all(np.isfinite(length)) and np.all(length > 0.0)):
         return None
@@ -206,11 +206,11 @@ def nearest_axes(matrix: Array) -> Array | None:
         return None
     nearest = np.zeros((3, 3))
     nearest[range(3), largest] = np.sign(rows[range(3), largest])
-    return nearest if np.abs(rows - nearest).max() < _NEAR else None
+    return nearest if np.abs(rows - nearest).max() < _AXIS_TOLERANCE else None
 
 
 def gyro_axes(evidence: Evidence) -> Array | None:
-    """Signed permutation Pg of the gyros by the turns stated; None where these do not tell."""
+    """Signed permutation Pg of the gyros by the stated rotations; None if they do not determine it."""
     if evidence.data is None or evidence.gyro_fit.rank < 3:
         return None
     _, _, turned = evidence.rotation_angles
@@ -218,7 +218,7 @@ def gyro_axes(evidence: Evidence) -> Array | None:
 
 
 def accel_axes(evidence: Evidence) -> Array | None:
-    """Signed permutation Pa of the accelerometers by the faces stated; None where these do not tell."""
+    """Signed permutation Pa of the accelerometers by the stated poses; None if they do not determine it."""
     if evidence.data is None or evidence.accel_fit.rank < 3:
         return None
     _, reading = evidence.poses
@@ -227,11 +227,11 @@ def accel_axes(evidence: Evidence) -> Array | None:
 
 
 def _fits(residual: Array, reading: Array) -> bool:
-    return bool(np.sum(residual**2) <= _EXPLAINED * np.sum(reading**2))
+    return bool(np.sum(residual**2) <= _UNEXPLAINED_BY_LABELS * np.sum(reading**2))
 
 
 def mapping(axes: Array) -> str:
-    """What undoes a signed permutation, as ``srt convert --map-gyro`` takes it: "x,-y,z"."""
+    """Axis map that undoes a signed permutation, in the form of ``srt convert --map-gyro``: "x,-y,z"."""
     undo = axes.T
     columns = np.argmax(np.abs(undo), axis=1)
     return ",".join(("-" if undo[i, j] < 0.0 else "") + AXES[j] for i, j in enumerate(columns.tolist()))

@@ -1,4 +1,4 @@
-"""Channels and logger: columns that are dead, twice there or exchanged, readings that stick or jump out."""
+"""Channels and logger: dead, repeated or exchanged columns, repeated rows, and spikes."""
 
 from __future__ import annotations
 
@@ -23,22 +23,24 @@ if TYPE_CHECKING:
 
 
 CHANNELS: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in AXES)
+"""Names of the six columns."""
 _SAMPLES: Final = 20_000
-"""Rows looked at where all would tell no more."""
+"""Rows used where all rows would tell no more."""
 _PIECES: Final = 8
+"""Pieces of the recording from which these rows come."""
 _SAME: Final = 1e-9
-"""Correlation that two columns of noise lack by chance at most; conversion of units rounds by 1e-16."""
+"""One minus the correlation of identical columns at most; conversion of units rounds by 1e-16."""
 _MANY: Final = 50
-"""Changes in a column below which its correlation says nothing."""
+"""Changes of a column, fewer of which give no useful correlation."""
 _SCALES: Final = 10.0
-"""Factor by which the values of a count on the axes of one triad differ at most."""
+"""Largest ratio of the values of a count on the axes of one triad."""
 _POLE: Final = 1.02
-"""The Earth's rate over gravity at the poles, with room for scale errors; elsewhere less is proportional to gravity."""
+"""Earth rate along gravity over the Earth rate, at the poles and with 2 % of scale error; elsewhere it is less."""
 _GRAVITY: Final = 4.0
-"""Largest over smallest magnitude (of 99 % of the readings) of a triad that holds gravity: half of scale error and of
-bias either way make 3.2, while gyros turn at many times what they read at rest."""
+"""Largest over smallest magnitude (of 99 % of the readings) of a triad that senses gravity: 50 % of scale error and of
+bias make 3.2, while gyros read many times their stationary reading in rotation."""
 _TURNED: Final = 0.95
-"""Length of the mean over the mean length, above which a vector hardly changed its direction."""
+"""Magnitude of the mean vector over the mean magnitude, above which the direction hardly changed."""
 
 
 def _columns(evidence: Evidence) -> list[Array]:
@@ -47,13 +49,13 @@ def _columns(evidence: Evidence) -> list[Array]:
 
 
 def _constant(column: Array) -> bool:
-    # Nearly every column is ruled out by its first readings.
+    # The first readings suffice for nearly every column.
     return bool(np.all(column[:100] == column[0]) and np.all(column == column[0]))
 
 
 @check("gyro_channel_dead", "accel_channel_dead")
 def dead_channels(evidence: Evidence) -> Iterator[Finding]:
-    """A column with one value throughout, of a triad whose other columns are noisy, or whose axis was turned."""
+    """Find columns with one value throughout, where other columns are noisy or the axis was rotated."""
     for sensor, table, moved_axes in (
         ("gyro", evidence.recording.gyro, _turned_axes),
         ("accel", evidence.recording.accel, _tilted_axes),
@@ -61,7 +63,7 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
         dead = np.array([_constant(table[:, axis]) for axis in range(3)])
         if not dead.any():
             continue
-        # Readings without noise may well be constant: only what must have moved is dead then.
+        # Readings without noise can be constant: a column is dead then only if its axis must have moved.
         noisy = any(_noisy(evidence, column) for column in _columns(evidence))
         moved = moved_axes(evidence)
         named = [axis for axis in range(3) if dead[axis] and (noisy or moved[axis])]
@@ -74,7 +76,7 @@ def dead_channels(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _noisy(evidence: Evidence, column: Array) -> bool:
-    """Whether readings at rest scatter by more than rounding."""
+    """True if stationary readings scatter by more than rounding."""
     if evidence.data is None:
         return False
     a, b = evidence.data.windows.samples[0].tolist()
@@ -82,7 +84,7 @@ def _noisy(evidence: Evidence, column: Array) -> bool:
 
 
 def _turned_axes(evidence: Evidence) -> Mask:
-    """Axes about which the labels have the unit turned."""
+    """Axes about which the labels rotate the unit."""
     if evidence.data is None or evidence.recording.fixture is None:
         return np.zeros(3, dtype=bool)
     turned = [np.abs(s.axes).max(axis=0) for s in evidence.data.catalogue if s is not None]
@@ -90,7 +92,7 @@ def _turned_axes(evidence: Evidence) -> Mask:
 
 
 def _tilted_axes(evidence: Evidence) -> Mask:
-    """Axes along which the labels have gravity change."""
+    """Axes along which gravity changes by the labels."""
     if evidence.data is None or evidence.recording.fixture is None:
         return np.zeros(3, dtype=bool)
     nominal, _ = evidence.poses
@@ -101,12 +103,12 @@ def _tilted_axes(evidence: Evidence) -> Mask:
 
 @check("columns_repeat")
 def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
-    """Two columns with the same readings, or the same but for a constant factor of their units."""
+    """Find two columns with the same readings, or readings that differ by a constant factor."""
     columns = _columns(evidence)
     n = len(columns[0])
     length = max(2, min(n, _SAMPLES // _PIECES))
     starts = np.unique(np.linspace(0, n - length, _PIECES).astype(np.intp))
-    # Differences of neighbours show noise, which no two columns share, and no bias.
+    # Differences of neighbours hold the noise, which no two columns share, and no bias.
     steps = np.array([np.concatenate([np.diff(c[a : a + length]) for a in starts.tolist()]) for c in columns])
     size = np.sqrt(np.einsum("cn,cn->c", steps, steps))
     changes = np.count_nonzero(steps, axis=1)
@@ -124,7 +126,7 @@ def columns_repeat(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
-    """Whether proportional columns cannot be sound; without noise, some may be: residues, or the Earth's rate."""
+    """True if proportional columns are a fault: without noise, rounding residues and the Earth rate are too."""
     if i // 3 == j // 3:
         return 1.0 / _SCALES < abs(factor) < _SCALES
     earth = EARTH_RATE_RAD_S / STANDARD_GRAVITY_M_S2
@@ -133,7 +135,7 @@ def _may_repeat(evidence: Evidence, i: int, j: int, factor: float) -> bool:
 
 @check("sensors_exchanged")
 def sensors_exchanged(evidence: Evidence) -> Iterator[Finding]:
-    """The gyro columns hold one length whose direction changes, and the accelerometer columns do not."""
+    """Find gyro columns with a constant magnitude that rotates, and accelerometer columns without one."""
     recording = evidence.recording
     stride = max(1, len(recording.time) // _SAMPLES)
     gyro, accel = recording.gyro[::stride], recording.accel[::stride]
@@ -160,8 +162,8 @@ def _holds_gravity(vectors: Array) -> bool:
 
 
 @check("samples_stuck", "gyro_stuck", "accel_stuck")
-def stuck(evidence: Evidence) -> Iterator[Finding]:
-    """Runs of equal rows, longer than the recording's own repeats explain."""
+def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
+    """Find runs of equal rows that are longer than the recording's own repeats explain."""
     for fault, runs in zip(("samples_stuck", "gyro_stuck", "accel_stuck"), repeated_runs(evidence), strict=True):
         if runs:
             run = max(runs, key=lambda r: r.count)
@@ -175,7 +177,7 @@ def stuck(evidence: Evidence) -> Iterator[Finding]:
 
 @check("spikes")
 def spikes(evidence: Evidence) -> Iterator[Finding]:
-    """Single readings that jump out; told is the largest of the channel that has most of them."""
+    """Find spikes; the message gives the largest one of the channel that has most."""
     there = find_spikes(evidence)
     if there.sample.size == 0:
         return

@@ -1,7 +1,7 @@
-"""What checks look at: readings, windows, turns and faces of a recording, each worked out once and on demand.
+"""Evidence for the checks: readings, windows, rotations and static poses of a recording, each computed once on demand.
 
-Nothing here refuses a recording for its values: impossible readings are what the checks are for. Readings are raw,
-in SI as declared; ``rate`` and ``force`` are rates whatever the kind of the recording.
+No recording is refused here for its values: the checks find impossible readings. Readings are raw, in SI by the
+declared units; ``rate`` and ``force`` are rates for both kinds of recording.
 """
 
 from __future__ import annotations
@@ -27,16 +27,19 @@ if TYPE_CHECKING:
 
 
 _RIDGE: Final = 1e-9
+"""Relative singular value below which a direction counts as not observed; far above rounding, below any rotation."""
+_RANK: Final = 0.1
+"""Singular value of the unit vectors below which they do not span a direction: it lies within 6° of the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
-    """Readings against nominal vectors, ``reading ≈ matrix @ nominal + offset``, by least squares.
+    """Least-squares fit of readings to nominal vectors, ``reading ≈ matrix @ nominal + offset``.
 
     Attributes
     ----------
     matrix : ndarray, shape (3, 3)
-        The unit matrix for a perfect unit in the right frame.
+        Identity for a perfect IMU in the nominal frame.
     offset : ndarray, shape (3,)
     residual : ndarray, shape (n, 3)
     rank : int
@@ -50,16 +53,16 @@ class LinearFit:
 
 
 class Evidence:
-    """A recording under examination.
+    """Quantities of one recording that the checks use.
 
     Parameters
     ----------
     recording : Recording
-        Labelled, or not; without labels the sequences that were recognised take their place.
+        Without labels, the recognised sequences replace them.
     options : Options, optional
-        Of the calibration that ``result`` is.
+        Options of the calibration ``result``.
     result : Calibration, optional
-        If it was computed already.
+        Calibration of the recording, if known already.
     """
 
     def __init__(self, recording: Recording, options: Options | None = None, result: Calibration | None = None) -> None:
@@ -89,11 +92,11 @@ class Evidence:
         """Accelerometer readings, shape (n, 3), m/s²."""
         return self.recording.accel if self.per_rate == 1.0 else self.recording.accel * self.per_rate
 
-    # --- what was recognised, and what is labelled -------------------------------------------------------------------
+    # --- recognised and labelled sequences ---------------------------------------------------------------------------
 
     @cached_property
     def recognition(self) -> Recognition | None:
-        """Stillness, turns and sequences found in the samples; None if no two windows were found."""
+        """Stationary windows, manoeuvres and sequences found in the samples; None with fewer than two windows."""
         try:
             return recognise(self.recording)
         except DataError:
@@ -101,12 +104,12 @@ class Evidence:
 
     @cached_property
     def has_labels(self) -> bool:
-        """Whether the recording came with labels."""
+        """True if the recording came with labels."""
         return bool(self.recording.sequences)
 
     @cached_property
     def labels(self) -> tuple[SequenceLabel, ...]:
-        """Labels given, else those of the sequences recognised, else of free turns; may be empty."""
+        """Labels of the recording, else of the recognised sequences or free rotations; may be empty."""
         if self.has_labels:
             return self.recording.sequences
         return () if self.recognition is None else self.recognition.labels
@@ -117,7 +120,7 @@ class Evidence:
 
     @cached_property
     def data(self) -> PlaybackData | None:
-        """The labelled recording prepared without any check; None if it cannot be."""
+        """The labelled recording, prepared without checks; None if that is not possible."""
         try:
             return prepare(self._with_labels, self.labels, self.options.average)
         except DataError:
@@ -125,7 +128,7 @@ class Evidence:
 
     @cached_property
     def contiguous(self) -> Mask:
-        """Sequences without a gap between their first and last sample, shape (K,)."""
+        """True for sequences without a gap between their first and last sample, shape (K,)."""
         data = self._data
         first, last = data.windows.samples[data.start, 0], data.windows.samples[data.end, 1]
         gaps = self.recording.gaps
@@ -138,14 +141,14 @@ class Evidence:
         return self.data
 
     def title(self, sequence: int) -> str:
-        """What sentences call a sequence: "sequence 7"."""
+        """Name of a sequence in messages: "sequence 7"."""
         data = self._data
         again = f" (occurrence {data.occurrences[sequence]})" if data.occurrences[sequence] > 1 else ""
         name = data.ids[sequence]
         return f"{name}{again}" if data.catalogue[sequence] is None else f"sequence {name}{again}"
 
     def sequence_at(self, sample: int) -> int | None:
-        """The sequence whose windows or rotation hold a sample, if any."""
+        """Sequence whose windows or rotation contain a sample; None if there is none."""
         if self.data is None:
             return None
         first = self.data.windows.samples[self.data.start, 0]
@@ -154,33 +157,33 @@ class Evidence:
         return int(inside[0]) if inside.size else None
 
     def place_title(self, sample: int) -> str:
-        """What sentences call the place of a sample."""
+        """Name in messages of the sequence that contains a sample."""
         k = self.sequence_at(sample)
         return "that part" if k is None else self.title(k)
 
-    # --- rest --------------------------------------------------------------------------------------------------------
+    # --- stationary windows ------------------------------------------------------------------------------------------
 
     @cached_property
     def stationary_rate(self) -> Array:
-        """Mean gyro reading of every window, shape (W, 3), rad/s."""
+        """Mean gyro reading of each window, shape (W, 3), rad/s."""
         return self._data.windows.gyro_mean
 
     @cached_property
     def stationary_force(self) -> Array:
-        """Mean accelerometer reading of every window, shape (W, 3), m/s²."""
+        """Mean accelerometer reading of each window, shape (W, 3), m/s²."""
         return self._data.windows.accel_mean
 
-    # --- turns -------------------------------------------------------------------------------------------------------
+    # --- rotations ---------------------------------------------------------------------------------------------------
 
     @cached_property
     def rotation_angles(self) -> tuple[Indices, Array, Array]:
-        """Legs of the sequences in the catalogue that can be told apart.
+        """Rotations of the sequences of Table 1 that can be separated.
 
         Returns
         -------
         sequence : ndarray of int, shape (L,)
         nominal, turned : ndarray, shape (L, 3), rad
-            Stated rotation, signed angle times axis, and summed gyro reading less the mean of the two windows.
+            Stated rotation (signed angle times axis), and integral of the gyro reading less the mean of both windows.
         """
         from srt.estimation.initial_estimates import rotation_angles
         from srt.model.analytic_platform import gyro_stream
@@ -209,13 +212,13 @@ class Evidence:
 
     @cached_property
     def gyro_fit(self) -> LinearFit:
-        """Turned against stated angles: raw gyro matrix over the nominal frame, rad."""
+        """Measured against stated rotations: raw gyro matrix in the nominal frame; residuals in rad."""
         _, nominal, turned = self.rotation_angles
         return _fit(nominal, turned, with_offset=False)
 
     @cached_property
     def poses(self) -> tuple[Array, Array]:
-        """Nominal specific force and raw mean reading, start and end of the catalogue's sequences, shape (2 K', 3)."""
+        """Nominal specific force and raw mean reading at start and end of each sequence of Table 1, (2 K', 3), m/s²."""
         data = self._data
         nominal, reading = [], []
         for k, sequence in enumerate(data.catalogue):
@@ -228,21 +231,14 @@ class Evidence:
 
     @cached_property
     def accel_fit(self) -> LinearFit:
-        """Readings at rest against the nominal vertical: raw accelerometer matrix and bias, m/s²."""
+        """Stationary readings against the nominal vertical: raw accelerometer matrix and bias, m/s²."""
         return _fit(*self.poses, with_offset=True)
-
-    def sequence_angle(self, sequence: int) -> float:
-        """Magnitude of the summed gyro reading of one leg over the stated one, the largest of a sequence."""
-        numbers, nominal, turned = self.rotation_angles
-        mine = numbers == sequence
-        ratio = np.linalg.norm(turned[mine], axis=1) / np.linalg.norm(nominal[mine], axis=1)
-        return float(ratio.max(initial=np.nan))
 
     # --- calibration -------------------------------------------------------------------------------------------------
 
     @cached_property
     def result(self) -> Calibration | None:
-        """Calibration of the recording by the options; None where the data cannot support one."""
+        """Calibration of the recording with the options; None if the data cannot support one."""
         from srt.estimation.registry import automatic_estimator, find_estimator
 
         try:
@@ -257,7 +253,7 @@ def _fit(x: Array, y: Array, *, with_offset: bool) -> LinearFit:
         return LinearFit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
     scale = float(np.linalg.norm(x, axis=1).mean())
     design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_offset else x / scale
-    rank = int(np.linalg.matrix_rank(x / scale, tol=0.1))
+    rank = int(np.linalg.matrix_rank(x / scale, tol=_RANK))
     solution = np.linalg.lstsq(design, y, rcond=_RIDGE)[0]
     matrix = solution[:3].T / scale
     offset = solution[3] if with_offset else np.zeros(3)

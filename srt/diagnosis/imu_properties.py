@@ -1,11 +1,11 @@
-"""The unit itself: temperature, drift, white noise against the stated figure, asymmetry left out.
+"""Properties of the IMU: temperature, bias drift, white noise against the stated figure, omitted asymmetry.
 
-The two-sample (Allan) variance of averages over τ is, for a unit that keeps what it states,
-``A(τ) = N²/τ + 3 q²/τ² + B²`` (white noise N, reading error q, bias instability B). Pairs of neighbouring averages of
-every octave of τ are independent for white noise, so that their weighted sum gives N² with a chi-square of its own.
+The Allan variance of averages over τ is, for an IMU with the stated noise, ``A(τ) = N²/τ + 3 q²/τ² + B²`` (angle or
+velocity random walk N, angle quantization error q, bias instability B). Pairs of neighbouring averages of each octave
+of τ are independent for white noise, so their weighted sum estimates N² with a known chi-square distribution.
 
-Averages over less than :data:`SHORTEST_S` are not looked at, as filters and coarse words rule them, not N. A window
-far noisier than the others, as when a lorry passes, is left out.
+Averages over less than :data:`SHORTEST_S` are not used: filters and coarse quantization dominate them. A window far
+noisier than the others is excluded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 BENCH_C: Final = (-60.0, 90.0)
-"""Below and above this no unit is tested: parts are made for -40 to 85 °C, military ones to -55 °C."""
+"""Lowest and highest test temperature, °C: parts are specified for -40 to 85 °C, military ones from -55 °C."""
 _OTHER_UNITS: Final = (
     (150.0, "degrees Fahrenheit"),
     (200.0, "tenths of a degree, or raw counts"),
@@ -44,20 +44,20 @@ _OTHER_UNITS: Final = (
     (10_000.0, "hundredths of a degree, or raw counts"),
     (np.inf, "thousandths of a degree, or raw counts"),
 )
-"""What the highest temperature looks like, up to a limit."""
+"""Unit that the highest temperature suggests, up to each limit."""
 STEADY_C: Final = 2.0
-"""Sequences whose mean temperatures lie within this are at one temperature: ±1 °C is what data sheets call constant."""
+"""Range of the mean temperatures of the sequences, °C, that counts as constant: data sheets call ±1 °C constant."""
 FALSE_ALARM: Final = 2e-5
-"""Probability of naming a sound unit for one of the things here: some twenty such questions are asked of a recording,
-and one of a hundred sound recordings may raise any."""
+"""False-alarm probability of each of some twenty such tests: one in 100 sound recordings may raise one."""
 NOISE_RATIO: Final = 1.5
-"""Noise between the stated figure over this and times this is as stated: units of one kind differ by as much."""
-_NO_ASYMMETRY = NAMES[GROUP_SLICES["gyro_asymmetry"]]
+"""Largest ratio of noise and stated figure, either way, that counts as stated: units of one type differ by as much."""
+_NO_ASYMMETRY: Final = NAMES[GROUP_SLICES["gyro_asymmetry"]]
+"""Parameters that ``--no-asymmetry`` fixes, of the gyros."""
 
 
 @check("temperature_unit", "temperature_drift")
 def temperature(evidence: Evidence) -> Iterator[Finding]:
-    """Range of the temperatures; means by sequence."""
+    """Test the range of the temperatures, and their means by sequence."""
     T = evidence.recording.temperature
     if T is None:
         return
@@ -84,7 +84,7 @@ def temperature(evidence: Evidence) -> Iterator[Finding]:
 
 @check("gyro_bias_drift")
 def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
-    """Trend of the rates at rest over time, once g-sensitivity and the Earth's rate are taken off."""
+    """Test the trend of the stationary rates over time, less g-sensitivity and the Earth rate."""
     fit = stationary_rate_fit(evidence)
     if fit is None:
         return
@@ -96,13 +96,13 @@ def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
 
 @check("gyro_noise")
 def gyro_noise(evidence: Evidence) -> Iterator[Finding]:
-    """White noise of the gyros in the windows against the one stated."""
+    """Test the angle random walk of the stationary windows against the stated figure."""
     yield from _noise(evidence, "gyro", DEG_PER_SQRT_H, ("Gyro {} shows", "The gyros show"))
 
 
 @check("accel_noise")
 def accel_noise(evidence: Evidence) -> Iterator[Finding]:
-    """White noise of the accelerometers in the windows against the one stated."""
+    """Test the velocity random walk of the stationary windows against the stated figure."""
     yield from _noise(evidence, "accel", MICRO_G, ("Accelerometer {} shows", "The accelerometers show"))
 
 
@@ -111,12 +111,12 @@ def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str,
     if shown is None:
         return
     ratio = shown.found / shown.stated
-    # Either sense, three channels and all of them together.
+    # Eight tests: above and below, three channels and the triad.
     odd = np.where(ratio > 1.0, shown.more, shown.less) < FALSE_ALARM / 8.0
     odd &= (ratio > NOISE_RATIO) | (ratio < 1.0 / NOISE_RATIO)
     if not odd.any():
         return
-    # The triad is named if it is odd as a whole, else the channel that is farthest off.
+    # The triad is named if it fails as a whole, else the channel that is farthest off.
     distance = np.abs(np.log(np.maximum(ratio, 1e-9)))
     which = 3 if odd[3] else int(np.argmax(np.where(odd, distance, -1.0)))
     yield finding(
@@ -129,7 +129,7 @@ def _noise(evidence: Evidence, sensor: Sensor, unit: float, subjects: tuple[str,
 
 @check("asymmetry_omitted", needs_result=True)
 def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
-    """Asymmetry of the gyros as a calibration with it finds it, where the one made holds it."""
+    """Test the gyro asymmetry that a calibration estimates, where the given one fixes it."""
     if not set(_NO_ASYMMETRY) <= set(evidence.options.fixed_names) or evidence.data is None:
         return
     held = evidence.result
@@ -160,18 +160,18 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
 def _with_asymmetry(evidence: Evidence, fit: StationaryRateFit) -> Calibration | None:
     """Calibrate with asymmetry, from gyro readings less their g-sensitivity.
 
-    A g-sensitivity is a bias that the windows show and the turn, over which gravity turns too, does not: of a pair of
-    turns in both senses it leaves a false asymmetry.
+    A g-sensitivity is a bias in the windows that averages out over a rotation, in which gravity rotates, too: with a
+    pair of rotations in both senses it leaves a false asymmetry.
     """
     from srt.estimation.registry import automatic_estimator, find_estimator
 
     recording = evidence.recording
     latitude = recording.site.latitude_rad
     vertical = 0.0 if latitude is None else -EARTH_RATE_RAD_S * float(np.sin(latitude))
-    # The specific force at rest is -g times the downward vertical, per increment as per rate.
+    # Stationary specific force is -g times the downward vertical, for increments as for rates.
     gyro = recording.gyro + recording.accel @ (fit.gamma(vertical).T / recording.site.gravity_m_s2)
     changed = replace(recording, gyro=gyro, sequences=evidence.labels)
-    # What other estimators are told beside is no matter of this one.
+    # Options of other estimators do not apply.
     options = Options(hold=tuple(name for name in evidence.options.hold if name not in _NO_ASYMMETRY))
     try:
         return find_estimator(automatic_estimator(changed))(changed, options)
@@ -180,7 +180,7 @@ def _with_asymmetry(evidence: Evidence, fit: StationaryRateFit) -> Calibration |
 
 
 def _of_g_sensitivity(data: PlaybackData, fit: StationaryRateFit) -> float:
-    """One sigma of asymmetry from that of the g-sensitivity: a rate through a full turn."""
+    """Standard deviation of asymmetry due to that of the g-sensitivity: a rate over a full rotation."""
     samples, rotation = data.windows.samples, data.rotation
     duration = float(np.median(rotation[:, 1] - rotation[:, 0])) * data.recording.nominal_interval_s
     assert len(samples) > 0
@@ -190,29 +190,33 @@ def _of_g_sensitivity(data: PlaybackData, fit: StationaryRateFit) -> float:
 Sensor = Literal["gyro", "accel"]
 
 SHORTEST_S: Final = 0.05
-"""Shortest averages that tell of the random walk, s."""
+"""Shortest averages that show the random walk, s."""
 _LEAST_AVERAGES: Final = 16
-"""Per window; in shorter windows single samples have to do."""
+"""Averages of a window at least; in shorter windows single samples are used."""
 _DOUBT: Final = 0.5
-"""Relative doubt of what pulses and bias instability add: neither is white, so it does not average out."""
+"""Relative standard deviation of the quantization and bias-instability terms: they do not average out."""
 _OUTLIER_PROBABILITY: Final = 1e-6
+"""Probability of excluding any window of a recording with normal noise."""
 _MOST_OUTLIERS: Final = 0.3
+"""Share of windows excluded, above which all are used: the noise is not that of a few windows."""
 _RESOLUTION_SAMPLES: Final = 4000
+"""Readings from which the quantization step is taken."""
 _COARSE: Final = 0.5
+"""Quantization step over the stated noise of a sample, above which the noise cannot be measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class WhiteNoiseTest:
-    """White noise of one triad against the one stated, SI.
+    """White noise of one triad against the stated figure, SI.
 
     Attributes
     ----------
     stated : float
         rad/√s or m/s²·√s.
     found : ndarray, shape (4,)
-        Of x, y, z, and of all three.
+        Measured noise of x, y, z, and of all three.
     more, less : ndarray, shape (4,)
-        Probability that a unit with the stated noise shows as much, or as little.
+        Probability of as much noise, or as little, for the stated noise.
     """
 
     stated: float
@@ -222,7 +226,7 @@ class WhiteNoiseTest:
 
 
 def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | None:
-    """Noise of a triad at rest; None where none is stated, or the windows cannot show it."""
+    """Test the stationary noise of a triad; None if none is stated or the windows cannot show it."""
     data = evidence.data
     stated = getattr(evidence.recording.noise, f"{sensor}_noise")
     if data is None or stated is None:
@@ -230,7 +234,7 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
     dt = evidence.dt
     step = _step(evidence, data, sensor)
     if np.any(step > _COARSE * stated / np.sqrt(dt)):
-        return None  # words so coarse that the noise does not move them as it would move finer ones
+        return None  # quantization is so coarse that it changes the noise
     powers = _powers(evidence, data, sensor)
     if powers is None:
         return None
@@ -240,7 +244,7 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
     used = count > 0
     tau, total, count = tau[used], total[used], count[used]
     if len(tau) == 0 or np.any(total.sum(axis=0) == 0.0):
-        return None  # a reading that never changes shows no noise, not that there is none
+        return None  # constant readings do not show that there is no noise
     edge = getattr(data.noise, f"{sensor}_edge")
     instability = getattr(evidence.recording.noise, f"{sensor}_bias_instability") or 0.0
     other = 3.0 * edge**2 / tau[:, None] ** 2 + instability**2 + step**2 * dt / 12.0 / tau[:, None]
@@ -264,7 +268,7 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
 
 
 def _step(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> Array:
-    """Rounding of single readings that is no pulse of a running sum, as a rate, shape (3,)."""
+    """Quantization step of single readings, as a rate, shape (3,); zero for pulses of a running sum."""
     if getattr(data.noise, f"{sensor}_edge").any():
         return np.zeros(3)
     table = getattr(evidence.recording, sensor)
@@ -274,7 +278,7 @@ def _step(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> Array:
 
 
 def _powers(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> tuple[Array, Array, Indices] | None:
-    """Half squared differences of neighbouring averages.
+    """Halves of the squared differences of neighbouring averages.
 
     Returns
     -------
@@ -282,7 +286,7 @@ def _powers(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> tuple[Arr
     power : ndarray, shape (W, octaves, 3)
         Sums over the pairs of a window.
     pairs : ndarray of int, shape (W, octaves)
-        Their number.
+        Number of pairs.
     """
     table = getattr(evidence.recording, sensor)
     samples = data.windows.samples
@@ -309,13 +313,13 @@ def _powers(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> tuple[Arr
 
 
 def _noisy(power: Array, pairs: Indices) -> Mask:
-    """Windows with more power in some octave than chance gives any, by the median window, shape (W,)."""
+    """Windows whose power in some octave is above the chi-square limit, scaled by the median window, shape (W,)."""
     freedom = np.maximum(3.0 * pairs, 1.0)
     summed = power.sum(axis=2)
     out = np.zeros(len(power), dtype=np.bool_)
     for octave in range(power.shape[1]):
         has = pairs[:, octave] > 0
-        # Half of all windows have more than chdtri(freedom, 1/2).
+        # chdtri(freedom, 1/2) is the median.
         scale = np.median(summed[has, octave] / chdtri(freedom[has, octave], 0.5))
         out |= has & (summed[:, octave] > scale * chdtri(freedom[:, octave], _OUTLIER_PROBABILITY / pairs.size))
     return out if out.mean() <= _MOST_OUTLIERS else np.zeros(len(out), dtype=np.bool_)

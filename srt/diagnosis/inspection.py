@@ -1,4 +1,4 @@
-"""Inspection of a recording before calibration: stamps, rest, noise, manoeuvres and faults."""
+"""Inspection of a recording before calibration: time stamps, stationary windows, noise, manoeuvres and faults."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 _ON_AXIS: Final = 0.94
-"""Cosine (20°) above which a turn is said to be about a sensor axis; uncalibrated axes lie within some degrees."""
+"""Cosine (20°) above which a rotation is about a sensor axis; uncalibrated axes lie within some degrees."""
 _ENOUGH: Final = 1 << 19
-"""Samples at rest that tell the noise to a percent; of more, some windows are left out."""
+"""Stationary samples that give the noise to one per cent; of more, some windows are omitted."""
 _STEPS: Final = 256
-"""Small rotations that a turn is cut into to be summed up: angles to a degree need no more."""
+"""Small rotations into which a manoeuvre is cut for its product: enough for angles to one degree."""
 
 
 def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str, str] | None = None) -> Inspection:
-    """Look at a recording.
+    """Inspect a recording.
 
     Parameters
     ----------
     recording : Recording
     calibrating : bool
-        Whether faults are looked for that only a calibration shows, too.
+        True: also run the checks that need a calibration.
     units : dict, optional
-        As declared, see :func:`declared_units`.
+        Declared units, see :func:`declared_units`.
 
     Returns
     -------
@@ -89,12 +89,12 @@ def declared_units(path: str | PathLike[str]) -> dict[str, str]:
     Parameters
     ----------
     path : path-like
-        A recording that could be read.
+        A readable recording.
 
     Returns
     -------
     dict
-        Of ``gyro``, ``accel`` and ``time``; empty where the path leads to no ``recording.toml``.
+        Units of ``gyro``, ``accel`` and ``time``; empty if there is no ``recording.toml``.
     """
     toml = Path(path)
     toml = toml / TOML_NAME if toml.is_dir() else toml
@@ -106,7 +106,7 @@ def declared_units(path: str | PathLike[str]) -> dict[str, str]:
 
 
 def _is_free(recording: Recording, recognition: Recognition) -> bool:
-    """Whether turns by hand are what it holds: without a fixture, a few may look like sequences by chance."""
+    """True if the recording holds free rotations: without a fixture, a few may match sequences by chance."""
     named = sum(turn.sequence is not None for turn in recognition.turns)
     return recording.fixture is None and 2 * named <= len(recognition.turns)
 
@@ -127,7 +127,7 @@ def _only_rest(recording: Recording) -> Indices:
         blocks = blocks_of(recording)
     except DataError:
         return np.zeros((0, 2), dtype=np.intp)
-    # The outermost blocks of a run may hold the end of a motion.
+    # The first and last block of a run may contain motion.
     runs = [(a + 1, b - 1) for a, b in still_runs(find_rest(blocks).still, blocks) if b - a > 2]
     longest = max(runs, key=lambda run: run[1] - run[0], default=None)
     if longest is None:
@@ -162,7 +162,7 @@ def _stillness(recording: Recording, windows: Indices) -> StationarySummary | No
         return None
     dt = recording.nominal_interval_s
     per_rate = 1.0 if recording.kind == "rate" else 1.0 / dt
-    # Products with ones are sums, and much faster along short rows.
+    # A product with a constant vector is a mean, and faster than np.mean along short rows.
     means = np.array(
         [
             [np.full(b - a, per_rate / (b - a)) @ table[a:b] for table in (recording.gyro, recording.accel)]
@@ -196,7 +196,7 @@ def _noise(recording: Recording, windows: Indices) -> tuple[NoiseSummary | None,
 
 
 def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str, Any]]:
-    """Figures of windows too short for an Allan deviation, by channel and key."""
+    """Noise figures of windows too short for an Allan deviation, by channel and key."""
     lengths = windows[:, 1] - windows[:, 0]
     every = max(1, int(lengths.sum()) // _ENOUGH)
     kept = np.concatenate([np.arange(a, b) for a, b in windows[::every].tolist()])
@@ -250,7 +250,7 @@ def _leg(vector: Array) -> RotationSummary:
 
 
 def _net(angles: Array, factor: float) -> Array:
-    """Rotation vector of small rotations one after another, shape (3,), rad; biases are not taken off."""
+    """Rotation vector of successive small rotations, shape (3,), rad; biases are not removed."""
     size = max(1, len(angles) // _STEPS)
     whole = len(angles) // size
     steps = np.einsum("nbc->cn", angles[: whole * size].reshape(whole, size, 3))
@@ -271,32 +271,33 @@ def _temperature(recording: Recording) -> TemperatureSummary | None:
 
 FORMAT: Final = "srt-inspection"
 VERSION: Final = 1
+"""Name and version of the JSON form."""
 
 _MOST_LEGS: Final = 8
-"""That a table shows of a turn; sequence 6 has as many."""
+"""Rotations of a manoeuvre in a table: as many as sequence 6 has."""
 _NEGLIGIBLE: Final = 0.03
-"""Share of a turn below which a leg is the wobble of a hand, or of axes that are not orthogonal."""
+"""Share of a manoeuvre below which a rotation is due to an unsteady hand or non-orthogonal axes."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeStampSummary:
-    """Time stamps and what they say of the sampling.
+    """Sampling by the time stamps.
 
     Attributes
     ----------
     samples : int
     first_s, duration_s : float
-        Start of the first sample, and from there to the last stamp.
+        Start of the first sample, and time from there to the last stamp.
     rate_hz : float
     even : bool
-        Whether the stamps lie on a straight line to within their rounding; if not, every sample has its own interval.
+        True if the stamps are evenly spaced within their rounding; if not, each sample has its own interval.
     jitter : float
-        Rms deviation of a step from the interval, in intervals, gaps apart.
+        Rms deviation of a step from the interval, in intervals, without gaps.
     gaps : int
     missing_s : float
-        All of them together.
+        Total duration of the gaps.
     longest_gap_s, longest_gap_at_s : float or None
-        The longest, and the time of the first sample after it.
+        Longest gap, and time of the first sample after it.
     """
 
     samples: int
@@ -313,15 +314,15 @@ class TimeStampSummary:
 
 @dataclass(frozen=True, slots=True)
 class StationarySummary:
-    """The stationary windows, and what the sensors read in them.
+    """Stationary windows, and the sensor readings in them.
 
     Attributes
     ----------
     windows_s : tuple of (float, float)
-        From the start of the first sample to the stamp of the last.
+        Start of the first sample and stamp of the last.
     total_s : float
     force_g : (float, float, float)
-        Magnitude of the specific force by window: least, median, greatest.
+        Magnitude of the mean specific force by window: smallest, median, largest.
     rate_deg_per_h : (float, float, float)
         Mean reading of gyro x, y, z over all windows.
     """
@@ -333,22 +334,22 @@ class StationarySummary:
 
     @property
     def lengths_s(self) -> tuple[float, ...]:
-        """Duration of every window."""
+        """Duration of each window, s."""
         return tuple(b - a for a, b in self.windows_s)
 
 
 @dataclass(frozen=True, slots=True)
 class RotationSummary:
-    """A stretch of a turn about one axis, as the gyros read it.
+    """Rotation about one axis, as the gyros measure it.
 
     Attributes
     ----------
     axis : str or None
-        Sensor axis, None where none is near.
+        Sensor axis; None if none is near.
     direction : (float, float, float)
-        Unit vector of the rotation, in sensor axes, along which the angle is positive.
+        Unit vector of the rotation in sensor axes, about which the angle is positive.
     angle_deg : float
-        Signed where the axis is named.
+        Signed if the axis is named.
     """
 
     axis: str | None
@@ -362,23 +363,23 @@ class RotationSummary:
 
 @dataclass(frozen=True, slots=True)
 class ManoeuvreSummary:
-    """One turn between two rests.
+    """Manoeuvre between two stationary windows.
 
     Attributes
     ----------
     start_s, end_s : float
     legs : tuple of RotationSummary
-        Stretches about one sensor axis each; many small ones where a hand turned the unit.
+        Rotations about one sensor axis each; many small ones for a rotation by hand.
     net : RotationSummary
-        The whole turn as one rotation from its start.
+        Net rotation.
     fastest_deg_s : float
     sequence : str or None
-        Recognised as this one of Table 1.
+        Recognised sequence of Table 1.
     confidence : float
-        0 to 1.
+        Confidence of the recognition, 0 to 1.
     reason : str
     labelled : str or None
-        What its label says, where the recording has labels: an id, or "free turn".
+        Label in the recording, if any: an id, or "free turn".
     """
 
     start_s: float
@@ -393,7 +394,7 @@ class ManoeuvreSummary:
 
     @property
     def parts(self) -> tuple[RotationSummary, ...]:
-        """What tables show: the legs about sensor axes, or the net rotation alone where a hand made it of many."""
+        """Rotations for tables: those about sensor axes, or the net rotation alone for a rotation by hand."""
         path = sum(abs(leg.angle_deg) for leg in self.legs)
         legs = tuple(leg for leg in self.legs if abs(leg.angle_deg) > _NEGLIGIBLE * path)
         few = len(legs) <= _MOST_LEGS and all(leg.axis for leg in legs)
@@ -407,12 +408,12 @@ class NoiseSummary:
     Attributes
     ----------
     figures : dict
-        By channel, then by key of the section [imu] of ``recording.toml``: ``value`` with ``low`` and ``high`` (95 %)
-        where an Allan deviation could be taken; ``below`` for a bias instability that was not reached.
+        By channel, then by key of the section [imu] of ``recording.toml``: ``value``, with ``low`` and ``high`` (95 %
+        interval) from an Allan deviation; ``below``, an upper limit of a bias instability that was not reached.
     stated : dict
-        What the recording states, by the same keys.
+        Figures stated in the recording, by the same keys.
     note : str or None
-        Why there is no Allan deviation.
+        Reason why there is no Allan deviation.
     """
 
     figures: dict[str, dict[str, Any]]
@@ -433,26 +434,26 @@ class TemperatureSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """All that ``srt inspect`` shows.
+    """Content of ``srt inspect``.
 
     Attributes
     ----------
     kind : "rate" or "increment"
     units : dict
-        Of ``gyro``, ``accel`` and ``time`` as the recording declares them; empty where that is not known.
+        Declared units of ``gyro``, ``accel`` and ``time``; empty if unknown.
     serial : str or None
     stamps : TimeStampSummary
     stillness : StationarySummary or None
-        None: no rest was found.
+        None if no stationary window was found.
     noise : NoiseSummary or None
     allan : AllanDeviation or None
     turns : tuple of ManoeuvreSummary
     summary : str
-        What the recording was recognised as, or why it was not, in a sentence.
+        Result of the recognition in one sentence.
     temperature : TemperatureSummary or None
     diagnosis : Diagnosis
     calibrated : bool
-        Whether faults were looked for that only a calibration shows.
+        True if the checks that need a calibration were run.
     """
 
     kind: str
@@ -469,7 +470,7 @@ class Inspection:
     calibrated: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as JSON values."""
+        """Content as JSON values."""
         parts = ("stamps", "stillness", "noise", "temperature")
         return {
             "format": FORMAT,
@@ -487,7 +488,7 @@ class Inspection:
 
 
 def _curves(allan: AllanDeviation) -> dict[str, Any]:
-    """Curves as JSON values, SI; None where a channel never changes."""
+    """Curves as JSON values, SI; None for a constant channel."""
     out: dict[str, Any] = {"tau_s": allan.tau_s.tolist(), "windows": allan.windows, "total_s": allan.total_s}
     for name in ("deviation", "low", "high"):
         rows = getattr(allan, name).tolist()

@@ -1,8 +1,8 @@
-"""How often rows of readings repeat, and which runs of repeats are more than chance.
+"""Runs of repeated rows that are too long for chance.
 
-Coarse readings repeat by nature, and a quantised gyro that turns steadily repeats for long: what is too long a run is
-therefore told by the recording itself. A run counts only if it is longer than repeats as frequent as those right
-before or right after it ever form, and twice as long as the runs of the other windows (or turns).
+Coarse readings repeat, and a quantized gyro at a steady rate repeats for long: the recording itself gives the limit. A
+run counts only if it is longer than repeats as frequent as those next to it form by chance, and twice as long as the
+runs of the other windows (or rotations).
 """
 
 from __future__ import annotations
@@ -19,39 +19,40 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARM: Final = 1e-6
-"""Of one run in one recording, taking repeats as independent. They are less clustered than that (pulses of a steady
-input come evenly), so that the true one is smaller."""
+"""Probability of one false run in a recording, if repeats are independent. Pulses of a steady input come evenly, so the
+true probability is smaller."""
 _LONGER: Final = 2.0
-"""A run must exceed those of its like by this factor: turns of 180° and 360° run for times a factor 2 apart, and in
-readings without noise a whole turn is one run."""
+"""Ratio of a run to those of the other windows (or rotations) from which it counts: rotations of 180° and 360° last
+times a factor 2 apart, and in readings without noise a whole rotation is one run."""
 _QUANTILE: Final = 0.9
+"""Quantile of the longest runs of windows (or rotations) that is ordinary."""
 _FEWEST: Final = 3
-"""Windows (or turns), with fewer of which there is nothing to compare with."""
+"""Windows (or rotations), fewer of which allow no comparison."""
 _BESIDE: Final = (1, 3)
 _LEAST_BESIDE: Final = 100
-"""Rows looked at on either side of a run: once its length, where readings coarser than their noise change into and out
-of rows that repeat, and three times its length, at least a hundred."""
+"""Rows counted on either side of a run: once its length, where readings coarser than their noise start and stop to
+repeat, and three times its length, at least a hundred."""
 _PULSES: Final = 8.0
-"""A run must exceed those beside it by this factor: where the pulses of a rate that changes pass through a whole number
-for each sample, they pause for up to five times as long as before and after."""
+"""Ratio of a run to those next to it from which it counts: where the pulses of a changing rate pass a whole number for
+each sample, they pause for up to five times as long as before and after."""
 _SUPPORT: Final = 3
-"""Repeats added to those counted there: with none seen the rate may still be three over their number."""
+"""Repeats added to those counted: with none seen, their rate may still be three over the number of rows."""
 _GOES_ON: Final = 0.9
-"""Share of the other sensor's rows that may repeat in the run, if that sensor is to be going on."""
+"""Share of the other sensor's rows that repeat, above which that sensor is frozen, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatRun:
-    """Rows that repeat: ``count`` samples hold what sample ``first`` reads."""
+    """Run of repeated rows: ``count`` samples equal sample ``first``."""
 
     first: int
     count: int
 
 
 def repeated_runs(evidence: Evidence) -> tuple[list[RepeatRun], list[RepeatRun], list[RepeatRun]]:
-    """Runs too long for chance, of rows in all six channels, in the gyros and in the accelerometers.
+    """Runs too long for chance: of all six channels, of the gyros, and of the accelerometers.
 
-    Runs of one sensor are given only where the other goes on. Nothing is found without windows.
+    A run of one sensor is given only where the other sensor changes. Without windows there are none.
     """
     if evidence.data is None:
         return [], [], []
@@ -66,8 +67,8 @@ def repeated_runs(evidence: Evidence) -> tuple[list[RepeatRun], list[RepeatRun],
         for which, same in enumerate((gyro & accel, gyro, accel)):
             start, count = _longest(same)
             other = (None, accel, gyro)[which]
-            held = other is not None and count > 0 and other[start : start + count].mean() >= _GOES_ON
-            runs[which].append(RepeatRun(first + start, 0 if held else count))
+            both = other is not None and count > 0 and other[start : start + count].mean() >= _GOES_ON
+            runs[which].append(RepeatRun(first + start, 0 if both else count))
             if same.any():
                 parts = np.split(same, [edge - first - 1 for edge in edges[:2]])
                 likes[which, :, k] = [_longest(part)[1] for part in parts]
@@ -82,14 +83,14 @@ def repeated_runs(evidence: Evidence) -> tuple[list[RepeatRun], list[RepeatRun],
 
 
 def _ordinary(longest: Indices) -> float:
-    """Length of run that is not out of the ordinary for windows, or for turns."""
+    """Longest ordinary run of windows, or of rotations."""
     return _LONGER * float(np.quantile(longest, _QUANTILE)) if len(longest) >= _FEWEST else math.inf
 
 
 def _repeats(table: Array, a: int, b: int) -> Mask:
-    """Whether each of the rows a + 1 to b - 1 is the one before it."""
+    """True for each of the rows a + 1 to b - 1 that equals the row before it."""
     same: Mask = table[a + 1 : b, 0] == table[a : b - 1, 0]
-    if same.any():  # of readings with noise nearly none is
+    if same.any():  # rare with noise
         same &= np.all(table[a + 1 : b, 1:] == table[a : b - 1, 1:], axis=1)
     return same
 
@@ -105,7 +106,7 @@ def _longest(same: Mask) -> tuple[int, int]:
 
 
 def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> float:
-    """Repeats in a row that rows like those beside a run form once in so many recordings, by the more frequent side."""
+    """Length of the runs that repeats as frequent as those next to a run form by chance, by the more frequent side."""
     recording = evidence.recording
     n, after = len(recording.time), run.first + run.count + 1
     rate, longest = 0.0, 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, wraps
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -29,22 +29,23 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _STEP_S: Final = 0.01
-"""Samples are summed up to this: a turn at 1 rad/s goes 10 mrad in it."""
+"""Length of a block of samples, s: a rotation at 1 rad/s covers 10 mrad in it."""
 _MARGIN_S: Final = 0.5
-"""Of stillness before and after a turn that is looked at with it."""
+"""Stationary time used before and after a rotation, s."""
 _MOVING: Final = 0.2
-"""Share of a sequence's highest rate above which it turns."""
+"""Share of a sequence's highest rate above which it rotates."""
 _SHORTEST_RUN: Final = 0.02
-"""Share of a sequence that a rotation takes at least."""
+"""Smallest share of a sequence's duration that a rotation takes."""
 _ROUNDS: Final = 12
+"""Reweightings of a robust fit."""
 _MANY_WINDOWS: Final = 12
-"""Three times as many as a bias and three slopes have unknowns."""
+"""Windows, fewer of which do not give a g-sensitivity: three times the unknowns, one bias and three slopes."""
 _SOUND: Final = 10.0
-"""Condition of a triad's matrix beyond which the fit has gone wrong."""
+"""Condition number of a triad's matrix above which its fit has failed."""
 
 
 def computed_once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
-    """Keep what was worked out with the evidence that it was worked out from."""
+    """Store the result of a function with the evidence, so that it is computed once."""
     key = f"_{work.__module__}.{work.__name__}"
 
     @wraps(work)
@@ -71,18 +72,18 @@ def invert_readings(matrix: Array, readings: Array) -> Array:
 
 @cache
 def nominal_end_attitude(sequence: RotationSequence) -> Array:
-    """Nominal attitude at the end of a sequence, worked out once; not to be changed."""
+    """Nominal attitude at the end of a sequence, B_End to B_Strt, shape (3, 3); read-only."""
     return end_attitude(sequence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotationIntegrals:
-    """Every turn as a whole, raw.
+    """Raw integrals of each sequence.
 
     Attributes
     ----------
     signed, absolute : ndarray, shape (K, 3), rad
-        Gyro reading less the mean of both windows, summed over the turn as it is and as absolute values.
+        Integral of the gyro reading less the mean of both windows, and of its absolute value.
     before, after : ndarray, shape (K, 3), m/s²
         Mean accelerometer reading of the windows.
     """
@@ -95,7 +96,7 @@ class RotationIntegrals:
 
 @computed_once
 def rotation_integrals(evidence: Evidence) -> RotationIntegrals | None:
-    """RotationIntegrals of all sequences; None if there are none."""
+    """Integrals of all sequences; None if there are none."""
     data = evidence.data
     if data is None:
         return None
@@ -114,7 +115,7 @@ def rotation_integrals(evidence: Evidence) -> RotationIntegrals | None:
 
 @cache
 def nominal_rotation_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, Array]:
-    """What a perfect unit shows of a sequence: signed and absolute sums (rad), and up before and after it."""
+    """Integrals of a sequence for a perfect IMU: signed and absolute (rad), and up before and after it."""
     vectors = sequence.axes * sequence.angles_rad[:, None]
     up = -nominal_attitude(sequence)[2]
     return vectors.sum(axis=0), np.abs(vectors).sum(axis=0), up, nominal_end_attitude(sequence).T @ up
@@ -122,10 +123,9 @@ def nominal_rotation_integrals(sequence: RotationSequence) -> tuple[Array, Array
 
 @computed_once
 def bias_per_force(evidence: Evidence) -> Array:
-    """Change of the raw rate at rest with the raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, Earth's rate.
+    """Slope of the raw stationary rate over the raw specific force, (3, 3), rad/s per m/s²: g-sensitivity, Earth rate.
 
-    Zero where the windows do not show it. Between two windows of a sequence the unit stands in faces that neither of
-    them has.
+    Zero if the windows do not determine it. A rotation passes through attitudes of neither of its windows.
     """
     data = evidence.data
     if data is None or len(evidence.stationary_force) < _MANY_WINDOWS:
@@ -138,19 +138,19 @@ def bias_per_force(evidence: Evidence) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockAverages:
-    """Raw readings through the turns, in means over about 10 ms, with half a second of stillness around each turn.
+    """Raw readings of the rotations in means over about 10 ms, with half a second of stationary time around each.
 
     Attributes
     ----------
     sequence : ndarray of int, shape (m,)
-        Of each block; only sequences without a gap.
+        Sequence of each block; sequences with a gap are omitted.
     starts : ndarray of int, shape (K' + 1,)
         First block of each of the K' sequences, and one past the last of all.
     first_sample : ndarray of int, shape (m,)
     step_s : float
         Length of a block.
     rate : ndarray, shape (m, 3), rad/s
-        Less the mean of the sequence's windows, and what specific force changes of it.
+        Less the mean of the sequence's windows and the effect of specific force.
     force : ndarray, shape (m, 3), m/s²
     """
 
@@ -164,7 +164,7 @@ class BlockAverages:
 
 @computed_once
 def block_averages(evidence: Evidence) -> BlockAverages | None:
-    """Readings through all turns; None if there are none."""
+    """Block means of all rotations; None if there are none."""
     data = evidence.data
     if data is None or not evidence.contiguous.any():
         return None
@@ -198,15 +198,15 @@ def block_averages(evidence: Evidence) -> BlockAverages | None:
 
 @computed_once
 def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
-    """Single rotations of the sequences that have the number of them that their label says.
+    """Rotations of the sequences that have as many of them as their label.
 
-    A rotation begins where the turning axis changes, or where the unit stood between two about one axis.
+    A rotation begins where the axis changes, or after a pause between two about one axis.
 
     Returns
     -------
     sequence : ndarray of int, shape (L,)
     nominal, turned : ndarray, shape (L, 3), rad
-        Stated rotation, signed angle times axis, and the raw reading of it.
+        Stated rotation (signed angle times axis), and its raw measurement.
     """
     data, path = evidence.data, block_averages(evidence)
     numbers, nominal, turned = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 3))], [np.zeros((0, 3))]
@@ -226,31 +226,39 @@ def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
 
 
 def _cuts(rate: Array) -> Indices:
-    """First block of each rotation of a sequence, the first one from the start of all blocks."""
+    """First block of each rotation of a sequence; the first rotation starts at block 0."""
     size = np.abs(rate)
     speed = size.max(axis=1)
     axis = np.where(speed > _MOVING * speed.max(), np.argmax(size, axis=1), -1)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1, [len(axis)]])
     runs = [(a, b) for a, b in pairwise(edges.tolist()) if axis[a] >= 0 and b - a > _SHORTEST_RUN * len(axis)]
-    # Stillness between two rotations is shared by them.
+    # A pause belongs half to the rotation before it and half to the one after it.
     return np.array([0, *((before[1] + after[0]) // 2 for before, after in pairwise(runs))], dtype=np.intp)
 
 
-@computed_once
-def raw_triads(evidence: Evidence) -> tuple[Array, Array, Array]:
-    """Raw gyro matrix, and raw accelerometer matrix and bias (m/s²), over the nominal frame.
+class RawTriads(NamedTuple):
+    """Raw reading over truth of both sensors: gyro matrix, accelerometer matrix, and accelerometer bias in m/s²."""
 
-    The unit matrix and zero where no fixture says what was turned, or too few directions were seen.
+    gyro: Array
+    accel: Array
+    accel_bias: Array
+
+
+@computed_once
+def raw_triads(evidence: Evidence) -> RawTriads:
+    """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame.
+
+    Identity and zero if the rotations are not stated, or cover too few directions.
     """
     gyro: Array = np.eye(3)
     accel: Array = np.eye(3)
     bias: Array = np.zeros(3)
     if evidence.data is None:
-        return gyro, accel, bias
+        return RawTriads(gyro, accel, bias)
     _, nominal, turned = rotation_angles(evidence)
     angle = np.linalg.norm(nominal, axis=1, keepdims=True)
     if len(angle) and np.linalg.matrix_rank(nominal, tol=0.1) == 3:
-        # By angle: full turns shall not outweigh the many half ones.
+        # Divided by the angle, so that full rotations do not outweigh the half ones.
         gyro = robust_fit(nominal / angle, turned / angle).T
     vertical, reading = evidence.poses
     gravity = evidence.data.gravity
@@ -259,7 +267,7 @@ def raw_triads(evidence: Evidence) -> tuple[Array, Array, Array]:
         solution = robust_fit(design, reading)
         accel, bias = solution[:3].T / gravity, solution[3]
     usable = all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel))
-    return (gyro, accel, bias) if usable else (np.eye(3), np.eye(3), np.zeros(3))
+    return RawTriads(gyro, accel, bias) if usable else RawTriads(np.eye(3), np.eye(3), np.zeros(3))
 
 
 def robust_fit(x: Array, y: Array) -> Array:
@@ -285,22 +293,22 @@ def robust_fit(x: Array, y: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StabilisedForce:
-    """Specific force through the turns, carried back to the start of each sequence by the gyros, block by block.
+    """Gyro-stabilised specific force: transformed by the gyros to the frame at the start of each sequence, by block.
 
     Attributes
     ----------
     attitude : ndarray, shape (m, 3, 3)
         B to B_Strt at the middle of the block.
     rate : ndarray, shape (m, 3), rad/s
-        In B, less that at rest.
+        In B, less the stationary mean.
     force : ndarray, shape (m, 3)
         In B, over gravity.
     up : ndarray, shape (m, 3)
         Measured vertical at the start of the block's sequence, unit vectors in B_Strt.
     up_body : ndarray, shape (m, 3)
-        The same in B, as the gyros have it.
+        The same in B, by the gyros.
     force_start : ndarray, shape (m, 3)
-        Specific force in B_Strt over gravity, which a perfect unit sees constant.
+        In B_Strt, over gravity; constant for a perfect IMU.
     """
 
     attitude: Array
@@ -313,7 +321,7 @@ class StabilisedForce:
 
 @computed_once
 def stabilised_force(evidence: Evidence) -> StabilisedForce | None:
-    """Specific force through all turns; None if there are none."""
+    """Gyro-stabilised specific force of all rotations; None if there are none."""
     data, path = evidence.data, block_averages(evidence)
     if data is None or path is None:
         return None
@@ -331,11 +339,11 @@ def stabilised_force(evidence: Evidence) -> StabilisedForce | None:
 
 
 def _attitudes(angle: Array, starts: Indices) -> Array:
-    """Attitude at the middle of every step of chains of rotation vectors, against the start of each; (n, 3, 3)."""
+    """Attitude at the middle of each step of chains of rotation vectors, from the start of its chain, (n, 3, 3)."""
     half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
     ends = rotations.prefix_product(rotations.multiply(half, half))
     begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
-    # All chains are one: taken back to the start of each, and from the end of a step half of it back.
+    # One product over all chains: multiplied by the inverse at the start of each, and by half a step backwards.
     back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
     middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
     return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))

@@ -1,8 +1,7 @@
-"""Faults of turns that only gyros and accelerometers together show: other times, and lost samples.
+"""Synchronisation of gyros and accelerometers: time offset between the sensors, and samples lost in rotation.
 
-The gyros carry the measured specific force back to the start of each sequence, where it should stay what it was. What
-it does instead, seen along the direction in which gravity turns, is an angle by which gyros and accelerometers
-disagree.
+The gyros transform the measured specific force to the frame at the start of each sequence, where it should be constant.
+Its deviation along the direction in which gravity rotates is an angle by which gyros and accelerometers disagree.
 """
 
 from __future__ import annotations
@@ -34,35 +33,37 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARM: Final = 1e-5
-"""Of each of the two faults in a whole recording, all turns together: a tenth of what a clean one may raise."""
+"""False-alarm probability of each of the two faults in a recording: a tenth of that of all checks."""
 _FEWEST_TURNS: Final = 4
+"""Rotations, fewer of which do not tell the scatter of the offset."""
 _LEAST_OFFSET: Final = 0.02
-"""Of the sampling interval: where within a sample a reading counts is not known better than that."""
+"""Smallest offset in sampling intervals: the effective time of a reading is not known better."""
 _COARSE: Final = 5
-"""BlockAverages that are taken together to find an offset, which lasts for the whole turn."""
+"""Blocks averaged for the offset, which is constant over a rotation."""
 _MOVING: Final = 0.2
-"""Share of the highest rate above which a block belongs to a turn."""
+"""Share of the highest rate above which a block belongs to a rotation."""
 _SIDE: Final = 20
-"""BlockAverages on each side of a step that are looked at."""
+"""Blocks used on each side of a step."""
 _HALF_A_SAMPLE: Final = 0.5
-"""Of the angle turned in one sample: fewer than one cannot be lost."""
+"""Smallest step in angles of one sample: at least one sample is lost."""
 _RAYLEIGH_MEDIAN: Final = 1.1774
+"""Median of the Rayleigh distribution in sigma."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeOffset:
-    """Time between the sensors, with what else the turns show of the accelerometers.
+    """Time offset between the sensors, and the accelerometer errors estimated with it.
 
     Attributes
     ----------
     late_s, sigma_s : float
-        By which the accelerometers come after the gyros, in the mean of the turns.
+        Mean lag of the accelerometers behind the gyros over the rotations, and its standard deviation.
     typical_s : float
-        Likewise the median, which a turn that lost samples does not move.
+        Median lag, which a rotation with lost samples does not affect.
     turns : int
-        That show it.
+        Number of rotations used.
     errors : ndarray, shape (15,)
-        Errors of the accelerometers, columns of :func:`_error_columns`.
+        Accelerometer errors, columns of :func:`_error_columns`.
     """
 
     late_s: float
@@ -74,7 +75,7 @@ class TimeOffset:
 
 @computed_once
 def time_offset(evidence: Evidence) -> TimeOffset | None:
-    """Time between the sensors; None if fewer than four turns show it."""
+    """Time offset between the sensors; None with fewer than four suitable rotations."""
     path, turns = stabilised_force(evidence), block_averages(evidence)
     if path is None or turns is None:
         return None
@@ -86,9 +87,9 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
     n = len(chosen)
     if n < _FEWEST_TURNS:
         return None
-    # Errors of the accelerometers are those of all turns. Of every turn alone are the error of its start, that of the
-    # gyro's scale in its sense, and the offset: their scatter over the turns is that of everything not in here. What a
-    # turn alone decides is projected out, so that many turns cost no more than their sum.
+    # The accelerometer errors are common. Each rotation has its own offset, initial angle and gyro scale error; their
+    # scatter over the rotations contains all that is not modelled. The unknowns of single rotations are projected out,
+    # so the cost grows only linearly.
     projected = []
     for columns, angle in chosen:
         own, _ = np.linalg.qr(columns[:, :3])
@@ -107,9 +108,9 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
 
 
 def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> tuple[Array, Array] | None:
-    """Equations of a sequence that is one turn about one horizontal axis: columns offset, start, scale, errors; angle.
+    """Equations of a sequence with one rotation about a horizontal axis: columns offset, start, scale, errors; angle.
 
-    None if it is not such a turn.
+    None for any other sequence.
     """
     if e - s < 2 * _COARSE:
         return None
@@ -130,10 +131,10 @@ def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> t
 
 
 def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array:
-    """How errors of the accelerometers change the specific force along a direction in B, over gravity; shape (n, 15).
+    """Change of the specific force along a direction in B by accelerometer errors, over gravity; shape (n, 15).
 
-    Symmetric matrix (6), bias (3), asymmetry (3), and the place of the accelerometers off the axes of rotation (3), in
-    s². A rotation of the whole triad moves the angle of a turn by a constant, its start error.
+    Symmetric matrix (6), bias (3), asymmetry (3), and lever arm of the accelerometers (3), in s². A rotation of the
+    whole triad adds a constant to the angle, which is the initial angle.
     """
     change = np.gradient(rate, step_s, axis=0)
     ahead = [1, 2, 0]
@@ -143,7 +144,7 @@ def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array
 
 
 def _expected(path: StabilisedForce, turns: BlockAverages, seen: TimeOffset) -> Array:
-    """What an offset in time and the errors of the accelerometers change of the specific force in B, shape (m, 3)."""
+    """Change of the specific force in B by the time offset and the accelerometer errors, over gravity, shape (m, 3)."""
     e, up, rate = seen.errors, path.up_body, path.rate
     symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
     change = np.gradient(rate, turns.step_s, axis=0)  # sequences begin and end at rest
@@ -158,7 +159,7 @@ def _coarser(values: Array) -> Array:
 
 @check("sensor_time_offset")
 def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
-    """Ask whether the accelerometers see gravity turn later than the gyros do, in all turns alike."""
+    """Test for a lag of the rotation of gravity behind the gyros, common to all rotations."""
     seen = time_offset(evidence)
     if seen is None:
         return
@@ -169,7 +170,7 @@ def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
 
 @check("samples_lost")
 def samples_lost(evidence: Evidence) -> Iterator[Finding]:
-    """Look for steps in what the gyros carry back; on a fixture, as a hand accelerates the unit in steps, too."""
+    """Find steps of the gyro-stabilised specific force; on a fixture only, as a hand accelerates in steps, too."""
     path, turns = stabilised_force(evidence), block_averages(evidence)
     if path is None or turns is None or evidence.recording.fixture is None:
         return
@@ -178,7 +179,7 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     moving = speed > _MOVING * speed.max()
     left = path.force_start - path.up
     if seen is not None:
-        # An offset in time would make steps of the beginning and the end of a turn.
+        # A time offset would make steps of the beginning and the end of a rotation.
         left -= np.einsum("mab,mb->ma", path.attitude, _expected(path, turns, seen))
     left -= np.einsum("ma,ma->m", left, path.up)[:, None] * path.up
     steps, whole = _steps(left, turns.starts)
@@ -186,7 +187,7 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     height = np.linalg.norm(steps[places], axis=1)
     if len(height) == 0:
         return
-    # Most places hold no step: their median tells the noise of turns.
+    # Most places hold no step: their median gives the noise.
     scale = float(np.median(height)) / _RAYLEIGH_MEDIAN
     limit = math.sqrt(-2.0 * math.log(FALSE_ALARM / len(height))) * scale
     best = int(np.argmax(height))
@@ -203,9 +204,9 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:
-    """Height of a step before each place, beside a straight line through its surroundings, shape (m, 3).
+    """Height of a step before each block, fitted with a straight line through its surroundings, shape (m, 3).
 
-    Also whether the surroundings all belong to one sequence, shape (m,).
+    The mask, shape (m,), is true where the surroundings belong to one sequence.
     """
     shortest = int(np.diff(starts).min())
     side = min(_SIDE, shortest // 4)

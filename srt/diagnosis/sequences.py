@@ -1,4 +1,4 @@
-"""Faults of sequences and labels: windows beside the stillness, turns that are not what their labels say."""
+"""Sequences and labels: shifted windows, and rotations that differ from their labels."""
 
 from __future__ import annotations
 
@@ -33,34 +33,36 @@ if TYPE_CHECKING:
 
 
 _BLOCK_S: Final = 0.1
+"""Block, s, over which rates are averaged, as when stationary windows are found."""
 _MOVING: Final = 0.05
-"""Share of the rate of a turn above which a window is no stillness: a bump or a creep is slower by far."""
+"""Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
 _BESIDE_S: Final = 2.0 * _BLOCK_S
-"""The edges of the stillness found are a block or two inside the true ones."""
+"""Largest distance of the edges of the stationary windows found from the true ones, s: one or two blocks."""
 _SLACK_S: Final = 0.03
-"""Time in each window by which a shift may be worse than the best one, if it is smaller."""
+"""Stationary time per window, s, that a smaller shift may lose against the best one."""
 _SOME_WINDOWS: Final = 40
+"""Windows by which a common shift is judged."""
 _FEW_WINDOWS: Final = 8
-"""Windows that a common shift is judged by, and those that it is proposed by: it is that of all of them."""
+"""Windows whose edges propose the common shifts: it is that of all of them."""
 _STILL: Final = 0.9
-"""Share of the labelled time that a common shift of the labels must bring to rest."""
+"""Share of the labelled time that must be stationary after a common shift."""
 _FAR: Final = 1.0
-"""Squared distance between two sequences, in half turns and in faces: the nearest two of Table 1 are 2 apart (one
-half turn more, or about another axis), a unit with errors of 10 % is within 0.1 of its own."""
+"""Squared distance between two sequences, in half turns and in verticals. The nearest two of Table 1 are 2 apart (one
+half turn more, or about another axis); a unit with errors of 10 % is within 0.1 of its own."""
 _SIGMAS: Final = 6.0
-"""As calibration judges turns (:func:`srt.sequences.manoeuvres.wrong_turns`)."""
+"""Allowed error of an angle in sigma of the fixture, as in :func:`srt.sequences.manoeuvres.wrong_turns`."""
 _AGREE: Final = 0.5
-"""Share of an angle to which the accelerometers confirm it: an angle that the gyros alone are off by, because they
-lost it or have asymmetric scale factors, is off by all of it."""
+"""Share of an angular error that may be missing in the accelerometers: an error of the gyros alone, by lost samples or
+asymmetric scale factors, is missing there entirely."""
 _NOTHING: Final = 1e-12
-"""Specific force, m/s², that any accelerometer at rest exceeds."""
+"""Specific force, m/s², that any stationary accelerometer exceeds."""
 _SHORT: Final = 0.5
-"""Share of the median length below which a window limits its sequence: its mean is noisier by √2."""
+"""Share of the median length below which a window is short: its mean is noisier by √2."""
 
 
 @check("labels_shifted")
 def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
-    """Compare labelled windows in which the unit turns with the stillness found in the samples."""
+    """Compare labelled windows with rotation in them to the stationary windows found in the samples."""
     seen = _shift(evidence)
     if seen is not None and evidence.data is not None:
         yield finding("labels_shifted", shift=seen[0], count=seen[1], of=len(evidence.data.windows.samples))
@@ -68,7 +70,7 @@ def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
 
 @computed_once
 def _shift(evidence: Evidence) -> tuple[float, int] | None:
-    """Time by which labels are late, s, and the windows that it spoils; None if the labels are where they belong."""
+    """Time by which the labels are late, s, and the number of windows affected; None if the labels are not shifted."""
     data = evidence.data
     if data is None or not evidence.has_labels:
         return None
@@ -91,7 +93,7 @@ def _shift(evidence: Evidence) -> tuple[float, int] | None:
 
 
 def _turning(evidence: Evidence) -> Mask:
-    """Windows in which the rate goes through a fair part of that of the turns, shape (W,)."""
+    """True for windows in which the rate changes by a notable share of that of the rotations, shape (W,)."""
     data = evidence.data
     assert data is not None
     size = max(1, round(_BLOCK_S / evidence.dt))
@@ -101,21 +103,21 @@ def _turning(evidence: Evidence) -> Mask:
         first, last = int(samples[s, 0]), int(samples[e, 1])
         count = (last - first) // size
         means = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3).mean(axis=1)
-        in_turns[k] = _change(means)
+        in_turns[k] = _rate_range(means)
         for w in (s, e):
             inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
-            in_windows[w] = _change(means[inside])
+            in_windows[w] = _rate_range(means[inside])
     return np.asarray(in_windows > _MOVING * float(np.median(in_turns)))
 
 
-def _change(means: Array) -> float:
+def _rate_range(means: Array) -> float:
     return float((means.max(axis=0) - means.min(axis=0)).max()) if len(means) else 0.0
 
 
 def _common_shift(labelled: Array, rest: Array) -> float | None:
-    """Smallest time by which all labels are late, s, if taking it off brings them to rest and nothing less does."""
+    """Smallest time by which all labels are late, s: correcting it, and nothing less, makes the windows stationary."""
     some = labelled[np.unique(np.linspace(0, len(labelled) - 1, _SOME_WINDOWS).astype(int))]
-    # With the labels shifted by any of these an edge of a window and one of the stillness meet: the best is among them.
+    # The best shift is among those that make an edge of a label meet an edge of a stationary window.
     late = np.unique(np.append((some[:_FEW_WINDOWS, None, :, None] - rest[None, :, None, :]).ravel(), 0.0))
     edges = rest.ravel()
     still_until = np.repeat(np.concatenate([[0.0], np.cumsum(rest[:, 1] - rest[:, 0])]), 2)[1:-1]
@@ -129,13 +131,13 @@ def _common_shift(labelled: Array, rest: Array) -> float | None:
 
 
 def _intrusions(labelled: Array, rest: Array) -> Array:
-    """Time by which single windows are late (or early, negative) against the stillness they share most with."""
+    """Time by which single labels are late (early: negative) against the stationary window they overlap most, s."""
     out = []
     for a, b in labelled.tolist():
         shared = np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0])
         low, high = rest[int(np.argmax(shared))].tolist()
         late, early = max(0.0, b - high), max(0.0, low - a)
-        # What stands still on both sides of a knock is no wrong label, nor is a window that is too long.
+        # A window with a bump in it is no wrong label, nor is one that is too long.
         beside = np.clip(np.minimum(b, rest[:, 1]) - np.maximum(a, rest[:, 0]), 0.0, None).sum() - shared.max()
         if shared.max() > 0.0 and min(late, early) <= _BESIDE_S and beside < 0.5 * max(late, early):
             out.append(late if late > early else -early)
@@ -143,10 +145,10 @@ def _intrusions(labelled: Array, rest: Array) -> Array:
 
 
 @check("labels_exchanged", "wrong_direction", "wrong_angle")
-def executed_otherwise(evidence: Evidence) -> Iterator[Finding]:
-    """Compare every turn with its label: another sequence, the other way round, another angle."""
+def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
+    """Compare each rotation with its label: another sequence, the opposite sense, another angle."""
     data = evidence.data
-    if data is None or _shift(evidence) is not None:  # nothing fits labels that lie beside their turns
+    if data is None or _shift(evidence) is not None:  # no rotation fits shifted labels
         return
     exchanged = _exchanged(evidence) if evidence.has_labels else {}
     if exchanged:
@@ -159,10 +161,10 @@ def executed_otherwise(evidence: Evidence) -> Iterator[Finding]:
         )
     numbers, nominal, turned = rotation_angles(evidence)
     angle = np.linalg.norm(nominal, axis=1)
-    matrix = raw_triads(evidence)[0]
+    matrix = raw_triads(evidence).gyro
     done = np.einsum("la,la->l", invert_readings(matrix, turned), nominal) / np.maximum(angle, 1e-300)
     known = ~np.isin(numbers, list(exchanged))
-    # What was recognised in the samples has the direction that it has.
+    # Recognised sequences have the right sense by construction.
     backwards = known & (done < -_AGREE * angle) & evidence.has_labels
     if backwards.any():
         leg = int(np.flatnonzero(backwards)[0])
@@ -178,7 +180,7 @@ def executed_otherwise(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _exchanged(evidence: Evidence) -> dict[int, str]:
-    """Places in the run whose turn and faces are those of another sequence, with its name."""
+    """Sequences whose rotations and verticals are those of another sequence of Table 1, by number, with its name."""
     data, seen = evidence.data, rotation_integrals(evidence)
     assert data is not None
     assert seen is not None
@@ -189,7 +191,7 @@ def _exchanged(evidence: Evidence) -> dict[int, str]:
     signed, absolute, before, after = (np.array([row[i] for row in table]) for i in range(4))
     names = list(SEQUENCES)
     own = np.array([names.index(data.ids[k]) for k in places])
-    # Exchanging labels leaves the total that every axis turned as it is, hence the scales of the raw readings.
+    # Exchanged labels leave the total rotation of each axis unchanged, which gives the scales of the raw readings.
     stated = absolute[own].sum(axis=0)
     scale = np.where(stated > 1.0, seen.absolute[places].sum(axis=0) / np.maximum(stated, 1.0), 1.0)
     gravity = float(np.median(np.linalg.norm(np.concatenate([seen.before, seen.after]), axis=1)))
@@ -207,14 +209,14 @@ def _exchanged(evidence: Evidence) -> dict[int, str]:
     rows = np.arange(len(places))
     off = (best != own) & (distance[rows, own] > _FAR) & (distance[rows, best] < 0.5 * _FAR)
     swapped = Counter(own[off].tolist()) == Counter(best[off].tolist())
-    # One that was turned the other way round is also another of Table 1 where that has both: unless the other one was
-    # turned like it in exchange, its direction is wrong and not its label.
+    # A sequence rotated in the opposite sense equals another of Table 1 where that holds both. Unless the other one
+    # took its place, the sense is wrong and not the label.
     opposite = np.all(np.abs(signed[own] + signed[best]) < 1e-9, axis=1) & np.all(before[own] == before[best], axis=1)
     return {places[i]: names[best[i]] for i in np.flatnonzero(off & (swapped | ~opposite)).tolist()}
 
 
 def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Finding]:
-    """Turns of a fixture that are off, as the gyros and the accelerometers have it."""
+    """Rotations of a fixture by a wrong angle, on which gyros and accelerometers agree."""
     fixture = evidence.recording.fixture
     if fixture is None:
         return
@@ -237,7 +239,7 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
 
 
 def _end_mismatch(evidence: Evidence) -> dict[int, float]:
-    """Angle between the vertical carried through each sequence by the gyros and the one measured at its end, rad."""
+    """Angle between the vertical propagated by the gyros and the one measured at the end of each sequence, rad."""
     data, path, turns = evidence.data, stabilised_force(evidence), block_averages(evidence)
     if data is None or path is None or turns is None:
         return {}
@@ -257,24 +259,24 @@ def _signed(rotation: Array) -> float:
 
 
 def _turn_title(evidence: Evidence, leg: int) -> str:
-    """What a sentence that begins with a turn calls it."""
+    """Name of a rotation at the beginning of a message."""
     numbers = rotation_angles(evidence)[0]
     k = int(numbers[leg])
     title = evidence.title(k)
     mine = np.flatnonzero(numbers == k)
     if len(mine) > 1:
-        title = f"turn {leg - int(mine[0]) + 1} of {title}"
+        title = f"rotation {leg - int(mine[0]) + 1} of {title}"
     return title[0].upper() + title[1:]
 
 
 @check("sequence_missing")
 def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
-    """Ask the closed form what cannot be found from the sequences that are there."""
+    """Find the parameters that the closed form cannot estimate from the sequences present."""
     ids = _catalogue_ids(evidence)
     if not ids:
         return
-    held = set(evidence.options.fixed_names)
-    lost = [n for n in closed_form.missing_parameters(closed_form.formulas(set(ids))) if n not in held]
+    fixed = set(evidence.options.fixed_names)
+    lost = [n for n in closed_form.missing_parameters(closed_form.formulas(set(ids))) if n not in fixed]
     if not lost:
         return
     missing = [name for name in SEQUENCES if name not in ids]
@@ -290,7 +292,7 @@ def sequence_missing(evidence: Evidence) -> Iterator[Finding]:
 
 @check("sequence_repeated")
 def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
-    """Count the sequences."""
+    """Find sequences run more than once."""
     often = {name: count for name, count in Counter(_catalogue_ids(evidence)).items() if count > 1}
     if often:
         listed = ", ".join(f"{name} ({count} times)" for name, count in often.items())
@@ -298,7 +300,7 @@ def sequence_repeated(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _catalogue_ids(evidence: Evidence) -> list[str]:
-    """Sequences of Table 1 by name, in the order of the run; none without a fixture, where they mean nothing."""
+    """Sequences of Table 1 by name, in the order of the run; none without a fixture."""
     if evidence.recording.fixture is None or evidence.data is None:
         return []
     return [name for name in evidence.data.ids if name in SEQUENCES]
@@ -306,7 +308,7 @@ def _catalogue_ids(evidence: Evidence) -> list[str]:
 
 @check("window_short")
 def window_short(evidence: Evidence) -> Iterable[Finding]:
-    """Compare the windows of a fixture's sequences with their median; turns by hand have no planned length."""
+    """Compare the lengths of the windows with their median; on a fixture, as free rotations have no planned length."""
     data = evidence.data
     if data is None or evidence.recording.fixture is None or _shift(evidence) is not None:
         return

@@ -1,15 +1,15 @@
-"""Site: gravity, latitude and heading against each other and against the gyro rates at rest.
+"""Site: gravity, latitude and heading against one another and against the stationary gyro rates.
 
 Over the windows w of a recording, in raw channels and with ``u_w`` the vertical (down) in table-mounted axes::
 
     rate_w = b + d t_w + Γ u_w + M (v u_w + x e_x,w + y e_y,w) + noise
 
-b is the bias, d its change through the test (t runs from 0 to 1 in the middle, ±1/2 at the ends), Γ the g-sensitivity,
-(x, y, v) the Earth's rate in fixture base axes and M the raw gyro matrix from the turns. A multiple of the unit matrix
-in Γ is the same as v: Γ is fitted without one, and its other eight components tell how large that one may be.
+b is the bias, d its change during the test (t runs from -1/2 to 1/2), Γ the g-sensitivity, (x, y, v) the Earth rate in
+fixture base axes and M the raw gyro matrix from the rotations. A multiple of the identity in Γ equals v: Γ is fitted
+without trace, and its other eight components tell how large the trace may be.
 
-The noise is white noise plus flicker of the stated bias instability, correlated from window to window; least squares
-weighs by it. What the fit leaves scales all sigmas where it is larger than that.
+The noise is white noise plus flicker noise of the stated bias instability, correlated from window to window; it weights
+the least squares. Residuals above this noise inflate all sigmas.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 HEIGHTS_M: Final = (5000.0, -500.0)
-"""Highest and lowest place where a unit is taken to be tested."""
+"""Highest and lowest test site, m."""
 ANOMALY_M_S2: Final = 1e-3
-"""What local anomalies add: 100 mGal, more than nearly all of the land has."""
+"""Largest gravity anomaly, m/s²: 100 mGal, exceeded on very little land."""
 FALSE_ALARM: Final = 2e-5
-"""Probability of naming a right latitude, or a right heading: a recording has some twenty such questions, and one of
-a hundred sound recordings may raise any."""
+"""False-alarm probability of each of some twenty such tests: one in 100 sound recordings may raise one."""
 _GRID_DEG: Final = 0.01
+"""Step of the latitudes tried, °: far below what gyros resolve."""
 
 
 @check("gravity")
 def gravity(evidence: Evidence) -> Iterator[Finding]:
-    """Stated gravity against the normal one of all heights."""
+    """Test stated gravity against normal gravity at all heights."""
     site = evidence.recording.site
     if site.latitude_rad is None:
         return
@@ -61,10 +61,10 @@ def gravity(evidence: Evidence) -> Iterator[Finding]:
 
 @check("latitude", "north")
 def earth_rate(evidence: Evidence) -> Iterator[Finding]:
-    """The Earth's rate at rest against latitude and heading as stated.
+    """Test the stated latitude and heading against the Earth rate in the stationary windows.
 
-    By likelihood: a latitude is named where the stated one explains vertical part and size of the horizontal part
-    worse than the best one does by more than chance; the heading likewise from the direction of the horizontal part.
+    Likelihood ratio: the latitude is wrong if the best one explains the vertical component and the horizontal magnitude
+    significantly better; the heading likewise by the direction of the horizontal component.
     """
     site, fixture = evidence.recording.site, evidence.recording.fixture
     if site.latitude_rad is None or fixture is None:
@@ -99,7 +99,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
         latitude = float(latitudes[best])
     if fixture.heading_rad is None:
         return
-    # North lies at minus the heading in base axes.
+    # In base axes north lies at minus the heading.
     seen = float(np.arctan2(-y, x))
     off = float(np.angle(np.exp(1j * (seen - fixture.heading_rad))))
     level = EARTH_RATE_RAD_S * float(np.cos(latitude))
@@ -113,11 +113,10 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _vertical_sigma(fit: StationaryRateFit) -> float:
-    """One sigma of the vertical part, with the share of a g-sensitivity that looks like it.
+    """Standard deviation of the vertical component, with the trace of the g-sensitivity that it contains.
 
-    Were the nine components of Γ alike in size, what the eight others show would tell that of the one that is hidden,
-    with the tails of a t distribution of eight degrees of freedom. The factor makes them those of a normal one at the
-    probability that is asked for.
+    If the nine components of Γ are of one size, the other eight estimate that of the trace, with the tails of a t
+    distribution of eight degrees of freedom. The factor turns these into normal tails at the false-alarm probability.
     """
     hidden = np.mean(fit.g_sensitivity**2) / 3.0
     factor = stdtrit(8, 0.5 * FALSE_ALARM) / ndtri(0.5 * FALSE_ALARM)
@@ -125,16 +124,19 @@ def _vertical_sigma(fit: StationaryRateFit) -> float:
 
 
 LEAST_FREEDOM: Final = 12
-"""Residuals beyond the unknowns without which the scatter is not known."""
+"""Degrees of freedom, fewer of which do not tell the scatter."""
 _RANK: Final = 1e-3
+"""Smallest over largest singular value of the scaled design matrix, below which some component is not observable."""
 _OUTLIER: Final = 8.0
+"""Residual over the median residual, above which a window is an outlier, for instance after a bump."""
 _MOST_OUTLIERS: Final = 0.2
+"""Share of outliers above which none is down-weighted: they are not the exception."""
 _MOST_WINDOWS: Final = 400
-"""Taken, evenly spread, of a recording that holds more: time grows with their third power."""
+"""Windows used, evenly spaced; the computing time grows with their third power."""
 
 
 def _traceless() -> Array:
-    """Orthonormal basis of the 3x3 matrices without trace, shape (8, 3, 3)."""
+    """Orthonormal basis of the traceless 3x3 matrices, shape (8, 3, 3)."""
     pairs = [(i, j) for i in range(3) for j in range(3) if i != j]
     basis = np.zeros((8, 3, 3))
     for n, (i, j) in enumerate(pairs):
@@ -150,24 +152,23 @@ _BIAS, _DRIFT, _G, _V, _H = slice(0, 3), slice(3, 6), slice(6, 14), 14, slice(15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StationaryRateFit:
-    """Rates at rest taken apart; all rad/s, raw channels.
+    """Components of the stationary rates; all in rad/s, raw channels.
 
     Attributes
     ----------
     drift, drift_sigma : ndarray, shape (3,)
         Change of the bias from the first window to the last.
     g_sensitivity : ndarray, shape (8,)
-        Components of Γ without trace, each on an orthonormal matrix.
+        Components of the traceless Γ on the orthonormal basis.
     g_sensitivity_sigma : ndarray, shape (8,)
     vertical, vertical_sigma : float
-        Of the Earth's rate, and of the part of Γ that looks like it: rate along the vertical (down) that is fixed to
-        the Earth. The sigma is that of noise alone.
+        Rate about the downward vertical: the Earth rate, and the trace of Γ. The sigma is due to noise alone.
     horizontal : ndarray, shape (2,), or None
-        Of the Earth's rate, base x and y; None where the attitudes are not known.
+        Earth rate along base x and y; None if the attitudes are not known.
     horizontal_sigma : float
-        Of each of them.
+        Standard deviation of each.
     freedom : int
-        Of the residuals.
+        Degrees of freedom of the residuals.
     """
 
     drift: Array
@@ -181,7 +182,7 @@ class StationaryRateFit:
     freedom: int
 
     def gamma(self, earth_vertical: float) -> Array:
-        """Γ, shape (3, 3), rad/s per g upon the downward vertical, for a known vertical part of the Earth's rate."""
+        """Γ, shape (3, 3), rad/s per g along the downward vertical, for a known vertical Earth rate."""
         matrix: Array = np.tensordot(self.g_sensitivity, _BASIS, 1) + (self.vertical - earth_vertical) * np.eye(3)
         return matrix
 
@@ -190,7 +191,7 @@ _FITS: WeakKeyDictionary[Evidence, StationaryRateFit | None] = WeakKeyDictionary
 
 
 def stationary_rate_fit(evidence: Evidence) -> StationaryRateFit | None:
-    """Take the rates at rest apart; None where the windows are too few or too much alike for it."""
+    """Fit the stationary rates; None if the windows are too few or their poses too much alike."""
     if evidence not in _FITS:
         _FITS[evidence] = None if evidence.data is None else _fit(evidence, evidence.data)
     return _FITS[evidence]
@@ -208,7 +209,7 @@ def _fit(evidence: Evidence, data: PlaybackData) -> StationaryRateFit | None:
         turned = poses @ evidence.gyro_fit.matrix.T  # rows: base axes as the raw channels see them
         down = poses[:, 2]
     else:
-        # By hand: the vertical is measured, the Earth's rate is a part of the noise.
+        # Free rotations: the vertical is measured, the horizontal Earth rate counts as noise.
         size = np.linalg.norm(force, axis=1, keepdims=True)
         if np.any(size == 0.0):
             return None
@@ -235,7 +236,7 @@ def _fit(evidence: Evidence, data: PlaybackData) -> StationaryRateFit | None:
     value, P, chi_square = solved
     instability = data.recording.noise.gyro_bias_instability
     if instability is None:
-        # Not stated: as much flicker as brings the residuals down to where chance alone seldom has them.
+        # Bias instability is not stated: as much flicker noise as explains the residuals.
         solved = _with_flicker(X, rate, covariance, flicker_covariance(start, end), freedom)
         value, P, chi_square = solved
     sigma = np.sqrt(np.diag(P) * max(1.0, chi_square / freedom))
@@ -253,7 +254,7 @@ def _fit(evidence: Evidence, data: PlaybackData) -> StationaryRateFit | None:
 
 
 def _poses(data: PlaybackData) -> Array | None:
-    """Base axes in table-mounted axes at every window, C_T,base transposed: row i is base axis i, shape (W, 3, 3)."""
+    """Base axes in table-mounted axes at each window, C_T,base transposed: row i is base axis i, shape (W, 3, 3)."""
     if data.recording.fixture is None or any(s is None for s in data.catalogue):
         return None
     out = np.empty((len(data.windows.duration_s), 3, 3))
@@ -265,11 +266,11 @@ def _poses(data: PlaybackData) -> Array | None:
 
 
 def _covariance(data: PlaybackData, start: Array, end: Array, *, known: bool) -> Array:
-    """Of the mean rates of the windows, by axis, shape (3, W, W), (rad/s)²."""
+    """Covariance of the mean rates of the windows, by axis, shape (3, W, W), (rad/s)²."""
     noise, T = data.noise, end - start
     instability = data.recording.noise.gyro_bias_instability or 0.0
     fixture = data.recording.fixture
-    # Every pose is turned a little from its nominal one, and the Earth's rate with it.
+    # Each pose is off its nominal attitude, and so is the Earth rate in its axes.
     doubt = fixture.rotation_sigma_rad if known and fixture is not None else 1.0
     white = noise.gyro_white[:, None] ** 2 / T + 2.0 * (noise.gyro_edge[:, None] / T) ** 2
     white = white + (doubt * EARTH_RATE_RAD_S) ** 2
@@ -278,9 +279,9 @@ def _covariance(data: PlaybackData, start: Array, end: Array, *, known: bool) ->
 
 
 def _solve(X: Array, rate: Array, covariance: Array) -> tuple[Array, Array, float] | None:
-    """Weighted least squares; values, their covariance and chi-square, or None where the poses leave some open.
+    """Weighted least squares: values, covariance and chi-square; None if some component is not observable.
 
-    A window far from all others, as after a knock, loses its weight.
+    Outlying windows, for instance after a bump, lose their weight.
     """
     W = len(X)
     weak = np.zeros(W, dtype=np.bool_)
@@ -308,7 +309,7 @@ def _solve(X: Array, rate: Array, covariance: Array) -> tuple[Array, Array, floa
 
 
 def _with_flicker(X: Array, rate: Array, covariance: Array, flicker: Array, freedom: int) -> tuple[Array, Array, float]:
-    """Solve with the flicker that explains the residuals, found by bisection of its logarithm."""
+    """Solve with the level of flicker noise that explains the residuals, by bisection of its logarithm."""
     wanted = freedom * (1.0 - 2.0 * np.sqrt(2.0 / freedom)) if freedom > 18 else 0.5 * freedom
     level = float(np.trace(covariance.mean(axis=0)) / np.trace(flicker))
     low, high = level * 1e-4, level * 1e6

@@ -1,9 +1,8 @@
-"""Single readings that jump out from their neighbours, by the noise around them.
+"""Spikes: single readings that deviate from their neighbours by far more than the noise around them.
 
-A reading is predicted from the two before and the two after it by a cubic. Where these four do not agree among
-themselves on a slope, the unit moves in jerks and nothing is said; what is left is a reading with sound neighbours.
-A knock that turns the unit within one sample jumps out of the gyros in the same way, but it shows in several of them,
-and gravity stays turned by its angle afterwards.
+A cubic through the two readings before and the two after predicts each reading. If these four disagree on a slope, the
+unit moves abruptly, and the reading is no spike. A bump that rotates the unit within one sample looks like a spike of
+the gyros, but it shows in several of them, and gravity stays rotated by its angle.
 """
 
 from __future__ import annotations
@@ -21,36 +20,42 @@ if TYPE_CHECKING:
 
 
 _SIGMAS: Final = 7.5
-"""Of normal noise 6e-14 of the readings lie beyond; with noise known to 10 % as from 500 readings, 2e-11: 5e-6 of
-300 000 readings, 4e-4 of twenty million."""
+"""Deviation in sigma that makes a spike, p = 6e-14; with noise known to 10 %, from 500 readings, p = 2e-11: 5e-6 for
+300 000 readings, 4e-4 for twenty million."""
 _JERK: Final = 3.0
-"""Jump over disagreement of the neighbours' slopes: a step or a kink of the motion gives at most 1."""
+"""Deviation over the disagreement of the neighbours' slopes; a step or a kink of the motion gives at most 1."""
 _QUANTILE: Final = 0.9
+"""Share of the deviations whose largest gives the noise: the rest may be spikes."""
 _NORMAL: Final = 1.6449
-"""Sigmas within which that share of a normal distribution lies."""
+"""Sigmas within which this share of a normal distribution lies."""
 _FOR_NOISE: Final = 500
-"""Readings of a stretch that its noise is taken from."""
+"""Readings from which the noise of a part is taken."""
 _FEW: Final = 8
+"""Windows from which the quantization step is taken."""
 _FOR_STEP: Final = 4000
-"""Windows, or readings of the motion, that the step of the readings is taken from."""
+"""Readings in motion from which it is taken if the windows show none."""
 _ROUNDING: Final = 1e-9
+"""Rounding of the readings, relative to the largest."""
 _BLOCK_S: Final = 0.1
+"""Length, s, of the blocks by which a window is tested for motion."""
 _SLOW: Final = 0.1
+"""Share of the highest rate above which a block of a window is in motion."""
 _MISPLACED: Final = 2
-"""Windows in motion, from which the labels are taken to be wrong rather than the unit disturbed."""
+"""Windows in motion, from which the labels are wrong rather than the unit disturbed."""
 _MEAN_S: Final = 4.0
+"""Longest average of specific force before and after a bump, s."""
 _SEEN: Final = 3.0
-"""Sigmas of the change of gravity that a knock must cause, for the accelerometers to decide."""
+"""Change of gravity by a bump in sigma, from which the accelerometers decide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spikes:
-    """Single readings of one sequence that jump out.
+    """Spikes of one sequence.
 
     Attributes
     ----------
     sample, channel : ndarray of int, shape (n,)
-        Sample, and channel 0 to 5: gyro x, y, z, accelerometer x, y, z.
+        Sample, and channel from 0 to 5: gyro x, y, z, accelerometer x, y, z.
     jump : ndarray, shape (n,)
         Reading less its prediction, as stored.
     """
@@ -64,7 +69,7 @@ _NONE: Final = Spikes(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np
 
 
 def find_spikes(evidence: Evidence) -> Spikes:
-    """All single readings that jump out inside sequences, knocks left out."""
+    """Spikes inside the sequences, without bumps."""
     data = evidence.data
     parts = [_NONE]
     if data is not None:
@@ -78,13 +83,13 @@ def find_spikes(evidence: Evidence) -> Spikes:
         np.concatenate([part.jump for part in parts]),
     )
     if np.any(channel < 3) and _windows_in_motion(evidence) >= _MISPLACED:
-        # The windows lie beside the stillness, where a table also makes moves as short as a sample.
+        # The labels are shifted, and the fixture also makes moves as short as a sample.
         sample, channel, jump = sample[channel >= 3], channel[channel >= 3], jump[channel >= 3]
     return Spikes(sample, channel, jump)
 
 
 def _windows_in_motion(evidence: Evidence) -> int:
-    """Windows in which the unit turns for a while, at a tenth of its fastest turn or more."""
+    """Number of windows with a block at a tenth of the highest rate or more."""
     assert evidence.data is not None
     size = max(3, round(_BLOCK_S / evidence.dt))
 
@@ -100,9 +105,9 @@ def _windows_in_motion(evidence: Evidence) -> int:
 
 
 def _least_noise(evidence: Evidence) -> Array:
-    """What the noise of each channel is at least, shape (6,): that at rest, the step of the readings, and rounding.
+    """Least noise of each channel, shape (6,): stationary noise, quantization step, and rounding.
 
-    In a turn in which a channel is clipped, or pulses come evenly, hardly anything scatters.
+    In a rotation, a saturated channel or evenly spaced pulses hardly scatter.
     """
     assert evidence.data is not None
     windows = [(a, min(b, a + _FOR_NOISE)) for a, b in evidence.data.windows.samples.tolist() if b - a > 8]
@@ -110,7 +115,7 @@ def _least_noise(evidence: Evidence) -> Array:
         return np.full(6, np.inf)
     out = []
     for table in (evidence.recording.gyro, evidence.recording.accel):
-        # By the median, as a single window may be disturbed.
+        # The median excludes a disturbed window.
         noise = np.median([_noise(np.abs(_off(table[a:b]))) for a, b in windows], axis=0)
         some = table[:: max(1, len(table) // _FOR_STEP)]
         out.append(np.maximum(np.maximum(noise, _step(table, windows, some)), _ROUNDING * np.abs(some).max()))
@@ -118,7 +123,7 @@ def _least_noise(evidence: Evidence) -> Array:
 
 
 def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
-    """Step of the readings, by the median of a few windows; of motion, for channels that show none at rest."""
+    """Quantization step, by the median of a few windows; from motion for channels that show none when stationary."""
     few = windows[:: max(1, len(windows) // _FEW)]
     steps = np.array([smallest_step(table[a:b]) for a, b in few])
     seen = np.array([np.median(s[s > 0.0]) if np.any(s > 0.0) else 0.0 for s in steps.T])
@@ -126,12 +131,12 @@ def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
 
 
 def _off(x: Array) -> Array:
-    """Readings less their prediction, without the first and last two, shape (n - 4, 3)."""
+    """Readings less their prediction, without the first two and the last two, shape (n - 4, 3)."""
     return np.asarray(x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - x[:-4] - x[4:]) / 6.0)
 
 
 def _noise(size: Array) -> Array:
-    """One sigma of columns from their magnitudes."""
+    """Standard deviation of columns from their magnitudes."""
     some = size[:: max(1, len(size) // _FOR_NOISE)].T.copy()
     rank = int(_QUANTILE * (some.shape[1] - 1))
     return np.asarray(np.partition(some, rank, axis=1)[:, rank] / _NORMAL)
@@ -146,7 +151,7 @@ def _in_sequence(evidence: Evidence, bounds: tuple[int, int, int, int], least: A
     off = np.concatenate([_off(table[a:b]) for table in tables], axis=1)
     suspects = []
     edges = np.array([0, turn - a - 2, still - a - 2, b - a - 4]).clip(0, b - a - 4)
-    by_hand = evidence.recording.fixture is None  # and knocked when it is set down
+    by_hand = evidence.recording.fixture is None  # set down with a bump
     for part_of, (lo, hi) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
         if hi - lo < 4 or (by_hand and part_of == 1):
             continue
@@ -165,11 +170,11 @@ def _in_sequence(evidence: Evidence, bounds: tuple[int, int, int, int], least: A
     jump = off[rows, channels]
     keep = np.abs(jump) > _JERK * np.ptp(slopes, axis=1)
     sample, channels, jump = sample[keep], channels[keep], jump[keep]
-    sound = np.array([not _is_knock(evidence, bounds, i, sample, channels, off) for i in sample.tolist()], dtype=bool)
+    sound = np.array([not _is_bump(evidence, bounds, i, sample, channels, off) for i in sample.tolist()], dtype=bool)
     return Spikes(sample[sound], channels[sound], jump[sound])
 
 
-def _is_knock(
+def _is_bump(
     evidence: Evidence,
     bounds: tuple[int, int, int, int],
     at: int,
@@ -177,7 +182,7 @@ def _is_knock(
     channels: Indices,
     off: Array,
 ) -> bool:
-    """Whether what jumps out at a sample of a window is the unit being turned in it: gravity then stays turned."""
+    """True if a spike of the gyros in a window is a bump: gravity then stays rotated."""
     a, turn, still, b = bounds
     together = channels[sample == at]
     if np.any(together >= 3) or turn <= at < still:

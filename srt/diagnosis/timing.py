@@ -1,4 +1,4 @@
-"""Time stamps: their unit, their scatter, and samples missing inside a sequence."""
+"""Time stamps: unit, jitter, and samples missing inside a sequence."""
 
 from __future__ import annotations
 
@@ -27,24 +27,25 @@ _UNITS: Final = (
     (1e6, "seconds", "microseconds"),
     (1e9, "seconds", "nanoseconds"),
 )
-"""Factor that sets stamps right, what they are, and what they are declared as."""
+"""Factor that corrects the time stamps, their true unit, and the declared one."""
 _USUAL_S: Final = (1e-4, 0.11)
-"""Intervals at which units are logged: 10 kHz to a little less than 10 Hz."""
-_ALIKE: Final = math.log(1.8)
-"""Half of a thousand-fold is far outside what an uncalibrated unit explains."""
+"""Usual sampling intervals, s: 10 kHz to a little less than 10 Hz."""
+_SAME_FACTOR: Final = math.log(1.8)
+"""Logarithm of the ratio of two factors that count as one, through the errors of an uncalibrated IMU."""
 _FEW_STEPS: Final = 100
+"""Samples, fewer of which do not tell the jitter."""
 _BURSTS: Final = 0.05
-"""Share of steps that are long, above which these are no interruptions."""
+"""Share of long steps, above which they are not interruptions."""
 _TURNING: Final = 0.2
-"""Share of the fastest rate above which the unit turns."""
+"""Share of the highest rate above which the unit rotates."""
 _SAMPLES: Final = 20_000
-"""Rows looked at where all would tell no more."""
+"""Rows used where all rows would tell no more."""
 _NO_GAP: Final = 8.0
-"""Sigmas of jitter that no step reaches by chance: 1e-15 each."""
+"""Jitter of a step in sigma that does not occur by chance: p = 1e-15 each."""
 
 
 def _unit(interval: float) -> tuple[float, str, str]:
-    """Unit that brings an interval among the usual ones, else the nearest to them."""
+    """Time unit that makes an interval a usual one, else the nearest to that."""
     middle = math.sqrt(_USUAL_S[0] * _USUAL_S[1])
     usual = [row for row in _UNITS if _USUAL_S[0] <= interval * row[0] <= _USUAL_S[1]]
     return usual[0] if usual else min(_UNITS, key=lambda row: abs(math.log(interval * row[0] / middle)))
@@ -52,7 +53,7 @@ def _unit(interval: float) -> tuple[float, str, str]:
 
 @check("time_unit")
 def time_unit(evidence: Evidence) -> Iterator[Finding]:
-    """A time unit is off by thousands: the interval is impossible, or all that is summed over time is off likewise."""
+    """Test the time unit: the interval is impossible, or all integrals over time are off by the same factor."""
     interval = evidence.dt
     factor, unit, declared = _unit(interval)
     if not SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
@@ -61,18 +62,18 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
         return
     if _USUAL_S[0] <= interval <= _USUAL_S[1] or not _USUAL_S[0] <= interval * factor <= _USUAL_S[1]:
         return
-    # Summed rates go with the interval, and so do increments that are divided by it.
+    # Integrated rates scale with the interval, and increments divided by it inversely.
     turned, rest = gyro_scale_ratios(evidence).typical, accel_scale_ratios(evidence).typical
     rates = evidence.recording.kind == "rate"
     off, other = (1.0 / turned if rates else rest, rest if rates else turned) if turned > 0.0 else (math.nan, math.nan)
-    if off > 0.0 and LEGAL_RATIO[0] < other < LEGAL_RATIO[1] and abs(math.log(off / factor)) < _ALIKE:
-        what = "turns come out" if rates else "gravity comes out"
-        why = f"and {what} {(turned if rates else rest):.3g} times as large as it is"
+    if off > 0.0 and LEGAL_RATIO[0] < other < LEGAL_RATIO[1] and abs(math.log(off / factor)) < _SAME_FACTOR:
+        what = "rotations read" if rates else "gravity reads"
+        why = f"and {what} {(turned if rates else rest):.3g} times the expected value"
         yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
 
 
 def _jitter(evidence: Evidence) -> tuple[float, float]:
-    """One sigma of a stamp about an even rate, and its interval, s; sigma 0 where stamps are even or merely rounded."""
+    """Standard deviation of the stamps about an even rate, and its interval, s; 0 for even or merely rounded stamps."""
     recording = evidence.recording
     if recording.sample_rate_hz is not None or len(recording.time) < _FEW_STEPS:
         return 0.0, evidence.dt
@@ -81,19 +82,19 @@ def _jitter(evidence: Evidence) -> tuple[float, float]:
     if isinstance(recording.interval_s, float) and not bursts:
         return 0.0, even
     steps = np.diff(recording.time)
-    # Stamps set when a packet arrives come in bursts with long steps between them, which belong to the jitter; the
-    # median step is then one inside a burst.
+    # Stamps set on the arrival of packets come in bursts. The long steps between the bursts belong to the jitter, and
+    # the median step lies inside a burst.
     if bursts:
         even = float(recording.time[-1] - recording.time[0]) / steps.size
     else:
         steps = np.delete(steps, gaps - 1)
-    # Differences of steps, as a rate that wanders slowly is no jitter; of a white scatter they have six variances.
+    # Differences of steps exclude a slow drift of the rate; for white jitter their variance is six times its own.
     return float(np.sqrt(np.mean(np.diff(steps) ** 2) / 6.0)), even
 
 
 @check("stamp_jitter")
 def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
-    """Stamps that scatter by more than rounding are believed one by one, and turns take their scatter in."""
+    """Find stamps that scatter by more than rounding: each is taken as given, and the scatter enters the rotations."""
     sigma, interval = _jitter(evidence)
     if sigma > 0.5 * ROUNDING_FRACTION * interval:
         yield finding("stamp_jitter", jitter=sigma / interval, interval=interval)
@@ -101,13 +102,13 @@ def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
 
 @check("gap_in_sequence")
 def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
-    """Steps of the stamps that are too long, between the first and the last sample of a sequence."""
+    """Find steps of the stamps that are too long between the first and the last sample of a sequence."""
     time, gaps = evidence.recording.time, evidence.recording.gaps
     if gaps.size == 0:
         return
     sigma, _ = _jitter(evidence)
     gaps = gaps[time[gaps] - time[gaps - 1] - evidence.dt > _NO_GAP * sigma]
-    rows, title, more = _inside_labelled(evidence, gaps) if evidence.has_labels else _inside_turns(evidence, gaps)
+    rows, title, more = _inside_labelled(evidence, gaps) if evidence.has_labels else _inside_rotations(evidence, gaps)
     if rows.size:
         yield finding(
             "gap_in_sequence",
@@ -119,7 +120,7 @@ def gap_in_sequence(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
-    """Gaps of the first sequence that has any, its name, and how many others have some."""
+    """Gaps of the first sequence that has any, its name, and the number of others with gaps."""
     data = evidence.data
     if data is None:
         return gaps[:0], "", 0
@@ -132,11 +133,11 @@ def _inside_labelled(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, i
     return inside[void[0]], title[0].upper() + title[1:], len(void) - 1
 
 
-def _inside_turns(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
-    """Gaps on both sides of which the unit turns; without labels, others may lie between sequences."""
+def _inside_rotations(evidence: Evidence, gaps: Indices) -> tuple[Indices, str, int]:
+    """Gaps with rotation on both sides; without labels, other gaps may lie between sequences."""
     gyro = evidence.recording.gyro
     some = np.linalg.norm(gyro[:: max(1, len(gyro) // _SAMPLES)], axis=1)
     rest, fastest = np.median(some), some.max()
     size = np.linalg.norm(np.stack([gyro[gaps - 1], gyro[gaps]]), axis=2).min(axis=0)
     rows = gaps[size - rest > _TURNING * (fastest - rest)]
-    return rows, "A turn", max(0, rows.size - 1)
+    return rows, "A rotation", max(0, rows.size - 1)

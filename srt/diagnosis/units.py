@@ -1,12 +1,9 @@
-"""Units, value of a count and sample rate: factors of the readings against labels and gravity.
+"""Units, count values and sample rate: factors of the readings against labels and gravity.
 
-Units are factors of their own, mostly far beyond what an uncalibrated unit (half of scale error) could read, so that
-the nearest one is named. Ranges (powers of two) and sample rates lie among what such a unit may read, and are told by
-how alike its axes are: errors of its making differ from axis to axis, a wrong factor does not.
-
-A unit may be off by half before it is calibrated, and differently by axis; a wrong unit or rate is off by one factor
-on all of them. So what matters beside the factor is how alike the axes are, and whether one axis agrees with itself
-over all turns and poses: where it does not, labels or windows are wrong and nothing is said about scales.
+Most wrong units are factors far beyond the scale errors of an uncalibrated IMU (50 %), so the nearest one is named.
+Wrong ranges (powers of two) and sample rates lie within these errors. The axes tell them apart: scale errors differ
+from axis to axis, a wrong factor does not. If one axis disagrees with itself over the rotations and poses, labels or
+windows are wrong, and nothing is said about factors.
 """
 
 from __future__ import annotations
@@ -35,8 +32,8 @@ _G: Final = STANDARD_GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True)
-class _Unit:
-    """One wrong unit: what readings are multiplied by, what they are, and what they are declared as."""
+class _WrongUnit:
+    """One wrong unit: factor of the readings, true unit, and declared unit."""
 
     fault: str
     factor: float
@@ -46,47 +43,53 @@ class _Unit:
 
 
 _GYRO_UNITS: Final = (
-    _Unit("gyro_degrees", 1.0 / DEG, "degrees", "radians", rates_only=False),
-    _Unit("gyro_radians", DEG, "radians", "degrees", rates_only=False),
-    _Unit("gyro_per_hour", 1.0 / DEG_PER_H, "deg/h", "rad/s"),
-    _Unit("gyro_per_hour", DEG / DEG_PER_H, "deg/h", "deg/s"),
-    _Unit("gyro_per_hour", DEG_PER_H / DEG, "deg/s", "deg/h"),
-    _Unit("gyro_per_hour", DEG_PER_H, "rad/s", "deg/h"),
+    _WrongUnit("gyro_degrees", 1.0 / DEG, "degrees", "radians", rates_only=False),
+    _WrongUnit("gyro_radians", DEG, "radians", "degrees", rates_only=False),
+    _WrongUnit("gyro_per_hour", 1.0 / DEG_PER_H, "deg/h", "rad/s"),
+    _WrongUnit("gyro_per_hour", DEG / DEG_PER_H, "deg/h", "deg/s"),
+    _WrongUnit("gyro_per_hour", DEG_PER_H / DEG, "deg/s", "deg/h"),
+    _WrongUnit("gyro_per_hour", DEG_PER_H, "rad/s", "deg/h"),
 )
 _ACCEL_UNITS: Final = (
-    _Unit("accel_g", 1.0 / _G, "g", "m/s²", rates_only=False),
-    _Unit("accel_g", 1e-3, "g", "mg"),
-    _Unit("accel_mg", 1e3 / _G, "mg", "m/s²", rates_only=False),
-    _Unit("accel_mg", 1e3, "mg", "g"),
-    _Unit("accel_m_s2", _G, "m/s²", "g", rates_only=False),
-    _Unit("accel_m_s2", 1e-3 * _G, "m/s²", "mg"),
+    _WrongUnit("accel_g", 1.0 / _G, "g", "m/s²", rates_only=False),
+    _WrongUnit("accel_g", 1e-3, "g", "mg"),
+    _WrongUnit("accel_mg", 1e3 / _G, "mg", "m/s²", rates_only=False),
+    _WrongUnit("accel_mg", 1e3, "mg", "g"),
+    _WrongUnit("accel_m_s2", _G, "m/s²", "g", rates_only=False),
+    _WrongUnit("accel_m_s2", 1e-3 * _G, "m/s²", "mg"),
 )
 _MATCH: Final = math.log(1.8)
-"""Within this a factor is recognised through the errors of an uncalibrated unit."""
+"""Logarithm of the distance within which a factor is recognised through the errors of an uncalibrated IMU."""
 _BOTH: Final = math.log(1.7)
-"""Within this gyros and accelerometers are off by one and the same factor: errors of a quarter either way make 1.67."""
+"""Logarithm of the ratio within which gyros and accelerometers share one factor: scale errors of ±25 % make 1.67."""
 _TIGHT: Final = 0.07
-"""Within this whole numbers are a unit rather than counts: mg are often logged without decimals, and pulses of a part
-of an arc second are whole numbers of deg/h (but not every whole number)."""
+"""Logarithm of the distance within which whole numbers are a unit and not counts: mg are often logged without decimals,
+and pulses of a fraction of an arc second are whole numbers of deg/h (but not all of them)."""
 _POWERS: Final = tuple(k for k in range(-4, 5) if k)
-"""Ranges of one unit are 16 apart at most (125 to 2000 °/s, 2 to 32 g)."""
-_NEAR_POWER: Final = 0.04
-_LIKE_POWER: Final = 0.05
-"""How near to a power of two (logarithms), and how alike: of uncalibrated MEMS (1.5 % one sigma) 1e-5 differ by more,
-of units off by tens of per cent 1e-4 look like it by chance."""
-_SPREADS: Final = 8.0
-"""Common factor over the spread of the axes, from which it is no chance: of three independent errors the mean is so
-large in 0.5 % of all units, whatever their class, but with the next figure only in those off by tens of per cent."""
+"""Exponents of two between the ranges of one IMU: a factor of 16 at most (125 to 2000 °/s, 2 to 32 g)."""
+_POWER_DISTANCE: Final = 0.04
+"""Logarithm of the distance of the mean factor from a power of two: 1e-5 of uncalibrated MEMS (1.5 % 1-sigma) exceed
+it, 1e-4 of units with errors of tens of per cent are within it by chance."""
+_POWER_SCATTER: Final = 0.05
+"""Largest scatter of the logarithms of the axes about that mean."""
+_COMMON_SIGMAS: Final = 8.0
+"""Common factor over the scatter of the axes that is significant together with :data:`_COMMON`: independent errors
+exceed it in 0.5 % of all units, but with errors above 5 % only in those off by tens of per cent."""
 _COMMON: Final = 0.05
-"""Common scale error that no class of units has: sensitivities of uncalibrated MEMS are given to 3 % (two sigma)."""
-_SURE: Final = 57.7
-"""Likewise for 1e-4 of all units: Student's t of two degrees of freedom is beyond 100, over √3."""
-_ON_EARTH: Final = 0.01
-"""Gravity differs by no more than this from 9.80 m/s² anywhere on the Earth's surface (9.76 to 9.84)."""
+"""Logarithm of a common scale error that no class of units has: uncalibrated MEMS are within 3 % (2-sigma)."""
+_COMMON_SIGMAS_ALONE: Final = 57.7
+"""Common factor over the scatter that is significant alone, p = 1e-4: Student's t with two degrees of freedom exceeds
+100, over √3."""
+_GRAVITY_VARIATION: Final = 0.01
+"""Largest relative difference of gravity on the Earth's surface (9.76 to 9.84 m/s²) from 9.80 m/s²."""
 _WHOLE: Final = 1e-6
+"""Largest distance from a whole number, by rounding."""
 _READINGS: Final = 4000
+"""Readings from which a common step is taken."""
 _FEWEST_COUNTS: Final = 10.0
+"""Range of the readings in counts, below which whole numbers are chance."""
 _MOST_COUNTS: Final = 2.0**52
+"""Range above which every double is a whole number."""
 
 
 @check(
@@ -104,10 +107,10 @@ _MOST_COUNTS: Final = 2.0**52
     "accel_lsb",
 )
 def wrong_units(evidence: Evidence) -> Iterator[Finding]:
-    """One factor on all readings of a triad: first of both together, then of each."""
+    """Test for one factor on all readings of a triad: of both triads together, then of each."""
     gyro, accel = gyro_scale_ratios(evidence), accel_scale_ratios(evidence)
     if stationary_force_scatter(evidence) > _MATCH:
-        accel = ScaleRatios(math.nan, np.full(3, np.nan), math.nan)  # windows in motion: nothing is known of rest
+        accel = ScaleRatios(math.nan, np.full(3, np.nan), math.nan)  # the windows are not stationary
     kind = _wrong_kind(evidence, gyro, accel)
     if kind is not None:
         yield kind
@@ -137,7 +140,7 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _wrong_kind(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Finding | None:
-    """Increments and rates taken for each other: both triads are off by the sampling interval."""
+    """Fault of increments declared as rates, or the reverse: both triads are off by the sampling interval."""
     if not (gyro.known and accel.known):
         return None
     rates = evidence.recording.kind == "rate"
@@ -154,7 +157,7 @@ def _wrong_kind(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Fi
     )
 
 
-def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: _Unit | None) -> dict[str, object]:
+def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: _WrongUnit | None) -> dict[str, object]:
     gravity = evidence.recording.site.gravity_m_s2
     names = {} if unit is None else {"unit": unit.unit, "declared": unit.declared}
     if sensor == "accel":
@@ -163,15 +166,15 @@ def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: _Unit | 
 
 
 def _first_turn(evidence: Evidence) -> str:
-    """What sentences call the first turn that was compared."""
+    """Name in messages of the first rotation compared."""
     if evidence.data is None:
-        return "free turns"
+        return "free rotations"
     numbers, _, _ = evidence.rotation_angles
-    return evidence.title(int(numbers[0])) if len(numbers) else "free turns"
+    return evidence.title(int(numbers[0])) if len(numbers) else "free rotations"
 
 
 def _common_step(table: Array, units: tuple[float, ...]) -> int:
-    """Greatest whole number of which all readings are multiples, in one of some units; 0 if they are not whole."""
+    """Greatest common divisor of the readings in the first unit in which they are whole numbers; 0 if in none."""
     some = table[:: max(1, len(table) // _READINGS)]
     for unit in units:
         numbers = some / unit
@@ -182,27 +185,29 @@ def _common_step(table: Array, units: tuple[float, ...]) -> int:
 
 
 def _power_of_two(scales: ScaleRatios) -> float | None:
-    """Power of two that all axes are off by alike."""
+    """Power of two by which all axes are off; None if there is none."""
     if not scales.by_axis:
         return None
     nearest = min(_POWERS, key=lambda k: abs(scales.common - k * math.log(2.0)))
     off = abs(scales.common - nearest * math.log(2.0))
-    return 2.0**nearest if off < _NEAR_POWER and scales.unlike < _LIKE_POWER else None
+    return 2.0**nearest if off < _POWER_DISTANCE and scales.scatter < _POWER_SCATTER else None
 
 
 @check("sample_rate")
 def sample_rate(evidence: Evidence) -> Iterator[Finding]:
-    """All axes of the triad that is multiplied or divided by the interval are off by one factor, no power of two."""
+    """Test the triad that scales with the interval: all axes are off by one factor, which is no power of two."""
     rates = evidence.recording.kind == "rate"
     scales = gyro_scale_ratios(evidence) if rates else accel_scale_ratios(evidence)
     if not scales.by_axis or not LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
         return
-    common, unlike = scales.common, scales.unlike
+    common, scatter = scales.common, scales.scatter
     if not rates:
-        # Stated gravity may be wrong, but not by more than gravity differs.
-        common = math.copysign(max(abs(common) - _ON_EARTH, 0.0), common)
-    sure = abs(common) > _SURE * unlike or (abs(common) > _COMMON and abs(common) > _SPREADS * unlike)
-    if not sure or _power_of_two(scales) is not None:
+        # Stated gravity may be wrong, within the variation of gravity.
+        common = math.copysign(max(abs(common) - _GRAVITY_VARIATION, 0.0), common)
+    significant = abs(common) > _COMMON_SIGMAS_ALONE * scatter or (
+        abs(common) > _COMMON and abs(common) > _COMMON_SIGMAS * scatter
+    )
+    if not significant or _power_of_two(scales) is not None:
         return
     if rates and any(part.channel.startswith("gyro") for _, parts in clipped_parts(evidence) for part in parts):
         return
@@ -218,35 +223,35 @@ def sample_rate(evidence: Evidence) -> Iterator[Finding]:
 
 
 _MAD: Final = 1.4826
-"""Sigma over median absolute deviation of a normal distribution."""
+"""Standard deviation over median absolute deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleRatios:
-    """Reading over truth of one triad.
+    """Ratio of reading and truth of one triad.
 
     Attributes
     ----------
     typical : float
-        Of the whole triad, by the median; NaN if nothing tells.
+        Median of the triad; NaN if unknown.
     axes : ndarray, shape (3,)
-        By sensor axis; NaN where nothing tells.
-    scatter : float
-        One sigma by which the logarithm of one turn's or pose's ratio differs from that of its axis.
+        Ratio of each sensor axis; NaN where unknown.
+    axis_scatter : float
+        Standard deviation of the logarithm of the ratio of one rotation or pose about that of its axis.
     """
 
     typical: float
     axes: Array
-    scatter: float
+    axis_scatter: float
 
     @property
     def known(self) -> bool:
-        """Whether the triad has a positive, finite ratio."""
+        """True if the triad has a positive, finite ratio."""
         return math.isfinite(self.typical) and self.typical > 0.0
 
     @property
     def by_axis(self) -> bool:
-        """Whether each axis has one."""
+        """True if each axis has a positive, finite ratio."""
         return bool(np.all(np.isfinite(self.axes)) and np.all(self.axes > 0.0))
 
     @property
@@ -255,23 +260,25 @@ class ScaleRatios:
         return float(np.mean(np.log(self.axes)))
 
     @property
-    def unlike(self) -> float:
-        """One sigma of the logarithm of an axis about the others, the scatter within axes included."""
-        return math.hypot(float(np.std(np.log(self.axes), ddof=1)), self.scatter)
+    def scatter(self) -> float:
+        """Standard deviation of the logarithm of an axis about the others, the scatter within axes included."""
+        return math.hypot(float(np.std(np.log(self.axes), ddof=1)), self.axis_scatter)
 
 
 _RELATION_SIGMA: Final = 0.02
-"""Of the logarithm of an axis, by the turning of gravity: pushes of a hand, and misalignment."""
+"""Standard deviation of the logarithm of an axis by the rotation of gravity: motion by hand, and misalignment."""
 _AGREE: Final = 0.2
+"""Logarithm of the ratio within which labels and the rotation of gravity agree; a factor of two is 0.69."""
 _UNSEEN: Final = np.full(3, np.nan)
-NOTHING: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
+UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
+"""Ratios of a triad of which the data tell nothing."""
 
 
 def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Turned against stated angles; of free turns, the gyros against the turning of gravity.
+    """Ratios of measured and stated angles; for free rotations, of the gyros and the rotation of gravity.
 
-    Magnitudes only, each counted for the gyro that read most of it: whatever the axes, their signs and the sense of
-    single turns, and by medians, so that a few wrong labels do not matter.
+    Medians of magnitudes, each assigned to the gyro that measured most of it: wrong axes, signs, senses and a few wrong
+    labels do not matter.
     """
     by_labels = _by_labels(evidence)
     if evidence.has_labels and by_labels.known:
@@ -281,17 +288,17 @@ def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
         return by_labels
     axes = 1.0 / np.linalg.norm(relation, axis=0)
     by_gravity = ScaleRatios(float(np.median(axes)), axes, _RELATION_SIGMA)
-    # Whoever counts turns in right angles may take half a turn for a quarter.
+    # Angles recognised as multiples of 90° may be off by a factor of two.
     agree = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < _AGREE
     return by_labels if agree else by_gravity
 
 
 def _by_labels(evidence: Evidence) -> ScaleRatios:
     if evidence.data is None:
-        return NOTHING
+        return UNKNOWN
     _, nominal, turned = evidence.rotation_angles
     if len(nominal) == 0:
-        return NOTHING
+        return UNKNOWN
     ratio = np.linalg.norm(turned, axis=1) / np.linalg.norm(nominal, axis=1)
     most = np.argmax(np.abs(turned), axis=1)
     axes = np.array([np.median(ratio[most == i]) if np.any(most == i) else np.nan for i in range(3)])
@@ -299,15 +306,15 @@ def _by_labels(evidence: Evidence) -> ScaleRatios:
         return ScaleRatios(float(np.median(ratio)), axes, math.inf)
     off = np.abs(np.log(ratio / axes[most]))
     fixture = evidence.recording.fixture
-    executed = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
-    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(_MAD * float(np.median(off)), executed))
+    fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
+    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(_MAD * float(np.median(off)), fixture_scatter))
 
 
 def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Specific force at rest against gravity; by axis where the stated poses span space."""
+    """Ratios of stationary specific force and gravity; by axis if the stated poses span space."""
     turns = manoeuvre_readings(evidence)
     if turns is None or len(turns.force) == 0:
-        return NOTHING
+        return UNKNOWN
     gravity = evidence.recording.site.gravity_m_s2
     ratio = np.linalg.norm(turns.force, axis=1) / gravity
     typical = float(np.median(ratio))
@@ -322,7 +329,7 @@ def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
 
 
 def stationary_force_scatter(evidence: Evidence) -> float:
-    """Logarithm of the upper over the lower quartile of specific force at rest; infinite without rest."""
+    """Logarithm of the ratio of the quartiles of the stationary specific force; infinite without stationary windows."""
     turns = manoeuvre_readings(evidence)
     if turns is None or len(turns.force) == 0:
         return math.inf

@@ -1,7 +1,7 @@
-"""Stationary windows looked at inside: block means, noise from sample to sample, and what happens at their start.
+"""Averages inside the stationary windows: block means, noise of single samples, and power at the start.
 
-All figures are rates (rad/s, m/s²) of the six raw channels, gyro then accelerometer. What a unit shows at rest is
-judged by what it shows in its other windows; nothing is taken from the noise that is stated.
+All figures are rates (rad/s, m/s²) of the six raw channels, gyros first. Each window is compared with the others; the
+stated noise is not used.
 """
 
 from __future__ import annotations
@@ -20,27 +20,30 @@ if TYPE_CHECKING:
 
 
 BLOCKS: Final = 80
-"""BlockAverages of a window of median length: an eighth of a second in ten, about as long as a knock lasts."""
+"""Blocks of a window of median length: 0.125 s in a window of 10 s, about the duration of a bump."""
 FEWEST_BLOCKS: Final = 12
+"""Blocks, fewer of which make a window too short to be compared."""
 HEADS_S: Final = (0.25, 0.5, 1.0, 2.0)
-"""How long a fixture may ring on, s."""
+"""Lengths of the start of a window in which the fixture may oscillate, s."""
 GYRO: Final = slice(0, 3)
 ACCEL: Final = slice(3, 6)
+"""Columns of the sensors."""
 MAD: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 _RESOLUTION_WINDOWS: Final = 6
+"""Windows from which the quantization step is taken."""
 _RESOLUTION_SAMPLES: Final = 200
-"""Of each of the windows looked at for the finest step between readings."""
+"""Samples of each of these windows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowAverages:
-    """The windows that are long enough to be looked at, V of W.
+    """Averages of the windows that are long enough, V of W.
 
     Attributes
     ----------
     window : ndarray of int, shape (V,)
-        Number in the play-back data.
+        Number of the window in the prepared data.
     size : int
         Samples of a block.
     step_s : float
@@ -52,17 +55,17 @@ class WindowAverages:
     count : ndarray of int, shape (V,)
         Samples of each window.
     sample_variance : ndarray, shape (V, 6)
-        Noise of single samples, from their first differences.
+        Variance of single samples, from first differences.
     late_variance : ndarray, shape (V, 6)
         Variance of the second half about its own mean.
     heads : ndarray of int, shape (H,)
-        Samples of the starts looked at, ascending.
+        Samples of the starts, ascending.
     head_power : ndarray, shape (V, H, 6)
-        Variance of the start of the window about its own mean: a tilt later on is no ringing.
+        Variance of the start of the window about its own mean: a later tilt is no oscillation.
     least_variance : ndarray, shape (6,)
-        What resolution and rounding alone may make of a sample.
+        Variance of a sample by quantization and rounding alone.
     block_doubt : ndarray, shape (6,)
-        What pulses or coarse words alone may add to a block mean.
+        Error of a block mean by pulses or coarse quantization alone.
     """
 
     window: Indices
@@ -81,7 +84,7 @@ class WindowAverages:
 
 @computed_once
 def window_averages(evidence: Evidence) -> WindowAverages | None:
-    """Look into the windows; None if fewer than four are long enough to be compared."""
+    """Averages of the windows; None if fewer than four are long enough to be compared."""
     data = evidence.data
     if data is None:
         return None
@@ -112,7 +115,7 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
         middle = np.einsum("nc->c", rest) / len(rest)
         rest -= middle
         late[v] = np.einsum("nc,nc->c", rest, rest) / len(rest)
-        own = np.minimum(heads, n // 2)[:, None]  # of a window shorter than most
+        own = np.minimum(heads, n // 2)[:, None]  # shorter in a short window
         start = x[: int(own[-1, 0])] - middle
         square, total = (np.cumsum(values, axis=0)[own[:, 0] - 1] for values in (start**2, start))
         power[v] = (square - total**2 / own) / own
@@ -121,7 +124,7 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
     floor = np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(evidence.dt)
     typical = np.sqrt(np.median(late, axis=0))
     pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
-    # A running sum in pulses is off by one of them at most; words that noise does not move, by half a bit each.
+    # A running sum of pulses is off by one pulse at most; quantization above the noise, by half a step per sample.
     coarse = np.where(pulses, resolution / size, np.where(typical < resolution, 0.5 * resolution, 0.0))
     return WindowAverages(
         chosen,
@@ -140,13 +143,13 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
 
 
 def _resolution(evidence: Evidence, samples: Indices) -> Array:
-    """Smallest step between readings at rest, shape (6,), as a rate."""
+    """Smallest step between stationary readings, shape (6,), as a rate."""
     some = samples[:: max(1, len(samples) // _RESOLUTION_WINDOWS)]
     steps = np.zeros((len(some), 6))
     for v, (a, b) in enumerate(some.tolist()):
         part = slice(a, min(b, a + _RESOLUTION_SAMPLES))
         steps[v] = *smallest_step(evidence.recording.gyro[part]), *smallest_step(evidence.recording.accel[part])
-    # One window that something disturbs holds finer steps; readings that hardly ever change hold none.
+    # A disturbed window holds finer steps; readings that hardly ever change hold none.
     seen = np.where(steps > 0.0, steps, np.nan)
     shown = np.isfinite(seen).any(axis=0)
     out = np.zeros(6)
@@ -155,9 +158,9 @@ def _resolution(evidence: Evidence, samples: Indices) -> Array:
 
 
 def block_sigma(averages: WindowAverages) -> Array:
-    """One sigma of a block mean, (V, 6): of all windows, or of the window's own where that is noisier.
+    """Standard deviation of a block mean, (V, 6): that of all windows, or of the window itself if it is noisier.
 
-    From first differences of neighbouring blocks by their median, which neither a drift nor a single step moves.
+    From the median of first differences of neighbouring blocks, which neither a drift nor a single step affects.
     """
     own = np.empty((len(averages.window), 6))
     for v, means in averages.groups:
@@ -167,17 +170,17 @@ def block_sigma(averages: WindowAverages) -> Array:
 
 
 def stationary_rate_residual(evidence: Evidence) -> Array:
-    """Rate at rest less what bias, g-sensitivity and the Earth explain over all windows; (W, 3), rad/s, true axes."""
+    """Stationary rate less bias, g-sensitivity and Earth rate, fitted over all windows; (W, 3), rad/s, true axes."""
     data = evidence.data
     assert data is not None
-    gyro = raw_triads(evidence)[0]
+    gyro = raw_triads(evidence).gyro
     rate = evidence.stationary_rate - _earth(evidence) @ gyro.T
     design = np.hstack([evidence.stationary_force / data.gravity, np.ones((len(rate), 1))])
     return invert_readings(gyro, rate - design @ robust_fit(design, rate))
 
 
 def _earth(evidence: Evidence) -> Array:
-    """Rate of the Earth in the nominal attitude of every window, (W, 3), rad/s; zero where that is not known."""
+    """Earth rate in the nominal attitude of each window, (W, 3), rad/s; zero if the attitude is not known."""
     data = evidence.data
     assert data is not None
     out = np.zeros((len(data.windows.samples), 3))

@@ -1,7 +1,7 @@
-"""Faults of stillness: ringing, knocks, creep and noise inside stationary windows.
+"""Disturbances of stationary windows: oscillation at the start, bumps, creep and noise.
 
-One after the other, as the first explains what the next would see: what rings at the start of a window also steps,
-what steps also drifts, and all of them are noise.
+The tests run in this order, because the earlier disturbances also fail the later tests: an oscillation contains steps,
+a step looks like a drift, and all of them raise the noise.
 """
 
 from __future__ import annotations
@@ -33,37 +33,39 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARM: Final = 1e-5
-"""Of each kind of fault in a whole recording of a unit with normal noise, all windows and channels together: a tenth
-of what a clean recording may raise by all checks."""
-_TWICE: Final = 2.0
-"""Power at the start of a window over that of its second half, below which ringing is no matter."""
+"""False-alarm probability of each disturbance in a recording with normal noise, all windows and channels together: a
+tenth of that of all checks."""
+_LEAST_POWER: Final = 2.0
+"""Power at the start of a window over that of its second half, below which an oscillation does not matter."""
 _NOISIER: Final = 2.25
-"""Variance over that of the other windows, below which a window is as good as any: its mean is off by 1.5 sigma."""
-_SPREAD: Final = 6.0
-"""Sigmas of the logarithm of the windows' own scatter of noise: rests in a hand differ by more than noise has them."""
+"""Variance over that of the other windows, below which the noise does not matter: 1.5 times the standard deviation."""
+_NOISE_SIGMAS: Final = 6.0
+"""Deviation of the logarithm of a window's noise in sigma of that of all windows: windows held by hand differ more."""
 _EDGE_BLOCKS: Final = 2
-"""BlockAverages at both ends of a window in which no step can be told, as one side of it is not seen."""
+"""Blocks at both ends of a window in which a step cannot be told, because one side of it is missing."""
 _SPANS: Final = (1, 2, 3)
-"""BlockAverages over which a knock turns the unit; what turns it for longer is none."""
+"""Blocks over which a bump rotates the unit; a longer motion is no bump."""
 _AGREE: Final = 0.35
-"""Share of a tilt by which raw sensors may differ on it: scale factors of 10 %, and a step not quite resolved."""
+"""Relative difference of gyros and accelerometers on a tilt: scale errors of 10 %, and a step not fully resolved."""
 _PLAUSIBLE: Final = 1e-3
+"""p-value above which the accelerometers alone show no creep."""
 _CONTRARY: Final = 1e-4
+"""p-value below which gyros and accelerometers contradict each other on a creep."""
 _MAD_EFFICIENCY: Final = 0.37
-"""Degrees of freedom of a median absolute deviation, for each value it is made of."""
+"""Degrees of freedom of a median absolute deviation per value."""
 
 
 @check("unsettled", "bump", "creep", "noisy_window")
-def windows_not_still(evidence: Evidence) -> Iterator[Finding]:
-    """Look into all windows for what the unit does not do in its others."""
+def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
+    """Compare each window with the others for oscillation, bumps, creep and noise."""
     averages = window_averages(evidence)
     if averages is None:
         return
-    ringing, amplitude = _ringing(averages)
+    ringing, amplitude = _oscillation(averages)
     if evidence.recording.fixture is None:
-        ringing[:] = False  # a hand lets go when it does
+        ringing[:] = False  # the hand that holds the unit disturbs it
     steps = _steps(evidence, averages)
-    # What rings before the step is no knock; a knock in the first seconds is no ringing.
+    # A step after an oscillation is no bump; an oscillation after a step is no late settling.
     for v in list(steps):
         if ringing[v].any() and ringing[v] @ (averages.heads <= steps[v].block * averages.size):
             del steps[v]
@@ -72,7 +74,10 @@ def windows_not_still(evidence: Evidence) -> Iterator[Finding]:
     if rings.any():
         worst = int(np.argmax(np.where(rings, amplitude[:, :2].max(axis=1), 0.0)))
         yield finding(
-            "unsettled", count=int(rings.sum()), amplitude=_said(averages, worst), **_place(evidence, averages, worst)
+            "unsettled",
+            count=int(rings.sum()),
+            amplitude=_amplitude(averages, worst),
+            **_place(evidence, averages, worst),
         )
     if steps:
         v = max(steps, key=lambda v: steps[v].size)
@@ -103,7 +108,7 @@ def _time(evidence: Evidence, averages: WindowAverages, v: int, later_s: float =
 
 
 def _place(evidence: Evidence, averages: WindowAverages, v: int) -> dict[str, object]:
-    """Where a window begins and whose it is."""
+    """Start and sequence of a window, as fields of a message."""
     data = evidence.data
     assert data is not None
     w = int(averages.window[v])
@@ -111,13 +116,13 @@ def _place(evidence: Evidence, averages: WindowAverages, v: int) -> dict[str, ob
     return {"time": _time(evidence, averages, v), "sequence": evidence.title(k)}
 
 
-# --- ringing ---------------------------------------------------------------------------------------------------------
+# --- oscillation -----------------------------------------------------------------------------------------------------
 
 
-def _ringing(averages: WindowAverages) -> tuple[Mask, Array]:
-    """Starts of windows that are far more powerful than the second halves, by length of the start; shape (V, H).
+def _oscillation(averages: WindowAverages) -> tuple[Mask, Array]:
+    """True for starts of windows with far more power than the second half, by length of the start; shape (V, H).
 
-    Also the power over that of noise, of gyros and accelerometers, shape (V, 2).
+    The second array is the power over that of the noise, of gyros and accelerometers, shape (V, 2).
     """
     noise = np.maximum(
         np.maximum(averages.late_variance, np.median(averages.late_variance, axis=0)), averages.least_variance
@@ -126,13 +131,13 @@ def _ringing(averages: WindowAverages) -> tuple[Mask, Array]:
     by_sensor = np.stack([ratio[:, :, GYRO].mean(axis=2), ratio[:, :, ACCEL].mean(axis=2)], axis=2)
     freedom = 3.0 * averages.heads
     probability = FALSE_ALARM / max(1, by_sensor.size)
-    limit = np.maximum(_TWICE, chdtri(freedom, probability) / freedom)
+    limit = np.maximum(_LEAST_POWER, chdtri(freedom, probability) / freedom)
     loud = by_sensor > limit[:, None]
     return np.asarray(loud.any(axis=2)), np.asarray(by_sensor.max(axis=1, initial=0.0))
 
 
-def _said(averages: WindowAverages, v: int) -> str:
-    """Amplitude of the ringing at the start of a window."""
+def _amplitude(averages: WindowAverages, v: int) -> str:
+    """Amplitude of the oscillation at the start of a window, with its unit."""
     excess = np.maximum(averages.head_power[v, 0] - averages.late_variance[v], 0.0)
     sigma = excess / np.maximum(averages.late_variance[v], averages.least_variance)
     by_gyros = sigma[GYRO].max() >= sigma[ACCEL].max()
@@ -140,19 +145,19 @@ def _said(averages: WindowAverages, v: int) -> str:
     return f"{1e3 * size:.2g} mrad/s" if by_gyros else f"{size:.2g} m/s²"
 
 
-# --- knocks ----------------------------------------------------------------------------------------------------------
+# --- bumps -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class _Step:
-    """A step of attitude: its block, and its angle, rad."""
+class _AttitudeStep:
+    """Step of attitude: its block, and its angle in rad."""
 
     block: int
     size: float
 
 
-def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _Step]:
-    """Windows in which the gyros turn within a few blocks, and the accelerometers do not deny it."""
+def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeStep]:
+    """Windows in which the gyros show a rotation within a few blocks that the accelerometers do not contradict."""
     gyro, accel, bias = raw_triads(evidence)
     data = evidence.data
     assert data is not None
@@ -179,12 +184,12 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _Step]:
             # In units of that of two halves.
             doubt = noise * own[v] * np.sqrt((1.0 / len(before) + 1.0 / len(after)) * 0.25 * count)
             if np.linalg.norm(change - expected) <= _AGREE * np.linalg.norm(expected) + z * doubt:
-                out[v] = _Step(first + 1, float(np.linalg.norm(angle)))
+                out[v] = _AttitudeStep(first + 1, float(np.linalg.norm(angle)))
     return out
 
 
 def _turning_power(rate: Array, sigma: Array, doubt: Array) -> list[Array]:
-    """Squared angles over spans of blocks in units of their noise, for each length of span, shape (g, B - span + 1)."""
+    """Squared angles over spans of blocks over their variance, for each length of span, shape (g, B - span + 1)."""
     total = np.concatenate([np.zeros((len(rate), 1, 3)), np.cumsum(rate, axis=1)], axis=1)
     power = []
     for span in _SPANS:
@@ -208,7 +213,7 @@ def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:
 
 
 def _step_noise(averages: WindowAverages, accel: Array) -> float:
-    """One sigma of the difference of the two halves of a window, robustly over all windows, m/s²."""
+    """Standard deviation of the difference of the halves of a window, robust over all windows, m/s²."""
     change = np.empty((len(averages.window), 3))
     for v, means in averages.groups:
         half = means.shape[1] // 2
@@ -220,11 +225,11 @@ def _step_noise(averages: WindowAverages, accel: Array) -> float:
 
 
 def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[int, float] | None:
-    """The window that tilts fastest at a steady rate, and that rate, rad/s; None if none does.
+    """Find the window with the fastest steady tilt, and its rate in rad/s; None if there is none.
 
-    The accelerometers see the vertical drift, the gyros a rate beyond bias, g-sensitivity and the Earth's. Each has
-    its own scatter over the windows, bias instability included; together they must be far outside of it, and neither
-    may be within what is common or deny the other.
+    The accelerometers measure the drift of the vertical, the gyros a rate beyond bias, g-sensitivity and Earth rate.
+    Both scatter over the windows, bias instability included. Their mean must be significant, the accelerometers alone
+    plausible, and the two must agree.
     """
     _, accel, bias = raw_triads(evidence)
     V = len(averages.window)
@@ -238,7 +243,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     square = np.sum(up**2, axis=1, keepdims=True)
     if not np.all(square > 0.0):
         return None
-    # A body that turns by ω sees df/dt = -ω × f, which tells the part of ω across f.
+    # A body that rotates at ω measures df/dt = -ω × f, which gives the component of ω normal to f.
     across = -cross(up, invert_readings(accel, slope)) / square
     plane = _horizontal(up / np.sqrt(square))
     by_accel = np.einsum("vjc,vc->vj", plane, across)
@@ -267,7 +272,7 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
 
 
 def _horizontal(up: Array) -> Array:
-    """Two unit vectors across each of the unit vectors (n, 3), shape (n, 2, 3)."""
+    """Two unit vectors normal to each of the unit vectors (n, 3), shape (n, 2, 3)."""
     first = cross(up, np.eye(3)[np.argmin(np.abs(up), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, cross(up, first)], axis=1)
@@ -277,7 +282,7 @@ def _horizontal(up: Array) -> Array:
 
 
 def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | None:
-    """The window that is noisier than the others by most, by how much, and in which sensor."""
+    """Find the window with the most noise relative to the others: number, ratio, sensor; None if none is noisy."""
     blocks = np.empty((len(averages.window), 6))
     for v, means in averages.groups:
         blocks[v] = 0.5 * np.mean(np.diff(means, axis=1) ** 2, axis=1)
@@ -292,7 +297,7 @@ def _noisy(averages: WindowAverages, done: Mask) -> tuple[int, float, str] | Non
             power = ratio[:, channels].mean(axis=1)
             scatter = MAD * float(np.median(np.abs(np.log(np.maximum(power, 1e-12)))))
             limit = np.maximum(_NOISIER, chdtri(freedom, FALSE_ALARM / (4 * len(power))) / freedom)
-            excess = np.where(done, 0.0, power / np.maximum(limit, np.exp(_SPREAD * scatter)))
+            excess = np.where(done, 0.0, power / np.maximum(limit, np.exp(_NOISE_SIGMAS * scatter)))
             loudest = int(np.argmax(excess))
             if excess[loudest] > 1.0:
                 told.append((float(power[loudest]), loudest, name))
