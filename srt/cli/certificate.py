@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from srt.cli.output import check_directory, check_file, make_directory, say, warn
+from srt.cli.messages import say, show, warn
+from srt.cli.output_paths import check_directory, check_file, make_directory
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
@@ -59,8 +60,8 @@ def certificate(
         warn(f"{calibration_file}: changed by more than chance explains: {', '.join(made.change.names)}.")
     if not quiet:
         for sentence in made.summary:
-            click.echo(sentence)
-        click.echo(f"Written: {page}, {document}")
+            show(sentence)
+        show(f"Written: {page}, {document}")
     if made.failed:
         say(f"{calibration_file}: the limits of {limits} are not met by {', '.join(made.failed)}.")
         return DataError.exit_code
@@ -113,7 +114,8 @@ def assemble(
     SrtError
         Input that cannot be read, or does not belong together.
     """
-    import srt.reports.certificate.html_page  # whether it can be made, before the samples are read
+    import srt.reports.certificate.html_page
+    import srt.reports.certificate.pdf  # a missing extra is reported before the samples are read
     from srt.reports.certificate import load_acceptance_limits, load_calibration_file, make_certificate
     from srt.reports.certificate.parameter_changes import changes_since
     from srt.reports.certificate.recording_history import check_recording, recording_history

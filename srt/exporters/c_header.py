@@ -1,4 +1,4 @@
-"""C99 header of a calibration, without dependencies: the arithmetic of :mod:`srt.result.applier`, in its order."""
+"""C99 header of a calibration, without dependencies: the arithmetic of :mod:`srt.result.triad_inverse`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError
-from srt.result.applier import STEPS, Applier
+from srt.result.applier import Applier
+from srt.result.triad_inverse import STEPS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from srt.result.applier import TriadInverse
     from srt.result.calibration import Calibration
+    from srt.result.triad_inverse import TriadInverse
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9 ./:,;()+@=_-]")

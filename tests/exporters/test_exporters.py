@@ -558,7 +558,7 @@ def changed(calibration, **groups):
         ("ardupilot", {}, {"gyro_bias": 0.0}, "never calibrated"),
         ("ardupilot", {"settings": ExportSettings(instance=3)}, {}, "0, 1 and 2"),
         ("pyins", {}, {"gyro_scale": -1.5}, "cannot be exported"),
-        ("pyins", {}, {"gyro_asymmetry": 1.5}, "cannot be undone"),
+        ("pyins", {}, {"gyro_asymmetry": 1.5}, "no unique inverse"),
     ],
 )
 def test_refused(target, options, groups, fragment):

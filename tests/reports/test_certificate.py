@@ -278,7 +278,7 @@ def test_correlations_are_drawn_of_what_was_measured(saved):
     seen = result.observed
     sigma = result.sigma[seen]
     expected = result.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
-    picture = figure.axes[0].images[0].get_array()
+    picture = figure.axes[0].collections[0].get_array()
     np.testing.assert_allclose(picture[..., 3], np.minimum(np.abs(expected), 1.0), atol=1e-12)
     red = picture[..., 0] > 0.5
     np.testing.assert_array_equal(red, expected > 0.0)
@@ -643,6 +643,22 @@ def test_a_free_recording(saved, plain_page):
     vector[INDEX["accel_bias_x"]] += 5.0 * result.sigma[INDEX["accel_bias_x"]]
     with pytest.raises(srt.InputError, match="do not follow"):
         recording_history(saved(replace(result, errors=SensorErrors(vector)), "edited.json"), recording, "there")
+
+
+def test_the_pdf_holds_any_text_and_the_same_certificate_makes_the_same_file(saved, tmp_path, monkeypatch):
+    monkeypatch.setattr(pdf, "certificate_figures", lambda certificate: ())
+    hostile = "<b>" + "long" * 60 + " 測試 $x$ **bold** {nb} \\ )"
+    provenance = {**calibration().provenance, "serial": hostile, "date": hostile}
+    made = make_certificate(saved(calibration(provenance=provenance, warnings=(hostile,))))
+    for name in ("x.pdf", "y.pdf"):
+        pdf.write_pdf(made, tmp_path / name)
+    written = (tmp_path / "x.pdf").read_bytes()
+    assert written.startswith(b"%PDF")
+    assert written.rstrip().endswith(b"%%EOF")
+    assert written == (tmp_path / "y.pdf").read_bytes()
+    other = make_certificate(saved(calibration(seed=8)))
+    pdf.write_pdf(other, tmp_path / "y.pdf")
+    assert written != (tmp_path / "y.pdf").read_bytes()
 
 
 @pytest.mark.slow

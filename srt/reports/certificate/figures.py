@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import re
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -16,6 +19,7 @@ from srt.reports.figures.calibration import _values as draw_values
 from srt.reports.figures.inspection import envelope
 from srt.reports.figures.style import (
     BLUE,
+    DPI,
     FAINT,
     GREEN,
     GREY,
@@ -23,6 +27,7 @@ from srt.reports.figures.style import (
     PURPLE,
     VERMILION,
     Axes,
+    ConstrainedLayoutEngine,
     Figure,
     Line2D,
     MaxNLocator,
@@ -36,7 +41,9 @@ if TYPE_CHECKING:
 
     from srt.reports.certificate.content import Certificate
 
+_COMMENT: Final = re.compile(r"<!--.*?-->\s*|<metadata>.*?</metadata>\s*", re.DOTALL)
 _TEXT: Final = 8.5
+"""Size of letters, points."""
 _COLOURS: Final = (BLUE, VERMILION, GREEN)
 _MARKERS: Final = ("o", "s", "^")
 _KINDS: Final = (
@@ -94,6 +101,30 @@ def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ..
         "correlation": int(calibration.observed.sum()) > 1,
     }
     return tuple(p for p in _PICTURES if shown[p.name])
+
+
+def figure_svg(certificate: Certificate, figure: CertificateFigure) -> str:
+    """Draw a figure as SVG; the same certificate gives the same text.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    figure : CertificateFigure
+    """
+    import matplotlib as mpl
+
+    layout = ConstrainedLayoutEngine(h_pad=0.04, w_pad=0.03, hspace=0.03, wspace=0.02)
+    drawing = Figure(figsize=figure.size_in, dpi=DPI, layout=layout)
+    figure.draw(certificate, drawing)
+    written = io.BytesIO()
+    # Identifiers in the file are random numbers without a salt; the setting is restored at once.
+    with mpl.rc_context({"svg.hashsalt": "srt", "svg.fonttype": "path"}), warnings.catch_warnings():
+        # Letters that the font lacks show as boxes in the figure; the tables have them.
+        warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
+        nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
+        drawing.savefig(written, format="svg", transparent=True, metadata=nothing)
+    text = written.getvalue().decode("utf-8")
+    return _COMMENT.sub("", text[text.index("<svg") :]).strip()
 
 
 def _parameters(certificate: Certificate, figure: Figure | SubFigure) -> None:
@@ -191,7 +222,11 @@ def _correlation(certificate: Certificate, figure: Figure | SubFigure) -> None:
     picture[..., :3] = colours[(C > 0.0).astype(int)]
     picture[..., 3] = np.clip(np.abs(C), 0.0, 1.0)
     axes = figure.subplots()
-    axes.imshow(picture, interpolation="nearest", aspect="equal")
+    # Squares, not an image: typesetters of SVG know paths.
+    edges = np.arange(len(seen) + 1) - 0.5
+    axes.pcolormesh(edges, edges, picture, linewidth=0.0)
+    axes.set_aspect("equal")
+    axes.invert_yaxis()
     labels = [SYMBOLS[i] for i in seen]
     axes.set_xticks(range(len(seen)), labels, rotation=90, fontsize=_TEXT)
     axes.set_yticks(range(len(seen)), labels, fontsize=_TEXT)

@@ -5,16 +5,14 @@ Texts out of files are never taken for markup. Pictures are drawn once, in colou
 
 from __future__ import annotations
 
-import io
 import re
-import warnings
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import MissingExtraError
-from srt.reports.certificate.figures import certificate_figures
-from srt.reports.figures.style import BLUE, DPI, FAINT, GREY, INK, ConstrainedLayoutEngine, Figure
+from srt.reports.certificate.figures import certificate_figures, figure_svg
+from srt.reports.figures.style import BLUE, FAINT, GREY, INK
 
 if TYPE_CHECKING:
     from srt.reports.certificate.content import Certificate
@@ -29,8 +27,9 @@ _STYLED: Final = {
     BLUE: "var(--blue)",
     "#000000": "var(--ink)",
 }
-"""Colours of the pictures that the page chooses; the others show on either ground."""
-_COMMENT: Final = re.compile(r"<!--.*?-->\s*|<metadata>.*?</metadata>\s*", re.DOTALL)
+"""Colours of the figures that the style of the page sets; the others are legible on light and on dark."""
+_PX_PER_INCH: Final = 96
+"""Pixels of CSS to an inch."""
 _REFERENCE: Final = re.compile(r'(\bid="|href="#|url\(#)')
 
 
@@ -77,34 +76,21 @@ def html_page(certificate: Certificate) -> str:
 
     source = (files("srt.reports.certificate") / _TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    drawn = {picture.name: _drawn(certificate, picture) for picture in certificate_figures(certificate)}
-    return environment.from_string(source).render(certificate=certificate, pictures=drawn)
+    drawn = {figure.name: _page_figure(certificate, figure) for figure in certificate_figures(certificate)}
+    return environment.from_string(source).render(certificate=certificate, figures=drawn)
 
 
-def _drawn(certificate: Certificate, picture: CertificateFigure) -> PageFigure:
-    """Draw to SVG: the same text from the same numbers."""
-    import matplotlib as mpl
-
-    layout = ConstrainedLayoutEngine(h_pad=0.04, w_pad=0.03, hspace=0.03, wspace=0.02)
-    figure = Figure(figsize=picture.size_in, dpi=DPI, layout=layout)
-    picture.draw(certificate, figure)
-    written = io.BytesIO()
-    # Identifiers in the file are random numbers without a salt; the setting is restored at once.
-    with mpl.rc_context({"svg.hashsalt": "srt", "svg.fonttype": "path"}), warnings.catch_warnings():
-        # A name in a script that the font lacks shows boxes in the picture, and is right in the tables.
-        warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
-        nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-        figure.savefig(written, format="svg", transparent=True, metadata=nothing)
-    text = written.getvalue().decode("utf-8")
-    text = _COMMENT.sub("", text[text.index("<svg") :])
+def _page_figure(certificate: Certificate, figure: CertificateFigure) -> PageFigure:
+    """Draw a figure, its colours and identifiers as the page needs them."""
+    text = figure_svg(certificate, figure)
     for colour, variable in _STYLED.items():
         text = text.replace(colour.lower(), variable).replace(colour, variable)
-    # All pictures of the page share one space of names.
-    text = _REFERENCE.sub(lambda found: f"{found[1]}{picture.name}-", text)
+    # All figures of the page share one space of identifiers.
+    text = _REFERENCE.sub(lambda found: f"{found[1]}{figure.name}-", text)
     text = re.sub(
         r'<svg\b[^>]*?viewBox="([^"]*)"[^>]*>',
-        rf'<svg viewBox="\1" role="img" aria-label="{picture.title}">',
+        rf'<svg viewBox="\1" role="img" aria-label="{figure.title}">',
         text,
         count=1,
     )
-    return PageFigure(picture.title, picture.caption, text.strip(), round(96 * picture.size_in[0]))
+    return PageFigure(figure.title, figure.caption, text, round(_PX_PER_INCH * figure.size_in[0]))

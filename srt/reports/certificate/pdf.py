@@ -1,38 +1,48 @@
-"""The certificate as a PDF of A4 pages: the same sentences, tables and pictures as the page, set line by line.
-
-All letters are measured before they are set, so that nothing runs out of its column. Lengths are in points.
-"""
+"""The certificate as a PDF of A4 pages: the sentences, tables and figures of the page, set by fpdf2. Lengths in mm."""
 
 from __future__ import annotations
 
-import warnings
-from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+import hashlib
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
-from srt.reports.certificate.figures import certificate_figures
-from srt.reports.certificate.unit_description import MATHTEXT
-from srt.reports.figures.style import FAINT, GREY, INK, ConstrainedLayoutEngine, Figure, Line2D
+from srt.exceptions import MissingExtraError
+from srt.reports.certificate.figures import certificate_figures, figure_svg
+from srt.reports.certificate.unit_description import FORMULAS
+from srt.reports.figures.style import FAINT, GREY, INK
+
+try:
+    from fpdf import FPDF, FontFace
+    from fpdf.enums import CellBordersLayout, WrapMode, XPos, YPos
+except ModuleNotFoundError as error:
+    if (error.name or "").partition(".")[0] != "fpdf":
+        raise
+    raise MissingExtraError("fpdf2", "report", "A certificate") from None
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
+    from collections.abc import Iterable
 
     from srt.reports.certificate.content import Certificate
-    from srt.reports.certificate.figures import CertificateFigure
     from srt.reports.certificate.tables import CertificateTable
 
-_POINTS: Final = 72.0
-_WIDTH, _HEIGHT = 595.3, 841.9
-_MARGIN, _TOP, _BOTTOM = 50.0, 48.0, 52.0
-_BODY: Final = _WIDTH - 2.0 * _MARGIN
-_SIZE: Final = 9.0
-_SMALL: Final = 8.0
-_LEAST: Final = 5.5
-"""Below this no letter is set: a table that is still too wide loses the ends of its longest cells."""
-_LEADING: Final = 1.38
-_GAP: Final = 9.0
-"""Between columns."""
-_COLOURS: Final = {"passed": "#00694d", "failed": "#b03a00", "changed": "#b03a00", "held": "#555555", "": INK}
+_MARGIN: Final = 17.0
+"""Margin at the left, the right and the top of a page."""
+_BODY_PT: Final = 9.0
+_SMALL_PT: Final = 8.0
+_LEAST_PT: Final = 5.5
+"""Smallest size of letters, as of footnotes; a table that is still too wide breaks its cells into lines."""
+_LEADING: Final = 1.35 * 25.4 / 72.0
+"""Height of a line, mm per point of its letters: the customary 1.2 to 1.45 of their size."""
+_PADDING: Final = 1.3
+"""Space on either side of the text of a cell."""
+_QUIET: Final = "#555555"
+_COLOURS: Final = {"passed": "#00694d", "failed": "#b03a00", "changed": "#b03a00", "held": _QUIET, "": INK}
+_UNDATED: Final = datetime(2000, 1, 1, tzinfo=UTC)
+"""Time of creation that every file states, so that the same certificate makes the same file."""
+_FONTS: Final = {"": "DejaVuSans.ttf", "B": "DejaVuSans-Bold.ttf", "I": "DejaVuSans-Oblique.ttf"}
+"""Files of the font by style. matplotlib brings them; they have the Greek letters and the signs of the formulas."""
 
 
 def write_pdf(certificate: Certificate, path: Path) -> None:
@@ -47,277 +57,199 @@ def write_pdf(certificate: Certificate, path: Path) -> None:
     Raises
     ------
     MissingExtraError
-        Without matplotlib.
+        Without fpdf2 or matplotlib.
     """
-    import matplotlib as mpl
-    from matplotlib.backends.backend_pdf import PdfPages
-
-    # Letters as text, which can be found and copied; the setting is restored at once.
-    with mpl.rc_context({"pdf.fonttype": 42}), warnings.catch_warnings():
-        # A name in a script that the font lacks shows boxes here, and is right on the page.
-        warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
-        layout = _Layout(certificate.title)
-        _write(certificate, layout)
-        about = {"Title": certificate.title, "CreationDate": None}
-        with PdfPages(path, metadata=about) as pdf:
-            for figure in layout.finished():
-                pdf.savefig(figure)
+    document = _Document(certificate.title)
+    _write(certificate, document)
+    path.write_bytes(bytes(document.output()))
 
 
-def _write(certificate: Certificate, layout: _Layout) -> None:
+def _write(certificate: Certificate, document: _Document) -> None:
     """Set the parts of the certificate in their order."""
-    layout.paragraph(certificate.title, size=16.0, weight="bold")
-    layout.space(4.0)
+    document.paragraph(certificate.title, size=16.0, style="B")
     if certificate.outcome:
-        colour = _COLOURS[certificate.outcome]
-        layout.paragraph(certificate.outcome.capitalize(), size=12.0, weight="bold", colour=colour)
-    for sentence in certificate.summary:
-        layout.paragraph(sentence)
-    layout.heading("The unit and its test")
-    layout.facts(certificate.facts)
+        document.paragraph(certificate.outcome.capitalize(), size=12.0, style="B", colour=_COLOURS[certificate.outcome])
+    document.paragraphs(certificate.summary)
+    document.heading("The unit and its test")
+    document.definitions(certificate.facts)
     if certificate.recordings is not None:
-        layout.table(certificate.recordings, titled=True)
-    layout.heading(certificate.parameters.title, needs=150.0)
-    layout.table(certificate.parameters)
+        document.titled_table(certificate.recordings)
+    document.heading(certificate.parameters.title, needs=50.0)
+    document.certificate_table(certificate.parameters)
     if certificate.held:
-        layout.paragraph("Held, not measured:")
-        layout.bullets(certificate.held)
+        document.paragraph("Fixed, not measured:")
+        document.bullets(certificate.held)
     if certificate.changes is not None:
-        layout.heading(certificate.changes.title, needs=150.0)
-        layout.table(certificate.changes)
-        for sentence in certificate.change_notes:
-            layout.paragraph(sentence, size=_SMALL)
-    layout.heading("How well it fits", needs=120.0)
-    for sentence in certificate.residual_notes:
-        layout.paragraph(sentence)
+        document.heading(certificate.changes.title, needs=50.0)
+        document.certificate_table(certificate.changes)
+        document.paragraphs(certificate.change_notes, size=_SMALL_PT)
+    document.heading("Residuals", needs=40.0)
+    document.paragraphs(certificate.residual_notes)
     if certificate.residuals is not None:
-        layout.table(certificate.residuals)
-    for picture in certificate_figures(certificate):
-        layout.picture(certificate, picture)
-    layout.heading("How to apply it", needs=150.0)
-    for words, formula in zip(("The unit reads", "and a reading is corrected by"), MATHTEXT, strict=True):
-        layout.paragraph(words)
-        layout.formula(formula)
-    layout.bullets(certificate.application.sentences)
+        document.certificate_table(certificate.residuals)
+    for figure in certificate_figures(certificate):
+        document.figure(figure.title, figure.caption, figure.size_in, figure_svg(certificate, figure))
+    document.heading("Application", needs=50.0)
+    for words, formula in zip(("Sensor model:", "Compensation:"), FORMULAS, strict=True):
+        document.paragraph(words)
+        document.paragraph(formula, size=11.0, style="I", indent=8.0)
+    document.bullets(certificate.application.sentences)
     for table in certificate.application.tables:
-        layout.table(table, titled=True)
-    layout.heading("What the test cannot see", needs=80.0)
-    layout.bullets(certificate.limitations)
+        document.titled_table(table)
+    document.heading("Limitations of the test", needs=30.0)
+    document.bullets(certificate.limitations)
     if certificate.notes:
-        layout.heading("Notes of the calibration")
-        layout.bullets(certificate.notes)
+        document.heading("Warnings of the calibration")
+        document.bullets(certificate.notes)
 
 
-class _Layout:
-    """Pages, and the place on the last one down to which they are full."""
+class _Document(FPDF):
+    """A4 pages with the parts that a certificate has."""
 
     def __init__(self, title: str) -> None:
-        self.title = title
-        self.pages: list[Figure] = []
-        self._turn()
+        from matplotlib import get_data_path
 
-    def finished(self) -> Iterator[Figure]:
-        """Give the pages with their numbers."""
-        for number, page in enumerate(self.pages, start=1):
-            y = _HEIGHT - 0.6 * _BOTTOM
-            _put(page, _MARGIN, y, _shortened(self.title, 0.7 * _BODY, 7.5), 7.5, colour=GREY)
-            _put(page, _WIDTH - _MARGIN, y, f"page {number} of {len(self.pages)}", 7.5, colour=GREY, align="right")
-            yield page
+        super().__init__(format="A4")
+        for style, file in _FONTS.items():
+            self.add_font("DejaVu", style, Path(get_data_path(), "fonts", "ttf", file))
+        self.set_title(title)
+        self.heading_text = title
+        self.set_creation_date(_UNDATED)
+        self.set_margins(_MARGIN, _MARGIN)
+        self.set_auto_page_break(auto=True, margin=_MARGIN + 2.0)
+        self.set_font("DejaVu", size=_BODY_PT)
+        self.c_margin = 0.0
+        self.add_page()
 
-    def space(self, height: float) -> None:
-        """Leave room."""
-        self.y += height
+    def file_id(self) -> str:
+        """Identifier of the file: fpdf2's own holds the time of the call."""
+        name = hashlib.sha256(self.heading_text.encode()).hexdigest()[:32].upper()
+        return f"<{name}><{name}>"
 
-    def heading(self, text: str, *, needs: float = 60.0) -> None:
-        """Set a heading that stays with the ``needs`` points below it."""
-        self.space(12.0)
-        self._room(needs)
-        self._line(text, 12.0, weight="bold")
-        self._rule(INK)
-        self.space(5.0)
+    def footer(self) -> None:
+        """Title and page number at the foot of a page; fpdf2 calls it."""
+        self.set_y(-0.8 * _MARGIN)
+        self._letters(7.5, colour=GREY)
+        number = f"page {self.page_no()} of {{nb}}"
+        room = self.epw - 30.0
+        title = self.heading_text
+        while self.get_string_width(title) > room:
+            title = title[:-2] + "…"
+        self.cell(room, text=title)
+        self.cell(30.0, text=number, align="R")
+
+    def heading(self, text: str, *, needs: float = 20.0) -> None:
+        """Set a heading with a rule below it, on the same page as the ``needs`` mm that follow."""
+        self.ln(4.0)
+        self._keep(needs)
+        self._letters(12.0, "B")
+        self._text(text)
+        self.set_draw_color(INK)
+        self.line(self.l_margin, self.y, self.w - self.r_margin, self.y)
+        self.ln(1.5)
 
     def paragraph(
-        self, text: str, *, size: float = _SIZE, weight: str = "normal", colour: str = INK, indent: float = 0.0
+        self, text: str, *, size: float = _BODY_PT, style: str = "", colour: str = INK, indent: float = 0.0
     ) -> None:
-        """Set a text in lines that fit."""
-        for line in _wrapped(text, _BODY - indent, size, weight):
-            self._line(line, size, weight=weight, colour=colour, indent=indent)
-        self.space(2.5)
+        """Set a text in lines."""
+        self._letters(size, style, colour)
+        self._text(text, indent)
+        self.ln(0.9)
+
+    def paragraphs(self, texts: Iterable[str], *, size: float = _BODY_PT) -> None:
+        """Set texts one below the other."""
+        for text in texts:
+            self.paragraph(text, size=size)
 
     def bullets(self, texts: Iterable[str]) -> None:
         """Set sentences with a mark before each."""
         for text in texts:
-            self._room(_SIZE * _LEADING)
-            _put(self.pages[-1], _MARGIN + 2.0, self.y + _SIZE, "•", _SIZE)
-            self.paragraph(text, indent=12.0)
+            self._keep(_BODY_PT * _LEADING)
+            self._letters(_BODY_PT)
+            self.set_x(self.l_margin + 1.0)
+            self.cell(3.0, h=_BODY_PT * _LEADING, text="•")
+            self.paragraph(text, indent=4.5)
 
-    def facts(self, facts: Iterable[tuple[str, str]]) -> None:
-        """Set labels and what stands against them in two columns."""
-        rows = tuple(facts)
-        indent = max(_length(label, _SIZE) for label, _ in rows) + 2.0 * _GAP
+    def definitions(self, pairs: Iterable[tuple[str, str]]) -> None:
+        """Set labels and their texts in two columns."""
+        rows = tuple(pairs)
+        self._letters(_BODY_PT)
+        indent = max(self.get_string_width(label) for label, _ in rows) + 6.0
         for label, text in rows:
-            self._room(_SIZE * _LEADING)
-            _put(self.pages[-1], _MARGIN, self.y + _SIZE, label, _SIZE, colour="#555555")
+            self._keep(_BODY_PT * _LEADING)
+            self._letters(_BODY_PT, colour=_QUIET)
+            self.cell(indent, h=_BODY_PT * _LEADING, text=label)
             self.paragraph(text or "-", indent=indent)
 
-    def formula(self, text: str) -> None:
-        """Set a formula in matplotlib's notation."""
-        self._room(26.0)
-        _put(self.pages[-1], _MARGIN + 20.0, self.y + 15.0, text, 12.0, mathematics=True)
-        self.space(26.0)
+    def titled_table(self, table: CertificateTable) -> None:
+        """Set a table below its title."""
+        self.ln(2.0)
+        self._keep(25.0)
+        self.paragraph(table.title, style="B")
+        self.certificate_table(table)
 
-    def table(self, table: CertificateTable, *, titled: bool = False) -> None:
+    def certificate_table(self, table: CertificateTable) -> None:
         """Set a table; its head is repeated on every page."""
-        if titled:
-            self.space(6.0)
-            self._room(80.0)
-            self._line(table.title, _SIZE, weight="bold")
-        size, widths = _fitted(table)
-        step = size * _LEADING
-        self._room(4.0 * step)
-        self._head(table, size, widths)
-        for number, row in enumerate(table.rows):
-            if self.y + step > _HEIGHT - _BOTTOM:
-                self._turn()
-                self._head(table, size, widths)
-            elif number and number in table.breaks:
-                self._rule(FAINT)
-            for cell, (x, width), side in zip(row, _columns(widths), table.alignment, strict=True):
-                text = _shortened(cell.text, width, size)
-                self._cell(text, x, width, side, size, colour=_COLOURS[cell.mark])
-            self.space(step)
-        self.space(4.0)
+        size, widths = self._fitted(table)
+        self._letters(size)
+        self.set_draw_color(FAINT)
+        with self.table(
+            align="L",
+            width=sum(widths),
+            col_widths=widths,
+            text_align=tuple("RIGHT" if side == "r" else "LEFT" for side in table.alignment),
+            line_height=size * _LEADING,
+            padding=(0.25, _PADDING),
+            borders_layout="NONE",
+            headings_style=FontFace(emphasis="BOLD", color=INK),
+            wrapmode=WrapMode.CHAR,
+        ) as out:
+            out.row(table.head)
+            for number, row in enumerate(table.rows):
+                line = out.row()
+                rule = CellBordersLayout.TOP if number == 0 or number in table.breaks else CellBordersLayout.NONE
+                for cell in row:
+                    line.cell(cell.text, style=FontFace(color=_COLOURS[cell.mark]), border=rule)
+        self.ln(1.0)
         if table.note:
-            self.paragraph(table.note, size=_SMALL, colour="#555555")
+            self.paragraph(table.note, size=_SMALL_PT, colour=_QUIET)
 
-    def picture(self, certificate: Certificate, picture: CertificateFigure) -> None:
-        """Set a picture with its title and caption."""
-        width = min(_POINTS * picture.size_in[0], _BODY)
-        height = width * picture.size_in[1] / picture.size_in[0]
-        self.space(10.0)
-        self._room(height + 50.0)
-        self._line(picture.title, _SIZE + 1.0, weight="bold")
-        page = self.pages[-1]
-        page.set_layout_engine(ConstrainedLayoutEngine(h_pad=0.04, w_pad=0.03, hspace=0.03, wspace=0.02))
-        place = page.add_gridspec(
-            3,
-            3,
-            width_ratios=(_MARGIN, width, _WIDTH - _MARGIN - width),
-            height_ratios=(self.y, height, _HEIGHT - self.y - height),
-        )
-        part = page.add_subfigure(place[1, 1])
-        part.patch.set_visible(False)
-        picture.draw(certificate, part)
-        self.space(height + 3.0)
-        self.paragraph(picture.caption, size=_SMALL, colour="#555555")
+    def figure(self, title: str, caption: str, size_in: tuple[float, float], svg: str) -> None:
+        """Set a figure with its title and caption, all on one page."""
+        width = min(25.4 * size_in[0], self.epw)
+        height = width * size_in[1] / size_in[0]
+        self.ln(3.0)
+        self._keep(height + 18.0)
+        self.paragraph(title, size=_BODY_PT + 1.0, style="B")
+        self.image(BytesIO(svg.encode("utf-8")), w=width, h=height)
+        self.ln(1.0)
+        self.paragraph(caption, size=_SMALL_PT, colour=_QUIET)
 
-    def _head(self, table: CertificateTable, size: float, widths: list[float]) -> None:
-        for text, (x, width), side in zip(table.head, _columns(widths), table.alignment, strict=True):
-            self._cell(text, x, width, side, size, weight="bold")
-        self.space(size * _LEADING)
-        self._rule(GREY)
-        self.space(1.5)
+    def _fitted(self, table: CertificateTable) -> tuple[float, list[float]]:
+        """Size of letters at which a table fits the page, and the widths of its columns."""
+        longest = []
+        for k, head in enumerate(table.head):
+            self._letters(_SMALL_PT, "B")
+            width = self.get_string_width(head)
+            self._letters(_SMALL_PT)
+            longest.append(max(width, *(self.get_string_width(row[k].text) for row in table.rows)) + 0.2)
+        padding = 2.0 * _PADDING * len(longest)
+        size = max(min(1.0, (self.epw - padding) / sum(longest)) * _SMALL_PT, _LEAST_PT)
+        widths = [width * size / _SMALL_PT + 2.0 * _PADDING for width in longest]
+        widest = widths.index(max(widths))
+        widths[widest] -= max(sum(widths) - self.epw, 0.0)
+        return size, widths
 
-    def _cell(
-        self, text: str, x: float, width: float, side: str, size: float, *, weight: str = "normal", colour: str = INK
-    ) -> None:
-        at, align = (x, "left") if side == "l" else (x + width, "right")
-        _put(self.pages[-1], _MARGIN + at, self.y + size, text, size, align=align, weight=weight, colour=colour)
+    def _letters(self, size: float, style: str = "", colour: str = INK) -> None:
+        self.set_font("DejaVu", style, size)
+        self.set_text_color(colour)
 
-    def _line(self, text: str, size: float, *, weight: str = "normal", colour: str = INK, indent: float = 0.0) -> None:
-        self._room(size * _LEADING)
-        _put(self.pages[-1], _MARGIN + indent, self.y + size, text, size, weight=weight, colour=colour)
-        self.space(size * _LEADING)
+    def _text(self, text: str, indent: float = 0.0) -> None:
+        after: dict[str, Any] = {"new_x": XPos.LMARGIN, "new_y": YPos.NEXT}
+        self.set_x(self.l_margin + indent)
+        self.multi_cell(self.epw - indent, h=self.font_size_pt * _LEADING, text=text, align="L", **after)
 
-    def _rule(self, colour: str) -> None:
-        y = 1.0 - self.y / _HEIGHT
-        ends = (_MARGIN / _WIDTH, 1.0 - _MARGIN / _WIDTH)
-        self.pages[-1].add_artist(Line2D(ends, (y, y), color=colour, linewidth=0.5))
-
-    def _room(self, height: float) -> None:
-        if self.y + height > _HEIGHT - _BOTTOM:
-            self._turn()
-
-    def _turn(self) -> None:
-        self.pages.append(Figure(figsize=(_WIDTH / _POINTS, _HEIGHT / _POINTS)))
-        self.y = _TOP
-
-
-def _put(
-    page: Figure,
-    x: float,
-    y: float,
-    text: str,
-    size: float,
-    *,
-    weight: str = "normal",
-    colour: str = INK,
-    align: str = "left",
-    mathematics: bool = False,
-) -> None:
-    """Set one line with its baseline at y from the top of the page."""
-    page.text(
-        x / _WIDTH, 1.0 - y / _HEIGHT, text, fontsize=size, fontweight=weight, color=colour, ha=align, va="baseline",
-        parse_math=mathematics,
-    )  # fmt: skip
-
-
-def _columns(widths: list[float]) -> Iterator[tuple[float, float]]:
-    """Left edge and width of every column."""
-    x = 0.0
-    for width in widths:
-        yield x, width
-        x += width + _GAP
-
-
-def _fitted(table: CertificateTable) -> tuple[float, list[float]]:
-    """Size of letters at which a table fits the page, and the widths of its columns."""
-    gaps = _GAP * (len(table.head) - 1)
-    longest = [
-        max(_length(head, _SMALL, "bold"), *(_length(row[k].text, _SMALL) for row in table.rows), 1.0)
-        for k, head in enumerate(table.head)
-    ]
-    scale = min(1.0, (_BODY - gaps) / sum(longest))
-    size = max(_SMALL * scale, _LEAST)
-    widths = [width * size / _SMALL for width in longest]
-    excess = sum(widths) + gaps - _BODY
-    if excess > 0.0:
-        widest = max(range(len(widths)), key=widths.__getitem__)
-        widths[widest] = max(widths[widest] - excess, 20.0)
-    return size, widths
-
-
-def _wrapped(text: str, width: float, size: float, weight: str) -> Iterator[str]:
-    """Break a text into lines no longer than ``width``; a word that is longer is broken, too."""
-    line = ""
-    for word in text.split():
-        longer = f"{line} {word}".lstrip()
-        if _length(longer, size, weight) <= width:
-            line = longer
-            continue
-        if line:
-            yield line
-        line = word
-        while _length(line, size, weight) > width:
-            fits = next(n for n in range(len(line) - 1, 0, -1) if n == 1 or _length(line[:n], size, weight) <= width)
-            yield line[:fits]
-            line = line[fits:]
-    if line:
-        yield line
-
-
-def _shortened(text: str, width: float, size: float) -> str:
-    """Cut a text that is too long for its column."""
-    if _length(text, size) <= width + 0.5:
-        return text
-    fits = (n for n in range(len(text) - 1, 0, -1) if _length(text[:n] + "…", size) <= width)
-    return text[: next(fits, 0)] + "…"
-
-
-@lru_cache(maxsize=8192)
-def _length(text: str, size: float, weight: str = "normal") -> float:
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
-
-    width, _, _ = text_to_path.get_text_width_height_descent(text, FontProperties(size=size, weight=weight), False)
-    return float(width)
+    def _keep(self, height: float) -> None:
+        """Begin a new page unless a height fits on this one."""
+        if self.will_page_break(height):
+            self.add_page()

@@ -195,13 +195,8 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     yield ("Gravity is taken as stated: an error of it is an error of all accelerometer scale factors alike.")
 
 
-READING: Final = "y = M v + s ∘ |v| + b"
-CORRECTION: Final = "v = (M + diag(s ∘ sign v))⁻¹ (y − b)"
-MATHTEXT: Final = (
-    r"$y = M\,v + s \circ |v| + b$",
-    r"$v = \left(M + \mathrm{diag}(s \circ \mathrm{sign}\,v)\right)^{-1} (y - b)$",
-)
-"""The same two formulas as the PDF sets them."""
+FORMULAS: Final = ("y = M v + s ∘ |v| + b", "v = (M + diag(s ∘ sign v))⁻¹ (y − b)")
+"""Sensor model and its exact inverse, the compensation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +244,7 @@ def application_section(calibration: Calibration) -> Application:
         rows = tuple(tuple(CertificateCell(f"{x:+.9f}", x) for x in row) for row in calibration.U.tolist())
         tables.append(CertificateTable("U", ("", "", ""), rows, "rrr"))
     sentences.append("'srt apply' does this to a recording, 'srt apply --c-header' writes it as C.")
-    return Application((READING, CORRECTION), tuple(sentences), tuple(tables))
+    return Application(FORMULAS, tuple(sentences), tuple(tables))
 
 
 def _triad(title: str, triad: Triad) -> CertificateTable:
