@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tomllib
 from contextlib import suppress
 from dataclasses import dataclass
@@ -220,7 +221,7 @@ def write_recording(
         )
     folder = Path(directory)
     created = _prepare(folder, overwrite=overwrite)
-    name = _unused_name(folder, samples_format)
+    name, usual, old_name = _unused_name(folder, samples_format), f"samples.{samples_format}", _old_name(folder)
     temperature = recording.temperature
     constant = temperature is not None and temperature.strides == (0,)
     # The column views do not copy; writers do, one column or block at a time.
@@ -238,9 +239,19 @@ def write_recording(
         if created and not any(folder.iterdir()):
             folder.rmdir()
         raise
-    usual = f"samples.{samples_format}"
+    if re.fullmatch(rf"samples-\d+\.{samples_format}", old_name):  # left by an overwriting without the last renaming
+        with suppress(OSError):
+            (folder / old_name).unlink()
     if name != usual:
         _rename_samples(folder, name, usual, _emit(recording, usual))
+
+
+def _old_name(folder: Path) -> str:
+    """Name of the samples file of the recording in a folder, empty if there is none."""
+    main: object = None
+    with suppress(InputError):
+        main = _read_toml(folder / TOML_NAME).get("recording")
+    return str(main.get("samples", "")) if isinstance(main, dict) else ""
 
 
 def _unused_name(folder: Path, samples_format: str) -> str:
