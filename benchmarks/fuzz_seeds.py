@@ -313,6 +313,7 @@ def psins() -> list[Seed]:
     return [
         _made(lambda path: scipy.io.savemat(path, {"imu": table}), "a.mat"),
         Seed({"a.bin": table.astype("<f8").tobytes()}, "a.bin"),
+        Seed({"b.bin": table.astype("<f4").tobytes()}, "b.bin"),
         Seed({"a.txt": _text("", table, " ")}, "a.txt"),
     ]
 

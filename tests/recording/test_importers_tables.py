@@ -24,6 +24,7 @@ from srt.recording.imported_samples import (
 )
 from srt.recording.importer_registry import IMPORTERS, find_importer, import_file
 from srt.recording.importers.channels import meaning_of
+from srt.recording.recording import Site
 
 N = 40
 RNG = np.random.default_rng(5)
@@ -159,6 +160,42 @@ def test_round_trip(tmp_path, case):
     np.testing.assert_array_equal(imported.gyro, GYRO)
     np.testing.assert_array_equal(imported.accel, ACCEL)
     assert imported.kind == ("increment" if kind == "psins" else "rate")
+
+
+@pytest.mark.parametrize("rows", [8, 9, N])
+def test_psins_floats_of_32_bits(tmp_path, rows):
+    """Every bit of a float comes back; doubles of whatever digits are not taken for floats."""
+    floats = PSINS[:rows].astype("<f4")
+    floats.tofile(tmp_path / "a.bin")
+    _, imported = import_file(tmp_path / "a.bin", name="psins")
+    for values, columns in ((imported.gyro, slice(0, 3)), (imported.accel, slice(3, 6)), (imported.time, 6)):
+        np.testing.assert_array_equal(values, floats[:, columns].astype(float))
+    assert any("32-bit floats" in note for note in imported.notes)
+    for doubles in (PSINS[:rows], floats, np.column_stack([np.zeros((rows, 6)), TIME[:rows]])):
+        doubles.astype("<f8").tofile(tmp_path / "b.bin")
+        _, imported = import_file(tmp_path / "b.bin", name="psins")
+        np.testing.assert_array_equal(imported.time, doubles[:, 6])
+        assert not any("32-bit floats" in note for note in imported.notes)
+    with (tmp_path / "a.bin").open("ab") as file:
+        file.write(b"\0")
+    with pytest.raises(InputError, match="no whole number of rows of 7 doubles"):
+        import_file(tmp_path / "a.bin", name="psins")
+
+
+@pytest.mark.parametrize("kind", ["text", "matlab"])
+def test_psins_without_time_asks_for_the_rate(tmp_path, kind):
+    path = tmp_path / {"text": "a.imu", "matlab": "a.mat"}[kind]
+    if kind == "text":
+        np.savetxt(path, PSINS[:, :6])
+    else:
+        scipy.io.savemat(path, {"imu": PSINS[:, :6]})
+    _, imported = import_file(path, ImportOptions(sample_rate_hz=128.0), "psins")
+    assert (imported.time, imported.kind) == (None, "increment")
+    np.testing.assert_array_equal(imported.gyro, GYRO)
+    np.testing.assert_array_equal(imported.accel, ACCEL)
+    np.testing.assert_array_equal(to_recording(imported, Site(9.81)).time, np.arange(1, N + 1) / 128)
+    with pytest.raises(InputError, match="no time stamps: give the rate with --sample-rate-hz"):
+        to_recording(import_file(path, name="psins")[1], Site(9.81))
 
 
 @pytest.mark.parametrize("case", STAMPED)

@@ -1,4 +1,4 @@
-"""Arrays in NPZ, HDF5 and Parquet files, and how any store of named arrays becomes samples."""
+"""Arrays in NPZ, HDF5 and Parquet files, and how any file of named arrays becomes samples."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NUMBERS = "fiu"
 
 
 @dataclass(frozen=True, slots=True)
-class Store:
+class ArrayFile:
     """Named arrays of a file that has been opened.
 
     Attributes
@@ -53,12 +53,12 @@ class Store:
     read: Callable[[str], NDArray[Any]]
 
 
-def from_store(store: Store, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
+def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
     """Make samples of named arrays: one for each channel, or of three columns for each sensor, or one for all.
 
     Parameters
     ----------
-    store : Store
+    file : ArrayFile
     options : ImportOptions
         ``variable`` names a group, or the one array that holds all columns.
     stated : StatedUnits, optional
@@ -73,29 +73,29 @@ def from_store(store: Store, options: ImportOptions, stated: StatedUnits | None 
     InputError
         Arrays that are not found, or that disagree.
     """
-    name = _single_array(store, options)
+    name = _single_array(file, options)
     if name is not None:
-        return from_matrix(store.path, store.read(name), options, stated)
+        return samples_from_table(file.path, file.read(name), options, stated)
     prefix = "" if options.variable is None else options.variable.replace(".", "/").strip("/") + "/"
-    names = [each for each, shape in store.shapes.items() if each.startswith(prefix) and _is_columns(shape)]
-    wide = _wide(store)
+    names = [each for each, shape in file.shapes.items() if each.startswith(prefix) and _is_columns(shape)]
+    wide = _wide(file)
     if not names and wide:
         raise InputError(
-            f"{store.path} holds a table without names, {wide[0]}: say what its columns are, in their order, such as "
+            f"{file.path} holds a table without names, {wide[0]}: say what its columns are, in their order, such as "
             f"{option('columns')} gyro,accel,time."
         )
     if not names:
         raise InputError(
-            f"{store.path} holds no array of samples{f' in {options.variable}' if prefix else ''} "
-            f"(found: {_listed(store)}): name one with {option('variable')}."
+            f"{file.path} holds no array of samples{f' in {options.variable}' if prefix else ''} "
+            f"(found: {_listed(file)}): name one with {option('variable')}."
         )
-    found = assign(store.path, [each.removeprefix(prefix) for each in names], len(names), options.columns, arrays=True)
+    found = assign(file.path, [each.removeprefix(prefix) for each in names], len(names), options.columns, arrays=True)
     notes = list(found.notes)
-    table = {channel: _oriented(store, names[i], channel, notes) for channel, i in found.columns.items()}
+    table = {channel: _oriented(file, names[i], channel, notes) for channel, i in found.columns.items()}
     rows = {channel: len(values) for channel, values in table.items()}
     if len(set(rows.values())) > 1:
         shown = ", ".join(f"{channel} {count}" for channel, count in rows.items())
-        raise InputError(f"{store.path}: the arrays are of different lengths ({shown}), but they must agree.")
+        raise InputError(f"{file.path}: the arrays are of different lengths ({shown}), but they must agree.")
     time, time_unit = _as_stamps(table.get(TIME))
     header = stated or found.stated
     return samples_in_si(
@@ -110,7 +110,7 @@ def from_store(store: Store, options: ImportOptions, stated: StatedUnits | None 
     )
 
 
-def from_matrix(
+def samples_from_table(
     path: Path, values: NDArray[Any], options: ImportOptions, stated: StatedUnits | None = None, **fixed: Any
 ) -> ImportedSamples:
     """Make samples of one array with a column for each channel, as the options number them.
@@ -154,32 +154,30 @@ def from_matrix(
     )
 
 
-def _single_array(store: Store, options: ImportOptions) -> str | None:
+def _single_array(file: ArrayFile, options: ImportOptions) -> str | None:
     """The one array that holds all columns, if that is what is meant."""
-    wide = _wide(store)
+    wide = _wide(file)
     if options.variable is not None:
         name = options.variable.replace(".", "/").strip("/")
-        if name in store.shapes:
+        if name in file.shapes:
             return name
-        if not any(each.startswith(f"{name}/") for each in store.shapes):
+        if not any(each.startswith(f"{name}/") for each in file.shapes):
             raise InputError(
-                f"{store.path} holds no {options.variable}{did_you_mean(name, map(clean, store.shapes))} "
-                f"(found: {_listed(store)}): name one of those with {option('variable')}."
+                f"{file.path} holds no {options.variable}{did_you_mean(name, map(clean, file.shapes))} "
+                f"(found: {_listed(file)}): name one of those with {option('variable')}."
             )
         return None
     numbered = bool(options.columns) and all(isinstance(column, int) for column in options.columns.values())
-    if "" in store.shapes or (numbered and wide):
+    if "" in file.shapes or (numbered and wide):
         if len(wide) > 1:
-            raise InputError(
-                f"{store.path} holds several tables ({listed(wide)}): say which with {option('variable')}."
-            )
+            raise InputError(f"{file.path} holds several tables ({listed(wide)}): say which with {option('variable')}.")
         return next(iter(wide), "")
     return None
 
 
-def _wide(store: Store) -> list[str]:
+def _wide(file: ArrayFile) -> list[str]:
     """Tables that have room for both sensors."""
-    return [name for name, shape in store.shapes.items() if len(shape) == 2 and 6 <= min(shape) <= _MOST_COLUMNS]
+    return [name for name, shape in file.shapes.items() if len(shape) == 2 and 6 <= min(shape) <= _MOST_COLUMNS]
 
 
 def _is_columns(shape: tuple[int, ...]) -> bool:
@@ -187,21 +185,21 @@ def _is_columns(shape: tuple[int, ...]) -> bool:
     return len(long) == 1 or (len(shape) == 2 and 3 in shape)
 
 
-def _oriented(store: Store, name: str, channel: str, notes: list[str]) -> NDArray[Any]:
+def _oriented(file: ArrayFile, name: str, channel: str, notes: list[str]) -> NDArray[Any]:
     """An array as (n,), or as (n, 3) for a sensor."""
-    values = store.read(name)
+    values = file.read(name)
     if values.dtype.kind not in _NUMBERS + "M":
-        raise InputError(f"{store.path}: {name} is of type {values.dtype}, but numbers are expected.")
+        raise InputError(f"{file.path}: {name} is of type {values.dtype}, but numbers are expected.")
     if channel not in TRIADS:
         if values.size != max(values.shape, default=0):
-            raise InputError(f"{store.path}: {name} has the shape {values.shape}, but one column is expected.")
+            raise InputError(f"{file.path}: {name} has the shape {values.shape}, but one column is expected.")
         return values.reshape(-1)
     if values.ndim == 2 and values.shape[1] == 3:
         return values
     if values.ndim == 2 and values.shape[0] == 3:
         notes.append(f"{name} was turned from rows to columns.")
         return values.T
-    raise InputError(f"{store.path}: {name} has the shape {values.shape}, but (n, 3) is expected for {channel}.")
+    raise InputError(f"{file.path}: {name} has the shape {values.shape}, but (n, 3) is expected for {channel}.")
 
 
 def _sensor(table: Mapping[str, NDArray[Any]], sensor: str) -> Array:
@@ -220,8 +218,8 @@ def _as_stamps(time: NDArray[Any] | None) -> tuple[NDArray[Any] | None, str | No
     return time.astype(np.int64), unit
 
 
-def _listed(store: Store) -> str:
-    shown = [f"{clean(name)} {'x'.join(map(str, shape))}" for name, shape in store.shapes.items()]
+def _listed(file: ArrayFile) -> str:
+    shown = [f"{clean(name)} {'x'.join(map(str, shape))}" for name, shape in file.shapes.items()]
     return ", ".join(shown[:12]) + (" ..." if len(shown) > 12 else "") if shown else "no arrays of numbers"
 
 
@@ -233,7 +231,7 @@ def _read_npz(path: Path, options: ImportOptions) -> ImportedSamples:
             with clear_errors(path, "NumPy file"):
                 guard_npy(path, file, size)
                 array = np.load(file, allow_pickle=False)
-            return from_store(Store(path, {"": array.shape}, lambda _: array), options)
+            return samples_from_arrays(ArrayFile(path, {"": array.shape}, lambda _: array), options)
         file.seek(0)
         with clear_errors(path, "NPZ file"):
             archive = np.load(file, allow_pickle=False)
@@ -251,7 +249,7 @@ def _read_npz(path: Path, options: ImportOptions) -> ImportedSamples:
                 shape, numbers = _npz_shape(archive, name)
             if numbers:
                 arrays[name] = shape
-        return from_store(Store(path, arrays, read), options)
+        return samples_from_arrays(ArrayFile(path, arrays, read), options)
 
 
 def _npz_shape(archive: Any, name: str) -> tuple[tuple[int, ...], bool]:
@@ -264,12 +262,12 @@ def _npz_shape(archive: Any, name: str) -> tuple[tuple[int, ...], bool]:
 
 
 def _read_hdf5(path: Path, options: ImportOptions) -> ImportedSamples:
-    with hdf5_store(path, "HDF5 file") as store:
-        return from_store(store, options)
+    with open_hdf5(path, "HDF5 file") as file:
+        return samples_from_arrays(file, options)
 
 
 @contextmanager
-def hdf5_store(path: Path, title: str, *, matlab: bool = False) -> Iterator[Store]:
+def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[ArrayFile]:
     """Open the arrays of an HDF5 file; links to other places are neither listed nor followed.
 
     Parameters
@@ -282,7 +280,7 @@ def hdf5_store(path: Path, title: str, *, matlab: bool = False) -> Iterator[Stor
 
     Yields
     ------
-    Store
+    ArrayFile
 
     Raises
     ------
@@ -322,7 +320,7 @@ def hdf5_store(path: Path, title: str, *, matlab: bool = False) -> Iterator[Stor
 
         with clear_errors(path, title):
             file.visititems(note)
-        yield Store(path, shapes, read)
+        yield ArrayFile(path, shapes, read)
     finally:
         file.close()
 
@@ -355,7 +353,7 @@ def _read_parquet(path: Path, options: ImportOptions) -> ImportedSamples:
                 values: NDArray[Any] = column.to_numpy()
             return values
 
-        return from_store(Store(path, numbers, read), options)
+        return samples_from_arrays(ArrayFile(path, numbers, read), options)
 
 
 def _starts_with(*magics: bytes) -> Callable[[Path], bool]:

@@ -1,18 +1,15 @@
-"""MATLAB files: levels 4 to 7 by scipy, 7.3 as the HDF5 file that it is."""
+"""MATLAB files: levels 4 to 7 by scipy in a child process, level 7.3 as an HDF5 file."""
 
 from __future__ import annotations
 
-import io
-import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.arrays import ARRAY_OPTIONS, HDF5_MAGIC, Store, from_store, hdf5_store
-from srt.recording.importers.matlab_elements import NUMERIC, variables
+from srt.recording.importers.arrays import ARRAY_OPTIONS, HDF5_MAGIC, ArrayFile, open_hdf5, samples_from_arrays
+from srt.recording.importers.child_process import in_child
 from srt.recording.importers.parser_errors import clear_errors
 
 if TYPE_CHECKING:
@@ -25,13 +22,17 @@ if TYPE_CHECKING:
     from srt.recording.imported_samples import ImportedSamples
 
 _TITLE = "MATLAB file"
-_HDF5_OFFSET = 512  # MATLAB's own header stands before the HDF5 one
-_DEEPEST = 4
+
+_HDF5_OFFSET = 512
+"""Bytes of MATLAB's own header before that of HDF5."""
+
+_STRUCT_LEVELS = 4
+"""Structs within structs that are searched for arrays; loggers write one or two."""
 
 
 @contextmanager
-def matlab_store(path: Path) -> Iterator[Store]:
-    """Open the arrays of a MATLAB file; fields of structs have the struct's name and a slash before theirs.
+def open_matlab(path: Path) -> Iterator[ArrayFile]:
+    """Open the arrays of a MATLAB file; the name of a struct's field is "struct/field".
 
     Objects, function handles, cells and tables are left out: they are no arrays of numbers.
 
@@ -41,68 +42,67 @@ def matlab_store(path: Path) -> Iterator[Store]:
 
     Yields
     ------
-    Store
+    ArrayFile
 
     Raises
     ------
     InputError
     """
-    if head(path, _HDF5_OFFSET + 8)[_HDF5_OFFSET:] == HDF5_MAGIC or head(path, 8) == HDF5_MAGIC:
-        with hdf5_store(path, _TITLE, matlab=True) as store:
-            yield store
+    if is_level_73(path):
+        with open_hdf5(path, _TITLE, matlab=True) as file:
+            yield file
         return
-    with clear_errors(path, _TITLE):
-        found = list(variables(path.read_bytes()))
-    shapes: dict[str, tuple[int, ...]] = {}
-    fields: dict[str, NDArray[Any]] = {}
-    files: dict[str, bytes] = {}
-    for variable in found:
-        if variable.kind in NUMERIC:
-            shapes[variable.name], files[variable.name] = variable.shape, variable.data
-        elif variable.kind == "struct" and math.prod(variable.shape) == 1:
-            fields.update(_flat(variable.name, _load(path, variable.data), _DEEPEST))
-    shapes.update({name: values.shape for name, values in fields.items()})
-    yield Store(path, shapes, lambda name: fields[name] if name in fields else _load(path, files[name]))
-
-
-def _load(path: Path, data: bytes) -> NDArray[Any]:
-    """Read the one variable of a file that has been checked."""
     import scipy.io
 
     with clear_errors(path, _TITLE):
-        content = scipy.io.loadmat(io.BytesIO(data))
-        values = [np.asarray(value) for name, value in content.items() if not name.startswith("__")]
-    if len(values) != 1:
-        raise InputError(f"{path} is not a readable {_TITLE} (a variable has no name): copy or export it again.")
-    return values[0]
+        content = scipy.io.loadmat(path)
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            arrays.update(_fields(name, value, _STRUCT_LEVELS))
+    yield ArrayFile(path, {name: values.shape for name, values in arrays.items()}, arrays.__getitem__)
 
 
-def _flat(name: str, value: Any, depth: int) -> dict[str, NDArray[Any]]:
-    """Arrays of numbers in a struct, by their path."""
-    if not isinstance(value, np.ndarray) or depth == 0:
+def read_matlab(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Read a MATLAB file in this process. Raises InputError."""
+    with open_matlab(path) as file:
+        return samples_from_arrays(file, options)
+
+
+def is_matlab(path: Path) -> bool:
+    """True for a MATLAB file: by its header; level 4 has none, so by its suffix if it is no text."""
+    return _sniff(path) or (path.suffix.lower() == ".mat" and b"\0" in head(path))
+
+
+def is_level_73(path: Path) -> bool:
+    """True for an HDF5 file, with MATLAB's header before it or without."""
+    start = head(path, _HDF5_OFFSET + len(HDF5_MAGIC))
+    return start.startswith(HDF5_MAGIC) or start[_HDF5_OFFSET:] == HDF5_MAGIC
+
+
+def _fields(name: str, value: Any, levels: int) -> dict[str, NDArray[Any]]:
+    """Arrays of numbers in a variable, by their path."""
+    if not isinstance(value, np.ndarray) or levels == 0:
         return {}
     if value.dtype.names is not None and value.size == 1:
         result = {}
         for key in value.dtype.names:
-            result.update(_flat(f"{name}/{key}", value.flat[0][key], depth - 1))
+            result.update(_fields(f"{name}/{key}", value.flat[0][key], levels - 1))
         return result
     # Function handles and objects are arrays of another type.
     return {name: value} if type(value) is np.ndarray and value.dtype.kind in "fiu" and value.size else {}
 
 
-def is_matlab(path: Path) -> bool:
-    """Whether a file is one of MATLAB's: by its header, or by its suffix if it is no text, as level 4 has no header."""
-    return _sniff(path) or (path.suffix.lower() == ".mat" and b"\0" in head(path))
-
-
 def _sniff(path: Path) -> bool:
-    start = head(path, _HDF5_OFFSET + 8)
+    start = head(path, _HDF5_OFFSET + len(HDF5_MAGIC))
     return start.startswith(b"MATLAB ") and (b"MAT-file" in start[:128] or start[_HDF5_OFFSET:] == HDF5_MAGIC)
 
 
+_read_in_child = in_child(f"{__name__}:{read_matlab.__name__}")
+
+
 def _read(path: Path, options: ImportOptions) -> ImportedSamples:
-    with matlab_store(path) as store:
-        return from_store(store, options)
+    return (read_matlab if is_level_73(path) else _read_in_child)(path, options)
 
 
 MATLAB: Final = Importer("matlab", "MATLAB file", (".mat",), None, _sniff, _read, ARRAY_OPTIONS)

@@ -1,6 +1,7 @@
-"""PSINS' table of increments, seven columns: angle x, y, z (rad), velocity x, y, z (m/s), time (s).
+"""PSINS' table of increments: angle x, y, z (rad), velocity x, y, z (m/s) and time (s).
 
-As a MATLAB variable, as rows of doubles in a binary file, or as text.
+It is a MATLAB variable, text (``.imu``), or a binary file of doubles or of 32-bit floats (``binfile32``). Text may lack
+the time; the rate of the samples is then an option.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from srt.exceptions import InputError
 from srt.recording.import_options import ImportOptions, option, parse_columns
 from srt.recording.imported_samples import ImportedSamples, StatedUnits
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.arrays import from_matrix
+from srt.recording.importers.arrays import samples_from_table
 from srt.recording.importers.channels import listed
-from srt.recording.importers.matlab import is_matlab, matlab_store
+from srt.recording.importers.child_process import in_child
+from srt.recording.importers.matlab import is_level_73, is_matlab, open_matlab
 from srt.recording.importers.text_tables import find_layout, read_table
 
 if TYPE_CHECKING:
@@ -25,63 +27,128 @@ if TYPE_CHECKING:
 
 COLUMNS: Final = 7
 
-_LAYOUT: Final = parse_columns("gyro,accel,time")
+UNTIMED_COLUMNS: Final = 6
+"""Columns of a table without time."""
+
+_NAMES = parse_columns("gyro,accel,time")
+_UNTIMED_NAMES = parse_columns("gyro,accel")
 _AXES_NOTE = "PSINS has x right, y forward, z up: gyros and accelerometers share these axes."
 
+_FLOATS_NOTE = "The file holds 32-bit floats: time and increments are rounded to 6e-8 of their size."
 
-def _read(path: Path, options: ImportOptions) -> ImportedSamples:
-    values = _table(path, options)
-    if values.ndim != 2 or values.shape[1] != COLUMNS:
-        raise InputError(f"{path} holds a table of shape {values.shape}, but {COLUMNS} columns are expected.")
-    said = ImportOptions(
-        columns=_LAYOUT,
-        **{name: getattr(options, name) for name in options.given if name not in ("variable", "delimiter")},
+_ROWS_COMPARED = 64
+_FEWEST_ROWS = 4
+"""Rows at the start of a binary file that tell floats from doubles: in doubles, 4 would increase by accident once in
+4! = 24 files, 64 never."""
+
+
+def read_increments(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Read a table of increments, in this process.
+
+    Parameters
+    ----------
+    path : Path
+    options : ImportOptions
+
+    Returns
+    -------
+    ImportedSamples
+
+    Raises
+    ------
+    InputError
+    """
+    values, notes = _table(path, options)
+    untimed = values.ndim == 2 and values.shape[1] == UNTIMED_COLUMNS
+    if values.ndim != 2 or (values.shape[1] != COLUMNS and not untimed):
+        raise InputError(
+            f"{path} holds a table of shape {values.shape}, but {COLUMNS} columns, or {UNTIMED_COLUMNS} without time, "
+            "are expected."
+        )
+    others = {name: getattr(options, name) for name in options.given if name not in ("variable", "delimiter")}
+    return samples_from_table(
+        path,
+        values,
+        ImportOptions(columns=_UNTIMED_NAMES if untimed else _NAMES, **others),
+        StatedUnits("rad", "m/s", None if untimed else "s"),
+        kind="increment",
+        notes=(_AXES_NOTE, *notes),
     )
-    return from_matrix(path, values, said, StatedUnits("rad", "m/s", "s"), kind="increment", notes=(_AXES_NOTE,))
 
 
-def _table(path: Path, options: ImportOptions) -> NDArray[Any]:
-    start = head(path)
+def _table(path: Path, options: ImportOptions) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """The table, and notes."""
     if is_matlab(path):
-        return _matlab_table(path, options.variable)
+        return _matlab_table(path, options.variable), ()
     if options.variable is not None:
         raise InputError(f"{option('variable')} is given, but {path} is no MATLAB file: leave it out.")
-    # A double in these ranges always has a zero byte or one beyond text somewhere in a few rows.
+    start = head(path)
+    # A few rows of binary numbers always have a zero byte, or one that is no ASCII.
     if b"\0" in start or any(byte > 127 for byte in start):
-        size = path.stat().st_size
-        if size % (8 * COLUMNS):
-            raise InputError(
-                f"{path} is {size} bytes long, which is no whole number of rows of {COLUMNS} doubles: the file is cut "
-                "off, or of another format."
-            )
-        return np.fromfile(path, dtype="<f8").reshape(-1, COLUMNS)
+        return _binary_table(path)
     layout = find_layout(path, options)
-    if len(layout.cells) != COLUMNS:
-        raise InputError(f"{path} has {len(layout.cells)} columns, but PSINS' increments have {COLUMNS}.")
-    table = read_table(path, layout, {str(i): i for i in range(COLUMNS)})
-    return np.column_stack(list(table.values()))
+    if len(layout.cells) not in (COLUMNS, UNTIMED_COLUMNS):
+        raise InputError(
+            f"{path} has {len(layout.cells)} columns, but PSINS' increments have {COLUMNS}, or {UNTIMED_COLUMNS} "
+            "without time."
+        )
+    table = read_table(path, layout, {str(i): i for i in range(len(layout.cells))})
+    return np.column_stack(list(table.values())), ()
+
+
+def _binary_table(path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """Rows of doubles, or of 32-bit floats if time increases in these."""
+    size = path.stat().st_size
+    first = np.fromfile(path, "<f4", count=_ROWS_COMPARED * COLUMNS)
+    time = first[COLUMNS - 1 :: COLUMNS]
+    # Read as floats, the same column of doubles holds parts of time and of an increment by turns.
+    if (
+        size % (4 * COLUMNS) == 0
+        and time.size >= _FEWEST_ROWS
+        and np.isfinite(time).all()
+        and (np.diff(time) > 0).all()
+    ):
+        return np.fromfile(path, "<f4").reshape(-1, COLUMNS).astype(np.float64), (_FLOATS_NOTE,)
+    if size % (8 * COLUMNS):
+        raise InputError(
+            f"{path} is {size} bytes long, which is no whole number of rows of {COLUMNS} doubles: the file is cut "
+            "off, or of another format."
+        )
+    return np.fromfile(path, dtype="<f8").reshape(-1, COLUMNS), ()
 
 
 def _matlab_table(path: Path, variable: str | None) -> NDArray[Any]:
-    with matlab_store(path) as store:
-        wide = [name for name, shape in store.shapes.items() if len(shape) == 2 and shape[1] == COLUMNS]
+    with open_matlab(path) as file:
+        wide = [
+            name
+            for name, shape in file.shapes.items()
+            if len(shape) == 2 and shape[1] in (COLUMNS, UNTIMED_COLUMNS) and shape[0] >= shape[1]
+        ]
         name = None if variable is None else variable.replace(".", "/")
         if name is None and len(wide) == 1:
             name = wide[0]
         if name not in wide or name is None:
             raise InputError(
-                f"{path} holds {listed(wide, 'nothing')} of {COLUMNS} columns: name the increments with "
-                f"{option('variable')}."
+                f"{path} holds {listed(wide, 'nothing')} of {COLUMNS} or {UNTIMED_COLUMNS} columns: name the "
+                f"increments with {option('variable')}."
             )
-        return store.read(name)
+        return file.read(name)
+
+
+_read_in_child = in_child(f"{__name__}:{read_increments.__name__}")
+
+
+def _read(path: Path, options: ImportOptions) -> ImportedSamples:
+    parsed_by_scipy = is_matlab(path) and not is_level_73(path)
+    return (_read_in_child if parsed_by_scipy else read_increments)(path, options)
 
 
 PSINS: Final = Importer(
     "psins",
-    "PSINS increments, N x 7",
+    "PSINS increments, N x 7 or N x 6",
     (),
     None,
-    lambda _: False,  # nothing marks it: doubles, or a variable like any other
+    lambda _: False,  # it has no mark: numbers, or a variable like any other
     _read,
     frozenset({"variable", "delimiter"}),
 )
