@@ -1,4 +1,4 @@
-"""Calibration of a recording as library and command make it: checks, estimation, and checks of the result."""
+"""Calibration procedure of library and command line: fault detection, estimation, and checks of the result."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 UNCHECKED = (
-    "Faults of the recording were not looked for (checks=False): units, axes, labels, timing, stillness and site are "
-    "taken as stated."
+    "The recording was not checked for faults (checks=False): units, axes, labels, timing, stationary windows and site "
+    "are taken as stated."
 )
 """Warning of a calibration without checks."""
 
@@ -37,15 +37,15 @@ def calibrate(
     Parameters
     ----------
     recording : Recording
-        Without labels, sequences of Table 1 made on a fixture are recognised; a free recording is cut into free turns.
+        Without labels, sequences of Table 1 on a fixture are recognised; other recordings become free rotations.
     estimator : str
-        "auto" takes the closed form where sequences of Table 1 are labelled on a fixture, least squares elsewhere.
-        Others by name, see :func:`srt.estimators`.
+        "auto": the closed form for labelled sequences of Table 1 on a fixture, otherwise least squares. Other names:
+        :func:`srt.estimators`.
     checks : bool
-        Look for every fault of the catalogue, before the calibration and with its result, as the command does; a fatal
-        one stops it, the others become warnings. False: estimation alone, and the result says so.
+        Check for all faults of the catalogue, before the calibration and with its result, as the command does. Fatal
+        faults stop the calibration; others become warnings. False: estimation alone, and a warning says so.
     force : bool
-        Calibrate whatever fault was found.
+        Calibrate in spite of fatal faults.
     options : Options, optional
     progress : callable, optional
         Called after every iteration with its number and the largest correction.
@@ -62,8 +62,7 @@ def calibrate(
     InputError
         Unknown estimator or option.
     DataError
-        A fault that makes any calibration meaningless, or data that cannot support a result, with the fault that
-        likely causes it.
+        A fatal fault, or data that do not support a result, with the likely cause.
     """
     options = chosen_options(options, choices)
     if not checks:

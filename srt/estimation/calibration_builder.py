@@ -94,7 +94,7 @@ def _status(result: SolverResult, fixed: Mapping[str, str], inflation: float) ->
         status = "not_converged"
         message = (
             f"The corrections became negligible after {len(result.corrections)} iterations, but the residuals are far "
-            f"too large (chi-square {chi_square:.2g} for {freedom} degrees of freedom): a wrong minimum, a wrong label, "
+            f"too large (chi-square {chi_square:.2g} for {freedom} degrees of freedom): wrong minimum, wrong label, "
             "or a unit that the sensor model does not describe."
         )
     elif misfit:

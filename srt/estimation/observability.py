@@ -1,4 +1,4 @@
-"""Observability: parameters that a recording determines against a weak prior, admitted one by one."""
+"""Observability: selection of the parameters that a recording determines, against a weak prior."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-# In this order parameters are admitted: one that is collinear with those before it is the one fixed.
+# Order of admission: a parameter that is collinear with earlier ones is fixed.
 _ADMISSION: Final = (
     expand_names(["gyro_bias"])
     + expand_names(["gyro_scale", "gyro_orthogonality", "accel_bias", "accel_scale", "accel_misalignment"])
@@ -26,7 +26,7 @@ OBSERVED_BELOW: Final = 1.0 / 3.0
 
 
 def admission_sigma() -> Array:
-    """Prior one sigma by which a parameter is judged observed: the general prior, asymmetries to 1 %."""
+    """Prior 1-sigma for the decision on observability: the general prior, 1 % for asymmetries."""
     sigma = prior_sigma()
     for group in ("gyro_asymmetry", "accel_asymmetry"):
         sigma[GROUP_SLICES[group]] = 0.01
@@ -34,7 +34,7 @@ def admission_sigma() -> Array:
 
 
 def admit(A: Array, wanted: Mask) -> Mask:
-    """Which parameters whitened data determine, admitted one by one.
+    """Mask of the parameters that whitened data determine, admitted one by one.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def admit(A: Array, wanted: Mask) -> Mask:
     Returns
     -------
     ndarray of bool, shape (27,)
-        A parameter is in if, with all admitted before it, its sigma is below a third of the prior's.
+        A parameter is admitted if its sigma, beside all admitted before it, is below a third of the prior sigma.
     """
     admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
     basis: list[Array] = []

@@ -1,4 +1,4 @@
-"""How a calibration is computed: the choices, with the defaults that measurement chose (docs/design/defaults.md)."""
+"""Options of the estimators; docs/design/defaults.md has the measurements behind the defaults."""
 
 from __future__ import annotations
 
@@ -24,45 +24,45 @@ Loss = Literal["squared", "huber", "cauchy"]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Choices of the closed-form and the least-squares estimator.
+    """Options of the estimators.
 
     Attributes
     ----------
     average : "linear" or "overlapping"
-        Averaging of specific force over a window: plain mean, or mean of half-window means (triangular weights):
-        less quantisation noise, 15 % more white noise.
+        Averaging of specific force over a window: mean, or mean of overlapping half-window means (triangular weights),
+        with less quantization noise and 15 % more white noise.
     down : "tilt-immune" or "paper"
         ``g − |mean â|``, or ``û_dwn · â + g`` with the nominal vertical (Savage 2020, eq. 1).
     window_attitude : "held" or "integrated"
-        Hold the attitude in the stationary windows (a window that moved is integrated all the same), or
-        integrate the gyros over them.
+        Attitude in the stationary windows: constant (except in windows that moved), or integrated from the gyros.
     gyro_bias : "auto", "pooled", "per-sequence" or "g-sensitive"
-        One bias for the test, one per sequence, or in between as the unit's bias instability says ("auto"); or as
-        "auto" with a bias that follows the specific force, at rest and in the turns.
+        One bias for the test, one per sequence, or a weighting of both by the bias instability ("auto");
+        "g-sensitive": as "auto", with gyro g-sensitivity estimated too.
     step : "jacobian" or "coefficients"
-        Correction of a play-back: full Jacobian at the estimate, added; or the coefficients of eq. 13, composed.
+        Correction of an iteration: by the full Jacobian, added; or by the coefficients of eq. 13, composed.
     start : "auto", "zero" or SensorErrors
-        First estimate: from the fixture's nominal angles (or, without one, from gravity); from no errors, the shortest
-        turns first, whatever the fixture did; or given ones.
+        Initial estimate: from the fixture's nominal angles (without a fixture, from gravity); from zero errors, the
+        shortest rotations first, without nominal angles; or given errors.
     asymmetry : bool
-        False holds gyro scale-factor asymmetry at its start value (eq. 14).
+        False fixes gyro scale-factor asymmetry at its initial value (eq. 14).
     hold : tuple of str
-        Parameters or groups held at their start value.
+        Parameters or groups fixed at their initial value.
     max_playbacks : int
+        Largest number of iterations.
     measured_vertical : bool
-        After the first play-back, take the vertical of each pose from the measured specific force; False keeps
-        the nominal one throughout.
+        From the second iteration on, take the vertical of each pose from the measured specific force; False: always
+        the nominal one.
     loss : "squared", "huber" or "cauchy"
-        What the factor graph minimises of each measurement: the squares are efficient, the others forgive a bad one.
+        Loss of the factor graph: squared is efficient, the robust ones reduce the weight of outliers.
     fixture_states : bool
-        Whether Kalman filter and factor graph estimate levelling, north, mounting and gravity; False takes north and
-        gravity as they are stated, and level from the accelerometers.
+        Estimate levelling, north, mounting and gravity in Kalman filter and factor graph; False: north and gravity as
+        stated, level from the accelerometers.
     prior : Prior, optional
-        What is known of the unit beforehand, for Kalman filter and factor graph; default next to nothing.
+        Prior of the sensor errors, for Kalman filter and factor graph; default: very wide.
     live : bool
-        Run the Kalman filter as the test would: after every sequence all so far, from the prior.
+        Run the Kalman filter as during the test: after every sequence, on all sequences so far.
     targets : mapping of str to float
-        Sigma wanted of parameters or groups, SI; the Kalman filter says after which sequence all are met.
+        Required 1-sigma of parameters or groups, SI; the Kalman filter reports the sequence that reaches all.
     """
 
     average: Average = "linear"
@@ -101,23 +101,23 @@ class Options:
         object.__setattr__(self, "hold", expand_names(self.hold))
         object.__setattr__(self, "targets", _targets(self.targets))
         if self.max_playbacks < 1:
-            raise InputError(f"max_playbacks is {self.max_playbacks}; at least one play-back is needed.")
+            raise InputError(f"max_playbacks is {self.max_playbacks}; at least one iteration is needed.")
 
     @property
     def fixed_names(self) -> tuple[str, ...]:
-        """Parameters held on request."""
+        """Names of the parameters fixed on request."""
         extra = () if self.asymmetry else ("gyro_asymmetry",)
         return expand_names((*self.hold, *extra))
 
     def refuse(self, names: Iterable[str], who: str) -> None:
-        """Refuse options that an estimator does not have.
+        """Raise InputError for options that an estimator does not have.
 
         Parameters
         ----------
         names : iterable of str
             Options that must stand at their default.
         who : str
-            What they do not go with, as a sentence begins.
+            Name of the estimator, at the beginning of the message.
 
         Raises
         ------
@@ -143,7 +143,7 @@ class Options:
 
 
 def _targets(targets: object) -> dict[str, float]:
-    """Sigma wanted of every parameter that a target names, itself or its group."""
+    """Required 1-sigma of every parameter that a target names, itself or by its group."""
     if not isinstance(targets, Mapping):
         raise InputError(f"Option targets is {targets!r}; it must map names of parameters or groups to sigmas.")
     out: dict[str, float] = {}
@@ -156,7 +156,7 @@ def _targets(targets: object) -> dict[str, float]:
 
 
 def _iterable(value: object) -> Iterable[object]:
-    """The value's elements; one that is no name for a value without any."""
+    """Elements of a value; one element that is no name if it has none."""
     return value if isinstance(value, Iterable) else (None,)
 
 
@@ -172,7 +172,7 @@ _CHOICES = {
 
 
 def chosen_options(options: Options | None, choices: Mapping[str, Any]) -> Options:
-    """Options given as such or as single choices.
+    """Options given as an object or as keywords.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""From a recording to a calibration: the choice of estimator.
+"""Registry of estimators, and the choice of one for a recording.
 
 Estimators are functions ``(recording, options, progress) -> Calibration`` registered in the entry-point group
 ``srt.estimators``; any distribution can add its own.
@@ -32,7 +32,7 @@ _BUILT_IN: Final = {
 
 
 class Estimator(Protocol):
-    """What an entry point of the group ``srt.estimators`` must be."""
+    """Signature of the entry points of the group ``srt.estimators``."""
 
     def __call__(self, recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
         """Calibrate a recording."""
@@ -75,7 +75,7 @@ def find_estimator(name: str) -> Estimator:
 def estimate(
     recording: Recording, estimator: str = "auto", options: Options | None = None, progress: Progress | None = None
 ) -> Calibration:
-    """Estimate the sensor errors, without any check for faults of the recording.
+    """Estimate the sensor errors, without checks for faults of the recording.
 
     Parameters
     ----------

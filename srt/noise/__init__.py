@@ -1,1 +1,1 @@
-"""Noise of a unit: estimated from stationary windows, bias instability, Allan deviation, accuracy of the paper."""
+"""Noise of an IMU: noise model, bias instability, Allan deviation, and the accuracy analysis of the paper."""

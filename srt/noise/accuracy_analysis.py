@@ -1,9 +1,9 @@
-"""The accuracy analysis of Savage 2020, §9, as the paper makes it: a number for each source and measured quantity.
+"""Accuracy analysis of Savage 2020 [P], §9: errors of the measured quantities by source, as in the paper.
 
-Every sequence is built to show one combination of errors ``x`` in one component of Δa_H, which is ``±H x`` (eq. 15,
-Table 2); what disturbs that component by e is read as an error ``e / H`` (eq. 16). The attitude is integrated over the
-windows, too, averages are linear, and all sequences are taken to last alike. What this package's estimators do is
-better in several ways (``srt budget`` without ``--paper``); these are the numbers to compare with the paper's.
+Each sequence measures one combination of errors ``x`` in one component of Δa_H, which is ``±H x`` ([P] eq. 15, Table
+2). A disturbance e of that component gives the error ``e / H`` (eq. 16). As in the paper the attitude is integrated
+over the windows, averages are linear, and all sequences have one duration. The estimators of this package are better
+(``srt budget`` without ``--paper``).
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ _PULSE: Final = math.sqrt(1.0 / 6.0)
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What one component of one sequence measures.
+    """Quantity that one component of one sequence measures.
 
     Attributes
     ----------
     symbol : str
-        The combination of errors, in the paper's symbols; accelerometer biases in g.
+        Combination of errors, in the symbols of the paper; accelerometer biases in g.
     sequence : str
     component : str
         "x", "y" or "z" of Δa_H in B_Strt.
     sensitivity : float
-        ±H / g: the component over g is this times the quantity (Table 2).
+        ±H / g, the component over g for a unit of the quantity (Table 2).
     unit : str
         Of a millionth: ppm, µrad or µg.
     """
@@ -81,7 +81,7 @@ QUANTITIES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class PaperSetting:
-    """What the analysis assumes; SI units, defaults are the paper's example.
+    """Assumptions of the analysis, SI; the defaults are those of the paper's example.
 
     Attributes
     ----------
@@ -94,9 +94,9 @@ class PaperSetting:
     accel_quantization : float
         Pulse, m/s.
     gyro_bias : tuple of float
-        κx, κy, κz that are left after calibration of the gyro bias, rad/s.
+        Remaining κx, κy, κz after calibration of the gyro bias, rad/s.
     gyro_bias_instability : float
-        One sigma of a bias of each axis on top, rad/s.
+        1-sigma of an additional bias of each axis, rad/s.
     alignment_rad : float
         Error of the alignment to north, and of the fixture.
     sensor_errors : float
@@ -131,7 +131,7 @@ class PaperSetting:
 
     @property
     def time_s(self) -> float:
-        """Time of a whole sequence, the windows included."""
+        """Duration of a sequence including its windows, s."""
         return 2.0 * self.window_s + self.rotation_s
 
 

@@ -1,18 +1,16 @@
 """Allan deviation of a unit at rest, and the noise terms (data-sheet figures) fitted to it.
 
-Bias instability is a figure only where the curve really becomes flat; before that, the lowest point bounds it.
+The overlapping estimates and their equivalent degrees of freedom come from allantools (extra ``allan``). The Allan
+variance of averages over τ is modelled as the sum of::
 
-The deviations themselves (overlapping estimates) and their equivalent degrees of freedom come from allantools, extra
-``allan``.
+    3 q²/τ²   quantization, q = ε/√12, ε the quantum of the integral (or other white errors of its readings)
+    N²/τ      angular or velocity random walk
+    B²        bias instability: the flat part, which data sheets quote
+    K² τ/3    rate random walk: random walk of the bias
 
-The variance of averages over τ is the sum of::
-
-    3 q²/τ²   q = ε/√12, pulses ε of the integral (or other white errors of its readings)
-    N²/τ      random walk of the integral
-    B²        bias instability: the flat part, which is what data sheets quote
-    K² τ/3    random walk of the bias
-
-The fit is the likeliest one for chi-square variates. A term stays only if the fit is much worse without it.
+The terms are fitted by maximum likelihood for chi-square variates. A term is kept only if the fit is significantly
+worse without it. Bias instability is identified only where the curve becomes flat; otherwise its lowest point is an
+upper limit.
 """
 
 from __future__ import annotations
@@ -37,44 +35,45 @@ if TYPE_CHECKING:
 CHANNELS: Final = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 SHORTEST_WINDOW_S: Final = 30.0
-"""Stillness of this length at least; a shorter one shows no more than :mod:`srt.noise.noise_model` finds."""
+"""Shortest stationary window, s; a shorter one shows no more than :mod:`srt.noise.noise_model` finds."""
 
 _MOST_SAMPLES: Final = 1 << 17
-"""Samples of a channel at which deviations are taken; more are averaged in blocks first."""
+"""Largest number of samples per channel for the deviations; longer channels are averaged in blocks first."""
 _FINE_OCTAVES: Final = 3
-"""Octaves beyond the block that still come from single samples: averages that overlap well tell more."""
+"""Octaves beyond the block that still use single samples, because strongly overlapping averages tell more."""
 _LENGTHS: Final = 5
-"""Averages that a window must hold: fewer say nothing, and the degrees of freedom are not known."""
+"""Averages that a window must hold; with fewer the degrees of freedom are not known."""
 _KNOCK: Final = 10.0
-"""Sigmas of the readings at rest that no noise reaches in an hour."""
+"""Deviation of a reading, in sigma, that noise does not reach in an hour: a knock."""
 _RINGING_S: Final = 0.1
+"""Time before and after a knock that is excluded, s."""
 _PROBE: Final = 4096
-"""Samples that tell the spread of a window's readings."""
+"""Samples from which the sigma of a window's readings is estimated."""
 _SIDE_BY_SIDE: Final = 64
+"""Rows compared at once for the extremes of a table."""
 _ROUNDING: Final = 1e-15
-"""Of a reading, below which its deviations are those of its last bit."""
+"""Deviation over the reading, below which it is rounding of the last bit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AllanDeviation:
-    """Allan deviation of the six channels, and what was identified in it; SI.
+    """Allan deviation of the six channels, and the noise terms identified in it, SI.
 
     Attributes
     ----------
     tau_s : ndarray, shape (m,), s
     deviation, low, high : ndarray, shape (6, m), rad/s and m/s²
-        Gyro x, y, z, accelerometer x, y, z, with the limits of the interval of confidence; NaN where a channel never
-        changes.
+        Gyro x, y, z, accelerometer x, y, z, with the limits of the 95 % interval; NaN for a constant channel.
     freedom : ndarray, shape (6, m)
         Equivalent degrees of freedom.
     value, value_low, value_high : ndarray, shape (6, 4)
-        Coefficients of :data:`TERMS` (for pulses ε) and their intervals; NaN where a term is not seen.
+        Coefficients of :data:`TERMS` (for quantization ε) and their 95 % intervals; NaN for a term not identified.
     bound : ndarray, shape (6,)
-        Upper limit of the bias instability (97.5 %) where it was not reached, else NaN.
+        Upper limit of the bias instability (97.5 %) where the curve does not become flat, else NaN.
     longest_s, total_s : float
-        Longest of the stationary windows used, and all of them.
+        Longest stationary window, and total length of all, s.
     windows : int
-        How many.
+        Number of windows.
     """
 
     tau_s: Array
@@ -95,7 +94,7 @@ class AllanDeviation:
         return np.asarray(np.sqrt(np.nan_to_num(self.value) ** 2 @ design_matrix(tau_s).T))
 
     def figures(self) -> dict[str, dict[str, Any]]:
-        """Figures by channel and key, in the units of their keys, as JSON values; what is not seen is left out."""
+        """Identified figures by channel and key, in the units of their keys, as JSON values."""
         out: dict[str, dict[str, Any]] = {}
         for c, channel in enumerate(CHANNELS):
             sensor = c // 3
@@ -159,7 +158,7 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
     low, high = interval(variances, freedom)
     with np.errstate(divide="ignore"):
         value_low, value_high = interval(solution, 2.0 / doubt**2)
-    # Where the deviation falls faster than τ^(-1/4) everywhere, its flat part was not reached.
+    # The flat part counts as reached where the deviation falls more slowly than τ^(-1/4).
     flat = changes & np.any(design[:, FLAT] * solution[:, FLAT, None] >= 0.5 * solution @ design.T, axis=1)
     solution[~flat, FLAT] = 0.0
     seen = np.where(solution > 0.0, 1.0, np.nan)
@@ -181,7 +180,7 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
 
 
 def _undisturbed(recording: Recording, a: int, b: int) -> list[tuple[int, int]]:
-    """Parts of a window between knocks, whose readings would pass for noise of all averaging times."""
+    """Parts of a window between knocks, which would add variance at all averaging times."""
     far = np.zeros(b - a, dtype=np.bool_)
     for table in (recording.gyro, recording.accel):
         part = table[a:b]
@@ -203,7 +202,7 @@ def _undisturbed(recording: Recording, a: int, b: int) -> list[tuple[int, int]]:
 
 
 def _extremes(table: Array) -> tuple[Array, Array]:
-    """Least and greatest of every column; rows are put side by side first, as short rows are slow to compare."""
+    """Minimum and maximum of every column; rows are joined first, because short rows are slow to compare."""
     k = table.shape[1]
     whole = len(table) // _SIDE_BY_SIDE * _SIDE_BY_SIDE
     rows = table[:whole].reshape(-1, _SIDE_BY_SIDE * k)
@@ -263,7 +262,7 @@ def _pooled(
             rate = 1.0 / (dt * 2.0**begin)
             deviations = [allantools.oadev(row, rate=rate, data_type="freq", taus=averaged / rate)[1] for row in x]
             for octave, m, variance in zip(reached.tolist(), averaged, np.square(deviations).T, strict=True):
-                # The number of averages decides how much a window tells, whatever the noise.
+                # The number of averages in a window is its weight, whatever the noise.
                 told = n / m
                 power[octave] = power.get(octave, np.zeros(6)) + told * variance
                 weight[octave] = weight.get(octave, 0.0) + told
@@ -279,7 +278,7 @@ def _pooled(
 
 
 def _readings(recording: Recording, a: int, b: int, block: int) -> Array:
-    """Means of blocks of samples, less those of all, shape (6, n)."""
+    """Means of blocks of samples less the total mean, shape (6, n)."""
     n = (b - a) // block
     out = np.empty((6, n))
     for s, table in enumerate((recording.gyro, recording.accel)):
@@ -305,7 +304,7 @@ def _identify(
 ) -> tuple[Array, Array, Array]:
     """Degrees of freedom, squared coefficients and their relative standard deviations of one channel."""
     alphas = [TERMS[RANDOM_WALK].alpha] * len(variance)
-    for _ in range(2):  # the degrees of freedom depend a little on the term that rules an octave
+    for _ in range(2):  # the degrees of freedom depend slightly on the dominant term of an octave
         freedom = _freedom(allantools, counts, steps, alphas)
         solution, doubt = fit_terms(design, variance, freedom)
         alphas = [TERMS[t].alpha for t in np.argmax(design * solution, axis=1).tolist()]
@@ -313,7 +312,7 @@ def _identify(
 
 
 CONFIDENCE: Final = 0.95
-"""Of all intervals."""
+"""Probability of all confidence intervals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,7 +328,7 @@ class Term:
     keys : (str, str)
         Names of the figure for gyros and accelerometers, with the unit.
     units : (str, str)
-        What tables show.
+        Units in tables.
     scales : (float, float)
         SI per unit.
     """
@@ -366,21 +365,22 @@ TERMS: Final = (
         ("°/h/√h", "µg/√h"), (DEG_PER_H / HOUR_S**0.5, MICRO_G / HOUR_S**0.5),
     ),
 )  # fmt: skip
-"""Their figures carry the names that the section [imu] of ``recording.toml`` has for them."""
+"""Noise terms; the keys are those of the section [imu] of ``recording.toml``."""
 
 PULSES, RANDOM_WALK, FLAT = 0, 1, 2
 """Places in :data:`TERMS`."""
 
 _SHARED: Final = 0.5
-"""The degrees of freedom of all octaves of overlapping averages add up to twice the number of samples, as neighbouring
-octaves see the same noise; what a fit may count is that number."""
+"""Share of the degrees of freedom that a fit may count: those of all octaves add up to twice the number of samples,
+because neighbouring octaves contain the same noise."""
 _MODEL_DOUBT: Final = 0.03
-"""No sensor keeps to the four slopes more closely than that: samples without end shall not find terms in the rest."""
+"""Relative 1-sigma of the four-slope model itself: no sensor follows it more closely, however long the recording."""
 _PULSE_DOUBT: Final = 0.5
-"""Pulses of a slow input are no white sequence (a saw-tooth has lines): octaves that they rule deviate by so much."""
+"""Relative 1-sigma of the quantization term: the quantization error of a slow input is no white sequence."""
 _DROP: Final = 9.55
-"""Loss of twice the logarithm of the likelihood up to which a term is left out: one in a thousand is kept by chance."""
+"""Loss of 2 ln(likelihood) up to which a term is left out: false-alarm probability 1e-3."""
 _PASSES: Final = 60
+"""Largest number of reweighted fits."""
 
 
 def design_matrix(tau: Array) -> Array:
@@ -389,7 +389,7 @@ def design_matrix(tau: Array) -> Array:
 
 
 def interval(variance: Array, freedom: Array) -> tuple[Array, Array]:
-    """Limits of the root of a variance known from chi-square variates; NaN where it is zero.
+    """Confidence limits of the root of a variance from chi-square variates; NaN where the variance is zero.
 
     Parameters
     ----------
@@ -404,9 +404,7 @@ def interval(variance: Array, freedom: Array) -> tuple[Array, Array]:
 
 
 def fit_terms(design: Array, variance: Array, freedom: Array) -> tuple[Array, Array]:
-    """Fit the terms that are needed.
-
-    Random walk is never left out: every sensor has it, if only too little of it to be told from pulses.
+    """Fit the significant terms by backward elimination; random walk, which every sensor has, is always kept.
 
     Parameters
     ----------
@@ -418,7 +416,7 @@ def fit_terms(design: Array, variance: Array, freedom: Array) -> tuple[Array, Ar
     Returns
     -------
     squares : ndarray, shape (4,)
-        Squared coefficients, zero for what is not needed.
+        Squared coefficients, zero for terms left out.
     doubt : ndarray, shape (4,)
         Their relative standard deviations.
     """
@@ -432,7 +430,7 @@ def fit_terms(design: Array, variance: Array, freedom: Array) -> tuple[Array, Ar
             break
         trials = [_likeliest(design, variance, freedom, np.delete(kept, i)) for i in leaving]
         best = int(np.argmin([trial[1] for trial in trials]))
-        # The loss to compare with stays that of all terms: small steps shall not add up.
+        # Always compared with the loss of all terms, so that small losses do not accumulate.
         if trials[best][1] - loss > _DROP:
             break
         solution = trials[best][0]
@@ -446,7 +444,7 @@ def fit_terms(design: Array, variance: Array, freedom: Array) -> tuple[Array, Ar
 
 
 def _likeliest(design: Array, variance: Array, freedom: Array, kept: Indices) -> tuple[Array, float]:
-    """Coefficients by iterated weighted least squares, weighted by the model as the likelihood is; and the loss."""
+    """Maximum-likelihood coefficients by iterated weighted least squares, and −2 ln(likelihood)."""
     solution = np.zeros(design.shape[1])
     sigma = variance * np.hypot(np.sqrt(2.0 / (_SHARED * freedom)), _MODEL_DOUBT)
     for _ in range(_PASSES):
@@ -464,7 +462,7 @@ def _likeliest(design: Array, variance: Array, freedom: Array, kept: Indices) ->
 
 
 def _sigma(design: Array, solution: Array, freedom: Array) -> Array:
-    """One sigma of every variance by the model."""
+    """1-sigma of every Allan variance, as the model predicts it."""
     model = design @ solution
     chance = np.hypot(np.sqrt(2.0 / (_SHARED * freedom)), _MODEL_DOUBT)
     out: Array = np.hypot(model * chance, _PULSE_DOUBT * design[:, PULSES] * solution[PULSES])

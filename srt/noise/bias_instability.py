@@ -1,13 +1,13 @@
-"""Bias instability: how the bias of one stretch of time goes with that of another.
+"""Bias instability (flicker noise): covariance of bias averages over any time intervals.
 
-Flicker noise with the Allan floor B has the two-sided spectrum ``B² / (4 ln 2 |f|)``. It is taken as a sum of
-first-order processes whose correlation times lie a decade apart, each of variance ``B² ln 10 / (2 ln 2)``, which the
-spectrum follows to a few per cent between the fastest and the slowest of them. Averages of such processes over any
-intervals have a covariance in closed form. They are far from independent: what is slower than the test is the same in
-all windows, and neighbours differ by √2 B however long they are.
+Flicker noise with the Allan floor B has the two-sided spectrum ``B² / (4 ln 2 |f|)``. It is modelled as a sum of
+first-order Gauss-Markov processes with correlation times a decade apart, each of variance ``B² ln 10 / (2 ln 2)``. The
+spectrum of the sum agrees with flicker noise to a few per cent between the fastest and the slowest process. Averages of
+such processes have a covariance in closed form. They are strongly correlated: components slower than the test are equal
+in all windows, and neighbouring windows differ by √2 B, however long they are.
 
-What is slower than a test cannot be told from the bias itself, which is why the processes end there: their sum has the
-mean zero, and the constant that it is added to is the bias of the unit.
+Components slower than the test are not distinguishable from the bias. The processes therefore end there: their sum has
+zero mean, and the constant beside it is the bias of the unit.
 """
 
 from __future__ import annotations
@@ -27,14 +27,17 @@ if TYPE_CHECKING:
 
 
 CORRELATION_TIMES_S: Final = tuple(10.0**decade for decade in range(-1, 5))
-"""Correlation times of all processes."""
+"""Correlation times of all processes, s."""
 _SLOWEST_S: Final = 1000.0
+"""Slowest correlation time that is used in any test, s."""
 _ROUNDING: Final = 1e-12
+"""Relative increase of the variances that keeps the Cholesky factor real in spite of rounding."""
 _NO_TIME_S: Final = 1e-9
+"""Length below which an interval counts as a point, and an overlap as none, s."""
 
 
 def correlation_times(span_s: float) -> tuple[float, ...]:
-    """Correlation times that matter in a test of a given length: to 1000 s, or to the power of ten nearest to it."""
+    """Correlation times used for a test of a given length: up to 1000 s, or to the power of ten nearest to it."""
     slowest = max(_SLOWEST_S, 10.0 ** round(math.log10(max(span_s, 1.0))))
     return tuple(tau for tau in CORRELATION_TIMES_S if tau < 1.5 * slowest)
 
@@ -45,7 +48,7 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
     Parameters
     ----------
     start, end : ndarray, shape (n,), s
-        Of the averages; they may overlap, touch or lie apart.
+        Start and end of the averages, which may overlap.
     times_s : sequence of float, s
         Correlation times of the processes, a decade apart.
 
@@ -53,7 +56,7 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
     -------
     ndarray, shape (n, n)
     """
-    # An interval without length is a value at its time, and intervals that touch do not overlap by rounding.
+    # An interval without length is a value at its time; rounding must not make adjoining intervals overlap.
     T = np.maximum(end - start, _NO_TIME_S)
     gap = np.maximum(start[:, None] - end, start - end[:, None])
     i, j = np.nonzero(gap < -_NO_TIME_S)
@@ -62,7 +65,7 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
         x = T / tau
         mean = -np.expm1(-x) / x
         part = np.exp(-np.maximum(gap, 0.0) / tau) * np.outer(mean, mean)
-        # Where they overlap: the second integral of the correlation, at the four differences of their ends.
+        # Overlapping intervals: the second integral of the correlation at the four differences of their ends.
         part[i, j] = (
             _twice_integrated(end[i] - start[j], tau)
             - _twice_integrated(start[i] - start[j], tau)
@@ -75,23 +78,23 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
 
 
 def _twice_integrated(t: Array, tau: float) -> Array:
-    """∫∫ exp(−|t| / τ), even in t and zero with its slope at zero."""
+    """Second integral ∫∫ exp(−|t| / τ), even in t, zero with zero slope at t = 0."""
     x = np.abs(t) / tau
-    # The series where the terms cancel.
+    # Series for small x, where the terms cancel.
     out: Array = tau**2 * np.where(x < 1e-3, x**2 * (0.5 - x / 6.0 + x**2 / 24.0), x + np.expm1(-x))
     return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftDraws:
-    """Unit draws of the drift of one sensor with an Allan floor of one, the same for all that it acts on.
+    """Unit draws of the bias instability of one sensor with an Allan floor of one.
 
     Attributes
     ----------
     windows : ndarray, shape (W, n)
-        Mean drift of every window; of its columns only the first W are not zero.
+        Mean bias of every window; only the first W columns are not zero.
     parts : ndarray, shape (K, P, n)
-        Of every part of every rotation.
+        Mean bias of every part of every rotation.
     part_s : ndarray, shape (K, P), s
         Lengths of the parts.
     """
@@ -102,21 +105,21 @@ class DriftDraws:
 
     @property
     def turns(self) -> Array:
-        """Mean drift of every rotation, shape (K, n)."""
+        """Mean bias of every rotation, shape (K, n)."""
         share = self.part_s / self.part_s.sum(axis=1, keepdims=True)
         return np.asarray(np.einsum("kp,kpn->kn", share, self.parts))
 
 
 def drift_draws(windows: Indices, rotation: Indices, time_s: Array) -> DriftDraws:
-    """Draws of the drift of the windows and rotations of a recording.
+    """Unit draws of the bias instability in the windows and rotations of a recording.
 
     Parameters
     ----------
     windows, rotation : ndarray of int, shape (W, 2) and (K, 2)
         First sample and one past the last.
     time_s : ndarray, shape (n,), s
-        Of the samples, as recorded. Where recordings were joined end to end, the pause between them is not in it: a
-        correlation falls with the logarithm of the distance, so that this matters little.
+        Time of the samples, as recorded. The pauses between joined recordings are not included, which matters little:
+        the correlation falls with the logarithm of the distance.
     """
     edges = equal_parts(rotation, parts_per_rotation(len(rotation)))
     parts = np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)
@@ -127,13 +130,13 @@ def drift_draws(windows: Indices, rotation: Indices, time_s: Array) -> DriftDraw
 
 
 def window_draws(windows: Indices, time_s: Array) -> Array:
-    """Draws of the drift of windows alone, shape (W, W), for sensors of which the rotations do not matter."""
+    """Unit draws of the bias instability in the windows alone, shape (W, W), for the accelerometers."""
     return _root(windows, time_s)[0]
 
 
 def _root(spans: Indices, time_s: Array) -> tuple[Array, Array]:
     """Lower triangular root of the covariance of the means over sample spans (n, 2), and the lengths of these, s."""
-    # A sample stands for the interval before its time; a part without one has no length.
+    # A sample represents the interval before its time; a part without samples has no length.
     length = float(np.median(np.diff(time_s)))
     end = time_s[np.minimum(spans[:, 1], len(time_s)) - 1]
     start = np.minimum(time_s[spans[:, 0]] - length, end)
@@ -145,15 +148,12 @@ def _root(spans: Indices, time_s: Array) -> tuple[Array, Array]:
 
 
 def shares_within(spacing_s: float) -> Array:
-    """Share of every process that is new after a while, shape (number of processes,).
-
-    What is left is the same before and after, as the bias is.
-    """
+    """Share of the variance of every process that is uncorrelated after a time, shape (number of processes,)."""
     return np.asarray(-np.expm1(-spacing_s / np.array(CORRELATION_TIMES_S)))
 
 
 def common_variance(shares: Array, test_s: float) -> float:
-    """Variance, for an Allan floor of one, of the mean over a test of a share of every process.
+    """Variance of the mean over a test of given shares of all processes, for an Allan floor of one.
 
     Parameters
     ----------
@@ -167,14 +167,14 @@ def common_variance(shares: Array, test_s: float) -> float:
 
 
 def adjoining_covariance(lengths_s: Array, shares: Array) -> Array:
-    """Covariance of averages over intervals that follow each other, for many such rows of intervals at once.
+    """Covariance of averages over consecutive intervals, for many rows of intervals at once.
 
     Parameters
     ----------
     lengths_s : ndarray, shape (n, m), s
         Positive lengths of m intervals, each beginning where the one before ends.
     shares : ndarray, shape (number of processes,)
-        Of every process's variance that counts.
+        Share of the variance of every process.
 
     Returns
     -------

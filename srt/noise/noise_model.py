@@ -1,8 +1,8 @@
-"""Noise of a unit: what is stated, what the stationary windows show, and the floors below which nobody may go.
+"""Noise model of an IMU: stated figures, completed by estimates from the stationary windows, with lower limits.
 
-Within a window the two-sample (Allan) variance of averages over τ is ``N²/τ + 3 q²/τ²`` for white noise N (random walk
-of the integral) and an error q of every reading of the integral (pulse quantisation ε has q = ε/√12). Both are
-fitted to the octaves of τ; longer effects (bias instability) do not reach into a window of ten seconds.
+Within a window the Allan variance of averages over τ is ``N²/τ + 3 q²/τ²`` for white noise N (random walk of the
+integral) and an error q of every reading of the integral (quantization ε has q = ε/√12). Both are fitted to the octaves
+of τ. Bias instability is not visible in a window of ten seconds.
 """
 
 from __future__ import annotations
@@ -22,13 +22,17 @@ if TYPE_CHECKING:
 
 
 GYRO_FLOOR: Final = 1e-10
-"""Smallest angle random walk that is believed, rad/√s."""
+"""Lower limit of an estimated angular random walk, rad/√s: gives noise-free data a finite weight."""
 ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
-"""Smallest velocity random walk that is believed, m/s²·√s."""
+"""Lower limit of an estimated velocity random walk, m/s²·√s (1e-9 g·√s)."""
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
+"""Samples from which the resolution of a column is taken."""
 _QUANTIZATION_DOUBT: Final = 0.5
+"""Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
 _POOL_ABOVE: Final = 0.2
+"""Relative 1-sigma of N² above which the three axes of a triad are fitted together."""
 _LEAST_SHARE: Final = 1e-12
+"""Lower limit of N² over its 1-sigma, so that the relative 1-sigma of a vanishing N² is finite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,19 +44,18 @@ class NoiseModel:
     gyro_white, accel_white : ndarray, shape (3,)
         Random walk of the integral, rad/√s and m/s²·√s.
     gyro_edge, accel_edge : ndarray, shape (3,)
-        One-sigma error of one reading of the integral, rad and m/s.
+        1-sigma error of one reading of the integral (angle, velocity), rad and m/s.
     gyro_wander : ndarray, shape (3,), rad/s, or None
-        One sigma of the bias in one sequence about that of the whole test; None: no bias instability is stated, the
-        scatter of the windows is to show it.
+        1-sigma of the bias of one sequence about that of the test; None if no bias instability is stated: it is then
+        estimated from the scatter of the windows.
     accel_wander : ndarray, shape (3,), m/s²
-        Likewise of a window.
+        The same for the accelerometer bias of one window.
     gyro_flicker : ndarray, shape (3,), rad/s, or None
-        Allan floor of the bias instability, from which :mod:`srt.noise.bias_instability` makes the drift; None: not
-        stated.
+        Bias instability (Allan floor), the input of :mod:`srt.noise.bias_instability`; None if not stated.
     accel_flicker : ndarray, shape (3,), m/s²
-        Likewise; zero where it is not stated.
+        The same for the accelerometers; zero if not stated.
     estimated, floored : tuple of str
-        Which figures come from the windows, and which had to be raised to a floor.
+        Figures estimated from the windows, and figures raised to the lower limit.
     """
 
     gyro_white: Array
@@ -67,7 +70,7 @@ class NoiseModel:
     floored: tuple[str, ...] = ()
 
     def gyro_sample(self, interval_s: float) -> Array:
-        """One sigma of a single sample's angle, random walk and pulses, shape (3,), rad."""
+        """1-sigma of the angle of a single sample, random walk and quantization, shape (3,), rad."""
         out: Array = np.hypot(self.gyro_white * math.sqrt(interval_s), math.sqrt(2.0) * self.gyro_edge)
         return out
 
@@ -121,11 +124,11 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
 
 
 def flicker_spread(windows: Indices) -> float:
-    """One sigma of a window's bias about its mean over the test, in units of the stated bias instability.
+    """1-sigma of a window's bias about its mean over the test, in units of the stated bias instability.
 
-    The instability B_A of data sheets is the floor of the Allan deviation. Flicker noise with that floor,
+    The bias instability B_A of data sheets is the floor of the Allan deviation. Flicker noise with that floor,
     ``S(f) = B_A² / (4 ln 2 f)`` (two-sided), has the variance ``B_A² ln(T / T_w) / (2 ln 2)`` between the frequencies
-    1/T and 1/T_w, what averages over T_w scatter by within a test of length T.
+    1/T and 1/T_w: the scatter of averages over T_w within a test of length T.
     """
     lengths = windows[:, 1] - windows[:, 0]
     ratio = (int(windows[:, 1].max()) - int(windows[:, 0].min())) / float(np.median(lengths))
@@ -133,7 +136,7 @@ def flicker_spread(windows: Indices) -> float:
 
 
 def _fit(recording: Recording, windows: Indices) -> tuple[Array, Array]:
-    """Random walk and edge error of the six columns from the octaves of the Allan variance."""
+    """Random walk and reading error of the six columns from the octaves of the Allan variance."""
     dt = recording.nominal_interval_s
     totals: dict[int, tuple[Array, int]] = {}
     by_length: dict[int, list[int]] = {}
@@ -157,7 +160,7 @@ def _fit(recording: Recording, windows: Indices) -> tuple[Array, Array]:
     variance = np.stack([totals[o][0] / totals[o][1] for o in octaves], axis=1)
     fits = [_fit_one(tau, count, v) for v in variance]
     for columns in (slice(0, 3), slice(3, 6)):
-        # Where an axis alone tells too little (pulses hide the white noise), the three axes of a triad are pooled.
+        # Where quantization hides the white noise of an axis, the three axes of a triad are fitted together.
         if any(doubt > _POOL_ABOVE for _, doubt in fits[columns]):
             pooled = _fit_one(tau, 3.0 * count, variance[columns].mean(axis=0))
             fits[columns] = [pooled] * 3
@@ -166,16 +169,16 @@ def _fit(recording: Recording, windows: Indices) -> tuple[Array, Array]:
 
 
 def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
-    """Fit (N², q²) to one Allan variance; also the relative doubt of N²."""
+    """Fit of (N², q²) to one Allan variance, and the relative 1-sigma of N²."""
     if variance.max() == 0.0:
         return np.zeros(2), 0.0
-    if len(tau) < 2:  # windows of a few samples: one octave cannot tell pulses from white noise
+    if len(tau) < 2:  # windows of a few samples: one octave does not separate quantization from white noise
         return np.array([variance[0] * tau[0], 0.0]), 1.0
     design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1)
     solution = np.zeros(2)
     for _ in range(2):
-        # A variance from m differences is known to about √(3/m). Quantisation of a slow input is no white sequence
-        # (its saw-tooth has lines), so octaves that it rules say little on N.
+        # A variance from m differences has the relative 1-sigma √(3/m). The quantization error of a slow input is no
+        # white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
         sigma = np.hypot(
             variance * np.sqrt(3.0 / count) + 1e-9 * variance.max(),
             _QUANTIZATION_DOUBT * design[:, 1] * solution[1],
@@ -184,7 +187,7 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
         scale = np.linalg.norm(weighted, axis=0)
         solution = nnls(weighted / scale, variance / sigma)[0] / scale
     doubt = np.sqrt(np.linalg.inv((weighted / scale).T @ (weighted / scale))[0, 0]) / scale[0]
-    # Without any white noise found its doubt is beyond measure: a number that is large whatever the units.
+    # Without white noise the relative 1-sigma is infinite; the limit makes it a large finite number.
     return solution, float(doubt / max(solution[0], _LEAST_SHARE * doubt))
 
 
@@ -195,7 +198,7 @@ def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:
     still = np.concatenate([table[a:b:stride] for a, b in windows.tolist()])
     step = smallest_step(still)
     constant = np.all(still == still[0], axis=0)
-    if constant.any():  # nothing moves at rest: the motion shows the step
+    if constant.any():  # constant at rest: the step is taken from the motion
         step = np.where(constant, smallest_step(table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)]), step)
     return step if recording.kind == "rate" else step / recording.nominal_interval_s
 

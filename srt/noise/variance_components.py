@@ -1,9 +1,8 @@
-"""Noise that the sensors' own does not explain, estimated from the residuals by restricted maximum likelihood.
+"""Variance components: unmodelled errors estimated from the residuals by restricted maximum likelihood.
 
-Turning a unit by hand adds errors that no window shows: scale factors that are not quite linear, sampling of fast
-turns, a hand that moves the unit in a pose. Two components are allowed for, attitude per turn and specific force per
-pose, beside the known covariance: ``R = R0 + a R_turn + b R_pose``. Fisher scoring of the restricted likelihood
-(Patterson and Thompson 1971) finds a and b; both stay at or above zero.
+The covariance of the measurements is ``R = R0 + Σ v_i C_i``, with the known covariance R0 and one component C_i for
+each unmodelled error, such as rotation and specific force per pose (non-linear scale factors, sampling of fast
+rotations, motion in a pose). Fisher scoring of the restricted likelihood (Patterson and Thompson 1971) gives v_i ≥ 0.
 """
 
 from __future__ import annotations
@@ -17,17 +16,18 @@ if TYPE_CHECKING:
 
 
 _STEPS: Final = 50
+"""Largest number of scoring steps; convergence takes about ten."""
 
 
 def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array, ...]) -> Array:
-    """Variances of noise components.
+    """Variances v_i of the components.
 
     Parameters
     ----------
     z : ndarray, shape (n,)
         Residuals at the solution.
     H : ndarray, shape (n, p)
-        Their Jacobian with respect to what was estimated.
+        Jacobian with respect to the estimated parameters.
     R0 : ndarray, shape (n, n)
         Known covariance.
     components : tuple of ndarray, shape (n, n)
@@ -42,7 +42,7 @@ def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array
     z, H = z * scale, H * scale[:, None]
     H = H / np.linalg.norm(H, axis=0)
     R0, parts = R0 * np.outer(scale, scale), [C * np.outer(scale, scale) for C in components]
-    # A first size: what makes the traces agree.
+    # Initial values: the traces agree.
     sizes = np.array([max(float(z @ z) / max(float(np.trace(C)), 1e-300), 0.0) / len(parts) for C in parts])
     for _ in range(_STEPS):
         R = R0 + sum(v * C for v, C in zip(sizes, parts, strict=True))

@@ -1,6 +1,6 @@
-"""The result of a calibration: values never without their covariance, and how to apply them.
+"""Calibration result: sensor errors with their covariance, compensation of readings, and the JSON file format.
 
-The JSON form is versioned and complete: what is read back is what was written.
+The JSON form is versioned and complete: reading a file restores the written calibration.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ FORMULA_G_SENSITIVE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """One measurement left over after the last play-back: component, value, one sigma (m/s² or rad/s)."""
+    """Residual of one measurement after the last iteration: component, value, 1-sigma (m/s² or rad/s)."""
 
     sequence: str
     occurrence: int
@@ -75,11 +75,11 @@ class Calibration:
         The status in a sentence.
     errors : SensorErrors
     covariance : ndarray, shape (27, 27)
-        Zero in the rows and columns of parameters that are held.
+        Zero in the rows and columns of fixed parameters.
     corrections : tuple of float
-        Largest correction of each play-back.
+        Largest correction of each iteration.
     held : dict of str to str
-        Parameters not observed, and why; their values are the prior's.
+        Fixed parameters with the reason; they keep the values of the initial estimate.
     contributions : dict of str to ndarray, shape (27,)
         One sigma by source of error.
     U : ndarray, shape (3, 3), or None
@@ -90,10 +90,9 @@ class Calibration:
     temperature : dict or None
         Mean and range per sequence, °C.
     diagnostics : dict
-        What else the estimator reports, such as the innovations of every sequence; JSON values.
+        Further output of the estimator, such as the innovations of every sequence; JSON values.
     verdict : dict
-        What the measurements say of the result, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty where
-        nothing is known.
+        Consistency of the measurements, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty if unknown.
     warnings : tuple of str
     """
 
@@ -119,14 +118,14 @@ class Calibration:
 
     @property
     def sigma(self) -> Array:
-        """One sigma of every parameter, shape (27,); NaN for held parameters."""
+        """1-sigma of every parameter, shape (27,); NaN for fixed parameters."""
         out: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         out[[INDEX[name] for name in self.held]] = np.nan
         return out
 
     @property
     def observed(self) -> Mask:
-        """Which parameters the recording determined, shape (27,)."""
+        """Mask of the parameters that the recording determined, shape (27,)."""
         return np.array([name not in self.held for name in NAMES])
 
     def apply(
@@ -139,7 +138,7 @@ class Calibration:
         frame: Literal["mars", "table"] = "mars",
         out: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
-        """Correct readings: the exact inverse of the reading model, sample by sample.
+        """Correct readings by the exact inverse of the sensor model, sample by sample.
 
         Parameters
         ----------
@@ -166,22 +165,22 @@ class Calibration:
 
         Notes
         -----
-        In a loop, make an :class:`srt.result.applier.Applier` once and use that: it is this method without its
-        preparations, and corrects single samples in microseconds.
+        In a loop, create one :class:`srt.result.applier.Applier` and use it: it is this method without the preparation,
+        and corrects single samples in microseconds.
 
-        The noise of a channel near zero is rectified by its asymmetry s: a bias of about 0.8 s times the one-sigma
-        noise of a sample stays in the mean.
+        Asymmetry s rectifies the noise of a channel near zero: a bias of about 0.8 s times the 1-sigma noise of a
+        sample remains in the mean.
         """
         if (kind == "increment") != (dt is not None):
             raise InputError("Give dt, the duration of the samples in seconds, with increments and only with them.")
         if kind not in ("rate", "increment"):
             raise InputError(f"kind is {kind!r}; it must be 'rate' or 'increment'.")
-        # Work arrays no larger than the readings: a call with one sample shall not wait for memory.
+        # Work arrays no larger than the readings, so that a call with one sample allocates little.
         block = min(max(gyro.size // 3, 1), BLOCK) if isinstance(gyro, np.ndarray) else BLOCK
         return Applier(self, frame=frame, block=block).apply(gyro, accel, dt=dt, out=out)
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON form as a dictionary; no NaN in it."""
+        """JSON form as a dictionary, without NaN."""
         sigma, observed = self.sigma, self.observed
         parameters = []
         for i, name in enumerate(NAMES):
@@ -232,7 +231,7 @@ class Calibration:
         }
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
+        """Write the JSON form atomically. Raises InputError if the path cannot be written."""
         atomic_write_text(path, json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
@@ -249,7 +248,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
             document = json.load(file)
     except OSError as error:
         raise InputError(f"The calibration {path} cannot be read: {error.strerror}.") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"The calibration {path} is not valid JSON ({error}): is it truncated?") from None
     try:
         return _from_dict(document)

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 import srt
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, Triad, accel_triad, gyro_triad
-from srt.result import applier as module
+from srt.result import triad_inverse as module
 from srt.result.applier import Applier
 from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
@@ -120,8 +120,8 @@ def test_search_that_does_not_end_looks_at_every_octant(monkeypatch):
     true = rng.normal(size=(2000, 3))
     readings = [triad.read(true) for triad in triads_of(calibration)]
     taken = []
-    look = module._least_contradiction
-    monkeypatch.setattr(module, "_least_contradiction", lambda *a: taken.append(a) or look(*a))
+    look = module._least_inconsistent
+    monkeypatch.setattr(module, "_least_inconsistent", lambda *a: taken.append(a) or look(*a))
     applier = Applier(calibration, block=500)
     found = applier.apply(*readings)
     assert taken
@@ -286,7 +286,7 @@ def test_bad_single_samples_are_refused(unit, gyro, accel, dt):
 def test_calibrations_that_cannot_be_applied_are_refused(unit):
     vector = np.zeros(N_PARAMETERS)
     vector[3] = 1.2  # asymmetry of more than the scale factor: x and −x/11 read the same
-    with pytest.raises(srt.InputError, match="cannot be undone"):
+    with pytest.raises(srt.InputError, match="no unique inverse"):
         Applier(calibrated(vector))
     with pytest.raises(srt.InputError, match="no table frame"):
         Applier(calibrated(0.1 * vector, turned=None), frame="table")
