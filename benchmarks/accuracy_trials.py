@@ -214,7 +214,7 @@ def fixture_trial(
 
 
 def large_trial(seed: int, *, sigma_rad: float = 5e-3, sample_rate_hz: float = 100.0, **options: Any) -> Trial:
-    """Noise-free trial with large pre-calibration errors on a 5 mrad fixture; started from the truth too (fixed point)."""
+    """Noise-free trial with large initial errors on a 5 mrad fixture; started from the truth too (fixed point)."""
     rng = np.random.default_rng(seed)
     truth, redrawn = large_errors(rng)
     motion = table1_motion(

@@ -21,7 +21,7 @@ import psutil
 from rich.console import Console
 
 import srt
-from sims.robustness.config import Campaign, EstimatorChoice, load_campaign
+from sims.robustness.campaign import Campaign, EstimatorChoice, load_campaign
 from sims.robustness.run import run_campaign
 from sims.robustness.trial import run_trial
 from sims.scenarios.simulation import simulate

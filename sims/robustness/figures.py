@@ -1,7 +1,6 @@
-"""Figures of a campaign: maps of convergence, error against size, honesty of the sigmas, play-backs and time.
+"""Figures of a campaign: maps of convergence, error against an axis, consistency of the sigmas, iterations and time.
 
-Needs matplotlib; its global state (pyplot, rcParams) is left alone. Names come out of files, so none is taken for a
-formula.
+Needs matplotlib; its global state (pyplot, rcParams) is unchanged. Names come from files and are shown as they are.
 """
 
 from __future__ import annotations
@@ -37,27 +36,27 @@ from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, SYMBOLS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from sims.robustness.answers import Effort
     from sims.robustness.convergence import ConvergenceMap
-    from sims.robustness.spread import Accuracy, Honesty
+    from sims.robustness.error_statistics import Accuracy, SigmaConsistency
+    from sims.robustness.summary import Effort
     from srt.types import Array
 
 
 _PANELS: Final = 3
-"""Of a row of maps."""
+"""Largest number of maps in a row."""
 _ROOM: Final = 0.72
-"""Share of a column that the estimators' marks take up."""
+"""Share of the width of a column that the marks of the estimators take."""
 _MOST_LABELS: Final = 14
-"""Of an axis of levels before every second one goes, and so on."""
+"""Largest number of labels of an axis; of more levels every second one is labelled, and so on."""
 _LINEAR_TO: Final = 4.0
-"""Of error over sigma; beyond, the axis is logarithmic."""
+"""Largest error / sigma on a linear axis; beyond, the axis is logarithmic."""
 _COLOURS: Final = "cividis"
-"""Told apart with any colour vision, and light where the share is large."""
+"""Readable with any colour vision; light for large shares."""
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 
 def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
-    """Draw the share of converged trials over two axes, one panel per estimator; hatched where nothing was tried.
+    """Draw the share of converged trials over two axes, one panel per estimator; hatched without trials.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Not known to pyplot.
+        Not registered in pyplot.
     """
     share = found.share
     number, levels_up, levels_across = share.shape
@@ -139,26 +138,28 @@ def size_figure(found: Accuracy, estimators: Sequence[str], *, noisy: bool) -> F
     Parameters
     ----------
     found : Accuracy
-        Of an axis.
+        Errors against an axis.
     estimators : sequence of str
     noisy : bool
-        Whether sigmas mean anything; then a last panel has the error over sigma.
+        True: a last panel shows error / sigma.
     """
     assert found.axis is not None
     axis = found.axis
     figure = _figure(11.5, 8.6)
     panels = figure.subplots(3, 3, sharex=True).ravel()
-    at = axis.places if axis.numeric else np.arange(len(axis.labels), dtype=np.float64)
+    at = axis.positions if axis.numeric else np.arange(len(axis.labels), dtype=np.float64)
     titles = [f"{group.name.replace('_', ' ')}, {group.display_unit}" for group in GROUPS]
+    rms, largest = found.array("rms"), found.array("largest")
     for group, axes in enumerate(panels[: len(GROUPS)]):
-        _against(axes, at, found.rms[..., group], found.largest[..., group], estimators)
-    weight = found.count.sum(axis=2)
-    square = np.nansum(found.count * np.nan_to_num(found.rms_in_sigma) ** 2, axis=2)
+        _against(axes, at, rms[..., group], largest[..., group], estimators)
+    count = found.array("count")
+    weight = count.sum(axis=2)
+    square = np.nansum(count * np.nan_to_num(found.array("rms_in_sigma")) ** 2, axis=2)
     together = np.where(weight > 0, np.sqrt(square / np.maximum(weight, 1)), np.nan)
-    largest = np.where(weight > 0, np.nan_to_num(found.largest_in_sigma).max(axis=2), np.nan)
+    largest_in_sigma = np.where(weight > 0, np.nan_to_num(found.array("largest_in_sigma")).max(axis=2), np.nan)
     last = panels[len(GROUPS)]
     if noisy:
-        _against(last, at, together, largest, estimators)
+        _against(last, at, together, largest_in_sigma, estimators)
         last.axhline(1.0, color=GREY, linewidth=0.8)
         titles.append("all parameters, in sigmas")
     else:
@@ -185,7 +186,7 @@ def size_figure(found: Accuracy, estimators: Sequence[str], *, noisy: bool) -> F
 def _against(axes: Axes, at: Array, rms: Array, largest: Array, estimators: Sequence[str]) -> None:
     style(axes, grid="both")
     for k, (colour, marker) in enumerate(estimator_styles(estimators).values()):
-        # What is exactly zero has no place on a logarithmic axis.
+        # A logarithmic axis cannot show zero.
         for values, line in ((rms[k], "-"), (largest[k], "--")):
             shown = np.where(values > 0.0, values, np.nan)
             heavy = line == "-"
@@ -200,14 +201,14 @@ def _against(axes: Axes, at: Array, rms: Array, largest: Array, estimators: Sequ
 
 
 def _log_ticks(axis: Any, ratio: float) -> None:
-    """Label 1, 2, 5 where there are few decades, which alone would leave an axis without a number."""
+    """Label 1, 2, 5 on an axis of few decades, which may otherwise have no labelled tick."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 200.0 else (1.0,), numticks=8))
     axis.set_major_formatter(_PLAIN)
     axis.set_minor_locator(NullLocator())
 
 
-def honesty_figure(found: Honesty, estimators: Sequence[str]) -> Figure:
-    """Draw rms of error over sigma of every parameter on the band of an honest one; rings where chance is no excuse.
+def consistency_figure(found: SigmaConsistency, estimators: Sequence[str]) -> Figure:
+    """Draw rms of error / sigma of every parameter over the band of a consistent one, with rings beyond the limits.
 
     Parameters
     ----------
@@ -219,22 +220,24 @@ def honesty_figure(found: Honesty, estimators: Sequence[str]) -> Figure:
     style(axes)
     width = _ROOM / max(len(estimators), 1)
     first = np.arange(N_PARAMETERS) - 0.5 * width * (len(estimators) - 1)
-    for k, (colour, marker) in enumerate(estimator_styles(estimators).values()):
-        at, half, rms = first + width * k, found.half_width[k], found.rms[k]
+    table = found.parameters
+    for k, (name, (colour, marker)) in enumerate(zip(estimators, estimator_styles(estimators).values(), strict=True)):
+        own = table.loc[name]
+        at, half, rms = first + width * k, own["half_width"].to_numpy(), own["rms"].to_numpy()
         seen = np.isfinite(rms)
         low = np.maximum(1.0 - half[seen], 0.0)
         axes.bar(at[seen], 1.0 + half[seen] - low, 0.95 * width, bottom=low, color=colour, alpha=0.25)
         axes.plot(at[seen], rms[seen], marker, color=colour, markersize=5.0)
-        off = found.too_small[k] | found.too_large[k]
+        off = (own["too_small"] | own["too_large"]).to_numpy()
         axes.plot(at[off], rms[off], "o", markersize=12.0, markerfacecolor="none", markeredgecolor=INK)
     for group in GROUP_SLICES.values():
         if group.start:
             axes.axvline(group.start - 0.5, color=GREY, linewidth=0.7)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
-    low = np.nanmin(np.minimum(found.rms, np.maximum(1.0 - found.half_width, 0.0)), initial=1.0)
-    high = np.nanmax(np.maximum(found.rms, 1.0 + found.half_width), initial=1.0)
+    low = np.nanmin(np.minimum(table["rms"], np.maximum(1.0 - table["half_width"], 0.0)), initial=1.0)
+    high = np.nanmax(np.maximum(table["rms"], 1.0 + table["half_width"]), initial=1.0)
     if high > _LINEAR_TO:
-        low = np.nanmin(found.rms, initial=1.0)
+        low = np.nanmin(table["rms"], initial=1.0)
         axes.set_yscale("log")
         axes.set_ylim(max(0.8 * low, 1e-3), 1.3 * high)
         _log_ticks(axes.yaxis, high / max(low, 1e-3))
@@ -248,15 +251,15 @@ def honesty_figure(found: Honesty, estimators: Sequence[str]) -> Figure:
     axes.set_xlim(-0.6, N_PARAMETERS - 0.4)
     axes.set_xticks(range(N_PARAMETERS), [symbol(name) for name in SYMBOLS], fontsize=SYMBOL)
     axes.set_ylabel("rms of error / sigma", fontsize=MEDIUM)
-    handles = [*_handles(estimators), Patch(color=GREY, alpha=0.25, label="where one honest sigma stays")]
+    handles = [*_handles(estimators), Patch(color=GREY, alpha=0.25, label="3.5 standard errors about 1")]
     ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": INK}
-    handles.append(Line2D([], [], linestyle="none", label="beyond chance", **ring))  # type: ignore[arg-type]
+    handles.append(Line2D([], [], linestyle="none", label="beyond the limits of all tests", **ring))  # type: ignore[arg-type]
     _legend(figure, handles)
     return figure
 
 
 def effort_figure(found: Effort, estimators: Sequence[str]) -> Figure:
-    """Draw how many play-backs converged trials took, and the CPU time of a calibration.
+    """Draw the number of iterations of converged trials, and the CPU time of a calibration.
 
     Parameters
     ----------
@@ -267,23 +270,25 @@ def effort_figure(found: Effort, estimators: Sequence[str]) -> Figure:
     histogram, times = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
     style(histogram)
     style(times, grid="x")
-    total = np.maximum(found.histogram.sum(axis=1, keepdims=True), 1)
+    counts, playbacks = found.histogram.to_numpy(), found.histogram.columns.to_numpy()
+    share = 100.0 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    median, most = found.table["seconds"].to_numpy(), found.table["seconds_95"].to_numpy()
     width = 0.85 / max(len(estimators), 1)
     for k, (colour, marker) in enumerate(estimator_styles(estimators).values()):
-        at = found.playbacks + width * (k - 0.5 * (len(estimators) - 1))
-        histogram.bar(at, 100.0 * found.histogram[k] / total[k], width, color=colour)
-        if np.isfinite(found.seconds[k]):
-            times.plot([found.seconds[k], found.seconds_95[k]], [k, k], color=colour, linewidth=2.0)
-            times.plot(found.seconds[k], k, marker, color=colour, markersize=6.0)
-            times.plot(found.seconds_95[k], k, "|", color=colour, markersize=11.0, markeredgewidth=2.0)
+        at = playbacks + width * (k - 0.5 * (len(estimators) - 1))
+        histogram.bar(at, share[k], width, color=colour)
+        if np.isfinite(median[k]):
+            times.plot([median[k], most[k]], [k, k], color=colour, linewidth=2.0)
+            times.plot(median[k], k, marker, color=colour, markersize=6.0)
+            times.plot(most[k], k, "|", color=colour, markersize=11.0, markeredgewidth=2.0)
     histogram.xaxis.set_major_locator(MaxNLocator(12, integer=True))
-    histogram.set_xlabel("play-backs until converged", fontsize=MEDIUM)
+    histogram.set_xlabel("iterations until converged", fontsize=MEDIUM)
     histogram.set_ylabel("% of the converged trials", fontsize=MEDIUM)
     times.set_yticks(range(len(estimators)), [_plain(name) for name in estimators])
     times.set_ylim(len(estimators) - 0.5, -0.5)
-    if (np.nan_to_num(found.seconds) > 0.0).any():
+    if (np.nan_to_num(median) > 0.0).any():
         times.set_xscale("log")
-        low, high = max(np.nanmin(found.seconds), 1e-6), np.nanmax(found.seconds_95)
+        low, high = max(np.nanmin(median), 1e-6), np.nanmax(most)
         times.set_xlim(0.5 * low, 2.0 * high)
         _log_ticks(times.xaxis, 4.0 * high / low)
     times.set_xlabel("CPU seconds: median and 95 %", fontsize=MEDIUM)
@@ -311,6 +316,6 @@ def _short(word: str, length: int = 22) -> str:
 
 
 def _plain(text: str) -> str:
-    """Give a text as matplotlib shows it unchanged: no formula, and no legend entry that hides for its underscore."""
+    """Text that matplotlib shows unchanged: no formula, and no leading underscore, which hides a legend entry."""
     shown = "".join(c if c.isprintable() else "?" for c in text).replace("$", r"\$")
     return f" {shown}" if shown.startswith("_") else shown

@@ -1,7 +1,7 @@
-"""Reports of a campaign: a page of HTML that needs nothing beside it, tables in Markdown, rows for the command line.
+"""Reports of a campaign: a self-contained HTML page, tables in Markdown, and rows for the command line.
 
-The page is for a person who has not read the papers: the answer first, then the figures with a word on how to read
-each, then every number. Labels and messages come out of files and are never taken for markup.
+The page starts with the result in sentences, then shows figures with an explanation each, then all tables. Labels and
+messages come from files and are always escaped.
 """
 
 from __future__ import annotations
@@ -15,22 +15,23 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
-from sims.robustness.answers import FAILURES, Answers, answer
+from sims.robustness.summary import FAILURES, CampaignSummary, summarise
 from sims.robustness.tables import (
-    MEANINGS,
-    Table,
+    OUTCOME_WORDS,
+    TextTable,
     accuracy_tables,
     averaged,
+    consistency_tables,
     effort_table,
     failure_table,
-    honesty_tables,
     map_tables,
     outcome_table,
     point_table,
-    reach_table,
+    region_table,
     sentences,
     varied_table,
 )
+from sims.robustness.trial import OUTCOMES
 from srt.exceptions import MissingExtraError
 
 if TYPE_CHECKING:
@@ -39,23 +40,23 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.figure import Figure
 
-    from sims.robustness.tidy import Header
+    from sims.robustness.trial_table import Header
 
 _TEMPLATE: Final = "report.html.jinja"
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure as the page holds it.
+    """Figure of the HTML page.
 
     Attributes
     ----------
     uri : str
-        The figure itself, as a data URI.
+        SVG as a data URI.
     text : str
-        In place of the figure for who cannot see it.
+        Alternative text.
     caption : str
-        How to read it.
+        Explanation.
     """
 
     uri: str
@@ -75,12 +76,12 @@ def html_report(table: pa.Table, header: Header) -> str:
     Returns
     -------
     str
-        It asks for nothing from elsewhere, and runs no scripts.
+        Page without external resources and without scripts.
 
     Raises
     ------
     InputError
-        A table that is not that of the campaign.
+        A table of another campaign.
     DataError
         A trial that is there twice.
     MissingExtraError
@@ -91,31 +92,31 @@ def html_report(table: pa.Table, header: Header) -> str:
     except ModuleNotFoundError:
         raise MissingExtraError("jinja2", "campaign", "The report of a campaign") from None
 
-    found = answer(table, header)
+    found = summarise(table, header)
     source = (files("sims.robustness") / _TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    estimators, some = header.estimators, bool(found.outcomes.judged.sum())
+    estimators, some = header.estimators, bool(found.outcomes["judged"].sum())
     return environment.from_string(source).render(
         header=header,
         sentences=sentences(found),
         varied=varied_table(found),
         outcomes=outcome_table(found),
-        meanings=MEANINGS,
-        reach=reach_table(found),
+        meanings={OUTCOME_WORDS[name]: text for name, text in OUTCOMES.items()},
+        region=region_table(found),
         points=point_table(found),
         maps=list(_maps(found)) if some else [],
-        sizes=list(_sizes(found)) if found.outcomes.converged.sum() else [],
+        sizes=list(_sizes(found)) if found.outcomes["converged"].sum() else [],
         accuracy=[t for a in found.accuracy for t in accuracy_tables(a, estimators, noisy=header.noisy) if t.rows],
-        honesty=_honesty(found),
-        honesty_tables=[t for t in honesty_tables(found) if t.rows],
-        effort=_effort(found) if found.outcomes.converged.sum() else None,
+        consistency=_consistency(found),
+        consistency_tables=[t for t in consistency_tables(found) if t.rows],
+        effort=_effort(found) if found.outcomes["converged"].sum() else None,
         effort_table=effort_table(found),
         failures=list(_failure_tables(found)),
     )
 
 
 def markdown_tables(table: pa.Table, header: Header) -> str:
-    """Write the answers of a campaign as sentences and tables in Markdown.
+    """Write the results of a campaign as sentences and tables in Markdown.
 
     Parameters
     ----------
@@ -125,23 +126,23 @@ def markdown_tables(table: pa.Table, header: Header) -> str:
     Raises
     ------
     InputError
-        A table that is not that of the campaign.
+        A table of another campaign.
     DataError
         A trial that is there twice.
     """
-    found = answer(table, header)
-    tables = [varied_table(found), outcome_table(found), reach_table(found)]
+    found = summarise(table, header)
+    tables = [varied_table(found), outcome_table(found), region_table(found)]
     tables += [t for m in found.maps[:1] for t in map_tables(m, header.estimators)]
     for a in found.accuracy:
-        if a.axis is None or a.axis.on_grid:  # what is drawn has too many levels for a document
+        if a.axis is None or a.axis.on_grid:  # random axes have too many levels for a document
             tables += accuracy_tables(a, header.estimators, noisy=header.noisy)
-    tables += [*honesty_tables(found)[:1], effort_table(found)]
+    tables += [*consistency_tables(found)[:1], effort_table(found)]
     text = "".join(f"- {_escaped(sentence)}\n" for sentence in sentences(found))
     return "\n".join([text, *(_markdown(t) for t in tables if t.rows)])
 
 
 def text_summary(table: pa.Table, header: Header) -> list[tuple[str, ...]]:
-    """Give one row per estimator for a table on the command line; the first row is the heading.
+    """Rows of a table for the command line, one per estimator; the first row is the heading.
 
     Parameters
     ----------
@@ -151,16 +152,16 @@ def text_summary(table: pa.Table, header: Header) -> list[tuple[str, ...]]:
     Returns
     -------
     list of tuple of str
-        Plain text: a label may hold what a terminal library takes for markup.
+        Plain text: labels may contain the markup of a terminal library.
 
     Raises
     ------
     InputError
-        A table that is not that of the campaign.
+        A table of another campaign.
     DataError
         A trial that is there twice.
     """
-    found = answer(table, header)
+    found = summarise(table, header)
     outcomes, effort = outcome_table(found), effort_table(found)
     return [
         (*first, *second[1:])
@@ -169,7 +170,7 @@ def text_summary(table: pa.Table, header: Header) -> list[tuple[str, ...]]:
 
 
 def short_answer(table: pa.Table, header: Header) -> tuple[str, ...]:
-    """Give the answer of a campaign in sentences.
+    """Result of a campaign in sentences.
 
     Parameters
     ----------
@@ -179,14 +180,14 @@ def short_answer(table: pa.Table, header: Header) -> tuple[str, ...]:
     Raises
     ------
     InputError
-        A table that is not that of the campaign.
+        A table of another campaign.
     DataError
         A trial that is there twice.
     """
-    return sentences(answer(table, header))
+    return sentences(summarise(table, header))
 
 
-def _maps(found: Answers) -> Iterator[Picture]:
+def _maps(found: CampaignSummary) -> Iterator[Picture]:
     from sims.robustness.figures import map_figure
 
     for m in found.maps:
@@ -198,7 +199,7 @@ def _maps(found: Answers) -> Iterator[Picture]:
         yield _picture(map_figure(m, found.header.estimators), words, f"{words}, in percent. {rest}".strip())
 
 
-def _sizes(found: Answers) -> Iterator[Picture]:
+def _sizes(found: CampaignSummary) -> Iterator[Picture]:
     from sims.robustness.figures import size_figure
 
     for a in found.accuracy:
@@ -210,38 +211,39 @@ def _sizes(found: Answers) -> Iterator[Picture]:
         yield _picture(size_figure(a, found.header.estimators, noisy=found.header.noisy), words, f"{words}.{rest}")
 
 
-def _honesty(found: Answers) -> Picture | None:
-    if found.honesty is None or not found.honesty.count.any():
+def _consistency(found: CampaignSummary) -> Picture | None:
+    if found.consistency is None or not found.consistency.parameters["count"].any():
         return None
-    from sims.robustness.figures import honesty_figure
+    from sims.robustness.figures import consistency_figure
 
     words = "Root mean square of error over sigma, by parameter"
-    return _picture(honesty_figure(found.honesty, found.header.estimators), words, f"{words}; 1 is honest.")
+    return _picture(
+        consistency_figure(found.consistency, found.header.estimators), words, f"{words}; 1 if sigmas match the errors."
+    )
 
 
-def _effort(found: Answers) -> Picture:
+def _effort(found: CampaignSummary) -> Picture:
     from sims.robustness.figures import effort_figure
 
-    words = "Play-backs until converged, and CPU time of a calibration"
+    words = "Iterations until converged, and CPU time of a calibration"
     return _picture(effort_figure(found.effort, found.header.estimators), words, f"{words}.")
 
 
-def _failure_tables(found: Answers) -> Iterator[Table]:
-    for k, name in enumerate(found.header.estimators):
-        own = [f for f in found.failures if f.estimator == name]
-        total = int(found.outcomes.judged[k] - found.outcomes.converged[k])
-        if own:
-            yield failure_table(own, f"{name}: {total} failed" + (f", the first {FAILURES}" * (total > FAILURES)))
+def _failure_tables(found: CampaignSummary) -> Iterator[TextTable]:
+    for row in found.outcomes.itertuples():
+        own, total = found.failures[found.failures["estimator"] == row.Index], row.judged - row.converged
+        if len(own):
+            yield failure_table(own, f"{row.Index}: {total} failed" + (f", the first {FAILURES}" * (total > FAILURES)))
 
 
 def _picture(figure: Figure, text: str, caption: str) -> Picture:
-    """Draw to SVG, the same file from the same numbers."""
+    """SVG of a figure; equal numbers give an equal file."""
     import matplotlib as mpl
 
     drawn = io.BytesIO()
-    # Identifiers in the file are random numbers without a salt; the setting is restored at once.
+    # Without a salt the identifiers in the file are random; the setting is restored at once.
     with mpl.rc_context({"svg.hashsalt": "srt"}), warnings.catch_warnings():
-        # A label in a script that the font lacks shows boxes in the figure, and is right in the tables.
+        # Characters that the font lacks show as boxes in the figure and correctly in the tables.
         warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
         figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     svg = drawn.getvalue()
@@ -249,7 +251,7 @@ def _picture(figure: Figure, text: str, caption: str) -> Picture:
     return Picture(f"data:image/svg+xml;base64,{encoded}", text, caption)
 
 
-def _markdown(table: Table) -> str:
+def _markdown(table: TextTable) -> str:
     lines = [f"**{_escaped(table.title)}**", ""]
     lines += [_line(table.head), "|" + "---|" * len(table.head), *(_line(row) for row in table.rows), ""]
     lines += [_escaped(table.note), ""] if table.note else []
@@ -261,7 +263,7 @@ def _line(cells: tuple[str, ...]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Give a text as Markdown shows it unchanged, in one line."""
+    """Text that Markdown shows unchanged, in one line."""
     flat = html.escape(" ".join(text.split()), quote=False)
     # An underscore within a word is harmless, and names have many.
     return re.sub(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])", r"\\\g<0>", flat)

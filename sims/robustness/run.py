@@ -1,11 +1,11 @@
-"""A campaign from its beginning, or from where an earlier run stopped, to its table."""
+"""Run of a campaign, from its start or from the results of an interrupted run, to its table."""
 
 from __future__ import annotations
 
 from functools import partial
 from typing import TYPE_CHECKING
 
-from sims.robustness.store import Store
+from sims.robustness.result_folder import ResultFolder
 from sims.robustness.trial import run_trial
 from srt.comparison.parallel import Engine
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from sims.robustness.config import Campaign
+    from sims.robustness.campaign import Campaign
 
     Progress = Callable[[int, int], None]
 
@@ -28,17 +28,17 @@ def run_campaign(
     fresh: bool = False,
     progress: Progress | None = None,
 ) -> pa.Table:
-    """Run what a folder does not hold yet of a campaign.
+    """Run the trials of a campaign that a folder does not hold yet.
 
     Parameters
     ----------
     campaign : Campaign
     folder : Path
-        Of the results; made if absent.
+        Folder of the results; made if absent.
     engine : Engine, optional
         Default: this process alone. The numbers do not depend on it.
     fresh : bool
-        Throw away what the folder holds.
+        Delete earlier results in the folder.
     progress : callable, optional
         Called with the numbers of finished and of all trials, first before any is run.
 
@@ -54,7 +54,7 @@ def run_campaign(
     DataError
         A worker that died; finished trials are kept.
     """
-    with Store(folder, campaign, fresh=fresh) as store:
+    with ResultFolder(folder, campaign, fresh=fresh) as store:
         # Trials of an earlier, longer run of the same campaign may be there, too.
         finished = sum(number < campaign.trials for _, number in store.done)
         if progress is not None:

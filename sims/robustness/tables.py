@@ -1,52 +1,44 @@
-"""A campaign's answers in words: sentences, and tables of text that every kind of report shows alike."""
+"""Summary of a campaign as text: sentences, and tables that every kind of report shows alike."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sims.robustness.convergence import percent
-from sims.robustness.spread import BAND, share_interval
-from sims.robustness.tidy import CONVERGED, NO_IMU, OUTCOMES
-from srt.sensor_errors import GROUPS, NAMES
+from sims.robustness.error_statistics import BAND, share_interval
+from sims.robustness.trial import OUTCOMES
+from srt.sensor_errors import GROUPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from sims.robustness.answers import Answers, Failure, Outcomes
-    from sims.robustness.convergence import ConvergenceMap, Limit, Reach
-    from sims.robustness.spread import Accuracy
-    from srt.types import Array
+    import pandas as pd
+
+    from sims.robustness.convergence import AxisLimit, ConvergenceMap, ConvergenceRegion
+    from sims.robustness.error_statistics import Accuracy
+    from sims.robustness.summary import CampaignSummary
 
 
-MEANINGS: Final = {
-    "converged": "the estimator says that it converged, and its result is the one that is also reached from the true "
-    "errors",
-    "wrong minimum": "it says that it converged, but to another result",
-    "not converged": "it says itself that it did not converge",
-    "outside model": "it says that its estimate is no longer that of a possible unit",
-    "crashed": "it broke off with an error that is none of the input's: a defect of the estimator",
-    "refused": "it stopped with a sentence that says why",
-    "unverified": "it says that it converged, but a start from the true errors did not, so there is nothing to compare "
-    "with; counted as not converged",
-    "no IMU": "the errors drawn are so large that the unit would not be an IMU; left out of every rate",
+OUTCOME_WORDS: Final = {
+    name: name.replace("_", " ").removesuffix("imu") + "IMU" * (name == "no_imu") for name in OUTCOMES
 }
-"""What the outcomes mean, in the order of :data:`sims.robustness.tidy.OUTCOMES`."""
-OUTCOME_WORDS: Final = dict(zip(OUTCOMES, MEANINGS, strict=True))
-
+"""Outcomes as the reports name them."""
 POINTS: Final = 400
-"""Rows of the table of grid points, at most."""
+"""Largest number of rows of the table of grid points."""
 _NOTHING: Final = "–"
-_FAILING: Final = tuple(k for k in range(len(OUTCOMES)) if k not in (CONVERGED, NO_IMU))
-_OTHER_OUTCOMES: Final = tuple(OUTCOME_WORDS[OUTCOMES[o]] for o in (*_FAILING, NO_IMU))
+_FAILURES: Final = tuple(name for name in OUTCOMES if name not in ("converged", "no_imu"))
+_OTHERS: Final = (*_FAILURES, "no_imu")
+_RATES: Final = ("trials", "converged", "%", "95 % interval", *(OUTCOME_WORDS[name] for name in _OTHERS))
+"""Headings of the cells of :func:`_rates`."""
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """A table of text.
+class TextTable:
+    """Table of text.
 
     Attributes
     ----------
@@ -54,7 +46,7 @@ class Table:
     head : tuple of str
     rows : tuple of tuple of str
     note : str
-        How to read it.
+        Explanation below the table.
     """
 
     title: str
@@ -64,7 +56,7 @@ class Table:
 
 
 def number(value: float) -> str:
-    """Give a number with three digits, "–" if it is none."""
+    """Text of a number with three digits, "–" for NaN."""
     if not math.isfinite(value):
         return _NOTHING
     if abs(value) >= 1000.0:
@@ -72,171 +64,154 @@ def number(value: float) -> str:
     return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0.0 else f"{value:.1e}"
 
 
-def counted(many: int, one: str, several: str | None = None) -> str:
-    """Give a number of things: "1 trial", "3 trials"."""
-    return f"{many} {one if many == 1 else several or one + 's'}"
+def counted(many: int, one: str) -> str:
+    """Text of a number of things: "1 trial", "3 trials"."""
+    return f"{many} {one if many == 1 else one + 's'}"
 
 
-def sentences(found: Answers) -> tuple[str, ...]:
-    """Give the answer in a few sentences: how many units, how many converged, up to where all did, honest or not.
+def sentences(found: CampaignSummary) -> tuple[str, ...]:
+    """Result of a campaign in a few sentences.
 
     Parameters
     ----------
-    found : Answers
+    found : CampaignSummary
     """
-    header, outcomes = found.header, found.outcomes
-    if not outcomes.trials:
+    header = found.header
+    if not found.units:
         return (f"No trial has been run yet, of {header.planned} that are planned.",)
-    part = "" if outcomes.trials >= header.planned else f", of {header.planned} that are planned"
+    part = "" if found.units >= header.planned else f", of {header.planned} that are planned"
     out = [
-        f"{counted(outcomes.trials, 'unit')} with known sensor errors {'was' if outcomes.trials == 1 else 'were'} "
+        f"{counted(found.units, 'unit')} with known sensor errors {'was' if found.units == 1 else 'were'} "
         f"simulated{part}; each was calibrated by {_listed(header.estimators)}, and the result was compared with "
         "the truth."
     ]
-    if outcomes.no_imu:
-        were = "was" if outcomes.no_imu == 1 else "were"
+    if found.impossible:
+        were = "was" if found.impossible == 1 else "were"
         out.append(
-            f"{outcomes.no_imu} of the drawn units {were} no IMU, because the errors were too large for one: "
-            "counted here, and left out of every rate."
+            f"{found.impossible} of the drawn units {were} no IMU, because the errors were too large for one: "
+            "counted here, excluded from every rate."
         )
     else:
-        out.append("All of the drawn units were IMUs, none with errors too large for one.")
-    if outcomes.unverified:
-        out.append("Results were not compared with those that are reached from the truth: a status was believed.")
-    low, high = outcomes.interval
-    for k, name in enumerate(header.estimators):
-        n, right = int(outcomes.judged[k]), int(outcomes.converged[k])
-        if not n:
-            out.append(f"{name}: no trial to judge.")
-            continue
-        failed = [(OUTCOME_WORDS[OUTCOMES[o]], int(outcomes.counts[k, o])) for o in _FAILING]
-        words = ", ".join(f"{count} {word}" for word, count in failed if count)
-        out.append(
-            f"{name}: {right} of {counted(n, 'trial')} converged ({percent(right / n, 1)} %; 95 % interval "
-            f"{100.0 * low[k]:.1f} to {100.0 * high[k]:.1f} %){f'; {words}' if words else ''}."
-        )
-        if any(axis.numeric and len(axis.labels) > 1 for axis in found.axes):
-            out += [_reach_sentence(r) for r in found.reach if r.estimator == name]
-    out += _honesty_sentences(found)
-    return tuple(out)
+        out.append("All drawn units were possible IMUs.")
+    if found.unverified:
+        out.append("Results were not compared with those reached from the truth: the reported status was not verified.")
+    for row in found.outcomes.itertuples():
+        out += _estimator_sentences(found, row)
+    return (*out, *_consistency_sentences(found))
+
+
+def _estimator_sentences(found: CampaignSummary, row: Any) -> Iterator[str]:
+    """Convergence of one estimator, a row of the outcomes."""
+    if not row.judged:
+        yield f"{row.Index}: no trial of a possible IMU."
+        return
+    words = ", ".join(f"{getattr(row, o)} {OUTCOME_WORDS[o]}" for o in _FAILURES if getattr(row, o))
+    yield (
+        f"{row.Index}: {row.converged} of {counted(row.judged, 'trial')} converged "
+        f"({percent(row.converged / row.judged, 1)} %; 95 % interval {100.0 * row.low:.1f} to {100.0 * row.high:.1f} %)"
+        f"{f'; {words}' if words else ''}."
+    )
+    if any(axis.numeric and len(axis.labels) > 1 for axis in found.axes):
+        yield from (_region_sentence(region) for region in found.regions if region.estimator == row.Index)
 
 
 def _listed(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else "no estimator"
 
 
-def _reach_sentence(reach: Reach) -> str:
-    if reach.limits and reach.trials == reach.tried:
-        sizes = _listed([f"{limit.axis} {limit.value:g}" for limit in reach.limits])
-        # One-sided: the upper end of the two-sided interval of 90 %.
-        most = 100.0 * float(share_interval(0, reach.trials, 0.9)[1])
+def _region_sentence(region: ConvergenceRegion) -> str:
+    if not region.limits:
+        return f"{region.estimator} has failures already at the easy end of every axis."
+    if region.trials == region.tried:
+        sizes = _listed([f"{limit.axis} {limit.value:g}" for limit in region.limits])
+        # One-sided 95 %: the upper end of the two-sided interval of 90 %.
+        most = 100.0 * float(share_interval(0, region.trials, 0.9)[1])
         return (
-            f"{reach.estimator} converged in every trial, whatever was varied ({sizes} at most): with 95 % confidence, "
-            f"fewer than {most:.2g} % of such trials fail."
+            f"{region.estimator} converged in every trial ({sizes} at most): with 95 % confidence, fewer than "
+            f"{most:.2g} % of such trials fail."
         )
-    if reach.limits:
-        # Without a confidence: the region was chosen for having no failure.
-        parts = _listed([f"{limit.axis} {_limit(limit)}" for limit in reach.limits])
-        return f"{reach.estimator} converged in all {counted(reach.trials, 'trial')} with {parts}."
-    return f"{reach.estimator} has failures at the easy end of what was varied already."
+    # No confidence is stated: the region was chosen for having no failure.
+    parts = _listed([f"{limit.axis} {_limit(limit)}" for limit in region.limits])
+    return f"{region.estimator} converged in all {counted(region.trials, 'trial')} with {parts}."
 
 
-def _limit(limit: Limit) -> str:
+def _limit(limit: AxisLimit) -> str:
     end = (" (the most tried)" if limit.upward else " (the least tried)") if limit.whole else ""
     return f"up to {limit.value:g}{end}" if limit.upward else f"from {limit.value:g} on{end}"
 
 
-def _some(names: Sequence[str], most: int = 4) -> str:
-    return ", ".join(names[:most]) + (" and others" if len(names) > most else "")
-
-
-def _honesty_sentences(found: Answers) -> Iterator[str]:
-    honest = found.honesty
-    if honest is None:
-        yield "The recordings have no noise: a sigma is then a floor, and nothing can be said of its honesty."
-        return
-    for k, name in enumerate(found.header.estimators):
-        seen = int(np.count_nonzero(honest.count[k]))
-        if not seen:
-            continue
-        wrong = {"too small": honest.too_small[k], "too large": honest.too_large[k]}
-        parts = [
-            f"{word} for {np.count_nonzero(of)} ({_some([NAMES[p] for p in np.flatnonzero(of)])})"
-            for word, of in wrong.items()
-            if of.any()
-        ]
-        if parts:
-            yield f"Sigmas of {name} are {' and '.join(parts)} of {counted(seen, 'parameter')}, beyond chance."
-        elif honest.nees_off[k]:
-            yield f"Sigmas of {name} are honest one by one, but all together (NEES) they are not."
-        else:
-            yield f"Sigmas of {name} are as large as its errors, within chance, for {counted(seen, 'parameter')}."
-
-
-def outcome_table(found: Answers) -> Table:
-    """What became of the trials, by estimator."""
-    outcomes = found.outcomes
-    low, high = outcomes.interval
-    rows = [
-        (
-            name,
-            str(outcomes.judged[k]),
-            *_share(int(outcomes.converged[k]), int(outcomes.judged[k]), float(low[k]), float(high[k])),
-            *(str(outcomes.counts[k, o]) for o in (*_FAILING, NO_IMU)),
+def _consistency_sentences(found: CampaignSummary) -> Iterator[str]:
+    if found.consistency is None:
+        yield (
+            "The recordings have no noise: the sigmas are floors, and their consistency with the errors cannot be "
+            "tested."
         )
-        for k, name in enumerate(found.header.estimators)
-    ]
-    head = ("estimator", "trials", "converged", "%", "95 % interval", *_OTHER_OUTCOMES)
-    return Table("Outcomes", head, tuple(rows), "Trials that are no IMU are left out of the trials and of the rates.")
+        return
+    for name in found.header.estimators:
+        own = found.consistency.parameters.loc[name]
+        seen = counted(int((own["count"] > 0).sum()), "parameter")
+        names = {word: list(own.index[own[f"too_{word}"]]) for word in ("small", "large")}
+        parts = [
+            f"too {word} for {len(of)} ({', '.join(of[:4])}{' and others' if len(of) > 4 else ''})"
+            for word, of in names.items()
+            if of
+        ]
+        if not (own["count"] > 0).any():
+            continue
+        if parts:
+            yield f"Sigmas of {name} are {' and '.join(parts)} of {seen} (p < 0.01 for all tests together)."
+        elif found.consistency.nees.loc[name, "inconsistent"]:
+            yield f"Sigmas of {name} match its errors one by one, but not together (NEES)."
+        else:
+            yield f"Sigmas of {name} match its errors for {seen}."
 
 
-def _share(right: int, trials: int, low: float, high: float) -> tuple[str, str, str]:
-    if not trials:
-        return str(right), _NOTHING, _NOTHING
-    return str(right), percent(right / trials, 1), f"{100.0 * low:.1f} to {100.0 * high:.1f}"
+def _rates(row: Any) -> tuple[str, ...]:
+    """Cells of a row of outcomes: judged trials, share that converged with its interval, and other outcomes."""
+    share = (_NOTHING, _NOTHING)
+    if row.judged:
+        share = (percent(row.converged / row.judged, 1), f"{100.0 * row.low:.1f} to {100.0 * row.high:.1f}")
+    return (str(row.judged), str(row.converged), *share, *(str(getattr(row, name)) for name in _OTHERS))
 
 
-def reach_table(found: Answers) -> Table:
-    """How far everything converged, by estimator."""
-    axes = tuple(dict.fromkeys(limit.axis for r in found.reach for limit in r.limits))
+def outcome_table(found: CampaignSummary) -> TextTable:
+    """Outcomes of the trials by estimator."""
+    rows = tuple((row.Index, *_rates(row)) for row in found.outcomes.itertuples())
+    note = "Trials that are no IMU are excluded from the trials and the rates."
+    return TextTable("Outcomes", ("estimator", *_RATES), rows, note)
+
+
+def region_table(found: CampaignSummary) -> TextTable:
+    """Region without a failure by estimator."""
+    axes = tuple(dict.fromkeys(limit.axis for region in found.regions for limit in region.limits))
     rows = []
-    for r in found.reach:
-        limits = {limit.axis: _limit(limit) for limit in r.limits}
-        rows.append((r.estimator, *(limits.get(axis, _NOTHING) for axis in axes), str(r.trials), str(r.tried)))
-    note = "The largest region without a failure that begins at the easy end of every axis. A dash: there is none."
+    for region in found.regions:
+        limits = {limit.axis: _limit(limit) for limit in region.limits}
+        cells = (limits.get(axis, _NOTHING) for axis in axes)
+        rows.append((region.estimator, *cells, str(region.trials), str(region.tried)))
+    note = "The largest region without a failure that begins at the easy end of every axis. A dash: no such region."
     head = ("estimator", *axes, "trials there", "of")
-    return Table("Where every trial converged", head, tuple(rows) if axes else (), note)
+    return TextTable("Where every trial converged", head, tuple(rows) if axes else (), note)
 
 
-def point_table(found: Answers) -> Table:
-    """Outcomes at every point of the grid; of more than a few hundred, those with a failure."""
-    outcomes = found.outcomes
-    head = ("point", *found.header.grid, "estimator", "trials", "converged", "%", "95 % interval", *_OTHER_OUTCOMES)
-    total = outcomes.of_point[..., 0].size
-    failed = outcomes.of_point[..., list(_FAILING)].sum(axis=2) > 0
-    shown = np.argwhere(failed.T) if total > POINTS else np.argwhere(np.ones_like(failed).T)
-    note = ""
-    if total > POINTS:
-        note = f"Of {total} rows, {len(shown)} have a failure; the first {min(len(shown), POINTS)} of these are shown."
-    rows = tuple(_point_row(found, outcomes, point, k) for point, k in shown[:POINTS].tolist())
-    return Table("Outcomes at every point of the grid", head, rows, note)
-
-
-def _point_row(found: Answers, outcomes: Outcomes, point: int, k: int) -> tuple[str, ...]:
-    counts = outcomes.of_point[k, point]
-    trials, right = int(counts.sum() - counts[NO_IMU]), int(counts[CONVERGED])
-    low, high = share_interval(right, trials)
-    return (
-        str(outcomes.points[point]),
-        *(outcomes.settings[point][name] for name in found.header.grid),
-        found.header.estimators[k],
-        str(trials),
-        *_share(right, trials, float(low), float(high)),
-        *(str(counts[o]) for o in (*_FAILING, NO_IMU)),
+def point_table(found: CampaignSummary) -> TextTable:
+    """Outcomes at every point of the grid; with more than a few hundred rows, only those with a failure."""
+    shown, note = found.points, ""
+    if len(found.points) > POINTS:
+        shown = found.points[found.points[list(_FAILURES)].sum(axis=1) > 0]
+        note = (
+            f"Of {len(found.points)} rows, {len(shown)} have a failure; the first {min(len(shown), POINTS)} of these "
+            "are shown."
+        )
+    rows = tuple(
+        (str(row.Index[0]), *found.settings.loc[row.Index[0]], row.Index[1], *_rates(row))
+        for row in shown[:POINTS].itertuples()
     )
+    head = ("point", *found.header.grid, "estimator", *_RATES)
+    return TextTable("Outcomes at every point of the grid", head, rows, note)
 
 
-def map_tables(found: ConvergenceMap, estimators: Sequence[str]) -> tuple[Table, ...]:
+def map_tables(found: ConvergenceMap, estimators: Sequence[str]) -> tuple[TextTable, ...]:
     """Share that converged over two axes in percent, one table per estimator; the largest value of ``up`` on top."""
     if found.across is None:
         return ()
@@ -244,7 +219,7 @@ def map_tables(found: ConvergenceMap, estimators: Sequence[str]) -> tuple[Table,
     corner = found.across.name if found.up is None else f"{found.up.name} ↓  {found.across.name} →"
     share = found.share
     return tuple(
-        Table(
+        TextTable(
             f"Converged, %: {name}",
             (corner, *found.across.labels),
             tuple(
@@ -258,96 +233,86 @@ def map_tables(found: ConvergenceMap, estimators: Sequence[str]) -> tuple[Table,
 
 
 def averaged(found: ConvergenceMap) -> str:
-    """Say what a map averages over."""
+    """Sentence on the axes that a map averages over."""
     return f"Averaged over {_listed(found.averaged)}." if found.averaged else ""
 
 
-def accuracy_tables(found: Accuracy, estimators: Sequence[str], *, noisy: bool) -> tuple[Table, ...]:
-    """Errors of converged trials by level and group: in units, and in sigmas where these mean anything."""
+def accuracy_tables(found: Accuracy, estimators: Sequence[str], *, noisy: bool) -> tuple[TextTable, ...]:
+    """Errors of converged trials by level and group: in units, and in sigmas if the recordings have noise."""
     head = ("all trials" if found.axis is None else found.axis.name, "estimator", "trials")
     where = "" if found.axis is None else f" against {found.axis.name}"
     labels = ("",) if found.axis is None else found.axis.labels
-    cells = [(level, k) for level in range(len(labels)) for k in range(len(estimators)) if found.count[k, level].any()]
-    suffixes = np.array([len(group.suffixes) for group in GROUPS])
+    count = found.array("count")
+    # A trial adds fewer errors to a group that is fixed in part: the group estimated most often counts the trials.
+    trials = np.max(-(-count // np.array([len(group.suffixes) for group in GROUPS])), axis=2)
 
-    def rows(rms: Array, largest: Array) -> tuple[tuple[str, ...], ...]:
-        return tuple(
-            (
-                labels[level],
-                estimators[k],
-                # Of a group that is held in part, a trial adds fewer errors: the group seen most often counts them.
-                str(int(np.max(-(-found.count[k, level] // suffixes)))),
-                *(
-                    f"{number(a)} ({number(b)})" if math.isfinite(a) else _NOTHING
-                    for a, b in zip(rms[k, level].tolist(), largest[k, level].tolist(), strict=True)
-                ),
-            )
-            for level, k in cells
+    def table(title: str, heads: Sequence[str], rms: str, largest: str) -> TextTable:
+        pairs = np.stack([found.array(rms), found.array(largest)], axis=-1)
+        rows = tuple(
+            (labels[level], estimators[k], str(int(trials[k, level])), *map(_pair, pairs[k, level].tolist()))
+            for level in range(len(labels))
+            for k in range(len(estimators))
+            if trials[k, level]
         )
+        note = "Converged trials: root mean square, and the largest in brackets."
+        return TextTable(f"{title}{where}", (*head, *heads), rows, note)
 
     names = [group.name.replace("_", " ") for group in GROUPS]
-    units = tuple(f"{name}, {group.display_unit}" for name, group in zip(names, GROUPS, strict=True))
-    note = "Of converged trials: root mean square, and in brackets the largest."
-    out = [Table(f"Error{where}", (*head, *units), rows(found.rms, found.largest), note)]
-    if noisy:
-        scaled = rows(found.rms_in_sigma, found.largest_in_sigma)
-        out.append(Table(f"Error in sigmas{where}", (*head, *names), scaled, note))
-    return tuple(out)
+    units = [f"{name}, {group.display_unit}" for name, group in zip(names, GROUPS, strict=True)]
+    out = (table("Error", units, "rms", "largest"),)
+    return (*out, table("Error in sigmas", names, "rms_in_sigma", "largest_in_sigma")) if noisy else out
 
 
-def honesty_tables(found: Answers) -> tuple[Table, ...]:
-    """How honest the sigmas are: all parameters together, then one by one; nothing without noise."""
-    honest = found.honesty
-    if honest is None:
+def _pair(values: Sequence[float]) -> str:
+    """Cell of an rms and the largest error."""
+    return f"{number(values[0])} ({number(values[1])})" if math.isfinite(values[0]) else _NOTHING
+
+
+def consistency_tables(found: CampaignSummary) -> tuple[TextTable, ...]:
+    """Consistency of the sigmas: all parameters together, then one by one; no table without noise."""
+    if found.consistency is None:
         return ()
-    together = tuple(
-        (
-            name,
-            str(honest.units[k]),
-            number(float(honest.nees[k])),
-            f"{number(float(honest.nees_low[k]))} to {number(float(honest.nees_high[k]))}",
-            str(int(honest.too_small[k].sum())),
-            str(int(honest.too_large[k].sum())),
-        )
-        for k, name in enumerate(found.header.estimators)
-    )
-    head = ("estimator", "trials", "NEES / its mean if honest", "limits", "sigmas too small", "sigmas too large")
-    note = "Limits that all values of all tables keep together in 99 of 100 campaigns, if the sigmas are honest."
+    parameters = found.consistency.parameters
+    together = []
+    for row in found.consistency.nees.itertuples():
+        wrong = (str(int(parameters.loc[row.Index, f"too_{word}"].sum())) for word in ("small", "large"))
+        limits = f"{number(row.low)} to {number(row.high)}"
+        together.append((row.Index, str(row.units), number(row.nees), limits, *wrong))
     single = tuple(
         (
-            name,
-            parameter,
-            str(honest.count[k, p]),
-            f"{honest.rms[k, p]:.3f}",
-            f"{BAND:g}/√(2n) = {honest.half_width[k, p]:.3f}",
-            f"{honest.low[k, p]:.3f} to {honest.high[k, p]:.3f}",
-            percent(float(honest.coverage[k, p]), 1),
-            f"{100.0 * honest.coverage_low[k, p]:.1f} to {100.0 * honest.coverage_high[k, p]:.1f}",
-            "too small" if honest.too_small[k, p] else "too large" if honest.too_large[k, p] else "",
+            *row.Index,
+            str(row.trials),
+            f"{row.rms:.3f}",
+            f"{BAND:g}/√(2n) = {row.half_width:.3f}",
+            f"{row.low:.3f} to {row.high:.3f}",
+            percent(row.coverage, 1),
+            f"{100.0 * row.coverage_low:.1f} to {100.0 * row.coverage_high:.1f}",
+            "too small" if row.too_small else "too large" if row.too_large else "",
         )
-        for k, name in enumerate(found.header.estimators)
-        for p, parameter in enumerate(NAMES)
-        if honest.count[k, p]
+        for row in parameters.rename(columns={"count": "trials"})[parameters["count"] > 0].itertuples()
     )
+    head = ("estimator", "trials", "NEES / degrees of freedom", "limits", "sigmas too small", "sigmas too large")
+    note = "Limits that all values of both tables keep together in 99 of 100 campaigns, if the sigmas match the errors."
     alone = ("estimator", "parameter", "trials", "rms of error / sigma", "band about 1", "limits")
     columns = (*alone, "within 95 %, %", "95 % interval", "sigma")
-    return (Table("Sigmas, all together", head, together, note), Table("Sigmas, one by one", columns, single, note))
-
-
-def effort_table(found: Answers) -> Table:
-    """Play-backs and CPU time, by estimator."""
-    effort = found.effort
-    rows = tuple(
-        (name, *(number(float(v[k])) for v in (effort.median, effort.most, effort.seconds, effort.seconds_95)))
-        for k, name in enumerate(found.header.estimators)
+    return (
+        TextTable("Sigmas, all together", head, tuple(together), note),
+        TextTable("Sigmas, one by one", columns, single, note),
     )
-    head = ("estimator", "play-backs, median", "most", "CPU s, median", "95 % stay below")
-    note = f"A unit is simulated in {number(effort.simulate_s)} s (median); all took {number(effort.total_s)} CPU s."
-    return Table("Play-backs and time", head, rows, note)
 
 
-def failure_table(failures: Iterable[Failure], title: str) -> Table:
-    """Trials that failed, with the command that repeats each."""
+def effort_table(found: CampaignSummary) -> TextTable:
+    """Iterations and CPU time by estimator."""
+    effort = found.effort
+    rows = tuple((row[0], *map(number, row[1:])) for row in effort.table.itertuples())
+    head = ("estimator", "iterations, median", "most", "CPU s, median", "CPU s, 95 %")
+    simulation, campaign = number(effort.simulate_s), number(effort.total_s)
+    note = f"Simulation of a unit: {simulation} CPU s (median). Whole campaign: {campaign} CPU s."
+    return TextTable("Iterations and time", head, rows, note)
+
+
+def failure_table(failures: pd.DataFrame, title: str) -> TextTable:
+    """Failed trials, with the command that repeats each."""
     rows = tuple(
         (
             f"{f.point}:{f.replicate}",
@@ -357,14 +322,14 @@ def failure_table(failures: Iterable[Failure], title: str) -> Table:
             f.message or (f"{number(f.distance)} tolerances away" if math.isfinite(f.distance) else _NOTHING),
             f.replay,
         )
-        for f in failures
+        for f in failures.itertuples()
     )
-    return Table(title, ("trial", "seed", "settings", "outcome", "message", "repeat it"), rows)
+    return TextTable(title, ("trial", "seed", "settings", "outcome", "message", "repeat it"), rows)
 
 
-def varied_table(found: Answers) -> Table:
-    """What the campaign varies."""
-    from sims.robustness.config import AXES
+def varied_table(found: CampaignSummary) -> TextTable:
+    """Axes of the campaign, their meaning and values."""
+    from sims.robustness.campaign import AXES
 
     def meaning(name: str) -> str:
         return AXES[name].text if name in AXES else "key of the scenario"
@@ -373,4 +338,4 @@ def varied_table(found: Answers) -> Table:
     labels = {axis.name: axis.labels for axis in found.axes}
     rows = [(name, meaning(name), "each of " + ", ".join(labels[name])) for name in header.grid]
     rows += [(name, meaning(name), f"drawn by every trial: {text}") for name, text in header.random.items()]
-    return Table("What was varied", ("axis", "meaning", "values"), tuple(rows))
+    return TextTable("Axes of the campaign", ("axis", "meaning", "values"), tuple(rows))

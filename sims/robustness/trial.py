@@ -1,4 +1,4 @@
-"""One trial of a campaign: simulate a unit, calibrate it with every estimator, and score what comes out."""
+"""One trial of a campaign: simulate a unit, calibrate it with every estimator, and compare with the truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from srt.exceptions import SrtError
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from sims.robustness.config import Campaign, EstimatorChoice
+    from sims.robustness.campaign import Campaign, EstimatorChoice
     from sims.scenarios.simulation import Simulation
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
@@ -24,22 +24,24 @@ if TYPE_CHECKING:
     Row = dict[str, Any]
 
 OUTCOMES: Final = {
-    "converged": "says so, and it is the fixed point that an iteration from the true errors reaches",
-    "wrong_minimum": "says converged, at another place",
-    "not_converged": "says that it did not",
-    "outside_model": "says that the errors are those of no unit it can describe",
-    "crashed": "raised an error that is none of the input's: a defect of the estimator, and a failure of the trial",
-    "refused": "raised an error, in one sentence",
-    "unverified": "says converged; from the true errors the iteration did not, so there is nothing to compare with",
-    "no_imu": "the drawn errors are those of no IMU: not tried, and left out of every rate",
+    "converged": "the estimator reports convergence, and its result equals the one reached from the true errors",
+    "wrong_minimum": "the estimator reports convergence, but to another result",
+    "not_converged": "the estimator reports that it did not converge",
+    "outside_model": "the estimator reports that its estimate is no possible unit",
+    "crashed": "the estimator raised an unexpected error: a defect of the estimator",
+    "refused": "the estimator stopped with an error message on the input",
+    "unverified": "the estimator reports convergence, but the start from the true errors did not converge: there is no "
+    "reference result; counted as not converged",
+    "no_imu": "the drawn errors are too large for a possible IMU; excluded from every rate",
 }
-"""What can become of a trial, in the words of the results."""
+"""Outcomes of a trial and their meaning; the last one is excluded from every rate."""
 
 _SUCCESS: Final = ("converged", "partial")
 _EXACT: Final = np.full(N_PARAMETERS, 1e-8)
 _EXACT[GROUP_SLICES["accel_bias"]] *= STANDARD_GRAVITY_M_S2
-"""Largest distance of one fixed point from itself where sigmas are smaller than rounding (accelerometer bias in g)."""
+"""Tolerance of equal results where sigmas are below rounding: 1e-8, for accelerometer bias 1e-8 g."""
 _DISTANCE_SIGMAS: Final = 0.01
+"""Tolerance of equal results, sigma."""
 
 
 def run_trial(campaign: Campaign, task: tuple[int, int]) -> list[Row]:
@@ -54,9 +56,9 @@ def run_trial(campaign: Campaign, task: tuple[int, int]) -> list[Row]:
     Returns
     -------
     list of dict
-        One row for each estimator: the columns of :mod:`sims.robustness.store`.
+        One row for each estimator: the columns of :mod:`sims.robustness.result_folder`.
     """
-    # Numbers that overflow far from a solution are part of what is tried: the outcome tells.
+    # Overflow far from a solution is expected: the outcome of the trial records the failure.
     with np.errstate(all="ignore"):
         return _run(campaign, *task)
 
@@ -74,14 +76,14 @@ def _run(campaign: Campaign, point: int, number: int) -> list[Row]:
 
 
 def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool) -> Row:
-    """Calibrate with one estimator, and compare with the truth and with the fixed point reached from it.
+    """Calibrate with one estimator; compare with the truth and with the fixed point reached from the truth.
 
     Parameters
     ----------
     simulation : Simulation
     choice : EstimatorChoice
     fixed_point : bool
-        Whether to look for the fixed point; without, what says that it converged is believed.
+        True: compute the fixed point. False: the reported status is not verified.
 
     Returns
     -------
@@ -96,7 +98,7 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
         found = srt.calibrate(simulation.recording, choice.name, options=options, checks=False)
     except SrtError as error:
         return _without_result(choice, "refused", str(error), began)
-    except Exception as error:  # a defect: one trial shows it, and the others go on
+    except Exception as error:  # a defect is an outcome: the other trials continue
         return _without_result(choice, "crashed", f"{type(error).__name__}: {error}", began)
     row: Row = {
         "estimator": choice.label,
@@ -113,7 +115,7 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
             return row
         try:
             reference = srt.calibrate(simulation.recording, choice.name, options=at_truth, checks=False)
-        except Exception as error:  # whatever it was, there is nothing to compare with
+        except Exception as error:  # any failure leaves no reference result
             row["message"] = f"{found.message} From the true errors: {error}"
             reference = None
         if reference is None or reference.status not in _SUCCESS:
@@ -130,7 +132,7 @@ def _without_result(choice: EstimatorChoice, outcome: str, message: str, began: 
 
 
 def errors_of(found: Calibration, truth: SensorErrors) -> Row:
-    """Errors, sigmas and their normalised squares, of the observed parameters; NaN for the others."""
+    """Errors, sigmas and NEES of the observed parameters; NaN for the others."""
     seen = found.observed
     difference = np.where(seen, found.errors.vector - truth.vector, np.nan)
     sigma = np.where(seen, found.sigma, np.nan)
@@ -146,7 +148,7 @@ def errors_of(found: Calibration, truth: SensorErrors) -> Row:
 
 
 def distance(found: Calibration, reference: Calibration) -> float:
-    """Largest difference of two results over 1e-8 or 0.01 sigma, whichever is larger, of what both observe."""
+    """Largest difference of two results over their tolerance, max(1e-8, 0.01 sigma), of the parameters both observe."""
     seen = found.observed & reference.observed
     if not seen.any():
         return 0.0

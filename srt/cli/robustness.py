@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import sys
-import time
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
-from srt.cli.output import check_directory, check_file, say
+from srt.cli.messages import say, show
+from srt.cli.output_paths import check_directory, check_file
+from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from sims.robustness.campaign import Campaign
+    from sims.robustness.trial_table import Header
 
-    from sims.robustness.config import Campaign
-    from sims.robustness.tidy import Header
-
-_LINE_EVERY_S: Final = 30.0
-"""Between lines of progress where there is no terminal."""
 _ALWAYS: Final = ("trials", "converged")
 """Columns of the table that are shown even if they are zero."""
 
@@ -70,7 +65,7 @@ def robustness(
 
     Exit codes: 0 the campaign ran, whatever became of its trials; 1 a worker died; 2 wrong usage or unreadable input.
     """
-    from sims.robustness.config import load_campaign
+    from sims.robustness.campaign import load_campaign
 
     campaign = load_campaign(config)
     if replay is not None:
@@ -86,7 +81,7 @@ def robustness(
     from srt.comparison.parallel import Engine
     from srt.recording.atomic_file import atomic_write_text
 
-    with campaign_progress(campaign.name, quiet=quiet) as progress:
+    with count_progress(campaign.name, quiet=quiet) as progress:
         try:
             table = run_campaign(campaign, folder, engine=Engine(workers, scheduler), fresh=fresh, progress=progress)
         except KeyboardInterrupt:
@@ -97,9 +92,9 @@ def robustness(
     if markdown is not None:
         atomic_write_text(markdown, markdown_tables(table, header))
     if not quiet:
-        click.echo(rendered(_narrow(text_summary(table, header))))
-        click.echo("\n".join(short_answer(table, header)))
-        click.echo(f"\nWritten: {folder / 'report.html'}, {folder / 'results.parquet'}")
+        show(rendered(_narrow(text_summary(table, header))))
+        show("\n".join(short_answer(table, header)))
+        show(f"\nWritten: {folder / 'report.html'}, {folder / 'results.parquet'}")
     return 0
 
 
@@ -112,7 +107,7 @@ def header_of(campaign: Campaign, config: str) -> Header:
     config : str
         As it was named on the command line.
     """
-    from sims.robustness.tidy import Header
+    from sims.robustness.trial_table import Header
 
     return Header(
         name=campaign.name,
@@ -148,23 +143,23 @@ def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -
     from sims.robustness.trial import run_trial
 
     scenario, values = campaign.unit(*task)
-    click.echo("\n".join(f"{key} = {value}" for key, value in values.items()))
+    show("\n".join(f"{key} = {value}" for key, value in values.items()))
     if output is not None:
         from sims import simulate
         from srt.cli.simulate import check_target, write_simulation
 
         check_target(output, overwrite=False)
         write_simulation(simulate(scenario), output, samples_format=scenario.recording.format, overwrite=False)
-        click.echo(f"Written: {output}; 'srt calibrate {output} --truth {output / 'truth.json'}' tries it again.")
+        show(f"Written: {output}; 'srt calibrate {output} --truth {output / 'truth.json'}' tries it again.")
     rows = [("estimator", "outcome", "play-backs", "largest error / sigma", "message")]
     for row in run_trial(campaign, task):
         largest = row.get("largest")
         shown = "" if largest is None else f"{largest:.3g}"
         rows.append((row["estimator"], row["outcome"], str(row.get("playbacks", "")), shown, row.get("message", "")))
-    click.echo(rendered([row[:-1] for row in rows]))
+    show(rendered([row[:-1] for row in rows]))
     for label, *_, message in rows[1:]:
         if message:
-            click.echo(f"{label}: {message}")
+            show(f"{label}: {message}")
     return 0
 
 
@@ -184,42 +179,3 @@ def rendered(rows: list[tuple[str, ...]]) -> str:
 
     heads = [head.replace(" ", "\n") for head in rows[0]]
     return text_table(heads, rows[1:], "l" + "r" * (len(heads) - 1))
-
-
-@contextmanager
-def campaign_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Lend a function that takes the numbers of finished and of all trials: a bar, or a line now and then."""
-    if quiet:
-        yield None
-        return
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns: tuple[Any, ...] = (
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task(name, total=None)
-            yield lambda done, size: bar.update(task, completed=done, total=size)
-        return
-    began = said = time.monotonic()
-    first: int | None = None
-
-    def line(done: int, size: int) -> None:
-        nonlocal said, first
-        now = time.monotonic()
-        if first is None:
-            first = done
-            click.echo(
-                f"{name}: {done} of {size} trials are there already" if done else f"{name}: {size} trials", err=True
-            )
-        elif done == size or now - said > _LINE_EVERY_S:
-            said = now
-            left = (now - began) / (done - first) * (size - done)
-            click.echo(f"{name}: {done} of {size} trials, {left:.0f} s left", err=True)
-
-    yield line

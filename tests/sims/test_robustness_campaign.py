@@ -14,9 +14,9 @@ import pytest
 import srt
 from sims.physics.imu import accel_matrix, gyro_matrix, is_imu
 from sims.physics.sequences import TABLE_1
-from sims.robustness.config import AXES, load_campaign
+from sims.robustness.campaign import AXES, load_campaign
+from sims.robustness.result_folder import ResultFolder, schema
 from sims.robustness.run import run_campaign
-from sims.robustness.store import Store, schema
 from sims.robustness.trial import OUTCOMES, run_trial
 from sims.scenarios.scenario import load_scenario
 from sims.scenarios.simulation import simulate
@@ -255,7 +255,7 @@ def test_a_campaign_that_was_killed_goes_on(small, tmp_path):
     assert 3 <= finished < 40
     with journal.open("ab") as file:
         file.write(b'[{"point": 1, "repl')  # as a line that was being written
-    with Store(folder, campaign) as store:
+    with ResultFolder(folder, campaign) as store:
         assert len(store.done) == finished
     again = []
     table = run_campaign(campaign, folder, progress=lambda done, size: again.append((done, size)))
@@ -266,13 +266,13 @@ def test_a_campaign_that_was_killed_goes_on(small, tmp_path):
 def test_a_journal_that_became_a_part_counts_once(small, tmp_path):
     campaign = small()
     rows = run_trial(campaign, (0, 0))
-    with Store(tmp_path / "a", campaign) as store:
+    with ResultFolder(tmp_path / "a", campaign) as store:
         store.add(rows)
     kept = (tmp_path / "a" / "journal.jsonl").read_bytes()
-    with Store(tmp_path / "a", campaign):
+    with ResultFolder(tmp_path / "a", campaign):
         pass  # the journal is a part now
     (tmp_path / "a" / "journal.jsonl").write_bytes(kept)  # killed between the two steps
-    with Store(tmp_path / "a", campaign) as store:
+    with ResultFolder(tmp_path / "a", campaign) as store:
         assert store.table().num_rows == 1
 
 
@@ -287,10 +287,10 @@ def test_results_of_another_campaign_are_not_mixed(small, tmp_path):
 
 def test_two_runs_do_not_write_to_one_folder(small, tmp_path):
     with (
-        Store(tmp_path / "a", small()),
+        ResultFolder(tmp_path / "a", small()),
         pytest.raises(InputError, match="Another run is writing"),
     ):
-        Store(tmp_path / "a", small())
+        ResultFolder(tmp_path / "a", small())
 
 
 def test_a_broken_part_is_named(small, tmp_path):

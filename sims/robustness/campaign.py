@@ -1,16 +1,16 @@
-"""Campaigns: which units to simulate and which estimators to try on them, as TOML checked before anything runs.
+"""Campaign files: units to simulate and estimators to run on them, as TOML, checked before anything runs.
 
 Tables of a campaign::
 
     [campaign]   name, description, seed, trials (of every point of the grid), fixed_point
-    [scenario]   as for ``srt simulate``; from = "name" takes one of the library and lays these keys over it
+    [scenario]   as for ``srt simulate``; from = "name" takes one of the library, with these keys laid over it
     [grid]       key = [values]: every combination of the lists is a point
     [random]     key = {low, high, log} or {choices}: drawn anew for every trial
     [[estimator]]  name, label, start, and any other option of an estimator
 
-A key is one of :data:`AXES`, which say in one number what takes several in a scenario, or a scenario's own key with
-dots, as ``schedule.dwell_s``. A unit and its recording depend on the seed, the point and the number of the trial alone:
-every estimator gets the same recording, and one trial can be repeated without the others.
+A key is one of :data:`AXES`, each of which sets several keys of a scenario by one number, or a dotted key of the
+scenario, as ``schedule.dwell_s``. A unit and its recording depend only on the seed, the point and the number of the
+trial: every estimator gets the same recording, and one trial can be repeated without the others.
 """
 
 from __future__ import annotations
@@ -40,23 +40,24 @@ if TYPE_CHECKING:
 
 Value = float | int | str | bool
 STARTS: Final = ("truth", "unguided")
-"""Starts that only a campaign has: at the true errors, and at none without the stages of the estimators' own "zero"."""
+"""Starts for campaigns only: at the true errors, and at zero without the stages of the option "zero"."""
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
-    """What a campaign may vary by one number or word.
+class AxisDefinition:
+    """Quantity that a campaign may vary, stated as one number or word.
 
     Attributes
     ----------
     keys : tuple of str
-        Keys of a scenario that it sets.
+        Keys of the scenario that it sets.
     factor : float
-        From the axis to the scenario's unit; an error with uniform distribution is within ± the axis' value, one with
-        normal distribution has it as sigma.
+        Conversion from the unit of the axis to that of the scenario. For sensor errors the value is the half width of a
+        uniform distribution or the sigma of a normal one.
     error : bool
-        Whether it is a size of sensor errors.
+        True for a size of sensor errors.
     text : str
+        Description.
     kind : type
         float, int or str.
     """
@@ -68,21 +69,23 @@ class Axis:
     kind: type = float
 
 
-AXES: Final[Mapping[str, Axis]] = {
-    "scale_percent": Axis(("imu.errors.gyro_scale_ppm", "imu.errors.accel_scale_ppm"), 1e4, "scale factors", True),
-    "misalignment_mrad": Axis(
+AXES: Final[Mapping[str, AxisDefinition]] = {
+    "scale_percent": AxisDefinition(
+        ("imu.errors.gyro_scale_ppm", "imu.errors.accel_scale_ppm"), 1e4, "scale factors", True
+    ),
+    "misalignment_mrad": AxisDefinition(
         ("imu.errors.gyro_orthogonality_urad", "imu.errors.accel_misalignment_urad"),
         1e3,
         "angles between gyros, and of accelerometers to the body axes",
         True,
     ),
-    "asymmetry_ppm": Axis(
+    "asymmetry_ppm": AxisDefinition(
         ("imu.errors.gyro_asymmetry_ppm", "imu.errors.accel_asymmetry_ppm"), 1.0, "scale-factor asymmetries", True
     ),
-    "gyro_asymmetry_ppm": Axis(("imu.errors.gyro_asymmetry_ppm",), 1.0, "of the gyros alone", True),
-    "accel_bias_mg": Axis(("imu.errors.accel_bias_ug",), 1e3, "accelerometer biases", True),
-    "gyro_bias_deg_s": Axis(("imu.errors.gyro_bias_deg_per_h",), 3600.0, "gyro biases", True),
-    "fixture_mrad": Axis(
+    "gyro_asymmetry_ppm": AxisDefinition(("imu.errors.gyro_asymmetry_ppm",), 1.0, "of the gyros alone", True),
+    "accel_bias_mg": AxisDefinition(("imu.errors.accel_bias_ug",), 1e3, "accelerometer biases", True),
+    "gyro_bias_deg_s": AxisDefinition(("imu.errors.gyro_bias_deg_per_h",), 3600.0, "gyro biases", True),
+    "fixture_mrad": AxisDefinition(
         (
             "fixture.level_sigma_mrad",
             "fixture.north_sigma_mrad",
@@ -95,9 +98,9 @@ AXES: Final[Mapping[str, Axis]] = {
         1.0,
         "levelling, north, mounting, axes and rotations of the fixture, true and stated",
     ),
-    "grade": Axis(("imu",), 1.0, "grade of the unit: a name of configs/imu", kind=str),
-    "missing_sequences": Axis((), 1.0, "sequences left out, chosen at random", kind=int),
-    "repeated_sequences": Axis((), 1.0, "sequences run twice, chosen at random", kind=int),
+    "grade": AxisDefinition(("imu",), 1.0, "grade of the unit: a name of configs/imu", kind=str),
+    "missing_sequences": AxisDefinition((), 1.0, "sequences left out, chosen at random", kind=int),
+    "repeated_sequences": AxisDefinition((), 1.0, "sequences run twice, chosen at random", kind=int),
 }
 
 
@@ -106,15 +109,15 @@ class _Table(BaseModel):
 
 
 class CampaignTable(_Table):
-    """What the campaign is."""
+    """Table [campaign]."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     description: str = ""
     seed: Annotated[int, Field(strict=True, ge=0)]
     trials: Annotated[int, Field(strict=True, ge=1)]
-    """Of every point of the grid."""
+    """Trials of every point of the grid."""
     fixed_point: Flag = True
-    """Iterate from the true errors, too, which tells a wrong minimum; without it a status is believed."""
+    """Iterate from the true errors too, which detects wrong minima; without it the status is not verified."""
 
 
 class RandomTable(_Table):
@@ -123,11 +126,11 @@ class RandomTable(_Table):
     low: Finite | None = None
     high: Finite | None = None
     log: Flag = False
-    """Whether its logarithm is even between the bounds."""
+    """True: the logarithm is uniform between the bounds."""
     choices: Annotated[tuple[Value, ...], Field(min_length=1)] | None = None
 
     def model_post_init(self, _context: object) -> None:
-        """Refuse what is neither bounds nor choices."""
+        """Refuse a table without exactly one of bounds and choices."""
         bounds = self.low is not None and self.high is not None
         if bounds == (self.choices is not None) or (self.low is None) != (self.high is None):
             raise ValueError("give either low and high, or choices")
@@ -163,17 +166,17 @@ class _Campaign(_Table):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorChoice:
-    """One way to calibrate a recording.
+    """Estimator and its options.
 
     Attributes
     ----------
     label : str
-        Names it in the results.
+        Name in the results.
     name : str
-        Of the registry, or "auto".
+        Name in the registry, or "auto".
     options : Options
     from_truth : bool
-        Start at the true errors: a campaign's own "start".
+        True: start at the true errors.
     """
 
     label: str
@@ -192,12 +195,12 @@ class Campaign:
     seed, trials : int
     fixed_point : bool
     scenario : dict
-        Tables of the scenario that every trial starts from, ``from`` resolved.
+        Tables of the scenario common to all trials, ``from`` resolved.
     grid : dict of str to tuple
     random : dict of str to RandomTable
     estimators : tuple of EstimatorChoice
     text : str
-        The file as it was written.
+        Content of the file.
     """
 
     name: str
@@ -218,12 +221,12 @@ class Campaign:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Everything that varies: the grid's axes, then the random ones."""
+        """Names of all axes: those of the grid, then the random ones."""
         return (*self.grid, *self.random)
 
     @property
     def tasks(self) -> Iterator[tuple[int, int]]:
-        """Point and number of every trial; all points once before any a second time, so that a part shows the whole."""
+        """Point and number of every trial; all points once before any twice, so that a partial run covers the grid."""
         return ((point, k) for k in range(self.trials) for point in range(len(self.points)))
 
     @property
@@ -233,14 +236,14 @@ class Campaign:
 
     @property
     def noisy(self) -> bool:
-        """Whether the recordings have noise: else a sigma is a floor, and honest at best by chance."""
+        """True if the recordings have noise. Without noise a sigma is a floor and unrelated to the error."""
         varied = self.grid.get("recording.noise", ())
         fixed = Scenario.model_fields["recording"].get_default()
         return bool(self.scenario.get("recording", {}).get("noise", fixed.noise)) and False not in varied
 
     @cached_property
     def digest(self) -> str:
-        """Hash of all that a trial's numbers depend on; the number of trials is none of it."""
+        """Hash of all settings that the numbers of a trial depend on; the number of trials is not one of them."""
         parts = {
             "seed": self.seed,
             "scenario": self.scenario,
@@ -308,7 +311,7 @@ def load_campaign(path: str | Path) -> Campaign:
     )
     for axis in campaign.axes:
         _check_axis(axis, campaign, file.name)
-    for point in range(len(campaign.points)):  # a bad value shows now, and not after an hour
+    for point in range(len(campaign.points)):  # find a bad value before the campaign runs
         try:
             campaign.unit(point, 0)
         except InputError as error:
@@ -379,7 +382,7 @@ def _set(key: str, value: Value, tables: Mapping[str, Any]) -> dict[str, Any]:
         return _nested(key, value)
     if key == "grade":
         grade = library.read_toml(library.find("imu", str(value)))
-        # What the campaign itself says of the unit, its errors above all, is not the grade's to change.
+        # The grade changes name and noise only: the errors are those of the campaign.
         return {"imu": {k: grade[k] for k in ("name", "noise") if k in grade}}
     factor = axis.factor
     if axis.error:

@@ -1,16 +1,16 @@
-"""Results of a campaign on disk: every trial kept from the moment it is finished, and read back as one table.
+"""Results of a campaign on disk: every finished trial is saved at once, and all are read back as one table.
 
 A folder holds::
 
     campaign.toml     the campaign as it was written
-    campaign.json     what its numbers depend on, as a hash, and the version that made them
+    campaign.json     hash of the settings that the numbers depend on, and the software version
     journal.jsonl     trials since the last part, one line each
     parts/            Parquet, a thousand rows each
-    results.parquet   all of them in the order of trial, point and estimator, once the campaign is through
+    results.parquet   all rows in the order of trial, point and estimator, once the campaign is complete
 
-A Parquet file is unreadable until it is closed, so a trial goes to the journal first, which a process killed outright
-leaves whole but for its last line. Parts appear whole or not at all, and only then the journal begins anew: what both
-hold counts once.
+A Parquet file is unreadable until it is closed. A trial is therefore written to the journal first: a killed process
+leaves it complete except for its last line. Parts are written atomically, and the journal is emptied after that. A
+trial that both hold counts once.
 """
 
 from __future__ import annotations
@@ -19,8 +19,13 @@ import json
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from sims.robustness.config import AXES
-from srt.exceptions import InputError, MissingExtraError
+import pyarrow as pa
+import pyarrow.compute as pc
+from filelock import FileLock, Timeout
+from pyarrow import parquet
+
+from sims.robustness.campaign import AXES
+from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_path, atomic_write_text, unwritable
 from srt.result.calibration import software
 from srt.sensor_errors import NAMES
@@ -30,15 +35,13 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    import pyarrow as pa
-
-    from sims.robustness.config import Campaign
+    from sims.robustness.campaign import Campaign
     from sims.robustness.trial import Row
 
 _FORMAT: Final = "srt-robustness"
 _VERSION: Final = 1
 _ROWS: Final = 1000
-"""Rows of a part: a megabyte, and some seconds of work."""
+"""Rows of a part: about a megabyte, and some seconds of work."""
 _ORDER: Final = [("replicate", "ascending"), ("point", "ascending"), ("estimator", "ascending")]
 
 
@@ -54,7 +57,6 @@ def schema(campaign: Campaign) -> pa.Schema:
     pyarrow.Schema
         SI units; axes in the unit that their name says.
     """
-    pa = _pyarrow()
     columns = [("point", pa.int32()), ("replicate", pa.int32()), ("seed", pa.int64()), ("estimator", pa.string())]
     columns += [(axis, _axis_type(campaign, axis)) for axis in campaign.axes]
     columns += [(name, pa.string()) for name in ("outcome", "status", "message")]
@@ -65,7 +67,6 @@ def schema(campaign: Campaign) -> pa.Schema:
 
 
 def _axis_type(campaign: Campaign, axis: str) -> Any:
-    pa = _pyarrow()
     table = campaign.random.get(axis)
     values = campaign.grid.get(axis, () if table is None else table.choices or (0.5,))
     if axis in AXES and AXES[axis].kind is int:
@@ -77,8 +78,8 @@ def _axis_type(campaign: Campaign, axis: str) -> Any:
     return pa.string()
 
 
-class Store:
-    """The folder of one campaign, held by one process at a time.
+class ResultFolder:
+    """Folder of one campaign, locked by one process at a time.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ class Store:
         Made if absent.
     campaign : Campaign
     fresh : bool
-        Throw away what the folder holds of an earlier run.
+        Delete the results of an earlier run.
 
     Raises
     ------
@@ -128,7 +129,7 @@ class Store:
         self._lock.release()
 
     def add(self, rows: list[Row]) -> None:
-        """Keep the rows of one trial, from now on whatever happens.
+        """Save the rows of one trial.
 
         Parameters
         ----------
@@ -150,32 +151,28 @@ class Store:
             raise InputError(unwritable(self.folder, error)) from None
 
     def table(self) -> pa.Table:
-        """All rows so far, those of trials beyond the campaign's number left out, in an order of their own.
+        """All rows so far, without trials beyond the campaign's number, sorted.
 
         Returns
         -------
         pyarrow.Table
         """
-        pa = _pyarrow()
-        import pyarrow.compute as pc
-
         tables = [self._read(path) for path in self._parts()]
         tables.append(pa.Table.from_pylist(self._rows, schema=self.schema))
         table = pa.concat_tables(tables)
         return table.filter(pc.less(table["replicate"], self.campaign.trials)).sort_by(_ORDER)
 
     def finish(self) -> pa.Table:
-        """Put all parts into results.parquet, and give the table."""
+        """Write all rows to results.parquet, and return them."""
         self._to_part()
         table = self.table()
         _write(table, self.folder / "results.parquet")
         return table
 
     def _to_part(self) -> None:
-        """Move the journal's rows into a part."""
+        """Move the rows of the journal into a part."""
         if not self._rows:
             return
-        pa = _pyarrow()
         number = 1 + max((int(path.stem.split("-")[1]) for path in self._parts()), default=0)
         _write(
             pa.Table.from_pylist(self._rows, schema=self.schema), self.folder / "parts" / f"part-{number:06d}.parquet"
@@ -185,7 +182,7 @@ class Store:
         self._file = self._journal.open("w", encoding="utf-8")
 
     def _absorb(self) -> None:
-        """Find what earlier runs finished; the journal that the last one left becomes a part."""
+        """Find the trials that earlier runs finished; the journal of the last one becomes a part."""
         for path in self._parts():
             table = self._read(path, ["point", "replicate"])
             self.done |= set(zip(table["point"].to_pylist(), table["replicate"].to_pylist(), strict=True))
@@ -194,29 +191,31 @@ class Store:
         self._file = self._journal.open("a", encoding="utf-8")
         self._to_part()
         self._file.close()
-        # What is left of it is in a part, or is a line that was never finished.
+        # Its complete lines are in a part now.
         self._journal.write_text("", encoding="utf-8")
 
     def _check(self) -> None:
-        """Refuse the folder of another campaign; sign one that is new."""
+        """Refuse the folder of another campaign; write campaign.json into a new one."""
         path = self.folder / "campaign.json"
         if path.exists():
             try:
-                sign = json.loads(path.read_text(encoding="utf-8"))
+                signature = json.loads(path.read_text(encoding="utf-8"))
                 same = (
-                    sign["format"] == _FORMAT and sign["version"] == _VERSION and sign["digest"] == self.campaign.digest
+                    signature["format"] == _FORMAT
+                    and signature["version"] == _VERSION
+                    and signature["digest"] == self.campaign.digest
                 )
             except (ValueError, KeyError, TypeError, UnicodeDecodeError):
                 same = False
             if not same:
                 raise InputError(
                     f"The folder {self.folder} holds results of another campaign, or of other settings of this one: "
-                    "name another folder, or add --fresh to throw them away."
+                    "name another folder, or add --fresh to delete them."
                 )
         elif self._parts() or self._journal.exists():
             raise InputError(f"The folder {self.folder} holds results of unknown origin: name another folder.")
-        sign = {"format": _FORMAT, "version": _VERSION, "digest": self.campaign.digest, "software": software()}
-        atomic_write_text(path, json.dumps(sign, indent=2) + "\n")
+        signature = {"format": _FORMAT, "version": _VERSION, "digest": self.campaign.digest, "software": software()}
+        atomic_write_text(path, json.dumps(signature, indent=2) + "\n")
         atomic_write_text(self.folder / "campaign.toml", self.campaign.text)
 
     def _clear(self) -> None:
@@ -227,19 +226,17 @@ class Store:
         return sorted((self.folder / "parts").glob("part-*.parquet"))
 
     def _read(self, path: Path, columns: list[str] | None = None) -> pa.Table:
-        from pyarrow import ArrowInvalid, parquet
-
         try:
             return parquet.read_table(path, columns=columns)
-        except (ArrowInvalid, OSError) as error:
+        except (pa.ArrowInvalid, OSError) as error:
             reason = str(error).splitlines()[0].rstrip(".")
             raise InputError(
-                f"{path} cannot be read ({reason}): remove it, and the trials that it held will be run again."
+                f"{path} cannot be read ({reason}): remove it, and its trials will be run again."
             ) from None
 
 
 def _lines(path: Path) -> Iterator[list[Row]]:
-    """Trials of a journal; a line cut off in its middle ends it."""
+    """Trials of a journal, up to the first incomplete line."""
     try:
         with path.open(encoding="utf-8") as file:
             for line in file:
@@ -258,29 +255,15 @@ def _key(row: Row) -> tuple[int, int]:
 
 
 def _write(table: pa.Table, path: Path) -> None:
-    from pyarrow import parquet
-
     with atomic_path(path) as temporary:
         parquet.write_table(table, temporary)
 
 
 def _locked(folder: Path) -> Any:
-    """Lock that the system lifts when its process ends, in whatever way."""
-    try:
-        from filelock import FileLock, Timeout
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("filelock", "campaign", "A campaign") from error
+    """File lock, which the operating system releases when the process ends."""
     lock = FileLock(folder / ".lock")
     try:
         lock.acquire(timeout=0)
     except Timeout:
         raise InputError(f"Another run is writing to {folder}: wait for it, or name another folder.") from None
     return lock
-
-
-def _pyarrow() -> Any:
-    try:
-        import pyarrow as pa
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("pyarrow", "campaign", "Keeping the results of a campaign") from error
-    return pa

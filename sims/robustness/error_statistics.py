@@ -1,0 +1,188 @@
+"""Errors of the converged trials, and their consistency with the reported sigmas.
+
+With r = error / sigma of a parameter in n units, a consistent sigma makes n·rms(r)² a chi-square of n degrees of
+freedom; rms(r) then lies within 1 ± 3.5/√(2n) in all but 5 of 10 000 cases. A campaign tests many parameters of several
+estimators. A sigma is called inconsistent beyond limits that all consistent sigmas together keep in 99 of 100
+campaigns: each test gets an equal part of the 1 % (Bonferroni), which holds for any correlation between the errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pandas as pd
+from scipy.special import betaincinv, chdtri
+
+from srt.sensor_errors import GROUPS, NAMES
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from sims.robustness.trial_table import AxisLevels, TrialTable
+    from srt.types import Array
+
+
+CONFIDENCE: Final = 0.95
+"""Confidence of the intervals of shares, two-sided."""
+FALSE_ALARM: Final = 0.01
+"""Probability that a campaign with consistent sigmas has one called inconsistent."""
+BAND: Final = 3.5
+"""Half width of the band of one rms, in its standard errors."""
+_TWO_SIDED_95: Final = 1.959964
+"""Half width of the 95 % interval of a normal error, sigma."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Accuracy:
+    """Errors of converged trials by estimator, level of an axis and group of parameters.
+
+    Attributes
+    ----------
+    axis : AxisLevels or None
+        None for all trials together, one level.
+    table : pandas.DataFrame
+        Indexed by estimator, number of the level and group, all combinations. ``count``: errors, one per trial and
+        estimated parameter of the group; ``rms`` and ``largest`` error in the display unit of the group;
+        ``rms_in_sigma`` and ``largest_in_sigma``: of error / sigma. NaN without an error.
+    shape : (int, int, int)
+        Numbers of estimators, levels and groups.
+    """
+
+    axis: AxisLevels | None
+    table: pd.DataFrame
+    shape: tuple[int, int, int]
+
+    def array(self, column: str) -> Array:
+        """One column of the table in its shape (estimators, levels, groups)."""
+        return np.asarray(self.table[column]).reshape(self.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SigmaConsistency:
+    """Errors over sigmas of the converged trials of a noisy campaign.
+
+    Attributes
+    ----------
+    parameters : pandas.DataFrame
+        By estimator and parameter. ``count``: trials; ``rms`` of error / sigma, 1 if consistent; ``half_width``: of the
+        band about 1 of one consistent parameter, 3.5/√(2n); ``low``, ``high``: limits that all tests keep together in
+        99 of 100 campaigns; ``too_small``, ``too_large``: the sigma, beyond these limits; ``coverage``: share of the
+        errors within their 95 % interval, and its own 95 % interval ``coverage_low`` to ``coverage_high``.
+    nees : pandas.DataFrame
+        By estimator. ``units``: trials; ``nees``: normalised estimation error squared over its degrees of freedom,
+        mean; its limits ``low`` and ``high``; ``inconsistent``: beyond these.
+    """
+
+    parameters: pd.DataFrame
+    nees: pd.DataFrame
+
+
+def share_interval(successes: ArrayLike, trials: ArrayLike, confidence: float = CONFIDENCE) -> tuple[Array, Array]:
+    """Clopper-Pearson interval of a share: its coverage is at least the stated confidence.
+
+    Parameters
+    ----------
+    successes, trials : array_like of int
+        Equal shapes; without trials the interval is 0 to 1.
+    confidence : float
+        Two-sided.
+
+    Returns
+    -------
+    low, high : ndarray
+    """
+    k, n = np.asarray(successes, dtype=np.float64), np.asarray(trials, dtype=np.float64)
+    tail = 0.5 * (1.0 - confidence)
+    # A beta distribution needs both parameters above 0: where one is not, the limit is 0 or 1.
+    low = np.where(k > 0, betaincinv(np.maximum(k, 1.0), np.maximum(n - k, 0.0) + 1.0, tail), 0.0)
+    high = np.where(n > k, betaincinv(k + 1.0, np.maximum(n - k, 1.0), 1.0 - tail), 1.0)
+    return low, high
+
+
+def accuracy(trials: TrialTable) -> tuple[Accuracy, ...]:
+    """Errors of the converged trials: all together first, then against every axis.
+
+    Parameters
+    ----------
+    trials : TrialTable
+    """
+    axes: tuple[AxisLevels | None, ...] = (None, *trials.axes)
+    parts: list[list[pd.DataFrame]] = [[] for _ in axes]
+    for number, group in enumerate(GROUPS):
+        found = pd.concat([trials.errors(f"{group.name}_{suffix}") for suffix in group.suffixes])
+        scaled = (found["error"] / found["sigma"]).where(found["sigma"] > 0.0, 0.0).abs()
+        size = (found["error"] * group.display_factor).abs()
+        found = pd.DataFrame({"group": number, "size": size, "square": size**2, "scaled": scaled,
+                              "scaled_square": scaled**2, "estimator": found["estimator"]})  # fmt: skip
+        for axis, part in zip(axes, parts, strict=True):
+            level = 0 if axis is None else axis.codes[found.index]
+            part.append(
+                found.assign(level=level)
+                .groupby(["estimator", "level", "group"])
+                .agg(
+                    count=("size", "size"),
+                    rms=("square", "mean"),
+                    largest=("size", "max"),
+                    rms_in_sigma=("scaled_square", "mean"),
+                    largest_in_sigma=("scaled", "max"),
+                )
+            )
+    return tuple(_accuracy(trials, axis, pd.concat(part)) for axis, part in zip(axes, parts, strict=True))
+
+
+def _accuracy(trials: TrialTable, axis: AxisLevels | None, found: pd.DataFrame) -> Accuracy:
+    shape = (len(trials.header.estimators), 1 if axis is None else len(axis.labels), len(GROUPS))
+    cells = pd.MultiIndex.from_product([range(n) for n in shape], names=found.index.names)
+    table = found.reindex(cells)
+    roots = {name: np.sqrt(table[name]) for name in ("rms", "rms_in_sigma")}
+    return Accuracy(axis, table.assign(count=table["count"].fillna(0).astype(np.int64), **roots), shape)
+
+
+def sigma_consistency(trials: TrialTable) -> SigmaConsistency:
+    """Compare the sigmas of the converged trials with the errors.
+
+    Parameters
+    ----------
+    trials : TrialTable
+    """
+    estimators = list(trials.header.estimators)
+    cells = pd.MultiIndex.from_product([estimators, NAMES], names=["estimator", "parameter"])
+    parts = {}
+    for name in NAMES:
+        found = trials.errors(name)
+        scaled = (found["error"] / found["sigma"])[found["sigma"] > 0.0]
+        columns = pd.DataFrame({"square": scaled**2, "covered": scaled.abs() <= _TWO_SIDED_95})
+        by_estimator = columns.groupby(np.array(estimators, dtype=object)[found["estimator"].loc[scaled.index]])
+        parts[name] = by_estimator.agg(
+            count=("square", "size"), rms=("square", "mean"), covered=("covered", "sum"), coverage=("covered", "mean")
+        )
+    # Positions, not labels, order the rows: a label may be any text.
+    found = pd.concat(parts).swaplevel().reindex(cells)
+    found[["count", "covered"]] = found[["count", "covered"]].fillna(0).astype(np.int64)
+    found["rms"] = np.sqrt(found["rms"])
+    rows = trials.frame[trials.converged & trials.frame["nees"].notna() & (trials.frame["observed"] > 0)]
+    sums = rows.groupby("estimator", observed=False).agg(
+        units=("nees", "size"), freedom=("observed", "sum"), square=("nees", "sum")
+    )
+    sums = sums.reindex(estimators)
+    tests = int((found["count"] > 0).sum() + (sums["units"] > 0).sum())
+    tail = 0.5 * FALSE_ALARM / max(tests, 1)
+    found["low"], found["high"] = _rms_limits(found["count"], tail)
+    found["half_width"] = BAND / np.sqrt(2.0 * found["count"].where(found["count"] > 0))
+    interval = share_interval(found["covered"], found["count"])
+    for name, values in zip(("coverage_low", "coverage_high"), interval, strict=True):
+        found[name] = np.where(found["count"] > 0, values, np.nan)
+    found["too_small"], found["too_large"] = found["rms"] > found["high"], found["rms"] < found["low"]
+    low, high = _rms_limits(sums["freedom"], tail)
+    nees = sums["square"] / sums["freedom"].where(sums["freedom"] > 0)
+    beyond = (nees < low**2) | (nees > high**2)
+    return SigmaConsistency(found, sums[["units"]].assign(nees=nees, low=low**2, high=high**2, inconsistent=beyond))
+
+
+def _rms_limits(freedom: ArrayLike, tail: float) -> tuple[Array, Array]:
+    """Limits of the rms of ``freedom`` standard normal numbers, each exceeded with probability ``tail``."""
+    count = np.asarray(freedom, dtype=np.float64)
+    n = np.where(count > 0, count, np.nan)
+    return np.sqrt(chdtri(n, 1.0 - tail) / n), np.sqrt(chdtri(n, tail) / n)

@@ -1,0 +1,206 @@
+"""Summary of a campaign: convergence rates and regions, accuracy, consistency of the sigmas, cost and failures.
+
+Numbers only, from the table of the trials: :mod:`sims.robustness.report` writes them as text and
+:mod:`sims.robustness.figures` draws them.
+
+A rate refers to the trials whose drawn errors are those of a possible IMU. A trial counts as converged if its result is
+the one that is also reached from the true errors. Unverified results do not count as converged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pandas as pd
+
+from sims.robustness.convergence import axis_pairs, convergence_map, convergence_regions
+from sims.robustness.error_statistics import accuracy, share_interval, sigma_consistency
+from sims.robustness.trial import OUTCOMES
+from sims.robustness.trial_table import factorized, label, read_trials
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sims.robustness.convergence import ConvergenceMap, ConvergenceRegion
+    from sims.robustness.error_statistics import Accuracy, SigmaConsistency
+    from sims.robustness.trial_table import AxisLevels, Header, TrialTable
+
+
+FAILURES: Final = 20
+"""Largest number of failures listed for each estimator."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effort:
+    """Iterations of the converged trials, and CPU time of all judged trials; NaN where there is none.
+
+    Attributes
+    ----------
+    table : pandas.DataFrame
+        By estimator: ``median`` and ``most`` iterations; ``seconds`` and ``seconds_95``, the median and the 95 %
+        quantile of the CPU time of a calibration, s.
+    histogram : pandas.DataFrame
+        Converged trials by estimator and number of iterations.
+    simulate_s, total_s : float
+        CPU time: median simulation of a unit, and whole campaign, s.
+    """
+
+    table: pd.DataFrame
+    histogram: pd.DataFrame
+    simulate_s: float
+    total_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CampaignSummary:
+    """Results of a campaign.
+
+    Attributes
+    ----------
+    header : Header
+    axes : tuple of AxisLevels
+    units, impossible : int
+        Simulated units, and the ones among them with errors of no possible IMU.
+    unverified : bool
+        True if no result was compared with the one that is reached from the true errors.
+    outcomes : pandas.DataFrame
+        By estimator: number of trials of every outcome, ``judged`` trials, and the 95 % interval ``low`` to ``high`` of
+        the share that converged.
+    points : pandas.DataFrame
+        The same by point of the grid and estimator.
+    settings : pandas.DataFrame
+        By point: value of each axis of the grid, as text.
+    maps : tuple of ConvergenceMap
+        Map of the first two axes first.
+    regions : tuple of ConvergenceRegion
+    accuracy : tuple of Accuracy
+        All trials together, then one per axis.
+    consistency : SigmaConsistency or None
+        None without noise.
+    effort : Effort
+    failures : pandas.DataFrame
+        First failed trials of every estimator.
+    """
+
+    header: Header
+    axes: tuple[AxisLevels, ...]
+    units: int
+    impossible: int
+    unverified: bool
+    outcomes: pd.DataFrame
+    points: pd.DataFrame
+    settings: pd.DataFrame
+    maps: tuple[ConvergenceMap, ...]
+    regions: tuple[ConvergenceRegion, ...]
+    accuracy: tuple[Accuracy, ...]
+    consistency: SigmaConsistency | None
+    effort: Effort
+    failures: pd.DataFrame
+
+
+def summarise(table: pa.Table, header: Header) -> CampaignSummary:
+    """Summarise the table of a campaign.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        One row per trial and estimator.
+    header : Header
+
+    Raises
+    ------
+    InputError
+        A missing column, or an unknown outcome or estimator.
+    DataError
+        A trial that is there twice.
+    """
+    trials = read_trials(table, header)
+    units, frame = trials.units, trials.frame
+    counts = frame.groupby(["point", "estimator", "outcome"], observed=False).size().unstack("outcome")
+    counts = counts.set_axis(counts.columns.astype(object), axis=1).reindex(columns=list(OUTCOMES), fill_value=0)
+    first = frame.drop_duplicates("point").sort_values("point")
+    grid = {a.name: np.array(a.labels, dtype=object)[a.codes[first.index]] for a in trials.axes if a.on_grid}
+    distances = frame.loc[trials.converged, "distance"]
+    return CampaignSummary(
+        header,
+        trials.axes,
+        units=len(units),
+        impossible=int((units["outcome"] == "no_imu").sum()),
+        unverified=len(distances) > 0 and bool(distances.isna().all()),
+        outcomes=_with_rates(counts.groupby("estimator", observed=False).sum().reindex(list(header.estimators))),
+        points=_with_rates(counts),
+        settings=pd.DataFrame(grid, index=first["point"]),
+        maps=tuple(convergence_map(trials, *pair) for pair in axis_pairs(trials)),
+        regions=convergence_regions(trials),
+        accuracy=accuracy(trials),
+        consistency=sigma_consistency(trials) if header.noisy else None,
+        effort=effort(trials),
+        failures=failures(trials),
+    )
+
+
+def _with_rates(counts: pd.DataFrame) -> pd.DataFrame:
+    """Numbers of outcomes with the judged trials and the 95 % interval of the share that converged."""
+    counts = counts.fillna(0).astype(np.int64)
+    judged = counts.sum(axis=1) - counts["no_imu"]
+    low, high = share_interval(counts["converged"], judged)
+    return counts.assign(judged=judged, low=low, high=high)
+
+
+def effort(trials: TrialTable) -> Effort:
+    """Count iterations and CPU seconds.
+
+    Parameters
+    ----------
+    trials : TrialTable
+    """
+    converged, judged = trials.frame[trials.converged], trials.frame[trials.judged]
+    played = converged.groupby("estimator", observed=False)["playbacks"]
+    seconds = judged.groupby("estimator", observed=False)["calibrate_s"]
+    table = pd.DataFrame(
+        {
+            "median": played.median(),
+            "most": played.max(),
+            "seconds": seconds.median(),
+            "seconds_95": seconds.quantile(0.95),
+        }
+    )
+    number = converged["playbacks"].dropna().astype(np.int64)
+    bins = np.arange(number.min(), number.max() + 1) if len(number) else np.zeros(0, dtype=np.int64)
+    histogram = pd.crosstab(converged["estimator"].astype(object), number)
+    # Every estimator has a row of the unit, and each says how long its one simulation took.
+    simulated = trials.units["simulate_s"]
+    return Effort(
+        table.reindex(list(trials.header.estimators)),
+        histogram.reindex(index=list(trials.header.estimators), columns=bins, fill_value=0),
+        float(simulated.median()),
+        float(simulated.sum() + judged["calibrate_s"].sum()),
+    )
+
+
+def failures(trials: TrialTable, most: int = FAILURES) -> pd.DataFrame:
+    """First trials of every estimator that did not converge to the right result.
+
+    Parameters
+    ----------
+    trials : TrialTable
+    most : int
+        Number of trials of each estimator.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``estimator``, ``point``, ``replicate``, ``seed``, ``outcome``, ``message``, ``distance`` (to the right
+        result, in tolerances; NaN without a comparison), ``settings`` (dict: value of every axis as text) and
+        ``replay`` (command that repeats the trial).
+    """
+    failed = trials.frame[trials.judged & ~trials.converged].sort_values(["estimator", "point", "replicate"])
+    listed = failed.groupby("estimator", observed=False).head(most)
+    values = {axis.name: factorized(listed[axis.name]) for axis in trials.axes}
+    settings = [{name: label(found[codes[k]]) for name, (codes, found) in values.items()} for k in range(len(listed))]
+    place = listed["point"].astype(str) + ":" + listed["replicate"].astype(str)
+    columns = ["estimator", "point", "replicate", "seed", "outcome", "message", "distance"]
+    listed = listed[columns].assign(settings=settings, replay=trials.header.replay + place)
+    return listed.assign(message=listed["message"].astype(object).where(listed["message"].notna(), ""))
