@@ -403,7 +403,7 @@ class ManoeuvreSummary:
 
 @dataclass(frozen=True, slots=True)
 class NoiseSummary:
-    """NoiseSummary at rest by channel.
+    """Noise of the stationary windows by channel.
 
     Attributes
     ----------
@@ -423,7 +423,7 @@ class NoiseSummary:
 
 @dataclass(frozen=True, slots=True)
 class TemperatureSummary:
-    """TemperatureSummary in °C; ``recorded`` is False where one value was stated for all samples."""
+    """Temperature in °C; ``recorded`` is False if one value is stated for all samples."""
 
     first_c: float
     last_c: float

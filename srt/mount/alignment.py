@@ -1,19 +1,19 @@
-"""Mount alignment (Savage 2020, section 10) from a level and a pitched static pose, and its file.
+"""Mount alignment ([P] §10) from a level and a pitched static pose, and its file.
 
 Frames: B is MARS. M is the mount: z down when the mount is level, y along its lateral reference, x forward. ``C_bm``
 takes M- to B-components; an attitude output ``C_nb`` becomes that of the mount by ``C_nm = C_nb C_bm``.
 
 The mount sits on a fixture with one horizontal axis, nominally along y. At rest the sensed down ``b = -f/|f|`` is
-``b = C_bm d``, with ``d = e_z`` in the level stand and ``d = (-sin θ, 0, cos θ)`` after a turn of θ about y. With
+``b = C_bm d``, with ``d = e_z`` in the level pose and ``d = (-sin θ, 0, cos θ)`` after a turn of θ about y. With
 ``m = Ĉᵀ b``, a correction ``Ĉ <- Ĉ exp(ν×)`` leaves to first order, and at its end exactly::
 
     level     m_x = ν_y,   m_y = -ν_x
     pitched   m_y = ν_z m_x - ν_x m_z
 
-The pitch θ stands in no equation: it is read off m, need not be 90°, and its error touches no angle. What the stand
-does to the result ``Ĉ = C exp(η×)``: levelling errors (ε_x, ε_y) come out as η_x = -ε_x, η_y = -ε_y and leave η_z
-alone; an axis that is not square to the mount's reference (by a about z) gives η_z = a; one that is tilted by h gives
-η_z = -h tan(θ/2), which is +h nose down and -h nose up and cancels over the pair of them.
+No equation contains the pitch θ: m gives it, it need not be 90°, and its error affects no angle. Effects of the fixture
+on the result ``Ĉ = C exp(η×)``: levelling errors (ε_x, ε_y) give η_x = -ε_x, η_y = -ε_y and no η_z; an axis that is not
+square to the mount's reference (by a about z) gives η_z = a; an axis tilted by h gives η_z = -h tan(θ/2), which is +h
+nose down and -h nose up and cancels over such a pair.
 
 In the paper's small angles, with roll φ, pitch θ, yaw ψ of the sensor axes in the mount: level ``f_x = g θ``,
 ``f_y = -g φ``; x down ``f_y = g ψ``.
@@ -44,29 +44,37 @@ if TYPE_CHECKING:
 
 
 ANGLES: Final = ("roll", "pitch", "yaw")
+"""Angles of B in M, ``C_mb = R_z(yaw) R_y(pitch) R_x(roll)``."""
 WITHIN_RAD: Final = math.radians(30.0)
-"""Of level, or of a right angle, within which a stand counts as such: the sensor axes are not far from the mount's."""
+"""Largest angle from level, or from a right angle, of a pose, rad: the sensor axes are near those of the mount."""
 _UNLIKELY: Final = 1e-3
+"""p-value of the residuals by noise and calibration, below which a warning is given."""
 _IMPOSSIBLE: Final = 1e-6
-_STEPS: Final = 12
+"""p-value of the residuals with the levelling, below which the poses are refused."""
+_ITERATIONS: Final = 12
+"""Gauss-Newton iterations at most; four suffice for angles of 0.3 rad."""
+_CONVERGED_RAD: Final = 1e-15
+"""Correction, rad, at rounding."""
+_KINDS: Final = {0.0: "level", 1.0: "nose_down", -1.0: "nose_up"}
+"""Names of the poses in the result."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountAlignment:
-    """How the sensor axes B stand in the mount M.
+    """Attitude of the sensor axes B in the mount M.
 
     Attributes
     ----------
     matrix : ndarray, shape (3, 3)
         C_bm, M- to B-components.
     covariance : ndarray, shape (3, 3), rad²
-        Of ``angles_rad``.
+        Covariance of ``angles_rad``.
     sources : mapping of str to ndarray, shape (3,), rad
-        One sigma of the angles by source of error; their squares sum to the diagonal of ``covariance``.
+        Standard deviations of the angles by source of error; their squares add up to the diagonal of ``covariance``.
     method : str
-        "stands" or "play-back".
-    stands : tuple of mappings
-        The stands used: ``pose`` ("level", "nose_down", "nose_up"), ``pitch_deg``, ``residual_rad`` and, of a
+        "stands" (static poses) or "play-back" (U of a calibration).
+    poses : tuple of mappings
+        Static poses used: ``pose`` ("level", "nose_down", "nose_up"), ``pitch_deg``, ``residual_rad`` and, from a
         recording, ``start_s`` and ``end_s``; JSON values.
     warnings : tuple of str
     provenance : mapping
@@ -77,7 +85,7 @@ class MountAlignment:
     covariance: Array
     sources: Mapping[str, Array] = field(default_factory=dict)
     method: str = "stands"
-    stands: tuple[Mapping[str, Any], ...] = ()
+    poses: tuple[Mapping[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -95,17 +103,17 @@ class MountAlignment:
 
     @property
     def sigma_rad(self) -> Array:
-        """One sigma of the angles, shape (3,)."""
+        """Standard deviations of the angles, shape (3,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def rotation_covariance(self) -> Array:
-        """Covariance of the error as a small rotation η about the mount's axes, ``Ĉ_bm = C_bm exp(η×)``, rad²."""
+        """Covariance of the small rotation η about the mount's axes, ``Ĉ_bm = C_bm exp(η×)``, rad²."""
         E = np.linalg.inv(_to_angles(self.matrix))
         return np.asarray(E @ self.covariance @ E.T)
 
     def attitude(self, C_nb: ArrayLike) -> Array:
-        """Correct attitude output: from that of the sensor axes to that of the mount.
+        """Attitude of the mount from that of the sensor axes.
 
         Parameters
         ----------
@@ -129,9 +137,8 @@ class MountAlignment:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
-        from srt.mount.alignment import write
-
-        write(self, path)
+        document = json.dumps(to_dict(self), indent=1, ensure_ascii=False, allow_nan=False)
+        atomic_write_text(path, document + "\n")
 
 
 def align_mount(
@@ -142,25 +149,25 @@ def align_mount(
     axis_sigma_rad: float,
     titles: tuple[str, ...] | None = None,
 ) -> MountAlignment:
-    """Estimate the mount angles from the stands of one mounting; any number of each kind is pooled.
+    """Estimate the mount angles from the static poses of one mounting, any number of each kind.
 
-    Stands are weighted by their full covariance, that of the calibration and the tilt of the axis included: a pair
-    pitched nose down and nose up is free of the tilt and of the bias along y by the weights alone. In the weights, each
-    stand has an error of the size of the levelling of its own, too: without it, stands that repeat to their noise would
-    be believed to tell the tilt by their small differences, and those that do not repeat so well would spoil all.
+    The poses are weighted by their full covariance, including the calibration and the tilt of the axis: the weights
+    make a pair pitched nose down and nose up free of the tilt and of the bias along y. The weights also give each pose
+    its own error of the size of the levelling. Without it, the small differences of poses that repeat to their noise
+    would determine the tilt, and poses that do not would dominate the residuals.
 
     Parameters
     ----------
     force : array_like, shape (s, 3), m/s²
-        Compensated mean specific force of each stand, in B.
+        Compensated mean specific force of each pose, in B.
     covariance : mapping of str to ndarray, shape (3 s, 3 s), (m/s²)²
-        By source of error, stands one after the other; the sum must be positive definite.
+        Covariance by source of error, poses one after the other; the sum must be positive definite.
     level_sigma_rad : float
-        One sigma of the level mount about its x and its y axis; one draw for all stands.
+        Standard deviation of the levelling about x and about y, common to all poses.
     axis_sigma_rad : float
-        One sigma of the fixture's axis: its tilt, and its squareness to the mount's lateral reference; one draw each.
+        Standard deviation of the tilt of the fixture's axis, and of its squareness to the mount's lateral reference.
     titles : tuple of str, optional
-        What messages call the stands.
+        Names of the poses in messages.
 
     Returns
     -------
@@ -171,71 +178,104 @@ def align_mount(
     InputError
         Shapes that do not fit, values that are not finite, sigmas that are not positive.
     DataError
-        No stand near level, none near 90°, one that is neither, or stands that contradict one another.
+        No pose near level, none near 90°, one that is neither, or poses that contradict one another.
     """
-    f, R = _checked(force, covariance, (level_sigma_rad, axis_sigma_rad))
-    names = titles or tuple(f"stand {i + 1}" for i in range(len(f)))
-    kind = poses(f)
+    f, R = _valid_inputs(force, covariance, (level_sigma_rad, axis_sigma_rad))
+    names = titles or tuple(f"static pose {i + 1}" for i in range(len(f)))
+    kind = pose_kinds(f)
     require_both(kind)
     if np.isnan(kind).any():
         raise DataError(
-            f"{_capital(names[int(np.argmax(np.isnan(kind)))])} is neither level nor pitched by about 90°: "
-            "leave it out."
+            f"{_capital(names[int(np.argmax(np.isnan(kind)))])} is neither level nor pitched by about 90°: omit it."
         )
-    size = np.linalg.norm(f, axis=1)
-    b = -f / size[:, None]
-    pitched = kind != 0.0
-    stand = np.concatenate([np.flatnonzero(~pitched), np.flatnonzero(~pitched), np.flatnonzero(pitched)])
-    axis = np.repeat([0, 1, 1], [len(f) - pitched.sum()] * 2 + [pitched.sum()])
-    tangent = -(np.eye(3) - b[:, :, None] * b[:, None, :]) / size[:, None, None]
-    C = _triad(b, kind)
-    for _ in range(_STEPS):
-        m = b @ C
-        H = _design(m, stand, axis, pitched)
-        # What the forces, and the tilt of the axis, do to the rows.
-        by_stand = np.zeros((len(stand), len(f), 3))
-        by_stand[np.arange(len(stand)), stand] = np.einsum("ra,rab->rb", C.T[axis], tangent[stand])
-        A = by_stand.reshape(len(stand), -1)
-        tilt = np.where(pitched[stand], 1.0 - m[stand, 2], 0.0) * axis_sigma_rad
-        rows = {name: A @ S @ A.T for name, S in R.items()} | {"axis_tilt": np.outer(tilt, tilt)}
-        errors = np.asarray(sum(rows.values()))
-        whiten = _whitener(errors + level_sigma_rad**2 * np.eye(len(stand)))
-        gain = np.linalg.pinv(whiten @ H) @ whiten
-        z = m[stand, axis]
-        nu = gain @ z
-        C = C @ rotation_matrix(nu)
-        if np.abs(nu).max() < 1e-15:
-            break
-    m = b @ C
-    left = m[stand, axis]
-    warnings = _repeats(left, whiten, _whitener(errors), [names[i] for i in stand])
-    eta = {name: gain @ S @ gain.T for name, S in rows.items()}
+    solution = _solve(f, kind, R, level_sigma_rad=level_sigma_rad, axis_sigma_rad=axis_sigma_rad)
+    warnings = _repeatability(solution, [names[i] for i in solution.pose])
+    eta = {name: solution.gain @ S @ solution.gain.T for name, S in solution.errors.items()}
     eta["levelling"] = np.diag([level_sigma_rad**2, level_sigma_rad**2, 0.0])
     eta["squareness"] = np.diag([0.0, 0.0, axis_sigma_rad**2])
-    label = {0.0: "level", 1.0: "nose_down", -1.0: "nose_up"}
-    return assembled(
-        C,
+    return mount_from_rotation(
+        solution.matrix,
         eta,
-        stands=tuple(
+        poses=tuple(
             {
-                "pose": label[float(k)],
+                "pose": _KINDS[float(k)],
                 "pitch_deg": math.degrees(math.atan2(-v[0], v[2])),
-                "residual_rad": float(np.abs(left[stand == i]).max()),
+                "residual_rad": float(np.abs(solution.residual[solution.pose == i]).max()),
             }
-            for i, (k, v) in enumerate(zip(kind, m, strict=True))
+            for i, (k, v) in enumerate(zip(kind, solution.down, strict=True))
         ),
         warnings=warnings,
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """Weighted least-squares solution of the equations of all poses, one row per measured direction cosine.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (3, 3)
+        C_bm.
+    down : ndarray, shape (s, 3)
+        Measured vertical of each pose in M components.
+    pose : ndarray of int, shape (r,)
+        Pose of each row.
+    residual : ndarray, shape (r,), rad
+    gain : ndarray, shape (3, r)
+        Derivative of the solution to the rows.
+    errors : dict of str to ndarray, shape (r, r), rad²
+        Covariance of the rows by source.
+    whitener : ndarray, shape (r, r)
+        Inverse square root of the weights, with an error of the levelling for each row.
+    """
+
+    matrix: Array
+    down: Array
+    pose: Indices
+    residual: Array
+    gain: Array
+    errors: dict[str, Array]
+    whitener: Array
+
+
+def _solve(
+    f: Array, kind: Array, R: Mapping[str, Array], *, level_sigma_rad: float, axis_sigma_rad: float
+) -> _Solution:
+    """Solve the equations of the poses by Gauss-Newton iteration."""
+    size = np.linalg.norm(f, axis=1)
+    b = -f / size[:, None]
+    pitched = kind != 0.0
+    pose = np.concatenate([np.flatnonzero(~pitched), np.flatnonzero(~pitched), np.flatnonzero(pitched)])
+    axis = np.repeat([0, 1, 1], [len(f) - pitched.sum()] * 2 + [pitched.sum()])
+    tangent = -(np.eye(3) - b[:, :, None] * b[:, None, :]) / size[:, None, None]
+    C = _initial_matrix(b, kind)
+    for _ in range(_ITERATIONS):
+        m = b @ C
+        H = _design(m, pose, axis, pitched)
+        # Effect of the forces, and of the tilt of the axis, on the rows.
+        by_pose = np.zeros((len(pose), len(f), 3))
+        by_pose[np.arange(len(pose)), pose] = np.einsum("ra,rab->rb", C.T[axis], tangent[pose])
+        A = by_pose.reshape(len(pose), -1)
+        tilt = np.where(pitched[pose], 1.0 - m[pose, 2], 0.0) * axis_sigma_rad
+        errors = {name: A @ S @ A.T for name, S in R.items()} | {"axis_tilt": np.outer(tilt, tilt)}
+        whitener = _whitener(np.asarray(sum(errors.values())) + level_sigma_rad**2 * np.eye(len(pose)))
+        gain = np.linalg.pinv(whitener @ H) @ whitener
+        nu = gain @ m[pose, axis]
+        C = C @ rotation_matrix(nu)
+        if np.abs(nu).max() < _CONVERGED_RAD:
+            break
+    m = b @ C
+    return _Solution(C, m, pose, m[pose, axis], gain, errors, whitener)
+
+
 def mount_from_calibration(calibration: Calibration) -> MountAlignment:
-    """Mount angles that the play-back of a test on the two-axis fixture has found: U of the calibration.
+    """Mount angles from the rotation U that a calibration on the two-axis fixture estimates.
 
     T is the frame of the unit's seat on the table: z along the inner axis, y along the outer one. The start attitudes
-    with y along the outer axis, z down and x down, are the level and the pitched stand of §10, with the outer axis for
-    the fixture's. U, T- to MARS components, is fitted to the measured verticals of all start attitudes and to the
-    axes of the turns: it is C_bm for a mount that is seated on the table as T is. That holds to the accuracy stated
-    of the fixture's alignment, which hides all others.
+    with y along the outer axis, z down and x down, are the level and the pitched pose of §10, with the outer axis as
+    that of the fixture. U, T- to MARS components, is fitted to the measured verticals of all start attitudes and to the
+    axes of the rotations: it is C_bm for a mount seated on the table as T is. Its accuracy is the stated alignment of
+    the fixture, which exceeds all other errors.
 
     Parameters
     ----------
@@ -253,19 +293,19 @@ def mount_from_calibration(calibration: Calibration) -> MountAlignment:
     U, sigma = calibration.U, calibration.U_sigma_rad
     if U is None or not sigma:
         raise InputError(
-            "This calibration knows no table frame (U), so it tells nothing of the mount: record a level stand and one "
-            "pitched by 90°, and align by that recording."
+            "This calibration has no table frame (U), and so no mount angles: record a level pose and one pitched by "
+            "90°, and align by that recording."
         )
     left, _, right = np.linalg.svd(U)
-    rotation = left @ right  # to rounding what it is: a file holds it in decimal digits
+    rotation = left @ right  # U to rounding, as the file holds decimal digits
     if np.linalg.det(rotation) < 0.0 or np.abs(rotation - U).max() > 1e-6:
         raise InputError("U of this calibration is no rotation: the file was edited; calibrate again.")
     provenance = {"serial": calibration.provenance.get("serial"), "estimator": calibration.estimator}
-    return assembled(rotation, {"fixture": sigma**2 * np.eye(3)}, method="play-back", provenance=provenance)
+    return mount_from_rotation(rotation, {"fixture": sigma**2 * np.eye(3)}, method="play-back", provenance=provenance)
 
 
-def poses(force: Array) -> Array:
-    """Tell stands by the direction of gravity, shape (s,): 0 level, 1 nose down, -1 nose up, NaN neither.
+def pose_kinds(force: Array) -> Array:
+    """Kind of each pose by the direction of gravity, shape (s,): 0 level, 1 nose down, -1 nose up, NaN neither.
 
     Parameters
     ----------
@@ -278,20 +318,20 @@ def poses(force: Array) -> Array:
 
 
 def require_both(kind: Array) -> None:
-    """Refuse stands that do not determine three angles. Raises DataError."""
+    """Refuse poses that do not determine three angles. Raises DataError."""
     for there, what, pose in (
-        (kind == 0.0, "level (z down)", "let the unit stand on the levelled mount"),
-        (np.abs(kind) == 1.0, "pitched by about 90° (x down or up)", "pitch the mount by 90° and let the unit stand"),
+        (kind == 0.0, "level (z down)", "record the unit stationary on the levelled mount"),
+        (np.abs(kind) == 1.0, "pitched by about 90° (x down or up)", "record the mount pitched by 90°"),
     ):
         if not there.any():
             raise DataError(
-                f"None of the {len(kind)} stands is {what} within {math.degrees(WITHIN_RAD):.0f}° in sensor axes: "
-                f"{pose}, too, or correct the axes' names."
+                f"None of the {len(kind)} static poses is {what} within {math.degrees(WITHIN_RAD):.0f}° in sensor "
+                f"axes: {pose}, or correct the axes' names."
             )
 
 
-def assembled(C: Array, eta: Mapping[str, Array], **rest: Any) -> MountAlignment:
-    """Put a result together.
+def mount_from_rotation(C: Array, eta: Mapping[str, Array], **rest: Any) -> MountAlignment:
+    """Mount alignment from C_bm and its error.
 
     Parameters
     ----------
@@ -309,14 +349,14 @@ def assembled(C: Array, eta: Mapping[str, Array], **rest: Any) -> MountAlignment
     return MountAlignment(C, 0.5 * (total + total.T), sources, **rest)
 
 
-def _checked(
+def _valid_inputs(
     force: ArrayLike, covariance: Mapping[str, Array], sigmas: tuple[float, float]
 ) -> tuple[Array, dict[str, Array]]:
     f = np.asarray(force, dtype=np.float64)
     if f.ndim != 2 or f.shape[1] != 3 or len(f) == 0:
-        raise InputError(f"Forces of the stands have the shape (s, 3), not {f.shape}.")
+        raise InputError(f"Forces of the static poses have the shape (s, 3), not {f.shape}.")
     if not np.all(np.isfinite(f)) or not np.all(np.linalg.norm(f, axis=1) > 0.0):
-        raise InputError("Forces of the stands must be finite and not zero.")
+        raise InputError("Forces of the static poses must be finite and not zero.")
     R = {name: np.asarray(S, dtype=np.float64) for name, S in covariance.items()}
     wanted = (f.size, f.size)
     for name, S in R.items():
@@ -329,8 +369,8 @@ def _checked(
     return f, R
 
 
-def _triad(b: Array, kind: Array) -> Array:
-    """C_bm from the mean of the level stands and one pitched stand: exact where the stands agree."""
+def _initial_matrix(b: Array, kind: Array) -> Array:
+    """C_bm from the mean of the level poses and one pitched pose: exact if the poses agree."""
     z = b[kind == 0.0].sum(axis=0)
     z /= np.linalg.norm(z)
     first = int(np.flatnonzero(kind)[0])
@@ -339,13 +379,13 @@ def _triad(b: Array, kind: Array) -> Array:
     return np.stack([np.cross(y, z), y, z], axis=1)
 
 
-def _design(m: Array, stand: Indices, axis: Indices, pitched: Mask) -> Array:
-    """What the rows tell of the correction: z = H ν, shape (r, 3)."""
-    H = np.zeros((len(stand), 3))
-    level = ~pitched[stand]
+def _design(m: Array, pose: Indices, axis: Indices, pitched: Mask) -> Array:
+    """Derivative of the rows to the correction, z = H ν, shape (r, 3)."""
+    H = np.zeros((len(pose), 3))
+    level = ~pitched[pose]
     H[level & (axis == 0), 1] = 1.0
     H[level & (axis == 1), 0] = -1.0
-    H[~level, 0], H[~level, 2] = -m[stand[~level], 2], m[stand[~level], 0]
+    H[~level, 0], H[~level, 2] = -m[pose[~level], 2], m[pose[~level], 0]
     return H
 
 
@@ -354,24 +394,28 @@ def _whitener(R: Array) -> Array:
     try:
         L = np.linalg.cholesky(R * np.outer(scale, scale))
     except np.linalg.LinAlgError:
-        raise InputError("The covariance of the stands is not positive definite: every stand needs noise.") from None
+        raise InputError(
+            "The covariance of the static poses is not positive definite: each pose needs noise."
+        ) from None
     return np.asarray(np.linalg.solve(L, np.diag(scale)))
 
 
-def _repeats(left: Array, with_levelling: Array, without: Array, names: list[str]) -> tuple[str, ...]:
-    """Refuse stands that contradict one another beyond what levelling explains; warn beyond noise and calibration."""
-    freedom = len(left) - 3
+def _repeatability(solution: _Solution, names: list[str]) -> tuple[str, ...]:
+    """Refuse poses that contradict each other beyond the levelling; warn beyond noise and calibration."""
+    without_levelling = _whitener(np.asarray(sum(solution.errors.values())))
+    residual = solution.residual
+    freedom = len(residual) - 3
     if freedom <= 0:
         return ()
-    worst = int(np.argmax(np.abs(left)))
-    size = float(np.abs(left[worst]))
-    if np.sum((with_levelling @ left) ** 2) > chdtri(freedom, _IMPOSSIBLE):
+    worst = int(np.argmax(np.abs(residual)))
+    size = float(np.abs(residual[worst]))
+    if np.sum((solution.whitener @ residual) ** 2) > chdtri(freedom, _IMPOSSIBLE):
         raise DataError(
-            f"The stands contradict one another: {names[worst]} is {1e3 * size:.3g} mrad off their mean, more than the "
-            "sigma of the levelling explains; the unit moved on its mount, or the mount."
+            f"The static poses contradict one another: {names[worst]} is {1e3 * size:.3g} mrad off their mean, more "
+            "than the sigma of the levelling explains; the unit moved on its mount, or the mount."
         )
-    if np.sum((without @ left) ** 2) > chdtri(freedom, _UNLIKELY):
-        return (f"The stands repeat to {1e6 * size:.3g} µrad only, more than noise and calibration explain.",)
+    if np.sum((without_levelling @ residual) ** 2) > chdtri(freedom, _UNLIKELY):
+        return (f"The static poses repeat to {1e6 * size:.3g} µrad only, more than noise and calibration explain.",)
     return ()
 
 
@@ -379,7 +423,7 @@ def _to_angles(C: Array) -> Array:
     """Derivative of roll, pitch and yaw to η, ``Ĉ_bm = C_bm exp(η×)``, shape (3, 3)."""
     pitch, yaw = math.asin(-float(np.clip(C[0, 2], -1.0, 1.0))), math.atan2(C[0, 1], C[0, 0])
     cp, sp, cy, sy = math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
-    # Rates of the angles turn B in M about these axes; η turns it the other way, as it stands behind C_bm.
+    # Rates of the angles rotate B in M about these axes; η rotates in the opposite sense, as the right factor of C_bm.
     rates = np.array([[cy * cp, -sy, 0.0], [sy * cp, cy, 0.0], [-sp, 0.0, 1.0]])
     return np.asarray(-np.linalg.inv(rates))
 
@@ -390,15 +434,18 @@ def _capital(text: str) -> str:
 
 FORMAT: Final = "srt-mount-alignment"
 VERSION: Final = 1
+"""Name and version of the file format."""
 FORMULA: Final = (
     "C_nm = C_nb C_bm: attitude of the mount from that of the sensor axes (MARS), with C_bm = matrix, mount to sensor "
     "components. The angles are those of the sensor axes in the mount: transpose(C_bm) = Rz(yaw) Ry(pitch) Rx(roll)."
 )
+"""Meaning of the matrix and the angles, as written into the file."""
 _ROUNDING: Final = 1e-9
+"""Largest difference of figures in a file that follow from one another, relative or in rad: decimal digits."""
 
 
 def to_dict(mount: MountAlignment) -> dict[str, Any]:
-    """The JSON form as a dictionary; no NaN in it."""
+    """JSON form as a dictionary, without NaN."""
     angles = zip(ANGLES, mount.angles_rad.tolist(), mount.sigma_rad.tolist(), strict=True)
     return {
         "format": FORMAT,
@@ -409,15 +456,10 @@ def to_dict(mount: MountAlignment) -> dict[str, Any]:
         "covariance": mount.covariance.tolist(),
         "sources": {name: sigma.tolist() for name, sigma in mount.sources.items()},
         "formula": FORMULA,
-        "stands": [dict(stand) for stand in mount.stands],
+        "stands": [dict(pose) for pose in mount.poses],
         "warnings": list(mount.warnings),
         "provenance": dict(mount.provenance),
     }
-
-
-def write(mount: MountAlignment, path: str | PathLike[str]) -> None:
-    """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
-    atomic_write_text(path, json.dumps(to_dict(mount), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def load_mount_alignment(path: str | PathLike[str]) -> MountAlignment:

@@ -1,4 +1,4 @@
-"""From a recording to the stands of a mount alignment: windows, compensated means, and what is wrong with them."""
+"""Static poses of a recording for the mount alignment: windows, compensated means, and checks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from srt.exceptions import DataError, InputError
 from srt.model.measurement_model import force_error_jacobian
 from srt.model.sensor_model import accel_triad, outside_model
 from srt.model.table1 import SEQUENCES
-from srt.mount.alignment import MountAlignment, align_mount, poses, require_both
+from srt.mount.alignment import MountAlignment, align_mount, pose_kinds, require_both
 from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture
 from srt.result.calibration import software
@@ -32,36 +32,38 @@ if TYPE_CHECKING:
 
 
 _FORCE_WITHIN: Final = 0.01
-"""Of gravity, within which the compensated force of a stand must lie: 1 % is 10 mrad, no calibrated unit's error."""
+"""Largest relative difference of compensated force and gravity: a calibrated unit is far better than 1 % (10 mrad)."""
 _IMPOSSIBLE: Final = 1e-6
+"""p-value of the tilt within a pose by its noise, below which the unit moved."""
 _ANGLE_GROUPS: Final = ("accel_bias", "accel_misalignment")
+"""Parameters on which the angles depend."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stands:
-    """Stands of a recording that are level or pitched.
+class StaticPoses:
+    """Level and pitched static poses of a recording.
 
     Attributes
     ----------
     times_s : ndarray, shape (s, 2)
-        From the start of the first sample to the stamp of the last.
+        Start of the first sample and stamp of the last.
     force : ndarray, shape (s, 3), m/s²
         Compensated mean specific force, in B.
     covariance : dict of str to ndarray, shape (3 s, 3 s), (m/s²)²
-        By source: "accel_noise" (with pulses and drift) and "calibration".
-    left_out : int
-        Stationary windows in other attitudes.
+        By source: "accel_noise" (with quantization and drift) and "calibration".
+    omitted : int
+        Number of stationary windows in other attitudes.
     """
 
     times_s: Array
     force: Array
     covariance: dict[str, Array]
-    left_out: int
+    omitted: int
 
     @property
     def titles(self) -> tuple[str, ...]:
-        """What messages call the stands."""
-        return tuple(f"the stand from {a:.6g} s to {b:.6g} s" for a, b in self.times_s.tolist())
+        """Names of the poses in messages."""
+        return tuple(f"the static pose from {a:.6g} s to {b:.6g} s" for a, b in self.times_s.tolist())
 
 
 def mount_from_recording(
@@ -71,18 +73,18 @@ def mount_from_recording(
     level_sigma_rad: float | None = None,
     axis_sigma_rad: float | None = None,
 ) -> MountAlignment:
-    """Estimate the mount angles from a recording of a level and a pitched stand.
+    """Estimate the mount angles from a recording of a level and a pitched static pose.
 
     Parameters
     ----------
     recording : Recording
-        Raw readings. Without labels its stationary windows are found; of sequences of Table 1 the start attitudes
-        with y along the outer axis are taken.
+        Raw readings. Without labels the stationary windows are found; of sequences of Table 1 the start attitudes with
+        y along the outer axis are used.
     calibration : Calibration
-        Of the unit; whether its status is good enough is for the caller to say.
+        Calibration of the unit; the caller judges its status.
     level_sigma_rad, axis_sigma_rad : float, optional
-        As in :func:`srt.mount.alignment.align_mount`; default 1 mrad, or what the recording states of its fixture: the
-        alignment sigma for the axis, and √2 of it for the level, which both base and mounting take part in.
+        As in :func:`srt.mount.alignment.align_mount`; default 1 mrad, or the alignment sigma of the fixture stated in
+        the recording for the axis, and √2 of it for the level (base and mounting).
 
     Returns
     -------
@@ -91,20 +93,18 @@ def mount_from_recording(
     Raises
     ------
     InputError
-        Sigmas that are not positive, or a calibration that is no IMU's.
+        Sigmas that are not positive, or a calibration outside of the sensor model.
     DataError
-        No level or no pitched stand, a stand that cannot be used, or a unit that moved.
+        No level or no pitched pose, a pose that cannot be used, or a unit that moved.
     """
     stated = (recording.fixture or Fixture()).alignment_sigma_rad
     by_default = stated if recording.fixture is None else math.sqrt(2.0) * stated
     level = by_default if level_sigma_rad is None else level_sigma_rad
     axis = stated if axis_sigma_rad is None else axis_sigma_rad
-    stands = find_stands(recording, calibration, level_sigma_rad=level)
-    mount = align_mount(
-        stands.force, stands.covariance, level_sigma_rad=level, axis_sigma_rad=axis, titles=stands.titles
-    )
+    found = find_poses(recording, calibration, level_sigma_rad=level)
+    mount = align_mount(found.force, found.covariance, level_sigma_rad=level, axis_sigma_rad=axis, titles=found.titles)
     rows = tuple(
-        {**stand, "start_s": a, "end_s": b} for stand, (a, b) in zip(mount.stands, stands.times_s.tolist(), strict=True)
+        {**pose, "start_s": a, "end_s": b} for pose, (a, b) in zip(mount.poses, found.times_s.tolist(), strict=True)
     )
     provenance = {
         "data_sha256": recording.data_sha256,
@@ -115,27 +115,25 @@ def mount_from_recording(
         "axis_sigma_rad": axis,
     }
     warnings = [*mount.warnings]
-    if stands.left_out:
+    if found.omitted:
+        warnings.append(f"{found.omitted} stationary windows are neither level nor pitched by 90°, and were omitted.")
+    fixed = [name for group in _ANGLE_GROUPS for name in NAMES[GROUP_SLICES[group]] if name in calibration.held]
+    if fixed:
         warnings.append(
-            f"{stands.left_out} stationary windows are neither level nor pitched by 90°, and were left out."
+            f"The calibration fixes {', '.join(fixed)} without a sigma, so the mount's sigmas are too small."
         )
-    held = [name for group in _ANGLE_GROUPS for name in NAMES[GROUP_SLICES[group]] if name in calibration.held]
-    if held:
-        warnings.append(
-            f"The calibration holds {', '.join(held)} without a sigma, so the mount's sigmas are too small."
-        )
-    return replace(mount, stands=rows, warnings=tuple(warnings), provenance=provenance)
+    return replace(mount, poses=rows, warnings=tuple(warnings), provenance=provenance)
 
 
-def find_stands(recording: Recording, calibration: Calibration, *, level_sigma_rad: float) -> Stands:
-    """Average and compensate the stands of a recording.
+def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_rad: float) -> StaticPoses:
+    """Average and compensate the static poses of a recording.
 
     Parameters
     ----------
     recording : Recording
     calibration : Calibration
     level_sigma_rad : float
-        Tilt within a stand that is taken for motion if the noise does not explain it.
+        Tilt within a pose above which the unit moved, if the noise does not explain it, rad.
 
     Raises
     ------
@@ -149,12 +147,12 @@ def find_stands(recording: Recording, calibration: Calibration, *, level_sigma_r
     samples = _candidates(recording)
     windows = average_windows(recording, samples, "linear")
     times = np.array([window_times(recording, (a, b)) for a, b in samples.tolist()])
-    names = [f"The stand from {a:.6g} s to {b:.6g} s" for a, b in times.tolist()]
+    names = [f"The static pose from {a:.6g} s to {b:.6g} s" for a, b in times.tolist()]
     g = recording.site.gravity_m_s2
     check_rest(windows.accel_mean, g, names, interval_s=recording.nominal_interval_s)
     accel = accel_triad(calibration.errors)
     force = accel.compensate(windows.accel_mean)
-    kind = poses(force)
+    kind = pose_kinds(force)
     require_both(kind)
     used = np.flatnonzero(~np.isnan(kind))
     _check_samples(recording, samples, used, names)
@@ -166,7 +164,7 @@ def find_stands(recording: Recording, calibration: Calibration, *, level_sigma_r
             "calibrated unit is right to 1 %: the calibration is of another unit, or the unit moved."
         )
     noise = noise_model(recording, samples)
-    _check_still(windows, accel, noise, used, names, level_sigma_rad)
+    _check_stationary(windows, accel, noise, used, names, level_sigma_rad)
     variance = (
         noise.accel_white**2 * windows.white_factor[:, None]
         + noise.accel_edge**2 * windows.edge_factor[:, None]
@@ -181,16 +179,16 @@ def find_stands(recording: Recording, calibration: Calibration, *, level_sigma_r
         "accel_noise": own.reshape(3 * len(used), -1),
         "calibration": J @ calibration.covariance @ J.T,
     }
-    return Stands(times[used], force[used], covariance, len(kind) - len(used))
+    return StaticPoses(times[used], force[used], covariance, len(kind) - len(used))
 
 
 def _candidates(recording: Recording) -> Indices:
-    """Windows to look at, first sample and one past the last, shape (W, 2), in time order."""
+    """Windows that may be poses: first sample and one past the last, shape (W, 2), in time order."""
     labels = recording.sequences
     if not labels:
         return find_windows(recording)
     if any(label.id in SEQUENCES for label in labels):
-        # With y along the outer axis the fixture stands as one of a single axis; elsewhere its inner angle is not 0.
+        # With y along the outer axis the inner angle of the fixture is zero, as on a fixture with one axis.
         starts = [s for s in labels if s.id in SEQUENCES and SEQUENCES[s.id].along_outer == "y"]
         bounds = [label.start_static_s for label in starts]
     else:
@@ -198,19 +196,19 @@ def _candidates(recording: Recording) -> Indices:
     found = sorted({(s.start, s.stop) for s in (recording.window_indices(*b) for b in bounds)})
     if not found:
         raise DataError(
-            "None of the labelled sequences starts with y along the outer axis: a stand with z down and one with x "
+            "None of the labelled sequences starts with y along the outer axis: a pose with z down and one with x "
             "down are needed."
         )
     return np.array(found, dtype=np.intp)
 
 
 def _check_samples(recording: Recording, samples: Indices, used: Indices, names: list[str]) -> None:
-    """Refuse stands that are too short, interrupted or clipped."""
+    """Refuse poses that are too short, interrupted or saturated."""
     levels = clipping_levels(recording)
     for i in used.tolist():
         part = slice(*samples[i].tolist())
         if part.stop - part.start < 2:
-            raise DataError(f"{names[i]} holds one sample; a stand needs at least two: widen its window.")
+            raise DataError(f"{names[i]} holds one sample; a pose needs at least two: widen its window.")
         if gap_inside(recording, part).size:
             raise DataError(f"{names[i]} has samples missing: the unit may have moved meanwhile; record it again.")
         clipped = [c for c in clipped_samples(recording, part, levels) if c.channel.startswith("accel")]
@@ -218,10 +216,10 @@ def _check_samples(recording: Recording, samples: Indices, used: Indices, names:
             raise DataError(f"{names[i]}: {clipped[0]}; an alignment needs readings inside the range.")
 
 
-def _check_still(
+def _check_stationary(
     windows: Windows, accel: Triad, noise: NoiseModel, used: Indices, names: list[str], sigma_rad: float
 ) -> None:
-    """Refuse a stand whose second half is tilted against the first by more than its noise and the levelling."""
+    """Refuse a pose whose second half is tilted against the first by more than noise and levelling."""
     halves = accel.compensate(windows.accel_halves[used])
     T = 0.5 * windows.duration_s[used, None]
     up = halves.mean(axis=1)
@@ -230,13 +228,13 @@ def _check_still(
     change = halves[:, 1] - halves[:, 0]
     change -= up * np.einsum("sa,sa->s", up, change)[:, None]
     D2 = np.linalg.inv(accel.matrix) ** 2
-    # Three readings of the velocity make the difference of two adjoining halves: 1, -2, 1.
+    # The difference of two adjoining halves takes three velocity readings with weights 1, -2, 1.
     variance = (2.0 * noise.accel_white**2 / T + 6.0 * (noise.accel_edge / T) ** 2) @ D2.T + 2.0 * noise.accel_wander**2
     tilt = np.linalg.norm(change, axis=1) / size[:, 0]
     moved = (np.sum(change**2 / variance, axis=1) > chdtri(2, _IMPOSSIBLE)) & (tilt > sigma_rad)
     if moved.any():
         i = int(np.argmax(np.where(moved, tilt, 0.0)))
         raise DataError(
-            f"{names[used[i]]} does not stand still: its second half is tilted by {1e3 * tilt[i]:.3g} mrad against the "
+            f"{names[used[i]]} is not stationary: its second half is tilted by {1e3 * tilt[i]:.3g} mrad against the "
             "first, more than noise and levelling explain; the unit moved, or its accelerometers drift."
         )

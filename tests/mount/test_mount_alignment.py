@@ -98,7 +98,7 @@ class TestExact:
         # Means of 100 samples, compensated and turned: some tens of roundings of 2e-16.
         np.testing.assert_allclose(error(mount, angles), 0.0, rtol=0, atol=1e-14)
         np.testing.assert_allclose(mount.angles_rad, angles, rtol=0, atol=1e-14)
-        found = [math.radians(stand["pitch_deg"]) for stand in mount.stands]
+        found = [math.radians(stand["pitch_deg"]) for stand in mount.poses]
         np.testing.assert_allclose(found, pitch_rad, rtol=0, atol=1e-12)
 
     @pytest.mark.parametrize("kind", ["rate", "increment"])
@@ -108,7 +108,7 @@ class TestExact:
         imu = ImuModel(gyro_noise=1e-6, accel_noise=1e-6)
         recording = read_out(motion, SensorErrors(), imu, np.random.default_rng(2), kind=kind)
         mount = mount_from_recording(recording, calibrated())
-        assert [stand["pose"] for stand in mount.stands] == ["level", "nose_down", "nose_up"]
+        assert [stand["pose"] for stand in mount.poses] == ["level", "nose_down", "nose_up"]
         # Each row is the noise of a mean over 4 s over g, or at most twice that; six sigma.
         assert np.abs(error(mount)).max() < 6.0 * 2.0 * 1e-6 / math.sqrt(4.0) / G
 
@@ -254,7 +254,7 @@ class TestResult:
         found = load_mount_alignment(tmp_path / "mount.json")
         for name in ("matrix", "covariance", "angles_rad"):
             np.testing.assert_array_equal(getattr(found, name), getattr(mount, name))
-        assert found.stands == mount.stands
+        assert found.poses == mount.poses
         assert found.method == "stands"
         assert found.provenance == mount.provenance
         assert {k: v.tolist() for k, v in found.sources.items()} == {k: v.tolist() for k, v in mount.sources.items()}
@@ -319,7 +319,7 @@ class TestPlayback:
     def test_the_start_attitudes_give_the_same_as_stands(self):
         U, recording, calibration = self.run(np.random.default_rng(6))
         by_stands, by_U = mount_from_recording(recording, calibration), mount_from_calibration(calibration)
-        poses = [stand["pose"] for stand in by_stands.stands]
+        poses = [stand["pose"] for stand in by_stands.poses]
         # Sequences 1, 1a, 4, 11 and 13 start with z down, 3, 3a, 6, 9 and 12 with x down, y along the outer axis.
         assert (poses.count("level"), poses.count("nose_down")) == (5, 5)
         away = rotation_vector((by_U.matrix.T @ by_stands.matrix)[None])[0]
@@ -355,10 +355,10 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("pitch_rad", "fragment"),
         [
-            ((-QUARTER, QUARTER), "None of the 2 stands is level"),
-            ((0.0, 0.3), "None of the 2 stands is pitched by about 90°"),
-            ((0.0, math.pi), "None of the 2 stands is pitched"),
-            ((0.8, 2.2), "None of the 2 stands is level"),
+            ((-QUARTER, QUARTER), "None of the 2 static poses is level"),
+            ((0.0, 0.3), "None of the 2 static poses is pitched by about 90°"),
+            ((0.0, math.pi), "None of the 2 static poses is pitched"),
+            ((0.8, 2.2), "None of the 2 static poses is level"),
         ],
     )
     def test_without_both_stands(self, pitch_rad, fragment):
@@ -367,7 +367,7 @@ class TestRefusals:
 
     def test_other_attitudes_are_left_out_and_named(self):
         mount = mount_from_recording(recorded((0.0, 0.8, -QUARTER, -2.4)), calibrated())
-        assert len(mount.stands) == 2
+        assert len(mount.poses) == 2
         assert any("2 stationary windows are neither" in sentence for sentence in mount.warnings)
 
     def test_one_stand_without_labels(self):
@@ -390,7 +390,7 @@ class TestRefusals:
         recording = recorded()
         accel = recording.accel.copy()
         accel[100:200] += np.array([2e-3 * G, 0.0, 0.0])
-        with pytest.raises(DataError, match=r"does not stand still.*2 mrad"):
+        with pytest.raises(DataError, match=r"is not stationary.*2 mrad"):
             mount_from_recording(replace(recording, accel=accel), calibrated(), level_sigma_rad=1e-4)
 
     def test_a_calibration_of_another_unit(self):
@@ -425,7 +425,7 @@ class TestRefusals:
 
     def test_held_parameters_are_warned_of(self):
         mount = mount_from_recording(recorded(), calibrated(held={"accel_bias_y": "held on request"}))
-        assert any("holds accel_bias_y" in sentence for sentence in mount.warnings)
+        assert any("fixes accel_bias_y" in sentence for sentence in mount.warnings)
 
     @pytest.mark.parametrize(
         ("changes", "fragment"),
