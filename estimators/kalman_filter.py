@@ -115,12 +115,12 @@ def run_filter(joint: JointModel, system: LinearSystem, state: JointState, prior
             before, after = parts[i - 1].sequence, part.sequence
             change = state.bias_deviation[after] - state.bias_deviation[before]
             instability[:n] = -inverse[:, bias] @ change[axes]
-            ekf.predict(instability, F=np.eye(len(ekf.x)), noise_root=step)
+            ekf.propagate(np.eye(len(ekf.x)), instability, noise_root=step)
         needed = np.flatnonzero(part.H[:, n:].any(axis=0))
         ekf.grow(max(0, size + int(needed.max(initial=-1)) + 1 - len(ekf.x)))
         by_drift = part.H[:, n : n + len(ekf.x) - size]
         H = np.concatenate([part.H[:, :n] @ L, part.H_pose, np.zeros((len(part.b), _MEAN)), by_drift], axis=1)
-        ekf.update(-part.b, lambda _, H=H: H, lambda x, H=H: H @ x)  # type: ignore[misc]
+        ekf.correct(-part.b, H)
         innovations.append(ekf.whitened)
         if part.pose is not None:
             _hand_on(ekf, part, L, n)
@@ -134,7 +134,7 @@ def run_filter(joint: JointModel, system: LinearSystem, state: JointState, prior
     delta[everything] = g
     handed_in = np.zeros(_POSE)
     for part in parts:
-        values, handed_on = part.own_unknowns(g, handed_in)
+        values, handed_on = part.nuisances(g, handed_in)
         delta[part.local[0]], delta[part.pose_columns] = values, handed_on[part.pose_active]
         handed_in = handed_on
     correction = E @ ekf.x[:size]
@@ -196,7 +196,7 @@ def _hand_on(ekf: SquareRootFilter, part: SequenceEquations, L: Array, n: int) -
     F[np.ix_(at, np.arange(n, n + _POSE))] = -inverse @ G_pose
     noise, constant = np.zeros((len(ekf.x), len(at))), np.zeros(len(ekf.x))
     noise[at], constant[at] = inverse, -inverse @ c
-    ekf.predict(constant, F=F, noise_root=noise)
+    ekf.propagate(F, constant, noise_root=noise)
 
 
 def _take_mean(ekf: SquareRootFilter, bias: Array, axes: Indices, count: int, n: int) -> None:
@@ -205,7 +205,7 @@ def _take_mean(ekf: SquareRootFilter, bias: Array, axes: Indices, count: int, n:
     at = n + _POSE + axes
     F[at, at] = count / (count + 1.0)
     F[at, :n] = bias / (count + 1.0)
-    ekf.predict(F=F)
+    ekf.propagate(F)
 
 
 class KalmanSolver(Solver):

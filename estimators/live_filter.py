@@ -1,9 +1,9 @@
-"""The Kalman filter as the test runs: sequences arrive one by one, and after each the unit is known as well as can be.
+"""Kalman filter during a test: an estimate after every sequence, from all sequences so far.
 
-Far from the truth a filter must not be linearised at its own guess. Every new sequence therefore first enters a coarse,
-linear filter as what the fixture says of it: summed raw angles of its legs against their nominal rotations, mean raw
-specific force of its poses against the nominal vertical, with the fixture's sigma. That filter's matrices are the new
-point of linearisation, at which all sequences so far are replayed from the original prior.
+With large sensor errors a filter linearised about its own first estimate diverges. Every new sequence therefore first
+updates a coarse, linear filter of the triads' matrices: summed raw angles of its rotations against the nominal ones,
+mean raw specific force of its poses against the nominal vertical, with the standard deviation of the fixture. All
+sequences so far are then processed again from the original prior, linearised about the coarse estimate.
 """
 
 from __future__ import annotations
@@ -44,33 +44,33 @@ if TYPE_CHECKING:
 
 
 _MAX_STEP: Final = 0.1
-"""Longest step while much is known by the prior alone."""
+"""Longest correction (dimensionless, rad, bias in g): short, as the prior alone constrains many parameters at first."""
 _N: Final = 24
 """Unknowns of the coarse filter: gyro matrix (9), accelerometer matrix (9), accelerometer bias (3), gyro bias (3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveReport:
-    """What is known after a sequence.
+    """Estimate after a sequence.
 
     Attributes
     ----------
     sequence : str
     occurrence : int
     status : str
-        Of the replay: "converged", "not_converged" or "outside_model".
+        Status of the estimate: "converged", "not_converged" or "outside_model".
     errors : SensorErrors
     sigma : ndarray, shape (27,)
     nis : float
-        Normalised innovation squared of this sequence, all those before it being known.
+        Normalised innovation squared of this sequence, given all those before it.
     freedom : int
     innovations : ndarray, shape (freedom,)
     promised : bool
-        Whether every sigma is below 5 %, so that the sigmas hold.
+        True if every sigma is below 5 %, so that linearised sigmas are reliable.
     met : bool
-        Whether all targets are met, and promised.
+        True if the sigmas are reliable and meet all targets.
     limiting : str or None
-        Parameter farthest from its target; None without targets.
+        Parameter with the largest ratio to its target; None without targets.
     """
 
     sequence: str
@@ -104,7 +104,7 @@ class LiveReport:
 
 
 class LiveFilter:
-    """Takes sequences as they arrive.
+    """Kalman filter that is given one sequence after the other.
 
     Parameters
     ----------
@@ -127,19 +127,19 @@ class LiveFilter:
         self.solver = KalmanSolver(self.prior)
 
     def add(self, recording: Recording, label: SequenceLabel) -> LiveReport:
-        """Take one more sequence.
+        """Add a sequence.
 
         Parameters
         ----------
         recording : Recording
-            All samples so far, those of the new sequence and of all before it.
+            All samples so far, including those of the new sequence.
         label : SequenceLabel
-            The new one, later than all before it.
+            The new sequence, later than all before it.
 
         Raises
         ------
         DataError
-            If the sequence cannot be used, or the triads come out left-handed.
+            If the sequence cannot be used, or the estimated triads are left-handed.
         """
         if recording.fixture is None or label.id is None:
             raise InputError("Live calibration needs labelled sequences on a fixture: give the whole recording.")
@@ -150,15 +150,15 @@ class LiveFilter:
         self.labels.append(label)
         so_far = tuple(self.labels)
         data = open_session(recording.with_sequences(so_far), so_far, self.options.average)
-        # While much is known by the prior alone there are several places to come to rest: the likelier one counts.
+        # With few sequences the problem has several minima: the most likely one is used.
         starts = (self.coarse.estimate(), initial_estimate(data, self.options))
-        self.joint, self.solver, self.iteration = min((self._replay(data, start) for start in starts), key=_unlikely)
+        self.joint, self.solver, self.iteration = min((self._solve_from(data, start) for start in starts), key=_rank)
         return self._report(data)
 
-    def _replay(
+    def _solve_from(
         self, data: PlaybackData, start: tuple[SensorErrors, Array]
     ) -> tuple[JointModel, KalmanSolver, IterationState]:
-        """All sequences so far, from the original prior, linearised from a start on."""
+        """Process all sequences so far from the original prior, starting the iteration at ``start``."""
         joint, solver = JointModel(data, self.options, start), KalmanSolver(self.prior)
         requested = np.array([name in self.options.fixed_names for name in NAMES])
         iteration = IterationState(joint.start, ~requested)
@@ -169,7 +169,7 @@ class LiveFilter:
         assert self.iteration is not None
         found = self.solver.last
         if found is None or self.iteration.covariance is None:
-            raise DataError(f"After {data.labels[-1].title} the filter could not go on: {self.iteration.message}")
+            raise DataError(f"After {data.labels[-1].title} the filter cannot continue: {self.iteration.message}")
         sigma = np.sqrt(np.maximum(np.diag(self.iteration.covariance), 0.0))
         promised, met, limiting = judge_targets(sigma, self.options.targets)
         return LiveReport(
@@ -187,35 +187,35 @@ class LiveFilter:
         )
 
 
-def _unlikely(replay: tuple[JointModel, KalmanSolver, IterationState]) -> tuple[bool, float]:
-    """Order of replays: those that came to rest first, then by the squares of residuals and prior."""
-    joint, solver, iteration = replay
+def _rank(solution: tuple[JointModel, KalmanSolver, IterationState]) -> tuple[bool, float]:
+    """Sort key of solutions: converged ones first, then by the sum of squares of residuals and prior."""
+    joint, solver, iteration = solution
     if iteration.system is None or iteration.status == "outside_model":
         return True, math.inf
     system = with_prior(joint, solver, iteration)
-    left = system.b + system.A @ solve(system).delta
-    return iteration.status != "converged", float(left @ left)
+    residual = system.b + system.A @ solve(system).delta
+    return iteration.status != "converged", float(residual @ residual)
 
 
 def run_live(recording: Recording, live: LiveFilter) -> Iterator[LiveReport]:
-    """Feed a filter with a whole recording as if its sequences arrived one by one."""
+    """Add the sequences of a complete recording one by one."""
     for label in sorted(recording.sequences, key=lambda s: s.start_static_s[0]):
         yield live.add(recording, label)
 
 
 class CoarseFilter:
-    """Linear filter of the triads' matrices from what the fixture says of every sequence.
+    """Linear filter of the triads' matrices and biases, with the nominal motion of the fixture as reference.
 
     Parameters
     ----------
     prior : Prior
-        Its sigmas become those of the matrix entries and biases.
+        Its standard deviations are those of the matrix elements and biases.
     """
 
     def __init__(self, prior: Prior) -> None:
         self.prior = prior
         sigma = np.sqrt(np.diag(prior.covariance))
-        spread = np.concatenate(
+        root = np.concatenate(
             [
                 np.full(9, _largest(sigma, "gyro_scale", "gyro_orthogonality")),
                 np.full(9, _largest(sigma, "accel_scale", "accel_misalignment")),
@@ -228,10 +228,10 @@ class CoarseFilter:
             _largest(sigma, "accel_asymmetry"),
         )
         mean = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), np.zeros(6)])
-        self.filter = SquareRootFilter(mean, np.diag(spread))
+        self.filter = SquareRootFilter(mean, np.diag(root))
 
     def add(self, data: PlaybackData) -> None:
-        """Take the sequences of a session."""
+        """Update with the sequences of a session."""
         fixture = data.recording.fixture
         assert fixture is not None
         off = math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
@@ -262,15 +262,15 @@ class CoarseFilter:
             self._take(rest[start], H, math.hypot(float(np.linalg.norm(earth)) * off, noise))
 
     def _take(self, z: Array, H: Array, sigma: float) -> None:
-        self.filter.update(z, lambda _: H, lambda x: H @ x, R=sigma**2 * np.eye(3))
+        self.filter.correct(z, H, noise_root=sigma * np.eye(3))
 
     def estimate(self) -> tuple[SensorErrors, Array]:
-        """Sensor errors and U at the present estimate.
+        """Sensor errors and U of the present estimate.
 
         Raises
         ------
         DataError
-            If the gyro triad comes out left-handed.
+            If the estimated gyro triad is left-handed.
         """
         x = self.filter.x
         gyro = Triad(x[:9].reshape(3, 3), np.zeros(3), x[21:])
@@ -279,7 +279,7 @@ class CoarseFilter:
 
 
 def _matrix_rows(v: Array, first: int) -> Array:
-    """Derivative of M v with respect to the entries of M, which begin at ``first``, shape (3, 24)."""
+    """Derivative of M v with respect to the elements of M, the first of which is state ``first``; shape (3, 24)."""
     H = np.zeros((3, _N))
     for row in range(3):
         H[row, first + 3 * row : first + 3 * row + 3] = v

@@ -1,8 +1,8 @@
-"""The linearised problem sequence by sequence: what each adds for a filter, its own unknowns eliminated.
+"""Measurements of each sequence for a filter, its nuisance parameters eliminated.
 
-The rows of one sequence are turned (QR) so that the first ones hold all its own unknowns, attitudes and edge readings.
-The rest are white measurements of what the filter carries. An attitude that the next sequence starts from is handed on:
-its rows become the transition of the filter's pose states.
+An orthogonal transformation (QR) of the rows of a sequence concentrates its nuisance parameters, attitudes and edge
+errors, in the first rows. The other rows are white measurements of the filter's state. Where the next sequence starts
+from the end attitude, the rows of this attitude become the transition of the filter's attitude states.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceEquations:
-    """One sequence for the filter, everything whitened to unit noise.
+    """Whitened equations of one sequence, with noise of unit covariance.
 
     Attributes
     ----------
     sequence : int
     H : ndarray, shape (m, n)
-        Measurements of the global columns: ``0 = b + H g + H_pose p + noise``.
+        Measurements of the global columns g and the previous end attitude p: ``0 = b + H g + H_pose p + noise``.
     H_pose : ndarray, shape (m, 3)
-        Of the attitude handed on by the sequence before; zero where there is none.
+        Zero if the sequence does not start from the previous end attitude.
     b : ndarray, shape (m,)
     pose : tuple of ndarray, or None
-        R (p, p), G (p, n), G_pose (p, 3), c (p) of the attitude handed on to the next:
-        ``0 = c + R p' + G g + G_pose p + noise``; None if none is.
+        R (p, p), G (p, n), G_pose (p, 3), c (p) of the end attitude p' that the next sequence starts from:
+        ``0 = c + R p' + G g + G_pose p + noise``; None if it does not.
     pose_columns : ndarray of int, shape (p,)
-        Columns of the system that the new pose stands for.
+        Columns of the end attitude in the system.
     pose_active : ndarray of bool, shape (3,)
-        Directions of the new pose that are estimated.
+        Directions of the end attitude that are estimated.
     local : tuple of ndarray
-        Columns of the sequence's own unknowns (l), R (l, l), S (l, p), G (l, n), G_pose (l, 3), c (l):
+        Columns of the nuisance parameters y (l), R (l, l), S (l, p), G (l, n), G_pose (l, 3), c (l):
         ``0 = c + R y + S p' + G g + G_pose p + noise``.
     """
 
@@ -51,8 +51,8 @@ class SequenceEquations:
     pose_active: Mask
     local: tuple[Indices, Array, Array, Array, Array, Array]
 
-    def own_unknowns(self, g: Array, pose: Array) -> tuple[Array, Array]:
-        """Own unknowns (l) and the attitude handed on (3) that go with global columns and the attitude handed in."""
+    def nuisances(self, g: Array, pose: Array) -> tuple[Array, Array]:
+        """Nuisance parameters (l) and end attitude (3) for given global columns and previous end attitude."""
         _, R, S, G, G_pose, c = self.local
         new: Array = np.zeros(len(self.pose_columns))
         if self.pose is not None:
@@ -65,9 +65,9 @@ class SequenceEquations:
 
 
 def global_columns(system: LinearSystem) -> Indices:
-    """Columns that sequences share, in the filter's order: those that are estimated; of the biases the first.
+    """Estimated columns that sequences share, in the order of the filter's state; of several biases the first.
 
-    The draws of the drift come last, in the order of the sequences that need them first.
+    Those of the bias instability are the last, in the order of the sequences that depend on them first.
     """
     names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "instability")
     kept = [system.of(name)[:3] if name == "bias" else system.of(name) for name in names]
@@ -76,7 +76,7 @@ def global_columns(system: LinearSystem) -> Indices:
 
 
 def eliminate_nuisances(joint: JointModel, system: LinearSystem) -> list[SequenceEquations]:
-    """Split a system into its sequences, in time order."""
+    """Equations of all sequences in time order."""
     shared = global_columns(system)
     bias = system.columns["bias"]
     data = joint.data
@@ -94,7 +94,7 @@ def eliminate_nuisances(joint: JointModel, system: LinearSystem) -> list[Sequenc
     carried = -1
     for i, k in enumerate(joint.order.tolist()):
         at = np.concatenate(rows_of[k])
-        # Readings at the edges of its windows, by their own priors; one that the next turn shares counts there anew.
+        # Edge errors enter with their priors; one that the next rotation shares is independent there.
         used = system.A[np.ix_(at, system.of("edge"))].any(axis=0).reshape(-1, 3).any(axis=1)
         at = np.concatenate([at, edges[used].ravel()])
         A, b = system.A[at], system.b[at]

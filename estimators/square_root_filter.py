@@ -1,18 +1,17 @@
-"""filterpy's extended Kalman filter with its covariance held as a square root.
+"""Adapter of filterpy's square-root Kalman filter to extended steps of varying size.
 
-A prior of a third of full scale against results of parts in a million spans twelve decades of variance, and a
-noise-free recording nineteen: more than the covariance form has digits for (its sigmas came out wrong by parts in a
-thousand, and an iteration that restarts from the prior never came to rest). The array form of Kaminski, Bryson and
-Schmidt (1971), one orthogonal triangularisation for every step, needs half as many; ``x``, ``y``, ``K`` and ``S`` mean
-what they mean in filterpy, and ``P`` is the square.
+A prior of a third of full scale against results of parts per million spans twelve decades of variance, a noise-free
+recording nineteen: more than the covariance form can represent (its sigmas were wrong by 1e-3, and an iteration that
+restarts from the prior did not converge). A square root needs half as many. :class:`filterpy.kalman`'s
+``SquareRootKalmanFilter`` predicts and updates by orthogonal triangularisation; this adapter sets its inputs.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
+from filterpy.kalman import SquareRootKalmanFilter
 from scipy.linalg import solve_triangular
 
 if TYPE_CHECKING:
@@ -21,8 +20,10 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
-class SquareRootFilter(ExtendedKalmanFilter):  # type: ignore[misc]
-    """Extended Kalman filter whose covariance is ``root rootᵀ``.
+class SquareRootFilter(SquareRootKalmanFilter):  # type: ignore[misc]
+    """Square-root Kalman filter with the covariance ``root rootᵀ``.
+
+    The attribute ``P_post`` of filterpy 2.0.0 returns the prior covariance; use ``P``.
 
     Parameters
     ----------
@@ -33,67 +34,61 @@ class SquareRootFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
     Attributes
     ----------
-    root : ndarray, shape (n, n)
     whitened : ndarray, shape (m,)
         Innovations of the last update, normalised and decorrelated in their order.
     """
 
     def __init__(self, x: Array, root: Array) -> None:
         super().__init__(dim_x=len(x), dim_z=1)
-        self.root = root
-        self.x = x
-        self.P = root @ root.T
+        self.dim_x: int = len(x)
+        self.x, self._P1_2 = np.array(x, dtype=float), np.array(root)
+        self.B = 1.0  # inputs of predict() are in units of the state
         self.whitened = np.zeros(0)
 
+    @property
+    def root(self) -> Array:
+        """Square root of the covariance, shape (n, n)."""
+        return np.asarray(self.P1_2)
+
     def grow(self, number: int) -> None:
-        """Append states of mean zero and unit variance that have nothing to do with the others."""
-        n = len(self.x)
+        """Append states of mean zero and unit variance, independent of the others."""
+        n = self.dim_x
         root = np.eye(n + number)
         root[:n, :n] = self.root
-        self.x, self.root = np.append(self.x, np.zeros(number)), root
-        self.P = root @ root.T
+        self.dim_x, self.x, self._P1_2 = n + number, np.append(self.x, np.zeros(number)), root
 
-    def predict(self, u: Any = 0, *, F: Array | None = None, noise_root: Array | None = None) -> None:
-        """Predict: ``x = F x + u``, with the process noise ``noise_root noise_rootᵀ``."""
-        if F is not None:
-            self.F = F
-        self.x = self.F @ self.x + u
-        wide = self.F @ self.root if noise_root is None else np.hstack([self.F @ self.root, noise_root])
-        self.root = _lower(wide)
-        self.P = self.root @ self.root.T
-        self.x_prior, self.P_prior = self.x.copy(), self.P.copy()
+    def propagate(self, F: Array, u: Array | float = 0.0, *, noise_root: Array | None = None) -> None:
+        """Predict ``x = F x + u`` with the process noise ``noise_root noise_rootᵀ``, which may be singular."""
+        self.F = F
+        # The setter of Q takes its Cholesky factor, which a singular Q does not have.
+        self._Q1_2 = np.zeros((self.dim_x, 0)) if noise_root is None else noise_root
+        self.predict(u)
 
-    def update(
+    def correct(self, z: Array, H: Array, *, noise_root: Array | None = None) -> None:
+        """Update with the measurement ``z = H x + noise``, by default white with unit variance."""
+        m, n = H.shape
+        # filterpy inverts the innovations' root with pinv, which loses digits where innovations are correlated. Along
+        # the principal axes U of the predicted measurement they are not.
+        U = np.linalg.svd(H @ self.root)[0]
+        self.dim_z, self.H, self.M = m, U.T @ H, np.zeros((m + n, m + n))
+        self.update(U.T @ z, U.T if noise_root is None else U.T @ noise_root)
+        # Back to the axes of the measurement; the triangularisation leaves the signs of the columns open.
+        root: Array = np.asarray(np.linalg.qr(np.asarray(U @ self.S1_2).T, mode="r")).T
+        self.S1_2: Array = root * np.where(np.diag(root) < 0.0, -1.0, 1.0)
+        self.SI1_2 = solve_triangular(self.S1_2, np.eye(m), lower=True)
+        self.z, self.H = z, H
+        self.y: Array = U @ self.y
+        self.K: Array = self.K @ U.T
+        self.whitened = self.SI1_2 @ self.y
+
+    def correct_extended(
         self,
         z: Array,
-        HJacobian: Callable[[Array], Array],
-        Hx: Callable[[Array], Array],
-        R: Array | None = None,
-        **_: Any,
+        jacobian: Callable[[Array], Array],
+        h: Callable[[Array], Array],
+        *,
+        noise_root: Array | None = None,
     ) -> None:
-        """Update with a measurement of m components; ``R`` is their covariance, default white of unit variance."""
-        H = np.asarray(HJacobian(self.x))
-        m, n = H.shape
-        noise = np.eye(m) if R is None else np.linalg.cholesky(R)
-        array = np.zeros((m + n, m + n))
-        array[:m, :m], array[m:, :m], array[m:, m:] = noise.T, (H @ self.root).T, self.root.T
-        lower = _lower(array.T)
-        lower *= np.where(np.diag(lower) < 0.0, -1.0, 1.0)
-        root_S, gain = lower[:m, :m], lower[m:, :m]
-        self.z = np.asarray(z)
-        self.y = self.z - np.asarray(Hx(self.x))
-        self.whitened = solve_triangular(root_S, self.y, lower=True)
-        self.x = self.x + gain @ self.whitened
-        self.root = lower[m:, m:]
-        self.P = self.root @ self.root.T
-        self.S = root_S @ root_S.T
-        self.SI = np.linalg.inv(self.S)
-        self.K = solve_triangular(root_S, gain.T, lower=True, trans="T").T
-        self.x_post, self.P_post = self.x.copy(), self.P.copy()
-        self._log_likelihood = self._likelihood = self._mahalanobis = None
-
-
-def _lower(wide: Array) -> Array:
-    """Lower triangle L with ``L Lᵀ = wide wideᵀ``."""
-    upper: Array = np.asarray(np.linalg.qr(wide.T, mode="r"))
-    return upper.T
+        """Update with the nonlinear measurement ``z = h(x) + noise``, linearised about the present estimate."""
+        H = np.asarray(jacobian(self.x))
+        self.correct(z - np.asarray(h(self.x)) + H @ self.x, H, noise_root=noise_root)
