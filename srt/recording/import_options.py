@@ -1,4 +1,4 @@
-"""What the user says about a foreign file: columns, units, axes, and which of several IMUs to take."""
+"""Options for reading a foreign file: columns, units, axes, and the choice among several IMUs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 TRIADS: Final = {"gyro": GYRO_COLUMNS, "accel": ACCEL_COLUMNS}
-"""Channels of each sensor; its name alone stands for the three of them."""
+"""Channels of each sensor; the name of a sensor stands for its three channels."""
 
 CHANNELS: Final = (TIME, *GYRO_COLUMNS, *ACCEL_COLUMNS, TEMPERATURE)
 
@@ -78,13 +78,13 @@ _LSB_UNITS = {"gyro": {**GYRO_UNITS["rate"], "rad": 1.0, "deg": DEG}, "accel": {
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """What a file does not say of itself, or says wrongly; None: as the format has it.
+    """Properties of a file that it does not state, or states wrongly; None: as the format defines.
 
     Attributes
     ----------
     columns : mapping of channel to column
-        Channels are those of a samples table, or "gyro" and "accel" for an array of three columns; a column is a
-        name, or a number counted from 1. Empty: found by their names.
+        Channels are those of a table of samples, or "gyro" and "accel" for an array of three columns; a column is a
+        name, or a number counted from 1. Empty: columns are recognised by their names.
     kind : "rate" or "increment"
     time_unit, gyro_unit, accel_unit : str
         As in ``recording.toml``.
@@ -93,28 +93,28 @@ class ImportOptions:
     gyro_offset, accel_offset : (float, float, float)
         Counts at zero input.
     sample_rate_hz : float
-        Instead of time stamps, or over them.
+        Rate of the samples; it overrides time stamps.
     topic : str
-        Of a bag: which IMU.
+        Topic of a bag or of a log.
     instance : int
-        Of a log, counted from 0: which IMU.
+        Instance of a topic in a log, counted from 0.
     delimiter : str
-        Of a text table.
+        Separator of a text table.
     decimal_comma : bool
-        Whether a text table writes 1,5 for 1.5.
+        True: a text table writes 1,5 for 1.5.
     skip : int
-        Lines of a text table to leave out at its top.
+        Lines at the top of a text table that are not read.
     variable : str
-        In a MATLAB, HDF5 or NPZ file: the array, struct or group that holds the samples.
+        Array, struct or group of a MATLAB, HDF5 or NPZ file that holds the samples.
     map_gyro, map_accel : str
-        IMU axes in terms of the file's, such as "x,-y,z" or "y,x,-z".
+        IMU axes by those of the file, such as "x,-y,z" or "y,x,-z".
     second : Path
-        The gyros' file, where each sensor has its own.
+        File of the gyros, where each sensor has its own.
 
     Raises
     ------
     InputError
-        A value that is not one of those allowed.
+        A value that is not allowed.
     """
 
     columns: Mapping[str, str | int] = field(default_factory=dict)
@@ -183,12 +183,12 @@ class ImportOptions:
 
 
 def option(name: str) -> str:
-    """What messages call a field of :class:`ImportOptions`: the option of the command line."""
+    """Option of the command line for a field of :class:`ImportOptions`, as messages name it."""
     return "--" + name.replace("_", "-")
 
 
 def normal_unit(text: str) -> str:
-    """Bring the spelling of a unit to the one used here; what is unknown comes back as it is.
+    """Convert the spelling of a unit to that of ``recording.toml``; an unknown one is returned unchanged.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def parse_columns(text: str) -> dict[str, str | int]:
     Parameters
     ----------
     text : str
-        Channels in the order of the columns ("time,gyro,accel", with "-" for a column to leave out), or channels with
+        Channels in the order of the columns ("time,gyro,accel", with "-" for a column that is not read), or channels with
         their columns ("gyro_x=wx,gyro_y=wy", "gyro_x=4"), or both.
 
     Returns
@@ -232,7 +232,7 @@ def parse_columns(text: str) -> dict[str, str | int]:
             position += 1
             continue
         else:
-            # A sensor's name alone stands for three columns in a row.
+            # The name of a sensor stands for three adjacent columns.
             named = [(name, position + i) for i, name in enumerate(TRIADS.get(channel, (channel,)))]
             position += len(named)
         for name, where in named:
@@ -250,9 +250,9 @@ def parse_axis_map(text: str | None, name: str = "map_gyro") -> Array | None:
     Parameters
     ----------
     text : str or None
-        The axis of the file that becomes x, y and z of the IMU, with its sign.
+        Axes of the file that become x, y and z of the IMU, with their signs.
     name : str
-        The field that messages are to name.
+        Field of the options, for messages.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def parse_axis_map(text: str | None, name: str = "map_gyro") -> Array | None:
     Raises
     ------
     InputError
-        Anything but the three axes, each once.
+        Text that is not the three axes, each once.
     """
     if text is None:
         return None
@@ -281,13 +281,13 @@ def parse_axis_map(text: str | None, name: str = "map_gyro") -> Array | None:
 
 
 def parse_lsb(text: str, sensor: str) -> Triple:
-    """Read what one count is worth.
+    """Read the scale factor of counts.
 
     Parameters
     ----------
     text : str
-        One number or three, each also as 1/N, with a unit behind: "1/131 deg/s", "1/415,1/413,1/415 m/s^2". Without
-        a unit: SI.
+        One number or three, each also as 1/N, and a unit: "1/131 deg/s", "1/415,1/413,1/415 m/s^2". The default unit
+        is SI.
     sensor : "gyro" or "accel"
 
     Returns
@@ -308,12 +308,14 @@ def parse_lsb(text: str, sensor: str) -> Triple:
     factor = factors[unit] if unit else 1.0
     values = [value * factor for value in _triple(numbers, name, _fraction)]
     if not all(values):
-        raise InputError(f"{option(name)} is {text!r}, but a count is worth something: give a number other than 0.")
+        raise InputError(
+            f"{option(name)} is {text!r}, but 0 was found: give the value of one count, a number other than 0."
+        )
     return values[0], values[1], values[2]
 
 
 def parse_offset(text: str, sensor: str) -> Triple:
-    """Read counts at zero input: one number, or three with commas between. Raises InputError."""
+    """Read the counts at zero input: one number, or three separated by commas. Raises InputError."""
     return _triple(text, f"{sensor}_offset", float)
 
 
@@ -330,7 +332,7 @@ def _triple(text: str, name: str, read: Callable[[str], float]) -> Triple:
     if len(values) == 1:
         values *= 3
     if len(values) != 3 or not all(map(math.isfinite, values)):
-        raise InputError(f"{option(name)} is {text!r}, but one number, or three with commas between, is expected.")
+        raise InputError(f"{option(name)} is {text!r}, but one number, or three separated by commas, is expected.")
     return values[0], values[1], values[2]
 
 

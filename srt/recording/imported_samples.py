@@ -1,4 +1,4 @@
-"""Samples from a foreign file, in SI units, with notes of all that was assumed, dropped or changed on the way."""
+"""Samples of a foreign file in SI units, with notes on all assumptions and changes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.recording.import_options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
-from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site
+from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site, require_bounded
 from srt.recording.schema import COUNTS, TIME_UNITS
 from srt.recording.timing import GAP_STEPS
 
@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 REBASE_BEYOND_S: Final = 1e6
-"""Stamps above this are counted from the first: a double holds smaller ones to a fifth of a nanosecond."""
+"""Stamps above this, s, are counted from the first: a double holds smaller ones to 0.2 ns."""
 
 _SI: Final = {"rate": {"gyro": "rad/s", "accel": "m/s²"}, "increment": {"gyro": "rad", "accel": "m/s"}}
 
-_PLAUSIBLE_EPOCH_S = (9e8, 7e9)  # 1998 to 2191: what a stamp since 1970 may be
+_PLAUSIBLE_EPOCH_S = (9e8, 7e9)
+"""Stamps, s, that a note shows as a date since 1970: the years 1998 to 2191."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatedUnits:
-    """Units that a format or a file's header states; None: the user has to.
+    """Units that a format or the header of a file states; None: the user has to state them.
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ class StatedUnits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedSamples:
-    """What a reader gives back.
+    """Result of a reader.
 
     Attributes
     ----------
@@ -59,11 +60,11 @@ class ImportedSamples:
         Stated by the file or the user.
     temperature : ndarray, shape (n,), °C, or None
     serial, date : str or None
-        Where the file has them.
+        None: the file does not state them.
     units : mapping of str to str
-        Of "gyro", "accel" and "time": the unit in the file, and who says so.
+        Unit of "gyro", "accel" and "time" in the file, and its origin: the file or the user.
     notes : tuple of str
-        Sentences: what was assumed, dropped or changed.
+        Sentences on assumptions, dropped samples and changes.
     """
 
     gyro: Array
@@ -92,26 +93,26 @@ def samples_in_si(
     date: str | None = None,
     notes: tuple[str, ...] = (),
 ) -> ImportedSamples:
-    """Bring a reader's arrays to SI: the last step of every reader.
+    """Convert arrays to SI: the last step of every reader.
 
     Parameters
     ----------
     options : ImportOptions
-        A unit given here goes before the stated one, with a note.
+        A unit given here overrides the stated one, with a note.
     gyro, accel : ndarray, shape (n, 3)
         In the units of the file.
     time : ndarray, shape (n,), or None
-        Integers stay exact: they are counted from the first one before they become seconds.
+        Integers stay exact: they are counted from the first one before the conversion to seconds.
     stated : StatedUnits
-        What the format or the header says.
+        Units by the format or the header.
     kind : "rate" or "increment", optional
-        Where the format fixes it.
+        Kind by the format.
     sample_rate_hz : float, optional
-        Where the file says it.
+        Rate by the file.
     temperature : ndarray, shape (n,), °C, optional
     serial, date : str, optional
     notes : tuple of str
-        The reader's own.
+        Notes of the reader.
 
     Returns
     -------
@@ -120,32 +121,32 @@ def samples_in_si(
     Raises
     ------
     InputError
-        A unit that nobody states or that does not go with the kind, a kind that the format does not have, arrays that
-        disagree.
+        A unit that is not stated or that does not fit the kind, a kind that the format does not have, arrays of
+        different lengths.
     """
     if None not in (kind, options.kind) and kind != options.kind:
         raise InputError(
             f"{option('kind')} is {options.kind}, but this format holds samples of kind {kind}: leave it out."
         )
     chosen: Kind = kind or options.kind or "rate"
-    said: list[str] = []
+    changes: list[str] = []
     units: dict[str, str] = {}
     arrays: dict[str, Array] = {}
     for sensor, raw, own in (("gyro", gyro, stated.gyro), ("accel", accel, stated.accel)):
         if raw.ndim != 2 or raw.shape[1] != 3 or len(raw) != len(gyro):
             raise InputError(f"The {sensor} readings have the shape {raw.shape}, but ({len(gyro)}, 3) is expected.")
-        unit, units[sensor] = _unit(options, f"{sensor}_unit", own, said)
+        unit, units[sensor] = _unit(options, f"{sensor}_unit", own, changes)
         arrays[sensor] = _to_si(options, sensor, unit, chosen, raw)
         if unit == COUNTS:
-            units[sensor] += f", worth {_worth(getattr(options, f'{sensor}_lsb'))} {_SI[chosen][sensor]} each"
+            units[sensor] += f", of {_scale_text(getattr(options, f'{sensor}_lsb'))} {_SI[chosen][sensor]} each"
     seconds = None
     if time is not None:
         if time.shape != (len(gyro),):
-            raise InputError(f"There are {time.size} time stamps for {len(gyro)} samples: they must agree.")
-        unit, units["time"] = _unit(options, "time_unit", stated.time, said)
-        seconds = seconds_of(time, unit, said)
+            raise InputError(f"There are {time.size} time stamps for {len(gyro)} samples: one for each is expected.")
+        unit, units["time"] = _unit(options, "time_unit", stated.time, changes)
+        seconds = seconds_of(time, unit, changes)
     elif options.time_unit is not None:
-        raise InputError(f"{option('time_unit')} is given, but no time stamps are read: name their column, too.")
+        raise InputError(f"{option('time_unit')} is given, but no time stamps are read: name their column.")
     return ImportedSamples(
         arrays["gyro"],
         arrays["accel"],
@@ -156,12 +157,12 @@ def samples_in_si(
         serial,
         date,
         units,
-        (*notes, *said),
+        (*notes, *changes),
     )
 
 
 def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
-    """Turn stamps into seconds, counted from the first where they are too large for a double.
+    """Convert stamps to seconds, counted from the first where they are too large for a double.
 
     Parameters
     ----------
@@ -170,17 +171,17 @@ def seconds_of(stamps: NDArray[Any], unit: str, notes: list[str]) -> Array:
     unit : str
         "s", "ms", "us" or "ns".
     notes : list of str
-        Gets a sentence if the stamps are counted from the first.
+        A sentence is appended if the stamps are counted from the first.
 
     Returns
     -------
     ndarray, shape (n,), s
     """
     factor = TIME_UNITS[unit]
-    # Division by a power of ten rounds once; its reciprocal is no double.
+    # Division by a power of ten rounds once; the reciprocal of a power of ten is no double.
     divisor = round(1.0 / factor)
     if stamps.dtype.kind in "iu":
-        stamps = stamps.astype(np.int64)  # differences of shorter or unsigned ones may wrap around
+        stamps = stamps.astype(np.int64)  # differences of shorter or unsigned integers may overflow
     if stamps.size and REBASE_BEYOND_S < abs(float(stamps[0])) * factor < np.inf:
         first = stamps[0]
         start = float(first) * factor
@@ -199,7 +200,7 @@ def join_streams(
     accel: Array,
     notes: list[str],
 ) -> tuple[slice | Indices, Array]:
-    """Bring accelerometer readings to the gyros' stamps, by linear interpolation where the stamps differ.
+    """Interpolate accelerometer readings linearly to the stamps of the gyros, where the stamps differ.
 
     Parameters
     ----------
@@ -208,12 +209,12 @@ def join_streams(
         Both strictly increasing, from the same clock.
     accel : ndarray, shape (m, 3)
     notes : list of str
-        Gets sentences on what was done.
+        Sentences on the changes are appended.
 
     Returns
     -------
     kept : slice or ndarray of int, shape (k,)
-        The gyro samples that have accelerometer readings around them; gaps of that stream stay gaps.
+        Gyro samples between two accelerometer readings; gaps of that stream stay gaps.
     accel : ndarray, shape (k, 3)
 
     Raises
@@ -239,9 +240,9 @@ def join_streams(
     if kept.size < 2:
         raise InputError(
             f"The gyro readings ({gyro_time[0]:g} to {gyro_time[-1]:g} s) and the accelerometer readings "
-            f"({accel_time[0]:g} to {accel_time[-1]:g} s) have no time in common: check that they are of one recording."
+            f"({accel_time[0]:g} to {accel_time[-1]:g} s) have no time in common: check that they are from one recording."
         )
-    notes.append("Accelerometer readings were brought to the gyros' time stamps by linear interpolation.")
+    notes.append("Accelerometer readings were brought to the time stamps of the gyros by linear interpolation.")
     if kept.size < gyro_time.size:
         notes.append(f"{gyro_time.size - kept.size} gyro samples without accelerometer readings around them dropped.")
     at = gyro_time[kept]
@@ -249,9 +250,9 @@ def join_streams(
 
 
 def without_repeats(imported: ImportedSamples) -> ImportedSamples:
-    """Drop records that a logger wrote twice: same stamp and same readings as the one before.
+    """Drop records that a logger wrote twice: stamp and readings equal those of the record before.
 
-    A repeated stamp with other readings stays, for the recording to refuse: which of them is right is not known.
+    A repeated stamp with other readings stays, and the recording refuses it: it is not known which one is right.
     """
     time = imported.time
     if time is None or time.size < 2:
@@ -276,21 +277,23 @@ def without_repeats(imported: ImportedSamples) -> ImportedSamples:
     )
 
 
-def in_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSamples:
-    """Apply the axis maps of the options, with notes."""
+def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSamples:
+    """Convert samples to the axes of the IMU by the axis maps of the options, with notes."""
     changes: dict[str, Any] = {}
     notes = list(imported.notes)
-    hands = []
+    handedness = []
     for sensor in ("gyro", "accel"):
         text = getattr(options, f"map_{sensor}")
         matrix = parse_axis_map(text, f"map_{sensor}")
-        hands.append(1.0 if matrix is None else float(np.linalg.det(matrix)))
+        handedness.append(1.0 if matrix is None else float(np.linalg.det(matrix)))
         if matrix is not None:
             # Adding zero turns the -0.0 of a sign change into 0.0.
             changes[sensor] = getattr(imported, sensor) @ matrix.T + 0.0
             notes.append(f"{sensor} x, y, z are {text} of the file.")
-    if hands[0] * hands[1] < 0.0:
-        notes.append("The axis maps give gyros and accelerometers triads of different hand: check their signs.")
+    if handedness[0] * handedness[1] < 0.0:
+        notes.append(
+            "The axis maps make one triad of gyros and accelerometers right-handed and the other left-handed: check their signs."
+        )
     return replace(imported, **changes, notes=tuple(notes)) if changes else imported
 
 
@@ -317,15 +320,15 @@ def to_recording(
     noise : ImuNoise, optional
     sequences : tuple of SequenceLabel
     serial, date : str, optional
-        Before those of the file.
+        They override those of the file.
     source, data_sha256 : str, optional
     temperature_c : float, optional
-        Stated for all samples, where the file has none.
+        Temperature of all samples, if the file has none.
 
     Returns
     -------
     Recording
-        Without stamps, the rate makes them, the first interval starting at 0.
+        Without stamps, they follow from the rate; the first interval starts at 0.
 
     Raises
     ------
@@ -343,7 +346,7 @@ def to_recording(
     temperature = imported.temperature
     if temperature is None and temperature_c is not None:
         temperature = np.broadcast_to(np.float64(temperature_c), time.shape)
-    return Recording(
+    recording = Recording(
         time,
         imported.gyro,
         imported.accel,
@@ -359,16 +362,18 @@ def to_recording(
         source,
         data_sha256,
     )
+    require_bounded(recording)
+    return recording
 
 
 def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str]) -> tuple[str, str]:
-    """The unit of a sensor or of time, and the words for it; a contradiction becomes a note."""
+    """Unit of a sensor or of time, and its text with its origin; a contradiction becomes a note."""
     given: str | None = getattr(options, name)
     if given is None and stated is None:
         sensor = name.removesuffix("_unit")
-        # A count has no value of its own, so that the unit need not be said twice.
+        # The value of a count implies the unit "counts".
         if sensor in SENSOR_UNITS and getattr(options, f"{sensor}_lsb") is not None:
-            return COUNTS, f"{COUNTS} (as said)"
+            return COUNTS, f"{COUNTS} (as given)"
         allowed = (
             [*SENSOR_UNITS[sensor]["rate"], *SENSOR_UNITS[sensor]["increment"], COUNTS]
             if sensor in SENSOR_UNITS
@@ -376,18 +381,20 @@ def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str
         )
         columns = "column is" if sensor == "time" else "columns are"
         raise InputError(
-            f"The file does not say in what unit its {sensor} {columns}: say it with "
+            f"The file does not state in what unit its {sensor} {columns}: state it with "
             f"{option(name)} ({name} in recording.toml), as one of {', '.join(allowed)}."
         )
     if given is None:
         assert stated is not None
-        return stated, f"{stated} (as the file has it)"
+        return stated, f"{stated} (as in the file)"
     if stated is not None and given != stated:
-        notes.append(f"The file states {stated} for {name.removesuffix('_unit')}; read as {given}, as said.")
-    return given, f"{given} (as said)"
+        notes.append(
+            f"The file states {stated} for {name.removesuffix('_unit')}; read as {given}, as stated by the user."
+        )
+    return given, f"{given} (as given)"
 
 
-def _worth(lsb: tuple[float, ...]) -> str:
+def _scale_text(lsb: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in (lsb if len(set(lsb)) > 1 else lsb[:1]))
 
 
@@ -397,7 +404,7 @@ def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDAr
     if unit == COUNTS:
         if lsb is None:
             raise InputError(
-                f"The {sensor} readings are counts: say what one is worth with {option(f'{sensor}_lsb')} "
+                f"The {sensor} readings are counts: state the value of one count with {option(f'{sensor}_lsb')} "
                 f"({sensor}_lsb in recording.toml)."
             )
         if offset is not None:
@@ -413,7 +420,7 @@ def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDAr
     factors = SENSOR_UNITS[sensor][kind]
     if unit not in factors:
         raise InputError(
-            f"The unit {unit} of the {sensor} readings does not go with samples of kind {kind}, for which one of "
+            f"The unit {unit} of the {sensor} readings does not fit samples of kind {kind}, for which one of "
             f"{', '.join((*factors, COUNTS))} is expected: correct {option(f'{sensor}_unit')} or {option('kind')}."
         )
     if factors[unit] != 1.0:

@@ -1,4 +1,4 @@
-"""Every format that can be read, by name; the readers are imported when first asked for.
+"""Registry of the foreign formats by name; their readers are imported on first use.
 
 A new format is a reader and one line in :data:`IMPORTERS`, or a call of :func:`register` from outside.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from srt.exceptions import DataError, InputError, did_you_mean
 from srt.recording.import_options import ImportOptions, option
-from srt.recording.imported_samples import ImportedSamples, in_axes, without_repeats
+from srt.recording.imported_samples import ImportedSamples, in_imu_axes, without_repeats
 from srt.recording.samples import SAMPLES_FORMATS
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 AUTO: Final = "auto"
 
 HEAD_BYTES: Final = 4096
-"""As much of a file as a sniffer looks at."""
+"""Bytes at the start of a file by which a format is recognised."""
 
-COMMON: Final = frozenset(
+COMMON_OPTIONS: Final = frozenset(
     {
         "kind", "gyro_unit", "accel_unit", "gyro_lsb", "accel_lsb", "gyro_offset", "accel_offset",
         "sample_rate_hz", "map_gyro", "map_accel",
@@ -43,19 +43,19 @@ class Importer:
     Attributes
     ----------
     name : str
-        On the command line.
+        Name on the command line.
     title : str
-        For people, a few words.
+        Description in a few words.
     suffixes : tuple of str
-        Lower case, with the dot; asked only if no content is recognised.
+        Lower case, with the dot; they decide only if no format recognises the content.
     extra : str or None
         The optional extra that it needs.
     sniff : callable
-        Whether a file (or folder) is of this format, by its first bytes; never raises, reads little.
+        True for a file (or folder) of this format, by its first bytes; never raises.
     read : callable
         Raises InputError, DataError or MissingExtraError, nothing else.
     options : frozenset of str
-        The fields of ImportOptions that it takes beside the common ones; others are refused, not ignored.
+        Fields of ImportOptions that it takes in addition to the common ones; others are refused.
     """
 
     name: str
@@ -82,7 +82,7 @@ IMPORTERS: Final[dict[str, str]] = {
     "psins": "srt.recording.importers.psins:PSINS",
     "csv": "srt.recording.importers.csv_formats:CSV",
 }
-"""Name to "module:attribute", those with the most certain marks first."""
+"""Name to "module:attribute"; formats with the most certain marks come first."""
 
 
 def register(name: str, target: str) -> None:
@@ -92,7 +92,7 @@ def register(name: str, target: str) -> None:
     ----------
     name : str
     target : str
-        "module:attribute" of an :class:`Importer`. It is asked before those that stand already.
+        "module:attribute" of an :class:`Importer`. It is tried before the existing ones.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def register(name: str, target: str) -> None:
         If the name is taken.
     """
     if name in IMPORTERS or name == AUTO:
-        raise InputError(f"There is a format {name!r} already: choose another name.")
+        raise InputError(f"The format {name!r} exists already: choose another name.")
     others = dict(IMPORTERS)
     IMPORTERS.clear()
     IMPORTERS.update({name: target, **others})
@@ -117,14 +117,14 @@ def importer(name: str) -> Importer:
 
 
 def find_importer(path: Path, name: str = AUTO) -> Importer:
-    """Find the format of a file: by its content, then by its suffix.
+    """Find the format of a file by its content, then by its suffix.
 
     Parameters
     ----------
     path : Path
         File, or folder for formats that are folders.
     name : str
-        A format's name, which is believed, or "auto".
+        Name of a format, which is not checked, or "auto".
 
     Returns
     -------
@@ -150,7 +150,7 @@ def find_importer(path: Path, name: str = AUTO) -> Importer:
     for candidate in known:
         if suffix in candidate.suffixes:
             return candidate
-    raise InputError(f"{path} is of no format known here: name it with {option('format')}, as one of {_names()}.")
+    raise InputError(f"The format of {path} was not recognised: name it with {option('format')}, as one of {_names()}.")
 
 
 def import_file(path: Path, options: ImportOptions | None = None, name: str = AUTO) -> tuple[Importer, ImportedSamples]:
@@ -161,20 +161,20 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
     path : Path
     options : ImportOptions, optional
     name : str
-        A format's name, or "auto".
+        Name of a format, or "auto".
 
     Returns
     -------
     importer : Importer
-        The one that read it.
+        The format.
     imported : ImportedSamples
-        In the axes asked for, without records written twice.
+        In the axes of the IMU, without repeated records.
 
     Raises
     ------
     InputError
-        What :func:`find_importer` raises, an option that the format does not take, and whatever is wrong with the
-        file; one sentence that names it.
+        Errors of :func:`find_importer`, an option that the format does not take, or a fault of the file; one sentence
+        that names the file.
     DataError
     MissingExtraError
         If the format needs a package that is not installed.
@@ -183,18 +183,18 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
     if name == AUTO and options.second is not None:
         name = "imu-tk"
     chosen = find_importer(path, name)
-    unused = sorted(options.given - chosen.options - COMMON)
+    unused = sorted(options.given - chosen.options - COMMON_OPTIONS)
     if unused:
         taken = ", ".join(option(each) for each in sorted(chosen.options)) or "no others"
         raise InputError(
             f"{option(unused[0]) if unused[0] != 'second' else 'A second file'} is given, but the format "
-            f"{chosen.name} of {path} has no use for it (beside units and axes it takes {taken}): leave it out, or "
+            f"{chosen.name} of {path} does not take it (in addition to units and axes it takes {taken}): leave it out, or "
             f"name another format with {option('format')}."
         )
     try:
-        # What is not finite, or becomes so, is refused by the recording in a sentence, with its place.
+        # The recording refuses values that are not finite, and names their place.
         with np.errstate(all="ignore"):
-            imported = without_repeats(in_axes(chosen.read(path, options), options))
+            imported = without_repeats(in_imu_axes(chosen.read(path, options), options))
     except MemoryError:
         raise InputError(f"{path} does not fit into memory: split the recording.") from None
     except OSError as error:
@@ -202,8 +202,7 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
     except (InputError, DataError) as error:
         if type(error) not in (InputError, DataError):
             raise
-        # What a sensor's arrays are refused for is said where their file is not known; and names in a damaged file
-        # may be anything.
+        # Errors about arrays do not name their file, and names out of a damaged file may be unprintable.
         text = _printable(str(error))
         raise type(error)(text if path.name in text else f"{path}: {text}", fault=error.fault) from None
     if len(imported.gyro) == 0:
@@ -212,7 +211,7 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
 
 
 def head(path: Path, size: int = HEAD_BYTES) -> bytes:
-    """First bytes of a file for a sniffer; empty for a folder or what cannot be read."""
+    """First bytes of a file; empty for a folder or an unreadable file."""
     try:
         if not path.is_file():
             return b""
@@ -226,7 +225,7 @@ def _require(path: Path) -> None:
     try:
         if path.is_file() or path.is_dir():
             return
-        reason = "it is neither a file nor a folder" if path.exists() else "there is none"
+        reason = "it is neither a file nor a folder" if path.exists() else "it does not exist"
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
     raise InputError(f"There is no file {path} to read ({reason}): check the path.")
@@ -241,7 +240,7 @@ def _names() -> str:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether a file or folder is of a format that has an importer, and none of those read here.
+    """True for a file or folder of a format that has an importer, and is no format of samples in a recording.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def test_the_recording_holds_what_the_log_held(log, tmp_path, kind, capsys):
     assert loaded.fixture is None
     out, err = capsys.readouterr()
     assert err == ""
-    for fragment in ("table as text (csv)", "200 (rate)", "64 Hz (stamps), 0 gaps", "3.1 s", "rad/s (as said)"):
+    for fragment in ("table as text (csv)", "200 (rate)", "64 Hz (stamps), 0 gaps", "3.1 s", "rad/s (as given)"):
         assert fragment in out
     assert f"median {np.median(np.linalg.norm(ACCEL, axis=1)):.5g} m/s²" in out
     assert f"Written to {tmp_path / 'new' / 'rec'}: recording.toml, samples.{kind}" in out

@@ -314,7 +314,7 @@ def test_a_unit_said_goes_before_the_format_with_a_note(tmp_path):
     write_stamped(tmp_path / "a.csv", EUROC)
     _, imported = import_file(tmp_path / "a.csv", ImportOptions(gyro_unit="deg/s"))
     np.testing.assert_array_equal(imported.gyro, GYRO * DEG)
-    assert "The file states rad/s for gyro; read as deg/s, as said." in imported.notes
+    assert "The file states rad/s for gyro; read as deg/s, as stated by the user." in imported.notes
 
 
 def test_degrees_of_windows_programs_and_decimal_commas(tmp_path):
@@ -348,8 +348,8 @@ def test_counts(tmp_path):
     np.testing.assert_allclose(imported.gyro, (counts[:, :3] - 32768) / 131 * DEG, rtol=1e-15)
     expected = (counts[:, 3:] - [33123, 33276, 32360]) / [415.0, 413.0, 415.0]
     np.testing.assert_allclose(imported.accel, expected, rtol=1e-15)
-    assert imported.units["accel"].startswith("counts (as said), worth 0.00240964 0.00242131 0.00240964 m/s²")
-    with pytest.raises(InputError, match="are counts: say what one is worth with --accel-lsb"):
+    assert imported.units["accel"].startswith("counts (as given), of 0.00240964 0.00242131 0.00240964 m/s²")
+    with pytest.raises(InputError, match="are counts: state the value of one count with --accel-lsb"):
         import_file(tmp_path / "a.csv", replace(options, accel_lsb=None, accel_unit="counts"))
 
 
@@ -378,7 +378,7 @@ def test_increments_are_first_class(tmp_path):
     np.testing.assert_array_equal(imported.gyro, GYRO * DEG)
     write_rows(tmp_path / "b.csv", ",".join(COLUMNS), COLUMNS.values())
     options = ImportOptions(kind="increment", gyro_unit="rad/s", accel_unit="m/s", time_unit="s")
-    with pytest.raises(InputError, match="rad/s of the gyro readings does not go with samples of kind increment"):
+    with pytest.raises(InputError, match="rad/s of the gyro readings does not fit samples of kind increment"):
         import_file(tmp_path / "b.csv", options)
 
 
@@ -391,7 +391,10 @@ def test_axis_maps(tmp_path):
     _, imported = import_file(tmp_path / "a.csv", options)
     np.testing.assert_array_equal(imported.gyro, GYRO[:, [1, 0, 2]] * [1, 1, -1])
     np.testing.assert_array_equal(imported.accel, ACCEL * [1, 1, -1])
-    assert any("different hand" in note for note in imported.notes)
+    assert any(
+        "one triad of gyros and accelerometers right-handed and the other left-handed" in note
+        for note in imported.notes
+    )
 
 
 @pytest.mark.parametrize("text", ["x,y", "x,x,z", "x,y,w", "--x,y,z", "x,y,z,z", ""])
@@ -470,7 +473,7 @@ def test_options_that_a_format_does_not_take_are_refused(tmp_path):
 
 def test_formats_by_name(tmp_path):
     (tmp_path / "a.xyz").write_bytes(b"\0\1\2" * 50)
-    with pytest.raises(InputError, match=r"no format known here: name it with --format, as one of .*euroc.*csv"):
+    with pytest.raises(InputError, match=r"was not recognised: name it with --format, as one of .*euroc.*csv"):
         find_importer(tmp_path / "a.xyz")
     with pytest.raises(InputError, match="did you mean kalibr"):
         find_importer(tmp_path / "a.xyz", "kalib")

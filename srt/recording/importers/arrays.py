@@ -1,4 +1,4 @@
-"""Arrays in NPZ, HDF5 and Parquet files, and how any file of named arrays becomes samples."""
+"""Samples from named arrays: NPZ, HDF5 and Parquet files."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, MissingExtraError, did_you_mean
+from srt.exceptions import InputError, MissingExtraError, clipped, did_you_mean
 from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet
 from srt.recording.import_options import TRIADS, ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, samples_in_si
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.channels import assign, clean, listed, with_temperature
+from srt.recording.importers.channels import assign, listed, with_temperature
 from srt.recording.importers.parser_errors import clear_errors
 from srt.recording.samples import TEMPERATURE, TIME
 from srt.recording.schema import TIME_UNITS
@@ -31,21 +31,26 @@ ARRAY_OPTIONS: Final = frozenset({"columns", "time_unit", "variable"})
 HDF5_MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 
 _MOST_COLUMNS = 64
+"""Columns of a table; a longer side of an array is its rows."""
+
 _MOST_ARRAYS = 10_000
+"""Datasets of an HDF5 file that are listed; those of a log number some hundreds."""
+
 _NUMBERS = "fiu"
+"""Kinds of NumPy's types that hold readings."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayFile:
-    """Named arrays of a file that has been opened.
+    """Named arrays of an open file.
 
     Attributes
     ----------
     path : Path
     shapes : mapping of str to tuple of int
-        Of all arrays of numbers; names of nested ones with "/" between. Unnamed: one array under "".
+        Shapes of all arrays of numbers; nested names are separated by "/". A single array without a name has "".
     read : callable
-        Gives an array by its name.
+        Returns an array by its name.
     """
 
     path: Path
@@ -54,7 +59,7 @@ class ArrayFile:
 
 
 def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
-    """Make samples of named arrays: one for each channel, or of three columns for each sensor, or one for all.
+    """Make samples of named arrays: one for each channel, one for each sensor, or one for all.
 
     Parameters
     ----------
@@ -71,7 +76,7 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
     Raises
     ------
     InputError
-        Arrays that are not found, or that disagree.
+        Arrays that are absent, or of different lengths.
     """
     name = _single_array(file, options)
     if name is not None:
@@ -81,7 +86,7 @@ def samples_from_arrays(file: ArrayFile, options: ImportOptions, stated: StatedU
     wide = _wide(file)
     if not names and wide:
         raise InputError(
-            f"{file.path} holds a table without names, {wide[0]}: say what its columns are, in their order, such as "
+            f"{file.path} holds a table without names, {wide[0]}: list its columns in their order, such as "
             f"{option('columns')} gyro,accel,time."
         )
     if not names:
@@ -132,7 +137,7 @@ def samples_from_table(
     Raises
     ------
     InputError
-        Something else than a table of numbers, or columns that are not there.
+        An array that is no table of numbers, or columns that are absent.
     """
     if values.ndim != 2 or values.dtype.kind not in _NUMBERS:
         raise InputError(
@@ -155,7 +160,7 @@ def samples_from_table(
 
 
 def _single_array(file: ArrayFile, options: ImportOptions) -> str | None:
-    """The one array that holds all columns, if that is what is meant."""
+    """Name of the one array that holds all columns; None if each channel has its own."""
     wide = _wide(file)
     if options.variable is not None:
         name = options.variable.replace(".", "/").strip("/")
@@ -163,20 +168,20 @@ def _single_array(file: ArrayFile, options: ImportOptions) -> str | None:
             return name
         if not any(each.startswith(f"{name}/") for each in file.shapes):
             raise InputError(
-                f"{file.path} holds no {options.variable}{did_you_mean(name, map(clean, file.shapes))} "
+                f"{file.path} holds no {options.variable}{did_you_mean(name, map(clipped, file.shapes))} "
                 f"(found: {_listed(file)}): name one of those with {option('variable')}."
             )
         return None
     numbered = bool(options.columns) and all(isinstance(column, int) for column in options.columns.values())
     if "" in file.shapes or (numbered and wide):
         if len(wide) > 1:
-            raise InputError(f"{file.path} holds several tables ({listed(wide)}): say which with {option('variable')}.")
+            raise InputError(f"{file.path} holds several tables ({listed(wide)}): name one with {option('variable')}.")
         return next(iter(wide), "")
     return None
 
 
 def _wide(file: ArrayFile) -> list[str]:
-    """Tables that have room for both sensors."""
+    """Names of the tables with columns enough for both sensors."""
     return [name for name, shape in file.shapes.items() if len(shape) == 2 and 6 <= min(shape) <= _MOST_COLUMNS]
 
 
@@ -209,7 +214,7 @@ def _sensor(table: Mapping[str, NDArray[Any]], sensor: str) -> Array:
 
 
 def _as_stamps(time: NDArray[Any] | None) -> tuple[NDArray[Any] | None, str | None]:
-    """Dates of numpy as integers, with their unit."""
+    """NumPy's dates as integers, with their unit."""
     if time is None or time.dtype.kind != "M":
         return time, None
     unit, count = np.datetime_data(time.dtype)
@@ -219,7 +224,7 @@ def _as_stamps(time: NDArray[Any] | None) -> tuple[NDArray[Any] | None, str | No
 
 
 def _listed(file: ArrayFile) -> str:
-    shown = [f"{clean(name)} {'x'.join(map(str, shape))}" for name, shape in file.shapes.items()]
+    shown = [f"{clipped(name)} {'x'.join(map(str, shape))}" for name, shape in file.shapes.items()]
     return ", ".join(shown[:12]) + (" ..." if len(shown) > 12 else "") if shown else "no arrays of numbers"
 
 
@@ -268,15 +273,15 @@ def _read_hdf5(path: Path, options: ImportOptions) -> ImportedSamples:
 
 @contextmanager
 def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[ArrayFile]:
-    """Open the arrays of an HDF5 file; links to other places are neither listed nor followed.
+    """Open the arrays of an HDF5 file; links are neither listed nor followed.
 
     Parameters
     ----------
     path : Path
     title : str
-        What messages call the file.
+        Kind of file, for messages.
     matlab : bool
-        Whether it was written by MATLAB, which keeps arrays with their axes in reverse.
+        True for a file written by MATLAB, which stores arrays with their axes in reverse.
 
     Yields
     ------
@@ -299,7 +304,7 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
 
         def note(name: str, node: Any) -> bool | None:
             text = matlab and node.attrs.get("MATLAB_class") in (b"char", b"cell", b"logical")
-            # A damaged name comes as bytes.
+            # h5py returns a damaged name as bytes.
             if (
                 isinstance(name, str)
                 and isinstance(node, h5py.Dataset)
@@ -308,7 +313,7 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
                 and not text
             ):
                 shapes[name] = node.shape[::-1] if matlab else node.shape
-            # Anything but None ends the visit.
+            # A value other than None ends the visit.
             return True if len(shapes) >= _MOST_ARRAYS else None
 
         def read(name: str) -> NDArray[Any]:

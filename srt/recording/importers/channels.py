@@ -1,4 +1,4 @@
-"""Which column of a foreign table is which channel, by its name, and the unit that the name states."""
+"""Channels of the columns of a foreign table, by their names, with the units that the names state."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from srt.exceptions import InputError, did_you_mean
+from srt.exceptions import InputError, clipped, did_you_mean
 from srt.model.table1 import AXES
 from srt.recording.import_options import CHANNELS, SENSOR_UNITS, TRIADS, normal_unit, option
 from srt.recording.imported_samples import StatedUnits
@@ -47,7 +47,7 @@ _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 
 
 def _meanings() -> dict[str, tuple[str, Kind | None]]:
-    """Channel, and kind where the name tells it, by the bare name of a column."""
+    """Channel, and kind where the name states it, by the name of a column without its unit."""
     table: dict[str, tuple[str, Kind | None]] = dict.fromkeys(_TIME_NAMES, (TIME, None))
     table.update(dict.fromkeys(_TEMPERATURE_NAMES, (TEMPERATURE, None)))
     kinds: tuple[tuple[Mapping[str, Sequence[str]], Kind | None], ...] = (
@@ -65,29 +65,23 @@ def _meanings() -> dict[str, tuple[str, Kind | None]]:
 _MEANINGS: Final = _meanings()
 
 
-def clean(name: str) -> str:
-    """A name out of a file as a message may show it: printable, and of 40 characters at most."""
-    text = "".join(c if c.isprintable() else "?" for c in name[:40])
-    return text + ("..." if len(name) > 40 else "")
-
-
 def listed(names: Sequence[str], none: str = "none") -> str:
-    """The first names of a file, for a message."""
-    return ", ".join(map(clean, names[:12])) + (" ..." if len(names) > 12 else "") if names else none
+    """The first twelve names of a file, for a message."""
+    return ", ".join(map(clipped, names[:12])) + (" ..." if len(names) > 12 else "") if names else none
 
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """What a column's name says.
+    """Meaning of a column's name.
 
     Attributes
     ----------
     channel : str
         Of :data:`CHANNELS`, or "gyro" or "accel" for an array of three columns.
     unit : str or None
-        Where the name states one.
+        None: the name states none.
     kind : "increment" or None
-        None: the name does not tell.
+        None: the name does not state the kind.
     """
 
     channel: str
@@ -104,7 +98,7 @@ class Assignment:
     columns : dict of str to int
         Position of each channel's column, from 0. With arrays, "gyro" and "accel" may stand for three channels.
     stated : StatedUnits
-        By the names of the columns.
+        Units by the names of the columns.
     kind : "increment" or None
     notes : tuple of str
     """
@@ -116,7 +110,7 @@ class Assignment:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """Read a column's name; None where it is not known.
+    """Find the meaning of a column's name; None for an unknown one.
 
     Parameters
     ----------
@@ -153,15 +147,15 @@ def assign(
     Parameters
     ----------
     path : Path
-        Named in messages.
+        File, for messages.
     names : sequence of str
         Of all columns; empty where the table has none.
     width : int
         Number of columns.
     wanted : mapping
-        What the user said, which goes before the names.
+        Channels given by the user, which override the names.
     arrays : bool
-        Whether a column may be an array of three columns, "gyro" or "accel".
+        True: a column may be an array of three columns, "gyro" or "accel".
 
     Returns
     -------
@@ -170,11 +164,11 @@ def assign(
     Raises
     ------
     InputError
-        Columns that are not there, or not found, or of which several would do.
+        Columns that are absent, not recognised, or ambiguous.
     """
     columns: dict[str, int] = {}
     for channel, column in wanted.items():
-        columns.update(_said(path, names, width, channel, column, arrays=arrays))
+        columns.update(_given(path, names, width, channel, column, arrays=arrays))
     notes: list[str] = []
     meanings = [meaning_of(name) for name in names]
     for channel in (*CHANNELS, *(TRIADS if arrays else ())):
@@ -185,39 +179,40 @@ def assign(
         found = exact or candidates
         if len(found) > 1 and channel == TIME:
             others = listed([names[i] for i in found[1:]])
-            notes.append(f"Time is the column {clean(names[found[0]])}; {others} not used.")
+            notes.append(f"Time is the column {clipped(names[found[0]])}; {others} not used.")
             found = found[:1]
         if len(found) > 1:
             raise InputError(
-                f"{path}: several columns may be {channel} ({listed([names[i] for i in found])}): say which with "
+                f"{path}: several columns may be {channel} ({listed([names[i] for i in found])}): name one with "
                 f"{option('columns')} {channel}=NAME."
             )
         if found:
             columns[channel] = found[0]
     _require_all(path, names, width, columns, arrays=arrays)
     renamed = [
-        f"{channel} from {clean(names[i])}" for channel, i in columns.items() if names and names[i].strip() != channel
+        f"{channel} from {clipped(names[i])}" for channel, i in columns.items() if names and names[i].strip() != channel
     ]
     if renamed:
         notes.append(f"Columns: {', '.join(renamed)}.")
     used = {channel: meanings[i] for channel, i in columns.items() if names}
     stated = StatedUnits(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
-    kinds = {meaning.kind for channel, meaning in used.items() if meaning is not None and channel not in OTHERS}
+    kinds = {meaning.kind for channel, meaning in used.items() if meaning is not None and channel not in NO_SENSOR}
     return Assignment(columns, stated, "increment" if kinds == {"increment"} else None, tuple(notes))
 
 
-OTHERS: Final = (TIME, TEMPERATURE)
+NO_SENSOR: Final = (TIME, TEMPERATURE)
+"""Channels that belong to no sensor."""
 
 
 def with_temperature(notes: tuple[str, ...], columns: Mapping[str, object]) -> tuple[str, ...]:
-    """Add what is taken for granted of a column of temperature, if there is one."""
-    return (*notes, "Temperature is taken to be in °C.") if TEMPERATURE in columns else notes
+    """Add a note on the unit of the temperature, if there is a column of it."""
+    return (*notes, "Temperature is assumed to be in °C.") if TEMPERATURE in columns else notes
 
 
-def _said(
+def _given(
     path: Path, names: Sequence[str], width: int, channel: str, column: str | int, *, arrays: bool
 ) -> dict[str, int]:
-    """Positions of what the user said; a sensor's name stands for three columns, beside each other or named alike."""
+    """Positions of a channel given by the user; a sensor stands for three adjacent columns, or three named alike."""
     triad = TRIADS.get(channel)
     if triad is None or (arrays and (isinstance(column, int) or column in names)):
         return {channel: _position(path, names, width, column)}
@@ -239,7 +234,7 @@ def _position(path: Path, names: Sequence[str], width: int, column: str | int) -
         hits = [i for i, name in enumerate(names) if spelling(name) == spelling(column)]
         if hits:
             return hits[0]
-    hint = did_you_mean(column, [clean(name) for name in names])
+    hint = did_you_mean(column, [clipped(name) for name in names])
     raise InputError(
         f"{path} has no column {column}{hint} (found: {listed(names, 'none has a name')}): name one of those."
     )
@@ -254,8 +249,8 @@ def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[
             continue
         if not names:
             raise InputError(
-                f"{path} has no column names: say what its {width} columns are, in their order, such as "
-                f"{option('columns')} time,gyro,accel (a - leaves a column out)."
+                f"{path} has no column names: list its {width} columns in their order, such as "
+                f"{option('columns')} time,gyro,accel (- for a column that is not read)."
             )
         example = f"{missing[0]}=NAME" if len(missing) < 3 or not arrays else f"{sensor}=NAME"
         raise InputError(
@@ -265,7 +260,7 @@ def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[
 
 
 def _fits(channel: str, unit: str | None) -> bool:
-    """Whether a unit may be one of a channel: "Acc X (top)" states none."""
+    """True for a unit that fits a channel: "Acc X (top)" states none."""
     sensor = channel.partition("_")[0]
     if sensor in SENSOR_UNITS:
         return unit == COUNTS or any(unit in units for units in SENSOR_UNITS[sensor].values())
@@ -276,5 +271,5 @@ def _common_unit(path: Path, sensor: str, used: Mapping[str, Meaning | None]) ->
     units = {m.unit if m is not None else None for name, m in used.items() if name.partition("_")[0] == sensor}
     if len(units) > 1:
         shown = ", ".join(sorted(str(unit or "none") for unit in units))
-        raise InputError(f"{path}: the {sensor} columns state different units ({shown}): make them one.")
+        raise InputError(f"{path}: the {sensor} columns state different units ({shown}): convert them to one unit.")
     return next(iter(units), None)

@@ -1,4 +1,4 @@
-"""Text tables of several makers: EuRoC and Kalibr, imu_tk's pair of files, and any other by its columns."""
+"""Text tables: EuRoC, Kalibr, the pair of files of imu_tk, and other tables by their columns."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from srt.recording.import_options import ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si, seconds_of
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.channels import Assignment, assign, listed, meaning_of, with_temperature
-from srt.recording.importers.text_tables import Layout, find_layout, read_table
+from srt.recording.importers.text_tables import TableLayout, find_layout, read_table
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 TEXT_OPTIONS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma", "skip"})
 
 _PUBLISHED: Final = StatedUnits("rad/s", "m/s^2", "ns")
-"""What EuRoC and Kalibr define."""
+"""Units that EuRoC and Kalibr define."""
 
 _DATA_NAME: Final = "data.csv"
 
@@ -35,14 +35,14 @@ _PAIR_COLUMNS: Final = (TIME, *AXES)
 
 
 def read_csv_table(path: Path, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
-    """Read a text table by its header, or by the columns that the options name.
+    """Read a text table by its header, or by the columns in the options.
 
     Parameters
     ----------
     path : Path
     options : ImportOptions
     stated : StatedUnits, optional
-        Units that the format defines, whatever the header says.
+        Units that the format defines; they override the header.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     Parameters
     ----------
     path : Path
-        The accelerometers', unless the names of the files say otherwise.
+        File of the accelerometers, unless the name of a file contains "gyr".
     options : ImportOptions
         With ``second``.
 
@@ -90,9 +90,9 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     second = options.second
     if second is None:
         raise InputError(
-            f"{path}: this format keeps each sensor in a file of its own: name both, the accelerometers' file first."
+            f"{path}: this format has one file for each sensor: name both, the file of the accelerometers first."
         )
-    accel_path, gyro_path, note = _which_is_which(path, second)
+    accel_path, gyro_path, note = _accel_and_gyro(path, second)
     notes = [note]
     streams = {}
     for sensor, file in (("gyro", gyro_path), ("accel", accel_path)):
@@ -102,9 +102,9 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     unit = options.time_unit or gyro_unit
     if unit is None or (options.time_unit is None and gyro_unit != accel_unit):
         raise InputError(
-            f"{gyro_path} and {accel_path} do not say in what unit their times are: say it with {option('time_unit')}."
+            f"{gyro_path} and {accel_path} do not state in what unit their times are: state it with {option('time_unit')}."
         )
-    # Both are counted from the same stamp, so that they stay together however large it is.
+    # Both are counted from the same stamp, so that their difference stays exact.
     first = gyro[TIME][:1]
     gyro_time, accel_time = (
         seconds_of(np.concatenate((first, table[TIME])), unit, notes if table is gyro else [])[1:]
@@ -119,7 +119,7 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
         stated=StatedUnits(time="s"),
         notes=tuple(notes),
     )
-    return replace(result, units={**result.units, "time": f"{unit} ({'as said' if options.time_unit else 'header'})"})
+    return replace(result, units={**result.units, "time": f"{unit} ({'as given' if options.time_unit else 'header'})"})
 
 
 def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
@@ -127,7 +127,7 @@ def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
 
 
 def _without_doubtful_time(found: Assignment, options: ImportOptions, stated: StatedUnits | None) -> Assignment:
-    """Leave out a column of time whose unit nobody states, where a rate is given that does without it."""
+    """Ignore a column of time whose unit is not stated, if a rate is given."""
     if options.time_unit is not None or (stated or found.stated).time is not None:
         return found
     columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
@@ -135,15 +135,15 @@ def _without_doubtful_time(found: Assignment, options: ImportOptions, stated: St
     return replace(found, columns=columns, notes=(*found.notes, note))
 
 
-def _which_is_which(first: Path, second: Path) -> tuple[Path, Path, str]:
-    """The accelerometers' file and the gyros', by their names, else in this order."""
-    said = ["gyr" in path.stem.lower() for path in (first, second)]
-    if said == [True, False]:
+def _accel_and_gyro(first: Path, second: Path) -> tuple[Path, Path, str]:
+    """Files of the accelerometers and of the gyros, by their names, else in this order."""
+    named_gyro = ["gyr" in path.stem.lower() for path in (first, second)]
+    if named_gyro == [True, False]:
         first, second = second, first
     return first, second, f"Accelerometers from {first.name}, gyros from {second.name}."
 
 
-def _pair_table(path: Path, layout: Layout) -> dict[str, NDArray[Any]]:
+def _pair_table(path: Path, layout: TableLayout) -> dict[str, NDArray[Any]]:
     width = len(layout.cells)
     columns: dict[str, int] = {}
     for i, name in enumerate(layout.header):
@@ -160,8 +160,8 @@ def _pair_table(path: Path, layout: Layout) -> dict[str, NDArray[Any]]:
     return read_table(path, layout, columns, integers=TIME)
 
 
-def _pair_time_unit(layout: Layout) -> str | None:
-    """What the header says, if there is one."""
+def _pair_time_unit(layout: TableLayout) -> str | None:
+    """Unit of time in the header; None without one."""
     meanings = (meaning_of(name) for name in layout.header)
     return next((m.unit for m in meanings if m is not None and m.channel == TIME and m.unit is not None), None)
 
@@ -216,7 +216,7 @@ IMU_TK: Final = Importer(
     "a pair of text files, one per sensor",
     (),
     None,
-    lambda _: False,  # one file of the pair is a table like any other
+    lambda _: False,  # each file of the pair is a table like any other
     read_pair,
     frozenset({"second", "time_unit", "delimiter", "decimal_comma", "skip"}),
 )

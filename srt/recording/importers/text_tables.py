@@ -1,7 +1,7 @@
-"""Tables of numbers as text, however they are separated, with or without a header; messages name the line.
+"""Tables of numbers as text, with any separator, with or without a header; messages name the line.
 
-The layout is read off the first row of numbers and the line above it. The numbers are then read by numpy in one go;
-only if it refuses is the file read again, line by line, to say what is wrong and where.
+The layout follows from the first row of numbers and the line above it. NumPy then reads all numbers at once. If it
+fails, the file is read again, line by line, to find the fault and its place.
 """
 
 from __future__ import annotations
@@ -24,32 +24,38 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DELIMITERS: Final = {"tab": "\t", "semicolon": ";", "comma": ",", "pipe": "|", "blank": None}
-"""Names for the command line; blank stands for any run of blanks and tabs."""
+"""Names on the command line; blank stands for any run of blanks and tabs."""
 
 _HEAD_BYTES = 1 << 16
+"""Bytes in which the first row of numbers is searched: titles and notes take a few thousand."""
+
 _TAIL_BYTES = 1 << 16
-_MARKS = ("#", "%")
+"""Bytes at the end whose rows are compared with the last one: some hundred rows."""
+
+_COMMENT_MARKS = ("#", "%")
+
 _INTEGER = re.compile(r"[+-]?\d{1,19}")
 _FEWEST_NUMBERS = 3
+"""Numbers in the first row; fewer may stand in a line of notes."""
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """How a text table is built.
+class TableLayout:
+    """Layout of a text table.
 
     Attributes
     ----------
     delimiter : str or None
-        None: blanks.
+        None: any run of blanks.
     decimal_comma : bool
     header : tuple of str
-        Names of the columns; empty where there are none.
+        Names of the columns; empty without a header.
     first_row : int
         Lines before the first row of numbers.
     cells : tuple of str
-        Of that row.
+        Cells of that row.
     comment : str
-        The mark of lines to leave out.
+        The mark of lines that are not read.
     """
 
     delimiter: str | None
@@ -60,23 +66,23 @@ class Layout:
     comment: str
 
 
-def find_layout(path: Path, options: ImportOptions) -> Layout:
-    """Read off how a table is built.
+def find_layout(path: Path, options: ImportOptions) -> TableLayout:
+    """Find the layout of a table.
 
     Parameters
     ----------
     path : Path
     options : ImportOptions
-        ``delimiter``, ``decimal_comma`` and ``skip`` are believed.
+        ``delimiter``, ``decimal_comma`` and ``skip`` are used without a check.
 
     Returns
     -------
-    Layout
+    TableLayout
 
     Raises
     ------
     InputError
-        Not a text, an unknown delimiter, or no row of numbers near the top.
+        No text, an unknown delimiter, or no row of numbers in the first 64 KiB.
     """
     lines = _first_lines(path)
     candidates = list(DELIMITERS.values())
@@ -85,7 +91,7 @@ def find_layout(path: Path, options: ImportOptions) -> Layout:
     if options.decimal_comma:
         candidates = [mark for mark in candidates if mark != ","]
     for number, line in enumerate(lines):
-        if number < options.skip or line.lstrip().startswith(_MARKS):
+        if number < options.skip or line.lstrip().startswith(_COMMENT_MARKS):
             continue
         rows = [(mark, _cells(line, mark, decimal_comma=options.decimal_comma)) for mark in candidates]
         if not rows:
@@ -95,9 +101,11 @@ def find_layout(path: Path, options: ImportOptions) -> Layout:
         delimiter, cells = rows[best]
         if counts[best] >= _FEWEST_NUMBERS and 2 * counts[best] >= len(cells):
             above = lines[options.skip : number]
-            comment = next((text.lstrip()[0] for text in above if text.lstrip().startswith(_MARKS)), _MARKS[0])
+            comment = next(
+                (text.lstrip()[0] for text in above if text.lstrip().startswith(_COMMENT_MARKS)), _COMMENT_MARKS[0]
+            )
             header = _header(above, delimiter, len(cells))
-            return Layout(delimiter, options.decimal_comma, header, number, tuple(cells), comment)
+            return TableLayout(delimiter, options.decimal_comma, header, number, tuple(cells), comment)
     hint = "" if options.decimal_comma else f", and add {option('decimal_comma')} if it writes 1,5 for 1.5"
     raise InputError(
         f"{path} has no row of numbers near its top, but a table of samples is expected: check that it is one{hint}."
@@ -105,14 +113,14 @@ def find_layout(path: Path, options: ImportOptions) -> Layout:
 
 
 def read_table(
-    path: Path, layout: Layout, columns: Mapping[str, int], *, integers: str | None = None
+    path: Path, layout: TableLayout, columns: Mapping[str, int], *, integers: str | None = None
 ) -> dict[str, NDArray[Any]]:
     """Read the chosen columns.
 
     Parameters
     ----------
     path : Path
-    layout : Layout
+    layout : TableLayout
     columns : mapping of str to int
         Name to position, from 0.
     integers : str, optional
@@ -149,7 +157,7 @@ def read_table(
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell holds a number; Python's 1_000 is none."""
+    """True for a cell that holds a number; Python's 1_000 is none."""
     try:
         float(cell)
     except ValueError:
@@ -172,7 +180,7 @@ def _first_lines(path: Path) -> list[str]:
     try:
         text = data.decode("utf-8-sig", errors="ignore" if more else "strict")
     except UnicodeDecodeError:
-        text = data.decode("latin-1")  # the degree sign of older Windows programs
+        text = data.decode("latin-1")  # the degree sign as older Windows programs write it
     # Only line feeds count, as for numpy: str.splitlines would also break at form feeds and the like.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return lines[:-1] if more and len(lines) > 1 else lines
@@ -203,7 +211,7 @@ def _cells(line: str, delimiter: str | None, *, decimal_comma: bool = False) -> 
 
 
 def _header(above: list[str], delimiter: str | None, width: int) -> tuple[str, ...]:
-    """The names in the last line above the numbers, if there are as many as columns."""
+    """Names in the last line above the numbers, if it has one for each column."""
     for line in reversed(above):
         text = line.strip()
         if not text:
@@ -214,7 +222,7 @@ def _header(above: list[str], delimiter: str | None, width: int) -> tuple[str, .
     return ()
 
 
-def _load(path: Path, layout: Layout, dtype: Any, usecols: list[int]) -> NDArray[Any]:
+def _load(path: Path, layout: TableLayout, dtype: Any, usecols: list[int]) -> NDArray[Any]:
     # Naming no columns makes numpy check that all rows are equally long.
     everything = usecols == list(range(len(layout.cells)))
     source: Any = _with_points(path) if layout.decimal_comma else path
@@ -227,7 +235,7 @@ def _load(path: Path, layout: Layout, dtype: Any, usecols: list[int]) -> NDArray
         skiprows=layout.first_row,
         usecols=None if everything else usecols,
         ndmin=1,
-        # Digits are the same in every encoding that has them as single bytes, and no byte is refused.
+        # Digits are the same in all encodings that have them as single bytes, and this one refuses no byte.
         encoding="latin-1",
     )
 
@@ -238,8 +246,8 @@ def _with_points(path: Path) -> Iterator[str]:
             yield line.replace(",", ".")
 
 
-def _check_last_line(path: Path, layout: Layout) -> None:
-    """Refuse a last line that ends within a cell: its number would be wrong, and look right.
+def _check_last_line(path: Path, layout: TableLayout) -> None:
+    """Refuse a last line that ends within a cell: its number would be wrong, but plausible.
 
     Without a line break at the end, a last cell shorter than all the two hundred above it was cut off.
     """
@@ -258,15 +266,15 @@ def _check_last_line(path: Path, layout: Layout) -> None:
         )
 
 
-def _rows_add_up(path: Path, layout: Layout, rows: int) -> bool:
-    """Whether the file holds as many separators as its rows and columns make; blanks cannot be counted."""
+def _rows_add_up(path: Path, layout: TableLayout, rows: int) -> bool:
+    """True if the number of separators fits that of rows and columns; blanks cannot be counted."""
     if rows == 0:
         return False
     if layout.delimiter is None:
         return True
     mark, found, others = layout.delimiter.encode(), 0, 0
     with path.open(encoding="latin-1") as text:
-        # The top is another matter: titles and notes may hold any number.
+        # Titles and notes at the top may hold any number of them.
         for line in islice(text, layout.first_row):
             found -= line.count(layout.delimiter)
             others -= line.count('"') + line.count(layout.comment)
@@ -278,8 +286,8 @@ def _rows_add_up(path: Path, layout: Layout, rows: int) -> bool:
     return others > 0 or found == rows * (len(layout.cells) - 1)
 
 
-def _explanation(path: Path, layout: Layout, columns: Mapping[str, int], reason: str) -> InputError:
-    """Find the first line that is wrong, and say what."""
+def _explanation(path: Path, layout: TableLayout, columns: Mapping[str, int], reason: str) -> InputError:
+    """Find the first faulty line, and describe its fault."""
     width = len(layout.cells)
     with path.open(encoding="latin-1") as file:
         numbered = islice(enumerate(file, start=1), layout.first_row, None)
