@@ -111,7 +111,7 @@ def sigmas(n: float, workers: int) -> None:
 
 
 def honesty(n: float, workers: int) -> None:
-    """What the sigmas do not know: bias instability and g-sensitivity, each switched on alone."""
+    """Unmodelled effects: bias instability and g-sensitivity, each switched on alone."""
     count = max(10, int(300 * n))
     table = _table(f"rms of error over reported sigma with one more effect, {count} draws")
     sensitivity = {"navigation": 0.002, "tactical": 0.1, "industrial": 1.0}

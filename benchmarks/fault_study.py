@@ -20,7 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sims.faults import motion, samples, statements
+from sims.faults import execution, logger, site_and_drift
 from sims.faults.injection import GRADES, INJECTIONS, Case, Injection
 from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.staged_diagnosis import diagnose
@@ -54,7 +54,7 @@ ALL_OR_NOTHING: Final = ("", "-")
 """Severity units of a fault that is present or absent: there is no smaller severity."""
 
 
-_MODULES: Final = (samples, motion, statements)
+_MODULES: Final = (logger, execution, site_and_drift)
 """Modules of the injections, which register on import."""
 
 

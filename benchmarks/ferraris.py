@@ -1,4 +1,4 @@
-"""Ferraris' calibration on the two-axis fixture, and what imucal makes of it in the words of this project.
+"""Ferraris' calibration on the two-axis fixture, computed by imucal, with the results in this project's parameters.
 
 Six faces stand still, each axis up and down; then every axis is turned by full turns. The method takes the fixture for
 the truth: vertical is exactly along an axis in every face, every turn is exactly about an axis, by exactly the angle
@@ -126,7 +126,7 @@ class Take:
 
 
 def face_seconds(total_s: float, profile: RateProfile) -> float:
-    """How long each of the six faces may last if all faces and turns together are to take that long, s."""
+    """Duration of each of the six faces for a total duration of all faces and rotations, s."""
     legs = [angle for s in (*FACE_SEQUENCES[:3], *TURN_SEQUENCES) for _, angle in s.fixture_legs()]
     return (total_s - sum(profile.duration_s(angle) for angle in legs)) / len(FACES)
 

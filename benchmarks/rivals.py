@@ -253,7 +253,7 @@ COLUMNS = {population: ("fixture", "rms error of", *methods) for population, met
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """Give so many digits, without an exponent; a dash for NaN."""
+    """Text of a number with this many digits, without an exponent; a dash for NaN."""
     if math.isnan(value):
         return "–"
     rounded = float(f"{value:.{digits}g}")

@@ -11,7 +11,7 @@ from srt.reports.figures.style import BLUE, GREY, INK, MEDIUM, ORANGE, SKY, SMAL
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from navigation import Outcome
+    from navigation import DriftResult
 
 
 LINES: Final = {
@@ -26,7 +26,7 @@ SMALLEST_M: Final = 0.01
 """Foot of the picture."""
 
 
-def tables(outcomes: Mapping[tuple[str, str], Outcome], marks_min: Sequence[float]) -> str:
+def tables(outcomes: Mapping[tuple[str, str], DriftResult], marks_min: Sequence[float]) -> str:
     """Write the results as Markdown tables: drifts at the end, ratios on the way, preintegration where there is any."""
     parts = [_drifts(outcomes, marks_min[-1]), _ratios(outcomes, marks_min)]
     if all(outcome.deltas["raw"] for outcome in outcomes.values()):
@@ -34,7 +34,7 @@ def tables(outcomes: Mapping[tuple[str, str], Outcome], marks_min: Sequence[floa
     return "\n".join(parts)
 
 
-def _drifts(outcomes: Mapping[tuple[str, str], Outcome], minutes: float) -> str:
+def _drifts(outcomes: Mapping[tuple[str, str], DriftResult], minutes: float) -> str:
     forms = list(LINES)
     rows = [
         [vehicle, grade, *(_metres(float(np.median(outcome.at(minutes, form)))) for form in forms)]
@@ -45,7 +45,7 @@ def _drifts(outcomes: Mapping[tuple[str, str], Outcome], minutes: float) -> str:
     )
 
 
-def _ratios(outcomes: Mapping[tuple[str, str], Outcome], marks_min: Sequence[float]) -> str:
+def _ratios(outcomes: Mapping[tuple[str, str], DriftResult], marks_min: Sequence[float]) -> str:
     pairs = (("raw", "calibrated"), ("raw, zeroed", "calibrated, zeroed"))
     rows = [
         [
@@ -63,7 +63,7 @@ def _ratios(outcomes: Mapping[tuple[str, str], Outcome], marks_min: Sequence[flo
     return "Ratio of the median drifts:\n\n" + _markdown(["vehicle", "grade", *header], rows)
 
 
-def _deltas(outcomes: Mapping[tuple[str, str], Outcome]) -> str:
+def _deltas(outcomes: Mapping[tuple[str, str], DriftResult]) -> str:
     forms = ("raw", "calibrated", "perfect")
     rows = []
     for (vehicle, grade), outcome in outcomes.items():
@@ -98,7 +98,7 @@ def _metres(value: float) -> str:
     return f"{_two_digits(value / 1e3)} km" if value >= 1e3 else f"{_two_digits(value)} m"
 
 
-def drift_figure(outcomes: Mapping[tuple[str, str], Outcome]) -> Figure:
+def drift_figure(outcomes: Mapping[tuple[str, str], DriftResult]) -> Figure:
     """Draw drift against time: a row for each vehicle, a column for each grade, the same scales throughout.
 
     Lines are medians of the units; raw and calibrated ones have a band from the best to the worst unit.

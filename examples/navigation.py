@@ -1,4 +1,4 @@
-"""What a calibration buys in navigation: drift of an aircraft and a car, for units of four grades.
+"""Navigation drift of an aircraft and a car with and without calibration, for units of four grades.
 
 ``python examples/navigation.py --out navigation`` draws units as `srt simulate` does, calibrates each by a recorded
 rotation test, carries it on two trajectories, and lets an independent navigator (python-ins) integrate its readings
@@ -85,8 +85,8 @@ class Unit:
 
 
 @dataclass(slots=True)
-class Outcome:
-    """Of one vehicle and one grade: drifts by form, each (times,) per unit; preintegration errors, (segments, 3)."""
+class DriftResult:
+    """One vehicle and grade: drifts by form, each (times,) per unit; preintegration errors, (segments, 3)."""
 
     time_s: Array = field(default_factory=lambda: np.zeros(0))
     drifts: dict[str, list[Array]] = field(default_factory=lambda: {form: [] for form in FORMS})
@@ -160,7 +160,7 @@ def sensed(motion: Motion, unit: Unit, rng: np.random.Generator | None) -> Readi
 
 
 def forms_of(motion: Motion, unit: Unit, raw: Readings) -> dict[str, Readings]:
-    """Give the readings in every form of :data:`FORMS`."""
+    """Readings in every form of :data:`FORMS`."""
     perfect = replace(unit.calibration, errors=unit.truth)
     options: dict[str, Any] = {"kind": "increment", "dt": motion.interval_s, "frame": "mars"}
     calibrated = unit.calibration.apply(*raw, **options)
@@ -239,7 +239,7 @@ def navigate(motion: Motion, increments: Any, *, held_altitude: bool = True) -> 
 
 def study(
     motions: Mapping[str, Motion], grade: str, units: int, seed: int, *, gtsam: bool = True, held_altitude: bool = True
-) -> dict[str, Outcome]:
+) -> dict[str, DriftResult]:
     """Take units of one grade on every trajectory.
 
     Parameters
@@ -254,7 +254,7 @@ def study(
     held_altitude : bool
         See :func:`navigate`.
     """
-    outcomes = {vehicle: Outcome() for vehicle in motions}
+    outcomes = {vehicle: DriftResult() for vehicle in motions}
     with tempfile.TemporaryDirectory() as folder:
         for k in range(units):
             rng = np.random.default_rng([seed, list(GRADES).index(grade), k])
@@ -314,7 +314,7 @@ def run(options: argparse.Namespace) -> None:
     except OSError as error:
         raise srt.InputError(f"The folder {options.out} cannot be made ({error.strerror}): choose another.") from None
     motions = {name: motion_of(course_of(name, options.minutes, options.rate)) for name in options.vehicles}
-    outcomes: dict[tuple[str, str], Outcome] = {}
+    outcomes: dict[tuple[str, str], DriftResult] = {}
     for grade in options.grades:
         found = study(
             motions,

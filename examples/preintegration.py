@@ -1,4 +1,4 @@
-"""What gtsam's preintegration makes of corrected readings, beside the true trajectory.
+"""Preintegration of corrected readings by gtsam, compared with the true trajectory.
 
 Between two keyframes gtsam sums readings to a rotation, a velocity and a position in the body axes of the first one,
 gravity left out. Seen from inertial space, with C the attitude, r the position, v the velocity and γ the gravitation::

@@ -43,7 +43,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """How a vehicle moves.
+    """Course of a vehicle.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ def pyins_modules() -> Any:
 
 
 def motion_of(course: Course) -> Motion:
-    """Let python-ins work out position and the exact increments of a course."""
+    """Position and exact increments of a course, computed by python-ins."""
     pyins = pyins_modules()
     trajectory, imu = pyins.sim.generate_imu(
         course.time, START_LLA, course.roll_pitch_heading_deg, course.velocity_n, "increment"

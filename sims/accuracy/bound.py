@@ -1,8 +1,8 @@
-"""Bayesian Cramér-Rao bound of the rotation test on the two-axis fixture: what no estimator can do better than.
+"""Bayesian Cramér-Rao bound of the rotation test on the two-axis fixture.
 
 The test is nearly linear, its noise and priors are Gaussian, so that the bound is the covariance of its best estimator.
-It is reached by a way of its own, to judge estimators by: every derivative is a central difference of the simulator's
-noise-free output, about the sensor errors given and a faultless fixture.
+It is computed independently of the estimators: every derivative is a central difference of the simulator's noise-free
+output, about the given sensor errors and a fixture without errors.
 
 *Measurements* of a sequence: the mean readings of gyros and accelerometers in both still windows, and the rotation that
 the gyros integrate from the end of the first to the start of the second, as a small rotation vector in B at its start.
@@ -64,7 +64,7 @@ _NO_DERIVATIVE, _SINGULAR, _NO_SHARE = 1e-10, 1e-11, 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bound:
-    """The least covariance that an estimate of the sensor errors can have; ``bound[name]`` is one sigma.
+    """Bound on the covariance of an estimate of the sensor errors; ``bound[name]`` is the 1-sigma value.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ def bayesian_bound(
     gyro_bias_walk_rad_s: float = 0.0,
     earth_rate: bool = True,
 ) -> Bound:
-    """Least covariance that any estimate of the sensor errors from one recording can have.
+    """Bound on the covariance of any estimate of the sensor errors from one recording.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def _in_windows(run: Callable[[Array], TrueMotion], about: SensorErrors, step: f
 
 
 def _in_turn(motion: TrueMotion, samples: slice, about: SensorErrors, step: float) -> tuple[Array, ...]:
-    """How errors of the readings in a turn act on the rotation that is integrated from them.
+    """Effect of the errors of the readings in a rotation on the angle that is integrated from them.
 
     A reading that is off by dy is taken for a rotation that is off by D dy, D the inverse of the reading's derivative
     by the true rotation; the attitude C, from B in the sample to B in the start window, brings it to the start.

@@ -1,10 +1,9 @@
-"""What limits a calibration, before it is made: the sigma of every parameter, source by source, for a scenario.
+"""Accuracy budget of a scenario: the predicted sigma of every parameter, by source.
 
-Noise, quantisation, bias instability, the fixture's alignment times the Earth's rate and gravity are what the estimator
-itself accounts for: its covariance, by source, on a recording of the scenario. What it does not model is found by
-letting it act alone on recordings without noise: g-sensitivity one element at a time, and the fixture's errors by
-draws, of which what the alignment explains is taken off. Some effects are told and not counted: those that the first
-iteration removes, and what the gyro bias would do if it were not measured.
+The covariance of the estimator on a recording of the scenario gives noise, quantization, bias instability, alignment
+times the Earth's rate, and gravity. Unmodelled effects are simulated alone, without noise: g-sensitivity one element at
+a time, and the fixture's errors by draws, minus the part that the alignment explains. Some effects are reported and not
+counted: those that the first iteration removes, and the effect of the gyro bias if it were not measured.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ NOT_COUNTED: Final = {
     "second_order_before_iteration": "products of errors, fixture's and unit's, before it",
     "gyro_bias_if_not_measured": "the unit's gyro bias, were it not measured in the windows",
 }
-"""Effects that are told and are no part of the total, with what they are."""
+"""Effects that are reported and not part of the total, with their description."""
 _PERFECT: Final = {
     f"{name}_sigma_mrad": 0.0 for name in ("level", "north", "mounting", "non_orthogonality", "rotation", "wobble")
 }
@@ -47,7 +46,7 @@ _PERFECT: Final = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Budget:
-    """Accuracy that a scenario allows.
+    """Predicted accuracy of one estimator on a scenario.
 
     Attributes
     ----------
@@ -134,7 +133,7 @@ def budget(
 
 
 class _Counted:
-    """Calibrates, and tells how far all is."""
+    """Calibration with a report of the progress."""
 
     def __init__(self, progress: Progress | None, size: int, gyro_bias: GyroBias) -> None:
         self._progress, self._size, self._done, self._gyro_bias = progress, size, 0, gyro_bias

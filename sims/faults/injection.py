@@ -1,8 +1,7 @@
-"""Faults put into simulated recordings, one at a time and at a stated severity, to see whether they are named.
+"""Injection of faults into simulated recordings, one at a time and at a stated severity, to test the diagnosis.
 
-What a fault does to a recording is written here from what goes wrong on a bench; how it is told is no matter of this
-module. Injections register themselves in the modules ``sims.faults.samples``, ``sims.faults.motion`` and
-``sims.faults.statements``.
+Each injection models what happens on a bench, independent of the checks that detect it. Injections register in the
+modules ``sims.faults.logger``, ``sims.faults.execution`` and ``sims.faults.site_and_drift``.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
 
 GRADES: Final = ("navigation-rlg", "tactical-fog", "industrial-mems", "consumer-mems")
-"""Configurations of units, best first."""
+"""Names of the unit configurations, best first."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One unit on the 1 mrad fixture, run through the 17 sequences; the recording is made when first asked for.
+    """One unit on the 1 mrad fixture, run through the 17 sequences; the recording is simulated on first use.
 
     Attributes
     ----------
@@ -61,16 +60,16 @@ class Case:
 
     @cached_property
     def simulation(self) -> Simulation:
-        """The run, its truth and its motion."""
+        """Simulated run with its truth and motion."""
         return simulate(self.scenario)
 
     @property
     def recording(self) -> Recording:
-        """The recording without the fault."""
+        """Recording without the fault."""
         return self.simulation.recording
 
     def changed(self, **sections: Mapping[str, Any]) -> Case:
-        """Give the same unit in another test."""
+        """Case of the same unit in another test."""
         merged = {name: dict(keys) for name, keys in self.changes.items()}
         for name, keys in sections.items():
             merged[name] = {**merged.get(name, {}), **keys}
@@ -82,23 +81,23 @@ Apply = Callable[[Case, float, np.random.Generator], "Recording"]
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """How one fault is made.
+    """Injection of one fault.
 
     Attributes
     ----------
     fault : str
-        Its name in the catalogue of faults.
+        Name in the catalogue of faults.
     apply : callable
-        Gives the recording with the fault from a case, a severity and a generator; may raise InputError where
-        building the recording is what names the fault.
+        Function of a case, a severity and a generator that returns the recording with the fault. It may raise
+        InputError where the construction of the recording detects the fault.
     severity : mapping of str to float
-        Stated severity by grade; a grade that is left out cannot show the fault.
+        Stated severity by grade; the fault is not detectable in an absent grade.
     unit : str
-        Of the severity.
+        Unit of the severity.
     options : Options or None
-        Of the calibration, where the fault lies in them.
+        Options of the calibration, for a fault in the options.
     unseen : mapping of str to str
-        Why a grade cannot show it.
+        Reason why the fault is not detectable in a grade.
     """
 
     fault: str
@@ -109,7 +108,7 @@ class Injection:
     unseen: Mapping[str, str] = field(default_factory=dict)
 
     def recording(self, case: Case, severity: float | None = None) -> Recording:
-        """Put the fault into a case; its generator is a child of the case's seed."""
+        """Recording of a case with the fault; the random numbers depend on the seed of the case and the fault."""
         rng = np.random.default_rng([case.seed, *self.fault.encode()])
         return self.apply(case, self.severity[case.grade] if severity is None else severity, rng)
 
@@ -125,7 +124,7 @@ def injection(
     options: Options | None = None,
     unseen: Mapping[str, str] | None = None,
 ) -> Callable[[Apply], Apply]:
-    """Register how a fault is made; one severity stands for all grades that can show it."""
+    """Register the injection of a fault; a single severity applies to all grades in which it is detectable."""
     missing = dict(unseen or {})
     by_grade = severity if isinstance(severity, Mapping) else dict.fromkeys(GRADES, severity)
     by_grade = {grade: by_grade[grade] for grade in GRADES if grade in by_grade and grade not in missing}

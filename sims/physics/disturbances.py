@@ -1,4 +1,4 @@
-"""Disturbances of a test: what goes wrong on a bench, put into a simulated run.
+"""Disturbances of a test on a bench, applied to a simulated run.
 
 Three kinds, by where they act; each function returns a new object and leaves its input alone::
 
@@ -40,7 +40,7 @@ Sensor = Literal["gyro", "accel"]
 
 
 def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike) -> TrueMotion:
-    """Let the body slip in its mount: within one sample it turns by v, and stays so to the end of the gapless piece.
+    """True motion with a slip in the mount: within one sample B rotates by v, and stays there to the end of the piece.
 
     The sample is the one whose interval begins at ``time_s`` or contains it; over it the body turns away from its
     undisturbed attitude C by Exp(s v), s from 0 to 1, and from then on its attitude is C·Exp(v)::
@@ -234,7 +234,7 @@ def noisier_window(
 
 
 def wrong_angle(draw: FixtureDraw, sequence: int, leg: int, error_rad: float) -> FixtureDraw:
-    """Let one rotation be executed wrongly; like every rotation error it stays until its sequence ends.
+    """Fixture draw with an error of one rotation; like every rotation error it lasts until its sequence ends.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Geometry of the two-axis fixture, from the Earth to the IMU's sensitive axes, and the errors of its making.
+"""Geometry of the two-axis fixture, from the Earth to the IMU's sensitive axes, and its errors.
 
 Chain of frames (``C_ab`` takes b-components to a-components)::
 
@@ -59,7 +59,7 @@ def earth_rate_ned(latitude_rad: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixtureDraw:
-    """The errors of one fixture and of one run on it.
+    """Errors of one fixture and of one run on it.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class FixtureDraw:
     legs : tuple of ndarray, rad
         For each sequence, the error of each executed rotation; it stays until the sequence ends.
     wobble : ndarray, shape (s,), rad
-        What ε is more in each sequence, from the move to its start on.
+        Addition to ε in each sequence (axis wobble), from the move to its start on.
     """
 
     base: Array = field(default_factory=lambda: np.zeros(3))
@@ -92,7 +92,7 @@ class FixtureDraw:
         return float(self.starts[sequence, 0]), float(self.starts[sequence, 1])
 
     def wobble_of(self, sequence: int) -> float:
-        """What ε is more in a sequence, rad."""
+        """Addition to ε in a sequence (axis wobble), rad."""
         return 0.0 if self.wobble is None else float(self.wobble[sequence])
 
     def leg_errors(self, sequence: int, count: int) -> Array:
@@ -137,14 +137,14 @@ def draw_fixture(
         non_orthogonality=float(rng.standard_normal() * non_orthogonality_sigma_rad),
         starts=rng.standard_normal((len(sequences), 2)) * rotation_sigma_rad,
         legs=tuple(rng.standard_normal(len(s.rotations)) * rotation_sigma_rad for s in sequences),
-        # Nothing is drawn where there is none: seeds mean the same with and without.
+        # No draw without wobble, so that a seed gives the same fixture with and without it.
         wobble=rng.standard_normal(len(sequences)) * wobble_sigma_rad if wobble_sigma_rad else None,
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixtureGeometry:
-    """Where the fixture holds the IMU, for any pair of fixture angles.
+    """Attitude of the IMU on the fixture for any pair of fixture angles.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ class FixtureGeometry:
         v_base : ndarray, shape (k, 3)
         inner, outer : ndarray, shape (...), rad
         wobble : ndarray, shape (...), or float, rad
-            What ε is more.
+            Addition to ε.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""What an IMU with errors reports of a true motion.
+"""Readings of an IMU with errors for a true motion.
 
 Per sample of length dt, with the true integrals of :class:`sims.physics.true_motion.TrueMotion` (all in B)::
 
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 CORRELATION_TIMES_S: Final = (1.0, 10.0, 100.0, 1000.0)
 """Correlation times of the processes whose sum is the bias instability."""
 SMALLEST_SINGULAR_VALUE: Final = 0.15
-"""Of a matrix that a unit may have: below it a channel shows next to nothing of its axis."""
+"""Smallest singular value of the matrix of a possible unit: below it a channel hardly senses its axis."""
 ALLAN_FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Allan deviation of a unit flicker at its floor, 0.664."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuModel:
-    """Everything of an IMU beyond its 27 sensor errors; zero or infinite means absent.
+    """Noise, quantization, range and g-sensitivity of an IMU; zero or infinite means absent.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class ImuModel:
     gyro_g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def is_random(self) -> bool:
-        """Whether a read-out needs random numbers."""
+        """True if a read-out needs random numbers."""
         return any(
             getattr(self, f"{sensor}_{what}") > 0.0
             for sensor in ("gyro", "accel")
@@ -82,7 +82,7 @@ class ImuModel:
         )
 
     def stated(self) -> ImuNoise:
-        """Give the noise as a recording states it; what is absent is not stated."""
+        """Noise figures as a recording states them; absent ones are not stated."""
 
         def figure(value: float) -> float | None:
             return value if 0.0 < value < math.inf else None
@@ -122,7 +122,7 @@ def accel_matrix(errors: SensorErrors) -> Array:
 
 
 def is_imu(errors: SensorErrors) -> bool:
-    """Whether errors are those of a unit that could exist.
+    """True if the errors are those of a possible unit.
 
     Parameters
     ----------

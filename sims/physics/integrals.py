@@ -86,7 +86,7 @@ def node_count(phase: float) -> int:
 
 
 class _Intervals(NamedTuple):
-    """What the samples of an episode are cut into: left ends and widths, their pieces, and where samples begin."""
+    """Intervals between sample edges and breaks of an episode: left ends, widths, pieces, first of each sample."""
 
     left: Array
     width: Array

@@ -34,7 +34,7 @@ NEGLIGIBLE_RAD = 1e-17
 
 @dataclass(frozen=True, slots=True)
 class RateProfile:
-    """How an axis turns.
+    """Rate profile of a fixture axis.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class RateProfile:
 
     @property
     def settling_life_s(self) -> float:
-        """How long the ringing lasts before it is negligible, s."""
+        """Duration of the ringing until it is negligible, s."""
         ratio = 4.0 * self.settling_rad / NEGLIGIBLE_RAD
         return self.settling_decay_s * math.log(ratio) if ratio > 1.0 else 0.0
 
@@ -187,7 +187,7 @@ class JoinedProfile:
         return first
 
     def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
-        """As :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
+        """Angles and rates, see :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
         if self._joined is None:
             self._joined = (
                 np.concatenate([p.breaks_s[:-1] for p in self._profiles]),

@@ -86,7 +86,7 @@ class TurnSequence:
         return inner * _QUARTER, outer * _QUARTER
 
     def fixture_legs(self) -> tuple[tuple[int, float], ...]:
-        """Give the executed rotations as (fixture axis, signed angle in rad)."""
+        """Executed rotations as (fixture axis, signed angle in rad)."""
         inner_deg = 90.0 * _START_QUARTERS[self.down, self.along_outer][0]
         legs = []
         for axis, angle_deg in self.rotations:

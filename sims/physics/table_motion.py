@@ -1,4 +1,4 @@
-"""Runs on the two-axis fixture: stand still, rotate, settle, stand still, move to the next start attitude.
+"""Runs on the two-axis fixture: stationary window, rotations, settling, stationary window, move to the next start.
 
 Every rotation and every move begins on a sample edge, and so does every still window; rotations end when
 they end.
@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 Moves = Literal["recorded", "skipped"]
+Window = tuple[float, float]
+"""Start and end of a stationary window, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """What is executed, and when.
+    """Sequences of a run and their timing.
 
     Attributes
     ----------
@@ -44,7 +46,7 @@ class Schedule:
     settle_s : float
         Wait between the end of a rotation or move and the window that follows, s.
     moves : "recorded" or "skipped"
-        Whether the moves to the start attitudes are in the recording, or leave gaps in its time.
+        Moves to the start attitudes: in the recording, or gaps in its time.
     pause_s : float
         Stillness between the end of a sequence and the move to the next, s.
     dwells_s : tuple of (start, end), or None
@@ -89,7 +91,7 @@ class Schedule:
                 )
 
     def window_lengths_s(self) -> tuple[tuple[float, float], ...]:
-        """Give the length of each sequence's start and end window, s."""
+        """Length of each sequence's start and end window, s."""
         return ((self.dwell_s, self.dwell_s),) * len(self.sequences) if self.dwells_s is None else self.dwells_s
 
 
@@ -193,48 +195,48 @@ def run_schedule(
     geometry = FixtureGeometry.build(heading_rad, draw, check_rotation(U))
     constant_ned = constants_of_site(site, earth_rate=earth_rate)
     clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
-    dwells = [[max(1, round(length * sample_rate_hz)) for length in pair] for pair in schedule.window_lengths_s()]
     run = _Run(geometry, constant_ned @ geometry.base_from_ned.T, schedule, clock, (0.0, 0.0))
-
-    labels, windows, attitudes = [], [], []
-    for number, sequence in enumerate(schedule.sequences):
-        nominal, (dwell, end_dwell) = sequence.start_rad(), dwells[number]
-        error = draw.start_errors(number)
-        start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
-        run.wobble = draw.wobble_of(number)
-        if number == 0:
-            run.angles = start
-            run.execute(run.profile([], 0.0), dwell, record=True)
-        else:
-            _move(run, start, dwell)
-        first = (clock.at(clock.now - dwell), clock.at(clock.now))
-        before = run.attitude()
-
-        legs = sequence.fixture_legs()
-        errors = draw.leg_errors(number, len(legs)).tolist()
-        profile = run.profile([(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s)
-        turning = clock.samples(profile.legs_end_s + schedule.settle_s)
-        run.execute(profile, turning + end_dwell, record=True)
-        second = (clock.at(clock.now - end_dwell), clock.at(clock.now))
-
-        windows.append((first, second))
-        attitudes.append((before, run.attitude()))
-        labels.append(_label(sequence, first, second))
-
+    executed = [_execute_sequence(run, draw, number) for number in range(len(schedule.sequences))]
+    windows = tuple(pair for pair, _ in executed)
     time, piece_starts, total = clock.stack()
     return TrueMotion(
         time,
         clock.interval,
         piece_starts,
         *total,
-        windows=tuple(windows),
-        attitudes=np.array(attitudes),
-        labels=tuple(labels),
+        windows=windows,
+        attitudes=np.array([attitudes for _, attitudes in executed]),
+        labels=tuple(_label(s, *pair) for s, pair in zip(schedule.sequences, windows, strict=True)),
         site=site,
         fixture=stated_fixture or Fixture(heading_rad),
         U=check_rotation(U),
         draw=draw,
     )
+
+
+def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[Window, Window], tuple[Array, Array]]:
+    """Run one sequence, the move to its start included; its two windows (s), and C_NED,B at the end of each."""
+    schedule, clock = run.schedule, run.clock
+    sequence = schedule.sequences[number]
+    dwell, end_dwell = (max(1, round(length * clock.sample_rate_hz)) for length in schedule.window_lengths_s()[number])
+    nominal, error = sequence.start_rad(), draw.start_errors(number)
+    start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
+    run.wobble = draw.wobble_of(number)
+    if number == 0:
+        run.angles = start
+        run.execute(run.profile([], 0.0), dwell, record=True)
+    else:
+        _move(run, start, dwell)
+    first = (clock.at(clock.now - dwell), clock.at(clock.now))
+    before = run.attitude()
+
+    legs = sequence.fixture_legs()
+    errors = draw.leg_errors(number, len(legs)).tolist()
+    profile = run.profile([(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s)
+    turning = clock.samples(profile.legs_end_s + schedule.settle_s)
+    run.execute(profile, turning + end_dwell, record=True)
+    second = (clock.at(clock.now - end_dwell), clock.at(clock.now))
+    return (first, second), (before, run.attitude())
 
 
 def _move(run: _Run, start: tuple[float, float], dwell: int) -> None:

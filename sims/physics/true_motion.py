@@ -1,4 +1,4 @@
-"""What a faultless IMU would have integrated: the reusable product of a motion, before any sensor error.
+"""True integrals of a motion: the readings of an IMU without errors, for any number of read-outs.
 
 One :class:`TrueMotion` serves any number of read-outs with other sensor errors and noise
 (:func:`sims.physics.imu.read_out`). Time stamps are the ends of the sample intervals, ``start + (k + 1) / rate``

@@ -1,4 +1,4 @@
-"""Where the shipped configurations lie, and how a name or a path becomes a table of values.
+"""Library of the shipped configurations, found by name or by path.
 
 A section of a scenario may say ``from = "name"``: the file of that name in the section's folder of the
 library, or a path relative to the scenario, is read first and the section's own keys are laid over it.

@@ -1,4 +1,4 @@
-"""Scenarios: what to simulate, as TOML with the unit in every key, checked before anything runs.
+"""Scenarios of a simulation as TOML, with the unit in every key, checked before the simulation starts.
 
 Tables of a scenario::
 
@@ -10,7 +10,7 @@ Tables of a scenario::
     [schedule]   sequences, repeats, dwell_s or dwells_s, rate_rad_s, ...  (or [free]: turns by hand)
     [recording]  sample_rate_hz, kind, format, ...
 
-A key that is not known is an error: a misspelt figure must not leave a default in force.
+An unknown key is an error: a misspelt key must not leave a default in force.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ class SiteConfig(Table):
         return self
 
     def site(self) -> Site:
-        """Give the site in SI units."""
+        """Site in SI units."""
         latitude = self.latitude_deg * DEG
         if self.gravity_m_s2 is not None:
             return Site(self.gravity_m_s2, self.gravity_sigma_m_s2 or 5e-6, latitude)
@@ -203,7 +203,7 @@ class SiteConfig(Table):
 
 
 class ErrorsConfig(Table):
-    """Which sensor errors the unit has."""
+    """Sensor errors of the unit."""
 
     draw: Literal["normal", "uniform", "none"] = "normal"
     """Distribution of the drawn errors; uniform means within ±√3 sigma, the same sigma."""
@@ -243,7 +243,7 @@ class CustomSequence(Table):
         return self
 
     def turn_sequence(self) -> TurnSequence:
-        """Give the sequence as the fixture executes it."""
+        """Sequence as the fixture executes it."""
         return TurnSequence(self.id, self.down, self.along_outer, self.rotations)
 
 
@@ -312,7 +312,7 @@ class FreeConfig(Table):
 
 
 class RecordingConfig(Table):
-    """How the samples are recorded."""
+    """Recording of the samples."""
 
     sample_rate_hz: Positive = 200.0
     kind: Literal["rate", "increment"] = "rate"
@@ -398,7 +398,7 @@ _EXPECTED = {
 
 
 def validation_sentence(error: ValidationError, root: type[BaseModel]) -> str:
-    """Put the first finding of a validation into one sentence.
+    """Sentence on the first finding of a validation.
 
     Parameters
     ----------

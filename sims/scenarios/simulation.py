@@ -1,4 +1,4 @@
-"""From a scenario to a recording and the truth behind it."""
+"""Simulation of a scenario: a recording and its truth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TRUTH_VERSION = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
-    """A recording and everything that a calibration of it should find.
+    """Recording and the truth that a calibration of it should find.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Simulation:
     scenario: Scenario
 
     def truth_dict(self) -> dict[str, Any]:
-        """Give the truth as plain values, ready for JSON; SI units."""
+        """Truth as plain values for JSON, SI units."""
         draw = self.fixture_draw
         return {
             "format": TRUTH_FORMAT,
@@ -168,7 +168,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
 
 
 def imu_model(scenario: Scenario, rng: np.random.Generator) -> ImuModel:
-    """Give the unit's noise model, its g-sensitivity drawn; a faultless one if the scenario has no noise."""
+    """Noise model of the unit with a drawn g-sensitivity; no noise at all if the scenario has none."""
     noise = scenario.imu.noise
     g_sensitivity = rng.standard_normal((3, 3)) * noise.g_sensitivity_sigma
     if not scenario.recording.noise:

@@ -10,7 +10,7 @@ import pytest
 
 import srt
 from sims.physics.imu import ImuModel, read_out
-from sims.physics.mount_stand import stand_motion
+from sims.physics.mount_motion import simulate_mount
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.model.rotations import rotation_matrix
@@ -38,7 +38,7 @@ def calibrated(path, **changes):
 
 
 def recorded(folder, pitch_rad=(0.0, -0.5 * math.pi), *, serial="SN-7"):
-    motion = stand_motion(ANGLES, site=SITE, pitch_rad=pitch_rad, dwell_s=3.0, sample_rate_hz=50.0, labelled=False)
+    motion = simulate_mount(ANGLES, site=SITE, pitch_rad=pitch_rad, dwell_s=3.0, sample_rate_hz=50.0, labelled=False)
     imu = ImuModel(gyro_noise=1e-5, accel_noise=1e-5)
     recording = read_out(motion, SensorErrors(ERRORS), imu, np.random.default_rng(4), serial=serial)
     srt.write_recording(recording, folder, samples_format="npz")
@@ -99,7 +99,7 @@ def test_without_options_the_stand_is_taken_for_one_of_1_mrad(folder, capfd):
 def test_without_a_recording_it_is_the_play_backs(folder, tmp_path, capfd):
     assert run(folder, "--calibration", folder / "unit.json", "-o", tmp_path / "mount.json") == 0
     out, _ = capfd.readouterr()
-    assert "From the play-back" in out
+    assert "From the rotation U" in out
     found = load_mount_alignment(tmp_path / "mount.json")
     expected = mount_from_calibration(srt.load_calibration(folder / "unit.json"))
     np.testing.assert_array_equal(found.matrix, expected.matrix)

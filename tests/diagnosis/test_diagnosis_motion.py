@@ -15,7 +15,7 @@ import recorded_sets
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-import sims.faults.motion  # noqa: F401 - registers its injections
+import sims.faults.execution  # noqa: F401 - registers its injections
 import srt.diagnosis.sequences
 import srt.diagnosis.window_disturbances  # noqa: F401 - registers its checks
 from sims.faults.injection import GRADES, INJECTIONS, Case

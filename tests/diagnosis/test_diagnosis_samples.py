@@ -14,7 +14,7 @@ from diagnosing import WithoutRecognition, examine_stages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.faults.samples  # noqa: F401 - registers its injections
+import sims.faults.logger  # noqa: F401 - registers its injections
 import srt.diagnosis.axes
 import srt.diagnosis.clipping
 import srt.diagnosis.timing

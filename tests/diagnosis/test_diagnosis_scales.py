@@ -14,7 +14,7 @@ from diagnosing import WithoutRecognition, examine_stages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.faults.scales  # noqa: F401 - registers its injections
+import sims.faults.units_and_axes  # noqa: F401 - registers its injections
 import srt.diagnosis.axes
 import srt.diagnosis.clipping
 import srt.diagnosis.units  # noqa: F401 - register their checks

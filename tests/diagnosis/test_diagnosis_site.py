@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.faults.statements  # registers its injections
+import sims.faults.site_and_drift  # registers its injections
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.imu import ImuModel
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sims.faults.statements  # noqa: F401 - registers its injections
+import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG_PER_H, MICRO_G
 from srt.diagnosis.evidence import Evidence

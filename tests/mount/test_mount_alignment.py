@@ -12,7 +12,13 @@ import pytest
 
 import srt
 from sims.physics.imu import ImuModel, read_out
-from sims.physics.mount_stand import LEVEL_AND_NOSE_DOWN_RAD, StandDraw, draw_stand, mount_matrix, stand_motion
+from sims.physics.mount_motion import (
+    LEVEL_AND_NOSE_DOWN_RAD,
+    MountErrors,
+    draw_mount_errors,
+    mount_matrix,
+    simulate_mount,
+)
 from sims.physics.table_motion import table1_motion
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix, rotation_vector
@@ -46,7 +52,7 @@ def error(mount, angles=ANGLES):
 
 def aligned(draw=None, pitch_rad=LEVEL_AND_NOSE_DOWN_RAD, imu=None, **sigmas):
     """Simulate stands, noise-free by default, and align by them."""
-    motion = stand_motion(ANGLES, site=SITE, pitch_rad=pitch_rad, draw=draw, heading_rad=0.4, dwell_s=2.0)
+    motion = simulate_mount(ANGLES, site=SITE, pitch_rad=pitch_rad, draw=draw, heading_rad=0.4, dwell_s=2.0)
     recording = read_out(motion, SensorErrors(), imu, np.random.default_rng(5))
     return mount_from_recording(recording, calibrated(), **sigmas)
 
@@ -65,7 +71,7 @@ class TestSection10:
     tolerance = 3e-11 * G
 
     def reading(self, pitch_rad):
-        motion = stand_motion(self.angles, site=SITE, pitch_rad=(pitch_rad, 0.3), dwell_s=1.0, labelled=False)
+        motion = simulate_mount(self.angles, site=SITE, pitch_rad=(pitch_rad, 0.3), dwell_s=1.0, labelled=False)
         return motion.velocity[10] / motion.interval
 
     def test_horizontal_outputs_on_the_level_mount_are_two_misalignments(self):
@@ -93,7 +99,7 @@ class TestExact:
     def test_the_angles_of_the_simulator_are_found(self, pitch_rad, scale):
         angles = scale * np.array([0.2, -0.15, 0.25])
         errors = np.random.default_rng(8).uniform(-0.02, 0.02, N_PARAMETERS)
-        motion = stand_motion(angles, site=SITE, pitch_rad=pitch_rad, heading_rad=2.0, dwell_s=1.0)
+        motion = simulate_mount(angles, site=SITE, pitch_rad=pitch_rad, heading_rad=2.0, dwell_s=1.0)
         mount = mount_from_recording(read_out(motion, SensorErrors(errors)), calibrated(errors))
         # Means of 100 samples, compensated and turned: some tens of roundings of 2e-16.
         np.testing.assert_allclose(error(mount, angles), 0.0, rtol=0, atol=1e-14)
@@ -104,7 +110,7 @@ class TestExact:
     @pytest.mark.parametrize("kind", ["rate", "increment"])
     @pytest.mark.parametrize("labelled", [True, False])
     def test_stands_are_found_without_labels(self, kind, labelled):
-        motion = stand_motion(ANGLES, site=SITE, pitch_rad=PAIR, dwell_s=4.0, labelled=labelled)
+        motion = simulate_mount(ANGLES, site=SITE, pitch_rad=PAIR, dwell_s=4.0, labelled=labelled)
         imu = ImuModel(gyro_noise=1e-6, accel_noise=1e-6)
         recording = read_out(motion, SensorErrors(), imu, np.random.default_rng(2), kind=kind)
         mount = mount_from_recording(recording, calibrated())
@@ -123,25 +129,25 @@ class TestErrorsOfTheStand:
     @pytest.mark.parametrize(
         ("draw", "eta"),
         [
-            (StandDraw(level=np.array([1.0, 0.0])), lambda _: [-1.0, 0.0, 0.0]),
-            (StandDraw(level=np.array([0.0, 1.0])), lambda _: [0.0, -1.0, 0.0]),
-            (StandDraw(square=1.0), lambda _: [0.0, 0.0, 1.0]),
-            (StandDraw(tilt=1.0), lambda theta: [0.0, 0.0, -math.tan(0.5 * theta)]),
+            (MountErrors(level=np.array([1.0, 0.0])), lambda _: [-1.0, 0.0, 0.0]),
+            (MountErrors(level=np.array([0.0, 1.0])), lambda _: [0.0, -1.0, 0.0]),
+            (MountErrors(square=1.0), lambda _: [0.0, 0.0, 1.0]),
+            (MountErrors(tilt=1.0), lambda theta: [0.0, 0.0, -math.tan(0.5 * theta)]),
         ],
     )
     def test_levelling_squareness_and_tilt(self, draw, eta, pitch):
-        small = StandDraw(self.size * draw.level, self.size * draw.tilt, self.size * draw.square)
+        small = MountErrors(self.size * draw.level, self.size * draw.tilt, self.size * draw.square)
         found = error(aligned(small, (0.0, pitch)))
         np.testing.assert_allclose(found, self.size * np.array(eta(pitch)), rtol=0, atol=self.tolerance)
 
     @pytest.mark.parametrize("pitch", [-QUARTER, QUARTER])
     @pytest.mark.parametrize("off", [-0.05, 0.2])
     def test_a_wrong_pitch_touches_no_angle(self, pitch, off):
-        mount = aligned(StandDraw(pitch=np.array([0.0, off])), (0.0, pitch))
+        mount = aligned(MountErrors(pitch=np.array([0.0, off])), (0.0, pitch))
         np.testing.assert_allclose(error(mount), 0.0, rtol=0, atol=1e-14)
 
     def test_nose_down_and_nose_up_together_are_free_of_the_tilt(self):
-        mount = aligned(StandDraw(tilt=1e-3), PAIR, QUIET)
+        mount = aligned(MountErrors(tilt=1e-3), PAIR, QUIET)
         # What is left is the tilt's square.
         assert np.abs(error(mount)).max() < 2.0 * 1e-6
         assert mount.sources["axis_tilt"].max() < 2.0 * 1e-6
@@ -155,7 +161,7 @@ class TestErrorsOfTheStand:
         vector[y], P[y, y] = bias, bias**2
         yaw = {}
         for name, pitch_rad in (("one", LEVEL_AND_NOSE_DOWN_RAD), ("pair", PAIR)):
-            motion = stand_motion(np.zeros(3), site=SITE, pitch_rad=pitch_rad, dwell_s=1.0)
+            motion = simulate_mount(np.zeros(3), site=SITE, pitch_rad=pitch_rad, dwell_s=1.0)
             recording = read_out(motion, SensorErrors(vector), QUIET, np.random.default_rng(1))
             mount = mount_from_recording(recording, calibrated(covariance=P))
             yaw[name] = [error(mount, np.zeros(3))[2], mount.sources["calibration"][2]]
@@ -186,9 +192,9 @@ def statistics(case, count, rng):
     for i in range(count):
         angles = rng.uniform(-0.2, 0.2, 3)
         pitch_rad = (LEVEL_AND_NOSE_DOWN_RAD, (0.0, QUARTER), PAIR, (0.0, -1.4, 0.0, 1.4))[i % 4]
-        draw = draw_stand(rng, pitch_rad, level_sigma_rad=level, axis_sigma_rad=axis, pitch_sigma_rad=2e-3)
+        draw = draw_mount_errors(rng, pitch_rad, level_sigma_rad=level, axis_sigma_rad=axis, pitch_sigma_rad=2e-3)
         truth = rng.uniform(-1e-2, 1e-2, N_PARAMETERS)
-        motion = stand_motion(
+        motion = simulate_mount(
             angles, site=SITE, pitch_rad=pitch_rad, draw=draw, heading_rad=rng.uniform(0.0, 6.0),
             dwell_s=2.0, settle_s=0.1, peak_rate_rad_s=3.0, sample_rate_hz=50.0,
         )  # fmt: skip
@@ -221,7 +227,7 @@ def test_the_sigmas_are_true(case, count):
 
 class TestResult:
     def test_attitude_output_becomes_that_of_the_mount(self):
-        motion = stand_motion(ANGLES, site=SITE, heading_rad=0.7, dwell_s=1.0)
+        motion = simulate_mount(ANGLES, site=SITE, heading_rad=0.7, dwell_s=1.0)
         mount = mount_from_recording(read_out(motion, SensorErrors()), calibrated())
         C_nm = mount.attitude(motion.attitudes[0])
         assert C_nm.shape == (2, 3, 3)
@@ -346,7 +352,7 @@ class TestPlayback:
 
 
 def recorded(pitch_rad=LEVEL_AND_NOSE_DOWN_RAD, *, labelled=True, errors=None, angles=ANGLES, draw=None):
-    motion = stand_motion(angles, site=SITE, pitch_rad=pitch_rad, draw=draw, dwell_s=2.0, labelled=labelled)
+    motion = simulate_mount(angles, site=SITE, pitch_rad=pitch_rad, draw=draw, dwell_s=2.0, labelled=labelled)
     imu = ImuModel(gyro_noise=1e-6, accel_noise=1e-6)
     return read_out(motion, SensorErrors() if errors is None else errors, imu, np.random.default_rng(1))
 
@@ -378,7 +384,7 @@ class TestRefusals:
             mount_from_recording(still, calibrated())
 
     def test_a_unit_that_moved_between_two_level_stands(self):
-        draw = StandDraw(pitch=np.array([0.0, 0.0, 4e-3]))
+        draw = MountErrors(pitch=np.array([0.0, 0.0, 4e-3]))
         recording = recorded((0.0, -QUARTER, 0.0), draw=draw)
         with pytest.raises(DataError, match=r"contradict one another.*moved"):
             mount_from_recording(recording, calibrated(), level_sigma_rad=1e-4)
@@ -458,14 +464,14 @@ class TestSimulator:
     """The stand by itself: where its frames are, and what a draw does."""
 
     def test_attitudes_are_those_of_the_chain(self):
-        motion = stand_motion(np.zeros(3), site=SITE, pitch_rad=(0.0, -QUARTER), dwell_s=1.0)
+        motion = simulate_mount(np.zeros(3), site=SITE, pitch_rad=(0.0, -QUARTER), dwell_s=1.0)
         np.testing.assert_allclose(motion.attitudes[0, 0], np.eye(3), rtol=0, atol=1e-15)
         np.testing.assert_allclose(motion.attitudes[0, 1] @ [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], rtol=0, atol=1e-15)
 
     def test_readings_are_the_accelerometers_of_the_attitudes(self):
         errors = SensorErrors(np.random.default_rng(3).uniform(-0.02, 0.02, N_PARAMETERS))
-        draw = StandDraw(np.array([1e-3, -2e-3]), 3e-3, -4e-3, np.array([0.0, 5e-3]))
-        motion = stand_motion(ANGLES, site=SITE, draw=draw, dwell_s=1.0)
+        draw = MountErrors(np.array([1e-3, -2e-3]), 3e-3, -4e-3, np.array([0.0, 5e-3]))
+        motion = simulate_mount(ANGLES, site=SITE, draw=draw, dwell_s=1.0)
         recording = read_out(motion, errors)
         up = -G * motion.attitudes[0, :, 2]
         np.testing.assert_allclose(recording.accel[[0, -1]], accel_triad(errors).read(up), rtol=0, atol=1e-12 * G)
@@ -475,14 +481,14 @@ class TestSimulator:
         [
             ({"pitch_rad": (0.0,)}, "at least two"),
             ({"pitch_rad": (0.0, 0.0)}, "neighbours that differ"),
-            ({"draw": StandDraw(pitch=np.zeros(3))}, "3 stands, but there are 2"),
+            ({"draw": MountErrors(pitch=np.zeros(3))}, "3 poses, but there are 2"),
         ],
     )
     def test_stands_that_cannot_be_are_refused(self, changes, fragment):
         with pytest.raises(InputError, match=fragment):
-            stand_motion(ANGLES, site=SITE, **changes)
+            simulate_mount(ANGLES, site=SITE, **changes)
 
     def test_level_stands_have_no_pitch_error(self):
-        draw = draw_stand(np.random.default_rng(1), (0.0, -1.5, 0.0), pitch_sigma_rad=1e-3)
+        draw = draw_mount_errors(np.random.default_rng(1), (0.0, -1.5, 0.0), pitch_sigma_rad=1e-3)
         assert draw.pitch[0] == draw.pitch[2] == 0.0
         assert draw.pitch[1] != 0.0

@@ -1,4 +1,4 @@
-"""Faults of a file's description: units, kinds, values of a count and sample rates, and the names of axes."""
+"""Faults of the units, kinds, count values, sample rates and axis names that a file states."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ _counts(
 
 
 def _wrong_count(fault: str, sensor: str) -> None:
-    """Give a count the value of another range of the unit."""
+    """State the count value of another measuring range."""
 
     @injection(fault, 2.0, "times")
     def wrong_count(case: Case, severity: float, rng: np.random.Generator) -> Recording:

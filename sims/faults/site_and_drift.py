@@ -1,4 +1,4 @@
-"""Faults of what is stated of place and unit, of its temperature and of its steadiness."""
+"""Faults of the stated site, of the temperature, and of the unit's drift, noise and asymmetry."""
 
 from __future__ import annotations
 

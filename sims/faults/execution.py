@@ -1,9 +1,4 @@
-"""Faults of a run: labels, sequences, stillness and turns.
-
-What goes wrong here goes wrong on the table or in the logger before anybody looks at a sample: sequences run in
-another order than they are listed, a stop that is out of place, a unit that slips in its clamp, two sensors that are
-not read at the same moment.
-"""
+"""Faults of the execution of a test: labels, sequences, stationary windows and rotations."""
 
 from __future__ import annotations
 
@@ -214,7 +209,7 @@ def _window(motion: TrueMotion, rng: np.random.Generator) -> tuple[tuple[float, 
 
 
 def _slip(motion: TrueMotion, start_s: float, duration_s: float, vector: Array, *, steady: bool = False) -> TrueMotion:
-    """Let the body turn by a rotation vector within a time, smoothly or at a steady rate, and stay so.
+    """True motion with a slip: B rotates by a vector within a time, smoothly or at constant rate, and stays there.
 
     Its undisturbed attitude C becomes C·Exp(s v), s from 0 to 1: to the rate comes v·ds/dt, vectors turn by Exp(-s v).
     It lasts to the end of the gapless piece, as the unit is clamped anew between sequences.

@@ -1,8 +1,8 @@
-"""A mount on a fixture with one horizontal axis: level stand, pitched stand, and the errors of both.
+"""Motion of a mount on a fixture with one horizontal axis: level and pitched poses, and the errors of the mount.
 
 Chain of frames (``C_ab`` takes b-components to a-components)::
 
-    C_NED,M(0) = R_z(heading) · Exp(level)            the mount in its level stand
+    C_NED,M(0) = R_z(heading) · Exp(level)            the mount in its level pose
     C_NED,M(θ) = Exp(θ p) · C_NED,M(0)                p: the axis, in NED
     C_M,B      = R_z(yaw) R_y(pitch) R_x(roll)        the sensor axes in the mount
 
@@ -33,23 +33,23 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 LEVEL_AND_NOSE_DOWN_RAD = (0.0, -0.5 * math.pi)
-"""The two stands of the procedure: pitched by -90° about y, x is down."""
+"""Pitch angles of the two poses of the procedure: level, and pitched by -90° about y, with x down."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StandDraw:
-    """The errors of one stand.
+class MountErrors:
+    """Errors of one mount and its poses.
 
     Attributes
     ----------
     level : ndarray, shape (2,), rad
-        Of the levelled mount about its x and its y axis.
+        Level errors of the mount about its x and its y axis.
     tilt : float
-        Of the axis out of the horizontal, its y end down, rad.
+        Tilt of the axis from the horizontal, its y end down, rad.
     square : float
-        Turn of the axis about down from the mount's y axis, rad.
+        Rotation of the axis about down from the mount's y axis, rad.
     pitch : ndarray, shape (s,), rad
-        Of the fixture's angle in each stand, as far as ``level`` is not it; empty for none.
+        Error of the fixture's angle in each pose, beyond ``level``; empty for none.
     """
 
     level: Array = field(default_factory=lambda: np.zeros(2))
@@ -58,22 +58,22 @@ class StandDraw:
     pitch: Array = field(default_factory=lambda: np.zeros(0))
 
 
-def draw_stand(
+def draw_mount_errors(
     rng: np.random.Generator,
     pitch_rad: Sequence[float] = LEVEL_AND_NOSE_DOWN_RAD,
     *,
     level_sigma_rad: float = 0.0,
     axis_sigma_rad: float = 0.0,
     pitch_sigma_rad: float = 0.0,
-) -> StandDraw:
-    """Draw the errors of stands at these angles, all normal with zero mean.
+) -> MountErrors:
+    """Draw the errors of a mount with poses at these angles, all normal with zero mean.
 
-    Where the fixture's angle is 0, a level sets the mount, and the angle has no error of its own.
+    At the angle 0 a level sets the mount, and the angle has no error of its own.
     """
     level = rng.standard_normal(2) * level_sigma_rad
     tilt, square = (rng.standard_normal(2) * axis_sigma_rad).tolist()
     pitch = rng.standard_normal(len(pitch_rad)) * pitch_sigma_rad * (np.asarray(pitch_rad) != 0.0)
-    return StandDraw(level, tilt, square, pitch)
+    return MountErrors(level, tilt, square, pitch)
 
 
 def mount_matrix(angles_rad: ArrayLike) -> Array:
@@ -83,12 +83,12 @@ def mount_matrix(angles_rad: ArrayLike) -> Array:
     return np.asarray((rotation(yaw * z) @ rotation(pitch * y) @ rotation(roll * x)).T)
 
 
-def stand_motion(
+def simulate_mount(
     angles_rad: ArrayLike,
     *,
     site: Site,
     pitch_rad: Sequence[float] = LEVEL_AND_NOSE_DOWN_RAD,
-    draw: StandDraw | None = None,
+    draw: MountErrors | None = None,
     heading_rad: float = 0.0,
     dwell_s: float = 10.0,
     settle_s: float = 0.5,
@@ -97,7 +97,7 @@ def stand_motion(
     earth_rate: bool = True,
     labelled: bool = True,
 ) -> TrueMotion:
-    """Stand still, pitch, stand still, ...
+    """Integrals of static poses with a rotation of the fixture between them.
 
     Parameters
     ----------
@@ -105,40 +105,40 @@ def stand_motion(
         Roll, pitch and yaw of the sensor axes in the mount.
     site : Site
     pitch_rad : sequence of float
-        Nominal angle of the fixture in each stand, from level; at least two, and neighbours differ.
-    draw : StandDraw, optional
-        Errors of the stand; default none.
+        Nominal angle of the fixture in each pose, from level; at least two, and neighbours differ.
+    draw : MountErrors, optional
+        Errors of the mount; default none.
     heading_rad : float
         Of the mount's x axis, clockwise from north.
     dwell_s, settle_s, peak_rate_rad_s, sample_rate_hz, earth_rate
         As in :func:`sims.physics.free_motion.free_motion`.
     labelled : bool
-        Whether recordings say when the unit stood still.
+        True: recordings state the stationary windows.
 
     Returns
     -------
     TrueMotion
-        Without a fixture; ``attitudes`` are C_NED,B of the stands before and after each turn.
+        Without a fixture; ``attitudes`` are C_NED,B of the poses before and after each rotation.
 
     Raises
     ------
     InputError
-        Fewer than two stands, neighbours without a turn between them, or a draw for another number of stands.
+        Fewer than two poses, neighbours without a rotation between them, or errors of another number of poses.
     """
-    draw = draw or StandDraw()
+    draw = draw or MountErrors()
     nominal = np.asarray(pitch_rad, dtype=np.float64)
     if nominal.ndim != 1 or len(nominal) < 2 or np.any(np.diff(nominal) == 0.0):
-        raise InputError("The stands need at least two angles of the fixture, and neighbours that differ.")
+        raise InputError("The poses need at least two angles of the fixture, and neighbours that differ.")
     error = draw.pitch if draw.pitch.size else np.zeros(len(nominal))
     if error.shape != nominal.shape:
-        raise InputError(f"The draw has pitch errors of {len(error)} stands, but there are {len(nominal)}.")
+        raise InputError(f"The draw has pitch errors of {len(error)} poses, but there are {len(nominal)}.")
     heading = rotation([0.0, 0.0, heading_rad])
     level = heading @ rotation([*draw.level, 0.0])
     cosine = math.cos(draw.tilt)
     axis = heading @ [-math.sin(draw.square) * cosine, math.cos(draw.square) * cosine, math.sin(draw.tilt)]
     angle = nominal + error
     first = rotation(angle[0] * axis) @ level @ mount_matrix(angles_rad).T
-    # The axis does not move in B while B turns about it.
+    # The axis is constant in B while B rotates about it.
     motion = free_motion(
         np.diff(angle)[:, np.newaxis] * (first.T @ axis),
         site=site,
@@ -151,5 +151,5 @@ def stand_motion(
     )
     if not labelled:
         return motion
-    stands = [motion.windows[0][0], *(after for _, after in motion.windows)]
-    return replace(motion, labels=tuple(SequenceLabel(a, b) for a, b in pairwise(stands)))
+    poses = [motion.windows[0][0], *(after for _, after in motion.windows)]
+    return replace(motion, labels=tuple(SequenceLabel(a, b) for a, b in pairwise(poses)))

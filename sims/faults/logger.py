@@ -1,7 +1,6 @@
-"""Faults of a logger: what goes wrong between the sensors and the file.
+"""Faults of a logger: time stamps, columns, stuck or spurious readings, and saturation.
 
-Stamps that stall, jump or carry another unit, columns that are dead, taken twice or exchanged, readings that stick or
-jump out, and sensors that reach the end of their range. Scales and axes are in ``sims.faults.scales``.
+Faults of units and axes are in ``sims.faults.units_and_axes``.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-import sims.faults.scales  # noqa: F401 - its injections belong to those of this module
+import sims.faults.units_and_axes  # noqa: F401 - registers its injections
 from sims.faults.injection import GRADES, injection
 from sims.physics.imu import read_out
 
@@ -25,14 +24,14 @@ if TYPE_CHECKING:
 
 
 _EDGE: Final = 5
-"""Samples at the ends of a sequence that a disturbance keeps away from."""
+"""Samples at both ends of a sequence without a disturbance."""
 
 
 # --- helpers ---------------------------------------------------------------------------------------------------------
 
 
 def _somewhere(recording: Recording, rng: np.random.Generator, count: int) -> slice:
-    """A run of samples in a sequence drawn at random: in its windows or in its turn."""
+    """Consecutive samples of a sequence drawn at random, in its windows or its rotation."""
     label = recording.sequences[int(rng.integers(len(recording.sequences)))]
     first = recording.window_indices(*label.start_static_s).start + _EDGE
     last = recording.window_indices(*label.end_static_s).stop - _EDGE
@@ -64,7 +63,7 @@ def _restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recordi
     return replace(recording, time=clock(recording.time), sequences=labels)
 
 
-# --- what reading refuses --------------------------------------------------------------------------------------------
+# --- refused by the recording------------------------------------------------------------------------------------------
 
 
 @injection("not_finite", 1.0, "samples")
