@@ -209,8 +209,8 @@ def parse_columns(text: str) -> dict[str, str | int]:
     Parameters
     ----------
     text : str
-        Channels in the order of the columns ("time,gyro,accel", with "-" for a column that is not read), or channels with
-        their columns ("gyro_x=wx,gyro_y=wy", "gyro_x=4"), or both.
+        Channels in the order of the columns ("time,gyro,accel", with "-" for a column that is not read), or channels
+        with their columns ("gyro_x=wx,gyro_y=wy", "gyro_x=4"), or both.
 
     Returns
     -------

@@ -240,7 +240,8 @@ def join_streams(
     if kept.size < 2:
         raise InputError(
             f"The gyro readings ({gyro_time[0]:g} to {gyro_time[-1]:g} s) and the accelerometer readings "
-            f"({accel_time[0]:g} to {accel_time[-1]:g} s) have no time in common: check that they are from one recording."
+            f"({accel_time[0]:g} to {accel_time[-1]:g} s) have no time in common: check that "
+            "they are from one recording."
         )
     notes.append("Accelerometer readings were brought to the time stamps of the gyros by linear interpolation.")
     if kept.size < gyro_time.size:
@@ -292,7 +293,8 @@ def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSa
             notes.append(f"{sensor} x, y, z are {text} of the file.")
     if handedness[0] * handedness[1] < 0.0:
         notes.append(
-            "The axis maps make one triad of gyros and accelerometers right-handed and the other left-handed: check their signs."
+            "The axis maps make one triad of gyros and accelerometers right-handed and the other left-handed: check "
+            "their signs."
         )
     return replace(imported, **changes, notes=tuple(notes)) if changes else imported
 

@@ -188,8 +188,8 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
         taken = ", ".join(option(each) for each in sorted(chosen.options)) or "no others"
         raise InputError(
             f"{option(unused[0]) if unused[0] != 'second' else 'A second file'} is given, but the format "
-            f"{chosen.name} of {path} does not take it (in addition to units and axes it takes {taken}): leave it out, or "
-            f"name another format with {option('format')}."
+            f"{chosen.name} of {path} does not take it (in addition to units and axes it takes {taken}): leave it "
+            f"out, or name another format with {option('format')}."
         )
     try:
         # The recording refuses values that are not finite, and names their place.

@@ -102,7 +102,8 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     unit = options.time_unit or gyro_unit
     if unit is None or (options.time_unit is None and gyro_unit != accel_unit):
         raise InputError(
-            f"{gyro_path} and {accel_path} do not state in what unit their times are: state it with {option('time_unit')}."
+            f"{gyro_path} and {accel_path} do not state in what unit their times are: state it with "
+            f"{option('time_unit')}."
         )
     # Both are counted from the same stamp, so that their difference stays exact.
     first = gyro[TIME][:1]
