@@ -17,6 +17,7 @@ import numpy as np
 from srt.constants import ARCSEC, DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
+from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,11 +58,46 @@ _GYRO_CAUSES = (
 _INCREMENTS = "the values look like increments per sample, declared as rates"
 _RATES = 'the values look like rates, declared as increments (key kind of recording.toml: "rate")'
 
-_REPEATS = 3  # equal readings in a row at the extreme, below which chance explains them
-_OFTEN = 0.5  # share of equal neighbours above which readings are coarse or free of noise
-_CLIPPED_GYRO_RAD_S = 0.2  # no gyro has a range as small as this
-_CLIPPED_ACCEL_M_S2 = 1.9 * _G  # nor an accelerometer one that a legal reading of 1 g reaches
-_RANGE_MARGIN = 0.999  # the largest count is a little below the round figure of the data sheet
+_IN_A_ROW: Final = 3
+"""Equal readings in a row at an extreme that no noise makes."""
+
+_IN_A_ROW_COARSE: Final = 50
+"""The same where the resolution is coarser than the noise, and most readings equal the one before."""
+
+_LONGER: Final = 2
+"""Longest row of equal readings at the extreme over the longest elsewhere, where the resolution is coarse."""
+
+_NO_NOISE: Final = 1e-7
+"""Second difference of neighbouring readings over the largest reading, below which there is no noise: the Earth's rate
+in a turn of 1 rad/s makes 1e-8 at 100 Hz, a navigation unit's noise 1e-5."""
+
+_MOSTLY_NOISY: Final = 0.5
+"""Share of the held readings during which another channel of the triad is noisy: clipping silences one alone."""
+
+_PILE: Final = 5
+"""Readings at an extreme, and their number over that of the readings one step inside, that no noise makes."""
+
+_NOISY: Final = 0.5
+"""Step of the readings over their noise, below which equal readings are no matter of resolution."""
+
+_LEAST_GYRO_RAD_S: Final = 0.2
+_LEAST_ACCEL_M_S2: Final = 0.5 * _G
+"""Smallest ranges that are believed: an output held at zero (dead band) is another fault."""
+
+_RANGE_MARGIN: Final = 0.999
+"""Largest count over the round figure of the data sheet."""
+
+_BEYOND: Final = 1.001
+"""Reading over the stated range, from which the range is stated wrongly: it did not stop the reading."""
+
+_LARGEST_COUNT: Final = 2 ** np.array([12, 14, 16, 18, 20, 24]) // 2
+"""Full scale of signed converters, counts."""
+
+_MEDIAN_OF_DIFFERENCES: Final = 0.954
+"""Median of the absolute difference of two normal readings, in sigmas of one: 0.6745 √2."""
+
+_MOST_READINGS: Final = 200_000
+"""Readings that resolution and noise of a channel are taken from."""
 
 SHORTEST_INTERVAL_S: Final = 5e-6
 LONGEST_INTERVAL_S: Final = 0.5
@@ -207,10 +243,9 @@ def check_turns(
 def clipping_levels(recording: Recording) -> ClippingLevels:
     """Find the readings at which channels are clipped, stated or seen.
 
-    A stated range is believed. Without one, a channel is taken to be clipped where its largest reading (in
-    either sense) is larger than any rest and repeats exactly, in longer rows than equal readings form
-    elsewhere. Coarse or noise-free readings repeat everywhere: clipping shows in them only if the range is
-    stated.
+    Readings of a noisy channel never repeat at an extreme by chance. A value held in a row there, many more readings at
+    it than one step inside, or several at the full scale of a converter, is a limit, whatever range is stated. Coarse
+    and noise-free readings repeat everywhere: in them clipping shows only by the stated range.
 
     Parameters
     ----------
@@ -220,29 +255,70 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     -------
     ClippingLevels
     """
-    per_sample = recording.nominal_interval_s if recording.kind == "increment" else 1.0
+    dt = recording.nominal_interval_s
+    per_sample = dt if recording.kind == "increment" else 1.0
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
+    noise = recording.noise
     sensors = (
-        (recording.gyro, recording.noise.gyro_range, _CLIPPED_GYRO_RAD_S),
-        (recording.accel, recording.noise.accel_range, _CLIPPED_ACCEL_M_S2),
+        (recording.gyro, noise.gyro_range, noise.gyro_quantization, _LEAST_GYRO_RAD_S),
+        (recording.accel, noise.accel_range, noise.accel_quantization, _LEAST_ACCEL_M_S2),
     )
-    for s, (values, stated, least) in enumerate(sensors):
+    for s, (values, stated, pulse, least) in enumerate(sensors):
+        if stated is not None:
+            peak = max(float(values.max()), -float(values.min()))
+            # Pulses carry over what is left of the sample before.
+            beyond = (_BEYOND * stated + 2.0 * (pulse or 0.0) / dt) * per_sample
+            if _RANGE_MARGIN * stated * per_sample <= peak <= beyond:
+                high[3 * s : 3 * s + 3] = _RANGE_MARGIN * stated * per_sample
+                low[3 * s : 3 * s + 3] = -_RANGE_MARGIN * stated * per_sample
         for axis in range(3):
             i = 3 * s + axis
-            if stated is not None:
-                high[i] = _RANGE_MARGIN * stated * per_sample
-                low[i] = -high[i]
-                continue
-            if s == 0 and recording.fixture is not None:
-                continue  # a fixture turns at one rate, which pulses repeat exactly: only a stated range tells
-            channel = values[:, axis]
-            top, bottom = float(channel.max()), float(channel.min())
-            suspects = [top] * (top > least * per_sample) + [bottom] * (-bottom > least * per_sample)
-            if top in suspects and _repeats_at(channel, top, suspects):
-                high[i] = top
-            if bottom in suspects and _repeats_at(channel, bottom, suspects):
-                low[i] = bottom
+            bottom, top = _limits_seen(values, axis, least * per_sample)
+            low[i], high[i] = max(low[i], bottom), min(high[i], top)
     return ClippingLevels(low, high)
+
+
+def _limits_seen(triad: Array, axis: int, least: float) -> tuple[float, float]:
+    """Lowest and highest reading of a channel of a noisy triad where they are limits; infinite where they are not."""
+    channel = triad[:, axis]
+    inner = channel[(channel > channel.min()) & (channel < channel.max())][:_MOST_READINGS]
+    if len(inner) < 2:
+        return -np.inf, np.inf
+    scatter = float(np.median(np.abs(np.diff(inner)))) / _MEDIAN_OF_DIFFERENCES
+    step = float(smallest_step(inner[:, None])[0])
+    coarse = step > _NOISY * scatter
+    # Without noise a turn at one rate repeats its extreme too, but then the other channels are smooth meanwhile.
+    others = np.delete(triad, axis, axis=1)
+    roughness = np.abs(others[2:] - 2.0 * others[1:-1] + others[:-2]).max(axis=1)
+    noisy = roughness > _NO_NOISE * float(np.abs(triad).max())
+    limits = []
+    for sign in (-1.0, 1.0):
+        extreme = float((sign * channel).max())
+        at = sign * channel == extreme
+        held = at[2:] & at[1:-1] & at[:-2]
+        alone = not held.any() or float(np.mean(noisy[held])) > _MOSTLY_NOISY
+        limited = extreme > least and alone and _is_limit(sign * channel, at, least, step, coarse=coarse)
+        limits.append(sign * (extreme if limited else np.inf))
+    return limits[0], limits[1]
+
+
+def _is_limit(channel: Array, at: Mask, least: float, step: float, *, coarse: bool) -> bool:
+    """Tell whether readings stop at their largest value; of coarse ones, those beyond ``least`` are compared."""
+    row = _longest_row(at[1:] & at[:-1])
+    if coarse:
+        equal = channel[1:] == channel[:-1]
+        return row >= max(_IN_A_ROW_COARSE, _LONGER * _longest_row(equal & ~at[1:] & (channel[1:] > least)))
+    extreme = float(channel.max())
+    count, inside = int(at.sum()), int(np.sum(np.abs(channel - (extreme - step)) < 0.5 * step))
+    # Two's complement reaches one count farther down.
+    full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
+    return row + 1 >= _IN_A_ROW or (count >= _PILE and count >= _PILE * inside) or (full_scale and count > 1)
+
+
+def _longest_row(mask: Mask) -> int:
+    """Number of steps of the longest row of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
 
 
 def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | None = None) -> tuple[Clipping, ...]:
@@ -325,21 +401,3 @@ def _unknown_cause(ratio: float, sensor: str) -> str:
     if ratio > 5.0:
         return "the values look like counts; state the unit as counts, with the value of one"
     return f"no known unit explains it; check which columns hold the {sensor} readings"
-
-
-def _repeats_at(channel: Array, extreme: float, suspects: list[float]) -> bool:
-    """Whether an extreme repeats as readings other than the suspects do not."""
-    equal = channel[1:] == channel[:-1]
-    longest = _longest_run(equal & (channel[1:] == extreme))
-    if longest + 1 < _REPEATS:
-        return False
-    others = ~np.isin(channel[1:], suspects)
-    equal &= others
-    often = np.count_nonzero(equal) > _OFTEN * np.count_nonzero(others)
-    return not often and longest > 2 * _longest_run(equal)
-
-
-def _longest_run(mask: Mask) -> int:
-    """Count the steps of the longest run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
-    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
