@@ -44,7 +44,7 @@ def load_truth(path: Path) -> SensorErrors:
         raise InputError(
             f"Cannot read the truth {path} ({error.strerror}): name the file that simulate wrote."
         ) from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(f"The truth {path} is not valid JSON: was it cut short?") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         raise InputError(f"{path} is no truth of version {VERSION}: name the {NAME} that simulate wrote.")

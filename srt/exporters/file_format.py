@@ -164,7 +164,7 @@ def from_json(text: str) -> dict[str, Any]:
     """Read JSON that holds a mapping. Raises InputError."""
     try:
         document = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"it is not valid JSON ({error}): is it truncated?") from None
     return _mapping(document)
 

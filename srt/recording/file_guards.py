@@ -29,6 +29,13 @@ SLACK_BYTES: Final = 1 << 20
 """Promised beyond that without a word: small files hold columns that are all one number."""
 
 
+NPZ_EXPANSION_LIMIT: Final = 100
+"""Largest ratio of the arrays of an NPZ archive to its size; recorded samples compress by 2 to 10."""
+
+NPZ_SLACK_BYTES: Final = 256 << 20
+"""Size of arrays, bytes, accepted at any ratio: constant columns compress a thousandfold, and it loads in about 1 s."""
+
+
 def require_size(path: Path, what: str, promised: int, present: int, factor: int = DEFLATE_LIMIT) -> None:
     """Refuse an array that is larger than the bytes it comes from can make.
 
@@ -74,6 +81,12 @@ def guard_npz(path: Path, archive: Any, name: str, file_size: int) -> None:
     member = f"{name}.npy" if f"{name}.npy" in members else name
     info: zipfile.ZipInfo = archive.zip.getinfo(member)
     require_size(path, f"array {name}", info.file_size, min(info.compress_size, file_size))
+    total = sum(each.file_size for each in archive.zip.infolist())
+    if total > NPZ_EXPANSION_LIMIT * file_size + NPZ_SLACK_BYTES:
+        raise InputError(
+            f"{path}: the arrays are stated to be {total} bytes long, more than {NPZ_EXPANSION_LIMIT} times the "
+            f"{file_size} bytes of the archive: the file is damaged or not a recording; export it again."
+        )
     with archive.zip.open(info) as stream:
         _guard_npy_header(path, f"array {name}", stream, info.file_size)
 

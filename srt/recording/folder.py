@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import tomllib
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, count
@@ -22,7 +21,7 @@ from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
 from srt.recording.atomic_file import atomic_write_text, unwritable
 from srt.recording.importer_registry import is_foreign
-from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site, require_bounded
 from srt.recording.samples import SAMPLES_FORMATS, Samples, read_samples, write_samples
 from srt.recording.schema import (
     ACCEL_UNITS,
@@ -40,6 +39,7 @@ from srt.recording.schema import (
     read_section,
     toml_value,
 )
+from srt.recording.toml_text import read_toml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -121,7 +121,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     if temperature is None and "temperature_c" in main:
         temperature = np.broadcast_to(np.float64(main["temperature_c"]), time.shape)
     try:
-        return Recording(
+        recording = Recording(
             time=time,
             gyro=samples.gyro,
             accel=samples.accel,
@@ -134,8 +134,10 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
             data_sha256=_sha256(samples_path),
             **fields_of({"kind": kind, **main}, RECORDING_KEYS),
         )
+        require_bounded(recording)
     except InputError as error:
         raise InputError(f"{toml.parent}: {error}", fault=error.fault) from None
+    return recording
 
 
 def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
@@ -359,11 +361,10 @@ def _import_recording(
 
 def _read_toml(toml: Path) -> dict[str, Any]:
     try:
-        with toml.open("rb") as file:
-            document = tomllib.load(file)
+        document = read_toml(toml)
     except OSError as error:
         raise InputError(f"Cannot read {toml} ({error.strerror}): check its permissions.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(f"{toml} is not valid TOML ({error}): correct it there.") from None
     for section in document:
         if section not in SECTIONS:

@@ -31,6 +31,9 @@ Derived = TypeVar("Derived")
 GRAVITY_RANGE_M_S2: Final = (9.5, 10.1)
 """Gravity outside this is not on the Earth's surface (9.76 to 9.84 m/s²)."""
 
+LARGEST_VALUE: Final = 1e12
+"""Bound of the magnitude of values from files, SI units: far above any sensor's range; sums of squares stay finite."""
+
 _WOBBLE: Final = 0.01
 """Of the sigma of the rotations, where no wobble is stated: 2 seconds of arc of a fixture of 1 mrad."""
 WINDOW_TOLERANCE: Final = 1e-6
@@ -482,6 +485,24 @@ def require_finite(name: str, values: Array, time: Array | None) -> None:
         "repair or remove the sample.",
         fault="not_finite",
     )
+
+
+def require_bounded(recording: Recording) -> None:
+    """Raise InputError that names the first value read from a file that is too large for its quantity.
+
+    The limit is :data:`LARGEST_VALUE` in SI units, for time, readings and temperature.
+    """
+    for name in ("time", "gyro", "accel", "temperature"):
+        values = getattr(recording, name)
+        if values is None or max(values.max(), -values.min()) < LARGEST_VALUE:
+            continue
+        row, column = divmod(int(np.flatnonzero(np.abs(values) >= LARGEST_VALUE)[0]), values.size // len(values))
+        full_name = f"{name}_{AXES[column]}" if values.ndim == 2 else name
+        value = values.flat[row * values[0].size + column]
+        raise InputError(
+            f"Column {full_name}: sample {row + 1} of {len(values)} is {value:.3g} in SI units, but every value must "
+            f"be smaller than {LARGEST_VALUE:.0e}: correct the unit, or repair or remove the sample."
+        )
 
 
 def require_increasing(time: Array) -> None:

@@ -189,10 +189,10 @@ def _format(path: Path) -> tuple[Callable[[Path, bool], Samples], Callable[[Path
 
 
 def _read_csv(path: Path, time_required: bool) -> Samples:
-    names, table = read_csv(path, lambda header: select_columns(path, header, time_required=time_required))
-    samples = Samples.empty(names, len(table))
-    for i, name in enumerate(names):
-        samples.column(name)[:] = table[:, i]
+    names, columns = read_csv(path, lambda header: select_columns(path, header, time_required=time_required))
+    samples = Samples.empty(names, len(columns[0]))
+    for name, column in zip(names, columns, strict=True):
+        samples.column(name)[:] = column
     return samples
 
 

@@ -296,5 +296,8 @@ def toml_value(value: object) -> str:
 
 
 def _shown(value: object) -> str:
-    shown = repr(value) if not isinstance(value, str) else f'the text "{value}"'
+    try:
+        shown = repr(value) if not isinstance(value, str) else f'the text "{value}"'
+    except ValueError:  # Python's bound on the digits of an integer, which hexadecimal ones can exceed
+        return "an integer of more than 4300 digits"
     return shown if len(shown) <= 60 else shown[:57] + "..."
