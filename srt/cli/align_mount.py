@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from srt.cli.apply import check_match, load_fit
-from srt.cli.output import check_file, warn
+from srt.cli.messages import show, warn
+from srt.cli.output_paths import check_file
 from srt.exceptions import InputError
 
-if TYPE_CHECKING:
-    from srt.mount.alignment import MountAlignment
-
 RESULT_SUFFIXES = (".json",)
-
-SOURCE_LABELS = {
-    "accel_noise": "acc. noise",
-    "calibration": "calibration",
-    "levelling": "levelling",
-    "axis_tilt": "axis tilt",
-    "squareness": "axis square",
-    "fixture": "fixture",
-}
-POSE_LABELS = {"level": "level", "nose_down": "pitched, x down", "nose_up": "pitched, x up"}
 
 
 @click.command("align-mount")
@@ -99,41 +86,8 @@ def align_mount(
     for sentence in mount.warnings:
         warn(sentence)
     if not quiet:
-        click.echo(report(mount))
-        click.echo(
-            "\nNothing was written: -o FILE.json keeps the result." if output is None else f"\nWritten: {output}"
-        )
+        from srt.reports.text.mount_alignment import mount_alignment_text
+
+        show(mount_alignment_text(mount))
+        show("\nNothing was written: -o FILE.json keeps the result." if output is None else f"\nWritten: {output}")
     return 0
-
-
-def report(mount: MountAlignment) -> str:
-    """Write a mount alignment as text: the angles with their sigmas by source, and the stands."""
-    import numpy as np
-
-    from srt.mount.alignment import ANGLES
-    from srt.reports.text.tables import decimals_for, fixed, text_table
-
-    rows = []
-    by_source = np.array(list(mount.sources.values()))
-    for i, name in enumerate(ANGLES):
-        value, sigma = 1e3 * float(mount.angles_rad[i]), 1e3 * float(mount.sigma_rad[i])
-        places = decimals_for(sigma)
-        parts = [fixed(1e3 * float(s), max(places, 3)) for s in by_source[:, i]]
-        rows.append([name, fixed(value, places), fixed(sigma, places), *parts])
-    headers = ["mrad", "angle", "sigma", *(SOURCE_LABELS.get(name, name).replace(" ", "\n") for name in mount.sources)]
-    text = ["Sensor axes in the mount", text_table(headers, rows, "l" + "r" * (len(headers) - 1))]
-    if mount.stands:
-        stands = [
-            [
-                POSE_LABELS[stand["pose"]],
-                f"{stand['start_s']:.2f}",
-                f"{stand['end_s']:.2f}",
-                f"{stand['pitch_deg']:+.3f}",
-                fixed(1e6 * stand["residual_rad"], 1),
-            ]
-            for stand in mount.stands
-        ]
-        text.append(text_table(["stand", "from s", "to s", "pitch °", "left µrad"], stands, "lrrrr"))
-    else:
-        text.append("From the play-back of the two-axis test (U): as accurate as the fixture's alignment.")
-    return "\n\n".join(text)

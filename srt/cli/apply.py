@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.output import check_directory, check_file, recording_folder, warn
+from srt.cli.messages import show, warn
+from srt.cli.output_paths import SAMPLES_FORMATS, check_directory, check_file, recording_folder
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
-FORMATS = ("csv", "npz", "parquet", "h5")
 HEADER_SUFFIXES = (".h",)
 
 
@@ -23,7 +23,7 @@ HEADER_SUFFIXES = (".h",)
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to write; made if absent.")
 @click.option("--frame", type=click.Choice(("mars", "table")), default="mars", show_default=True, help="Axes to give.")
-@click.option("--samples-format", type=click.Choice(FORMATS), help="Of the samples; default: the recording's.")
+@click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Of the samples; default: the recording's.")
 @click.option("--c-header", type=click.Path(path_type=Path), metavar="FILE.h", help="Write the correction as C99, too.")
 @click.option("--force", is_flag=True, help="Whatever the calibration's status, the serial and the size of readings.")
 @click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already.")
@@ -85,9 +85,9 @@ def apply(
     if not quiet:
         if corrected is not None:
             axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
-            click.echo(f"{corrected.time.size} samples ({corrected.kind}) corrected, in {axes}")
+            show(f"{corrected.time.size} samples ({corrected.kind}) corrected, in {axes}")
         for place in written:
-            click.echo(f"Written to {place}")
+            show(f"Written to {place}")
     return 0
 
 

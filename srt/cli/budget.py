@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import json
-import sys
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from srt.cli.calibrate import CHOICES
-from srt.cli.jobs import PLOT_SUFFIXES, RESULT_SUFFIXES
-from srt.cli.output import check_file, require_matplotlib
+from srt.cli.messages import announce, show
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
+from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from sims.accuracy.budget import Budget
     from sims.scenarios.scenario import Scenario
     from srt.estimation.options import GyroBias
 
@@ -82,20 +78,27 @@ def budget(
     from srt.recording.atomic_file import atomic_write_text
 
     names = estimators or default_estimators(gyro_bias)
-    with budget_progress(quiet=quiet) as progress:
+    with count_progress("budget", quiet=quiet, lines=False) as progress:
         found = predict(chosen, names, draws=draws, gyro_bias=gyro_bias, progress=progress)
     if output is not None:
         document = {"scenario": chosen.model_dump(mode="json"), "budgets": [b.as_dict() for b in found]}
         atomic_write_text(output, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    figures: list[Path] = []
     if plot is not None:
         from sims.accuracy.budget_figure import budget_figure
         from srt.reports.figures.style import save_figure
 
         for b in found:
             file = plot if len(found) == 1 else plot.with_name(f"{plot.stem}-{b.estimator}{plot.suffix}")
+            figures.append(file)
             save_figure(budget_figure(b, title=f"{scenario}: what limits {b.estimator}"), file)
     if not quiet:
-        click.echo("\n\n".join(tables(b) for b in found))
+        from sims.accuracy.budget import NOT_COUNTED
+        from srt.reports.text.error_budget import budget_text
+
+        texts = [budget_text(b.estimator, b.sources, b.total, b.not_counted, NOT_COUNTED) for b in found]
+        show("\n\n".join(texts))
+    announce(output, *figures, quiet=quiet)
     return 0
 
 
@@ -107,28 +110,10 @@ def default_estimators(gyro_bias: GyroBias = "auto") -> tuple[str, ...]:
     return ("closed-form", "graph" if joint else "least-squares")
 
 
-def tables(found: Budget) -> str:
-    """Sources that matter as columns, and what is told beside them."""
-    import numpy as np
-
-    from sims.accuracy.budget import NOT_COUNTED
-    from srt.reports.text.calibration import sources_table, wrap
-
-    seen = np.flatnonzero(np.isfinite(found.total)).tolist()
-    text = [f"Budget of {found.estimator}: one sigma; the squares of the sources add up"]
-    text.append(sources_table(found.sources, found.total, seen))
-    text.append("\nNot in the sum")
-    text.append(sources_table(found.not_counted, None, seen))
-    for name, meaning in NOT_COUNTED.items():
-        text += wrap(f"{name.replace('_', ' ')}: {meaning}", "  ")
-    return "\n".join(text)
-
-
 def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
     """The paper's analysis with the noise, bias and fixture of a scenario."""
     from srt.noise.accuracy_analysis import QUANTITIES, paper_budget
     from srt.recording.atomic_file import atomic_write_text
-    from srt.reports.text.tables import fixed, text_table
 
     setting = paper_setting(scenario)
     found = paper_budget(setting)
@@ -141,17 +126,10 @@ def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
         document = {"format": "srt-paper-budget", "version": 1, "quantities": rows}
         atomic_write_text(output, json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
     if not quiet:
-        sources = {name: values for name, values in found.items() if values.any()}
-        heads = ["", "seq.", "unit", *(name.replace("_", "\n") for name in sources)]
-        cells = [
-            [q.symbol, q.sequence, q.unit, *(fixed(1e6 * float(values[k]), 2) for values in sources.values())]
-            for k, q in enumerate(QUANTITIES)
-        ]
-        click.echo(
-            f"Savage 2020, §9: sequences of {setting.time_s:g} s, two windows of {setting.window_s:g} s in it, "
-            f"rotations at {setting.rate_rad_s:g} rad/s"
-        )
-        click.echo(text_table(heads, cells, "lll" + "r" * len(sources), gap=1))
+        from srt.reports.text.error_budget import paper_budget_text
+
+        show(paper_budget_text(setting, found))
+    announce(output, quiet=quiet)
     return 0
 
 
@@ -173,17 +151,3 @@ def paper_setting(scenario: Scenario) -> Any:
         alignment_rad=fixture.north_sigma_mrad * 1e-3,
         sensor_errors=factor * max(errors["gyro_scale"], errors["gyro_orthogonality"], errors["accel_misalignment"]),
     )
-
-
-@contextmanager
-def budget_progress(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Lend a function that takes the numbers of finished and of all calibrations; a bar on a terminal alone."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("budget", total=None)
-        yield lambda done, size: bar.update(task, completed=done, total=size)

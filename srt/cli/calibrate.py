@@ -1,4 +1,4 @@
-"""``srt calibrate``: sensor errors from recordings, each judged and kept on its own."""
+"""``srt calibrate``: sensor errors from recordings, each with its result."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.fleet import FLEET_FROM, run_fleet
-from srt.cli.jobs import RESULT_SUFFIXES, Display, Job, plan, plan_fleet, plan_merging
-from srt.cli.output import make_directory, require_matplotlib, say, warn
-from srt.cli.recordings import find_recordings
+from srt.cli.calibration_jobs import Display, Job, plan, plan_fleet, plan_merging
+from srt.cli.fleet import FLEET_FROM, FleetEngine, run_fleet
+from srt.cli.grouped_command import GroupedCommand
+from srt.cli.merge import run_merging
+from srt.cli.messages import announce, figure_title, say, show, warn
+from srt.cli.output_paths import RESULT_SUFFIXES, make_directory, require_matplotlib
+from srt.cli.recording_arguments import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
 
 if TYPE_CHECKING:
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
     from srt.model.prior import Prior
     from srt.result.calibration import Calibration
 
-# The option types of srt.estimation.options, written out: importing them here would make help wait for numpy.
+# Option types of srt.estimation.options, written out: importing them would make the help wait for numpy.
 CHOICES = {
     "average": ("linear", "overlapping"),
     "down": ("tilt-immune", "paper"),
@@ -32,7 +35,18 @@ CHOICES = {
 }
 
 
-@click.command()
+GROUPS = {
+    "Fixture and sensors": ("no_asymmetry", "hold", "gyro_bias", "no_fixture_states"),
+    "Fleet": ("workers", "scheduler"),
+    "Expert": (
+        "average", "down", "window_attitude", "step", "start", "max_playbacks", "loss", "prior", "live", "target",
+        "force",
+    ),
+}  # fmt: skip
+"""Groups of options in the help."""
+
+
+@click.command(cls=GroupedCommand, groups=GROUPS)
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORDING...")
 @click.option(
     "--estimator",
@@ -41,54 +55,29 @@ CHOICES = {
     metavar="NAME",
     help="auto, closed-form, least-squares, ekf, graph, or another that is installed.",
 )
-@click.option("--no-asymmetry", is_flag=True, help="Hold the gyro scale-factor asymmetries.")
-@click.option(
-    "--hold",
-    multiple=True,
-    metavar="NAME",
-    help="Hold a parameter or a group, as gyro_scale_x or accel_bias; repeatable.",
-)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json, or a folder for several.")
-@click.option(
-    "--merge",
-    is_flag=True,
-    help="Several recordings of one unit to one calibration; calibrations (.json) may stand for recordings.",
-)
 @click.option("--plot", type=click.Path(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
-@click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording, to compare with.")
-@click.option("--budget", is_flag=True, help="Show all sources of sigma, not the three largest.")
-@click.option("--verdict", is_flag=True, help="Show what every parameter rests on, too.")
-@click.option("--average", type=click.Choice(CHOICES["average"]), default="linear", show_default=True)
-@click.option("--down", type=click.Choice(CHOICES["down"]), default="tilt-immune", show_default=True)
-@click.option("--window-attitude", type=click.Choice(CHOICES["window_attitude"]), default="held", show_default=True)
+@click.option("--details", is_flag=True, help="Show sources of sigma, sequences and residuals, too.")
+@click.option("--budget", is_flag=True, help="As --details, with all sources of sigma instead of three.")
+@click.option("--verdict", is_flag=True, help="As --details, with the observability of every parameter.")
+@click.option("--merge", is_flag=True, help="Merge recordings or calibrations (.json) of one unit into one result.")
+@click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording: show errors.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
+@click.option("--no-asymmetry", is_flag=True, help="Fix the gyro scale-factor asymmetries at zero.")
+@click.option(
+    "--hold", multiple=True, metavar="NAME", help="Fix a parameter or a group, as gyro_scale_x or accel_bias."
+)
 @click.option(
     "--gyro-bias",
     type=click.Choice(CHOICES["gyro_bias"]),
     default="auto",
     show_default=True,
-    help="g-sensitive: with what the gyros follow specific force by; closed-form and least-squares.",
-)
-@click.option("--step", type=click.Choice(CHOICES["step"]), default="jacobian", show_default=True)
-@click.option("--start", type=click.Choice(CHOICES["start"]), default="auto", show_default=True)
-@click.option("--max-playbacks", type=click.IntRange(min=1), default=20, show_default=True, metavar="N")
-@click.option("--loss", type=click.Choice(CHOICES["loss"]), default="squared", show_default=True, help="Of graph.")
-@click.option(
-    "--prior",
-    type=click.Path(path_type=Path),
-    metavar="FILE.json",
-    help="An earlier calibration of the unit that ekf or graph start from, with its sigmas.",
+    help="Model of the gyro bias; g-sensitive: closed-form and least-squares.",
 )
 @click.option(
     "--no-fixture-states",
     is_flag=True,
-    help="ekf and graph: take north, mounting and gravity as stated instead of estimating them.",
-)
-@click.option("--live", is_flag=True, help="ekf: as the test would run, all sequences so far after each.")
-@click.option(
-    "--target",
-    multiple=True,
-    metavar="NAME=SIGMA",
-    help="ekf: sigma wanted of a parameter or group, in the table's unit, as gyro_scale=1; repeatable.",
+    help="ekf and graph: do not estimate north, mounting and gravity.",
 )
 @click.option(
     "--workers",
@@ -96,112 +85,168 @@ CHOICES = {
     default=1,
     show_default=True,
     metavar="N",
-    help="Units calibrated at a time; 0 for as many as there are cores.",
+    help="Units calibrated in parallel; 0: one on each core.",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers calibrate, as tcp://host:8786.")
-@click.option("--force", is_flag=True, help="Calibrate though a fault of the recording speaks against it.")
-@click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786.")
+@click.option(
+    "--average",
+    type=click.Choice(CHOICES["average"]),
+    default="linear",
+    show_default=True,
+    help="Average over a stationary window.",
+)
+@click.option(
+    "--down",
+    type=click.Choice(CHOICES["down"]),
+    default="tilt-immune",
+    show_default=True,
+    help="Form of the down measurement.",
+)
+@click.option(
+    "--window-attitude",
+    type=click.Choice(CHOICES["window_attitude"]),
+    default="held",
+    show_default=True,
+    help="Attitude in the stationary windows: constant, or integrated.",
+)
+@click.option(
+    "--step",
+    type=click.Choice(CHOICES["step"]),
+    default="jacobian",
+    show_default=True,
+    help="Step of the closed form: full Jacobian, or the coefficients of the paper.",
+)
+@click.option(
+    "--start",
+    type=click.Choice(CHOICES["start"]),
+    default="auto",
+    show_default=True,
+    help="Initial estimate: from the fixture, or zero.",
+)
+@click.option(
+    "--max-playbacks", type=click.IntRange(min=1), default=20, show_default=True, metavar="N", help="Most iterations."
+)
+@click.option(
+    "--loss", type=click.Choice(CHOICES["loss"]), default="squared", show_default=True, help="Loss function of graph."
+)
+@click.option(
+    "--prior",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="Earlier calibration of the unit as prior of ekf or graph.",
+)
+@click.option("--live", is_flag=True, help="ekf: estimate after every sequence, as during the test.")
+@click.option(
+    "--target",
+    multiple=True,
+    metavar="NAME=SIGMA",
+    help="ekf: sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
+)
+@click.option("--force", is_flag=True, help="Calibrate in spite of a fault of the recording.")
 def calibrate(
     recordings: tuple[Path, ...],
     estimator: str,
-    no_asymmetry: bool,
     output: Path | None,
     merge: bool,
     plot: Path | None,
     truth: Path | None,
+    details: bool,
     budget: bool,
     verdict: bool,
     quiet: bool,
-    force: bool,
-    prior: Path | None,
-    no_fixture_states: bool,
-    target: tuple[str, ...],
     workers: int,
     scheduler: str | None,
+    force: bool,
     **choices: Any,
 ) -> int:
     """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
 
-    A folder that holds recordings, however deep, stands for all of them, and so does a pattern in quotes, as
-    'lot-7/*'. Those, more than five recordings, and several with --workers or --scheduler, are a fleet: one table of
-    all units, with those marked that are outlying against the others; -o FOLDER keeps it as fleet.csv and fleet.json
-    beside the results.
+    A folder that contains recordings, at any depth, stands for all of them, and so does a pattern in quotes, as
+    'lot-7/*'. Those, more than five recordings, and several with --workers or --scheduler, are a fleet: one table shows
+    all units and marks outliers; -o FOLDER writes it as fleet.csv and fleet.json beside the results.
 
-    The table goes to standard output; -o keeps the whole result, with its covariance, as JSON. With several
-    recordings -o names a folder, --plot gets the recordings' names before its ending, a recording that fails
-    does not stop the others, and the exit code is the worst. With --merge they are recordings of one unit: -o gets
-    the one calibration merged of them, and how well they repeat is shown.
+    The table goes to standard output; -o writes the whole result, with its covariance, as JSON. With several
+    recordings, -o names a folder, --plot inserts the name of each recording before the ending, a recording that fails
+    does not stop the others, and the exit code is the worst. --merge takes recordings of one unit and gives one result
+    with their repeatability.
 
-    Exit codes: 0 converged, or partial (some parameters held, with a warning); 1 not converged or outside the
-    model (written all the same, with that status), or data that cannot support a result; 2 wrong usage or
-    unreadable input.
+    Exit codes: 0 converged, or partial (some parameters fixed, with a warning); 1 not converged or outside the model
+    (written with that status), or data that cannot support a result; 2 wrong usage or unreadable input.
     """
     found = find_recordings(recordings, files=RESULT_SUFFIXES if merge else ())
     shared = scheduler is not None or (workers != 1 and len(found.paths) > 1)
     fleet = not merge and (found.searched or shared or len(found.paths) >= FLEET_FROM)
     jobs = (plan_merging if merge else plan_fleet if fleet else plan)(found.paths, output, plot)
-    # Everything that can be refused without the samples is refused before they are read.
-    refusals = (
+    # Whatever can be refused without the samples is refused before they are read.
+    one_truth = merge or not (fleet or len(jobs) > 1)
+    tables = details or budget or verdict
+    refuse_combinations(
+        (bool(truth) and not one_truth, "The option --truth belongs to one recording: calibrate the others apart."),
         (
-            truth and not merge and (fleet or len(jobs) > 1),
-            "The option --truth belongs to one recording: calibrate the others apart.",
+            merge and choices["prior"] is not None,
+            "--merge and --prior do not go together: the prior would count with every recording.",
         ),
-        (merge and prior, "--merge and --prior do not go together: the prior would count with every recording."),
         (merge and shared, "--merge goes without --workers and --scheduler: its recordings are calibrated in turn."),
         (
-            fleet and (budget or verdict),
-            "--budget and --verdict belong to the tables of few recordings: a fleet has one for all.",
+            fleet and tables,
+            "--details, --budget and --verdict belong to the tables of few recordings: a fleet has one for all.",
         ),
     )
-    for refused, sentence in refusals:
-        if refused:
-            raise InputError(sentence)
-    from srt.estimation.options import Options
-    from srt.estimation.registry import find_estimator
-
-    options = Options(
-        asymmetry=not no_asymmetry,
-        fixture_states=not no_fixture_states,
-        prior=None if prior is None else load_prior(prior),
-        targets=parse_targets(target),
-        **choices,
-    )
-    if estimator != "auto":
-        find_estimator(estimator)
-    if plot is not None:
-        require_matplotlib()
+    options = parse_options(choices)
+    check_tools(estimator, plot)
     true_errors = None
     if truth is not None:
         from srt.cli.truth import load_truth
 
         true_errors = load_truth(truth)
     if fleet:
-        return run_fleet(
-            jobs,
-            estimator,
-            options,
-            workers=workers,
-            scheduler=scheduler,
-            output=output,
-            quiet=quiet,
-            force=force,
-        )
-    display = Display(true_errors, budget, verdict, quiet, force)
+        engine = FleetEngine(workers, scheduler)
+        return run_fleet(jobs, estimator, options, engine=engine, output=output, quiet=quiet, force=force)
+    display = Display(true_errors, details, budget, verdict, quiet, force)
     if merge:
-        from srt.cli.merge import run_merging
-
         return run_merging(jobs, estimator, options, display, output, plot)
     return run_each(jobs, estimator, options, display, output)
 
 
+def refuse_combinations(*rules: tuple[bool, str]) -> None:
+    """Raise InputError with the sentence of the first rule that is broken."""
+    for broken, sentence in rules:
+        if broken:
+            raise InputError(sentence)
+
+
+def parse_options(choices: dict[str, Any]) -> Options:
+    """Options of the estimators from those of the command line."""
+    from srt.estimation.options import Options
+
+    prior, target = choices.pop("prior"), choices.pop("target")
+    return Options(
+        asymmetry=not choices.pop("no_asymmetry"),
+        fixture_states=not choices.pop("no_fixture_states"),
+        prior=None if prior is None else load_prior(prior),
+        targets=parse_targets(target),
+        **choices,
+    )
+
+
+def check_tools(estimator: str, plot: Path | None) -> None:
+    """Raise InputError if the estimator, or matplotlib for a plot, is not installed."""
+    from srt.estimation.registry import find_estimator
+
+    if estimator != "auto":
+        find_estimator(estimator)
+    if plot is not None:
+        require_matplotlib()
+
+
 def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Display, output: Path | None) -> int:
-    """Calibrate, write and show one recording after the other, and give the worst exit code."""
+    """Calibrate, write and print one recording after the other; give the worst exit code."""
     if len(jobs) > 1 and output is not None:
         make_directory(output)
     codes = []
     for number, job in enumerate(jobs):
         if number and not display.quiet:
-            click.echo()
+            show()
         try:
             calibration = run_job(job, estimator, options, display)
         except SrtError as error:
@@ -210,9 +255,12 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
             say(sentence if named else f"{job.recording}: {sentence}")
             codes.append(error.exit_code)
         else:
-            codes.append(judge(job, calibration))
-    if output is None and not display.quiet and min(codes) == 0:
-        click.echo("\nNothing was written: -o FILE.json keeps the result.")
+            codes.append(report_problems(job, calibration))
+    if not display.quiet and min(codes) == 0:
+        more = "" if display.complete else "--details shows more. "
+        rest = "Nothing was written: -o FILE.json keeps the result." if output is None else ""
+        if more or rest:
+            show(f"\n{more}{rest}".rstrip())
     return max(codes)
 
 
@@ -222,7 +270,7 @@ def load_prior(path: Path) -> Prior:
     Raises
     ------
     InputError
-        What :func:`srt.load_calibration` raises, and a calibration that did not converge.
+        A file that cannot be read, or a calibration that did not converge.
     """
     from srt.model.prior import Prior
     from srt.result.calibration import load_calibration
@@ -256,7 +304,7 @@ def parse_targets(texts: Sequence[str]) -> dict[str, float]:
 
 
 def run_job(job: Job, estimator: str, options: Options, display: Display) -> Calibration:
-    """Calibrate one recording; write and show what came out, whatever its status.
+    """Calibrate one recording; write and print the result, whatever its status.
 
     Parameters
     ----------
@@ -272,23 +320,25 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     Raises
     ------
     SrtError
-        What :func:`srt.load_recording`, :func:`srt.calibrate` and the writing raise.
+        Errors of :func:`srt.load_recording`, :func:`srt.calibrate` and of writing.
     """
     import srt
-    from srt.cli.progress import playback_progress
-    from srt.reports.text.calibration import report
+    from srt.cli.progress import iteration_progress
+    from srt.reports.text.calibration_summary import calibration_text
 
     recording = srt.load_recording(job.recording)
-    with playback_progress(job.name, quiet=display.quiet) as progress:
+    with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     if job.output is not None:
         calibration.save(job.output)
     if not display.quiet:
-        click.echo(
-            report(
+        show(
+            calibration_text(
                 calibration,
                 title=str(job.recording),
                 truth=display.truth,
+                source=str(job.recording),
+                details=display.details,
                 budget=display.budget,
                 verdict=display.verdict,
             )
@@ -296,15 +346,13 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     if job.plot is not None:
         from srt.reports.figures.calibration import calibration_figure, save_figure
 
-        save_figure(calibration_figure(calibration, truth=display.truth, title=job.name), job.plot)
-    written = [str(path) for path in (job.output, job.plot) if path is not None]
-    if written and not display.quiet:
-        click.echo(f"\nWritten: {', '.join(written)}")
+        save_figure(calibration_figure(calibration, truth=display.truth, title=figure_title(job.name)), job.plot)
+    announce(job.output, job.plot, quiet=display.quiet)
     return calibration
 
 
-def judge(job: Job, calibration: Calibration) -> int:
-    """Say what is wrong with a result, and give the exit code of its status."""
+def report_problems(job: Job, calibration: Calibration) -> int:
+    """Print what is wrong with a result; give the exit code of its status."""
     from srt.reports.text.calibration import held_summary
 
     if calibration.status not in ("converged", "partial"):

@@ -7,20 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.output import check_directory
+from srt.cli.messages import show
+from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from srt.recording.import_options import ImportOptions
-    from srt.recording.imported_samples import ImportedSamples
-    from srt.recording.importer_registry import Importer
     from srt.recording.recording import Recording
 
-FORMATS = ("csv", "npz", "parquet", "h5")
-
-_FASTEST_RAD_S = 100.0  # 5700 °/s: gyros of 4000 °/s are the fastest sold
 
 _GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "counts")
 _ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "counts")
@@ -44,7 +40,7 @@ def _list_formats(ctx: click.Context, param: click.Parameter, value: bool) -> No
     for name in IMPORTERS:
         each = importer(name)
         rows.append([name, each.title, " ".join(each.suffixes), each.extra or ""])
-    click.echo(text_table(["format", "what it is", "files", "extra"], rows, "llll"))
+    show(text_table(["format", "what it is", "files", "extra"], rows, "llll"))
     ctx.exit()
 
 
@@ -97,7 +93,7 @@ _SAY = [
 
 _WRITE = [
     click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder; made if absent."),
-    click.option("--to", "samples_format", type=click.Choice(FORMATS), default="csv", show_default=True,
+    click.option("--to", "samples_format", type=click.Choice(SAMPLES_FORMATS), default="csv", show_default=True,
                  help="Format of the samples written."),
     click.option("--force", is_flag=True, help="Write it even if the accelerometers do not read gravity."),
     click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already."),
@@ -160,7 +156,7 @@ def convert(
             date=date,
             temperature_c=temperature_c,
         )
-        # Found only when asked for, and here a rate that contradicts the stamps is still refused.
+        # RecordingArguments only when asked for, and here a rate that contradicts the stamps is still refused.
         recording.timing  # noqa: B018
     except InputError as error:
         raise InputError(f"{source}: {error}", fault=error.fault) from None
@@ -169,8 +165,10 @@ def convert(
     # All that can be refused has been: now it is written.
     write_recording(recording, output, samples_format=samples_format, overwrite=overwrite)
     if not quiet:
-        click.echo(summary(recording, imported, importer, source))
-        click.echo(f"Written to {output}: recording.toml, samples.{samples_format}")
+        from srt.reports.text.imported_log import import_text
+
+        show(import_text(recording, imported, importer, source))
+        show(f"Written to {output}: recording.toml, samples.{samples_format}")
     return 0
 
 
@@ -297,51 +295,3 @@ def check_gravity(recording: Recording, source: Path) -> None:
         )
     except DataError as error:
         raise DataError(f"{source}: {str(error).rstrip('.')}, or add --force.", fault=error.fault) from None
-
-
-def summary(recording: Recording, imported: ImportedSamples, importer: Importer, source: Path) -> str:
-    """Say what was read: samples, rate, units and who stated them, sizes of readings, notes.
-
-    Parameters
-    ----------
-    recording : Recording
-    imported : ImportedSamples
-    importer : Importer
-    source : Path
-
-    Returns
-    -------
-    str
-    """
-    import numpy as np
-
-    from srt.constants import DEG
-    from srt.reports.text.calibration import wrap
-    from srt.reports.text.tables import text_table
-
-    interval = recording.nominal_interval_s
-    per = recording.interval_s if recording.kind == "increment" else 1.0
-    rate, force = (np.linalg.norm(values, axis=1) / per for values in (recording.gyro, recording.accel))
-    stamps = "stamps" if imported.sample_rate_hz is None else "stated"
-    rows: list[list[str] | None] = [
-        ["format", f"{importer.title} ({importer.name})"],
-        ["samples", f"{recording.time.size} ({recording.kind})"],
-        ["rate", f"{1.0 / interval:.6g} Hz ({stamps}), {recording.gaps.size} gaps"],
-        ["duration", f"{recording.time.size * interval:.1f} s"],
-        ["time", imported.units.get("time", "no stamps, counted from 0")],
-        ["gyros", imported.units.get("gyro", "")],
-        ["", f"median {np.median(rate) / DEG:.4g} °/s, largest {rate.max() / DEG:.4g} °/s"],
-        ["accelerometers", imported.units.get("accel", "")],
-        ["", f"median {np.median(force):.5g} m/s², largest {force.max():.5g} m/s²"],
-    ]
-    temperature = recording.temperature
-    if temperature is not None:
-        rows.append(["temperature", f"{temperature.min():.1f} to {temperature.max():.1f} °C"])
-    rows += [[what, text] for what, text in (("serial", recording.serial), ("date", recording.date)) if text]
-    lines = [*wrap(str(source)), text_table(["", "as read"], rows, "ll")]
-    notes = list(imported.notes)
-    if rate.max() > _FASTEST_RAD_S:
-        notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than IMUs can: check --gyro-unit.")
-    for note in notes:
-        lines += wrap(f"Note: {note}")
-    return "\n".join(lines)

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from srt.cli.calibrate import judge, run_job
-from srt.cli.jobs import Display, Job
-from srt.cli.output import check_directory, make_directory, require_matplotlib, warn
+from srt.cli.calibrate import report_problems, run_job
+from srt.cli.calibration_jobs import Display, Job
+from srt.cli.messages import show, warn
+from srt.cli.output_paths import check_directory, make_directory, require_matplotlib
 from srt.cli.simulate import check_target, run_scenario, summary, write_simulation
 from srt.exceptions import MissingExtraError
 
-if TYPE_CHECKING:
-    from srt.result.calibration import Calibration
-    from srt.sensor_errors import SensorErrors
-
 SCENARIO = "demo"
-PROBABILITY = 0.95
 
 
 @click.command()
@@ -58,52 +53,13 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     samples_format = scenario.recording.format
     write_simulation(simulation, folder, samples_format=samples_format, overwrite=True)
     if not quiet:
-        click.echo(f"{summary(simulation, folder, samples_format)}\n")
+        show(f"{summary(simulation, folder, samples_format)}\n")
     truth = load_truth(folder / NAME)
     job = Job(folder, SCENARIO, output / "calibration.json", plot)
     calibration = run_job(job, "auto", Options(), Display(truth, quiet=quiet))
     if not quiet:
-        click.echo()
-    click.echo(verdict(calibration, truth))
-    return judge(job, calibration)
+        show()
+    from srt.reports.text.truth_comparison import largest_error_text
 
-
-def verdict(calibration: Calibration, truth: SensorErrors) -> str:
-    """Set the largest error beside what chance alone explains.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    truth : SensorErrors
-
-    Returns
-    -------
-    str
-        Sentences, wrapped.
-
-    Notes
-    -----
-    The bound x solves (2Φ(x) − 1)^n = 0.95. That is exact for n independent normal errors; for correlated
-    ones the probability of staying below it is at least as large (Šidák's inequality).
-    """
-    import numpy as np
-    from scipy.stats import norm
-
-    from srt.reports.text.calibration import wrap
-    from srt.sensor_errors import NAMES
-
-    seen = np.flatnonzero(calibration.observed)
-    ratio = np.abs(calibration.errors.vector - truth.vector)[seen] / calibration.sigma[seen]
-    n, worst = len(seen), int(np.argmax(ratio))
-    bound = float(norm.ppf(0.5 + 0.5 * PROBABILITY ** (1.0 / n)))
-    if ratio[worst] <= bound:
-        judgement = "is as expected"
-    else:
-        judgement = "is not as expected: chance alone explains it in 1 of 20 at most"
-    return "\n".join(
-        wrap(
-            f"The largest error is {ratio[worst]:.2f} sigma ({NAMES[seen[worst]]}); the largest of {n} "
-            f"normal draws stays below {bound:.2f} sigma in {PROBABILITY:.0%} of all runs or more, "
-            f"so this run {judgement}."
-        )
-    )
+    show(largest_error_text(calibration, truth))
+    return report_problems(job, calibration)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import click
 
 from srt.cli.apply import check_match, load_fit
-from srt.cli.output import check_file, warn
+from srt.cli.messages import show, warn
+from srt.cli.output_paths import check_file
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
-    from srt.exporters.conversion import ExportedCalibration
     from srt.exporters.correction_difference import Readings
     from srt.exporters.file_format import Exporter
     from srt.result.calibration import Calibration
@@ -25,7 +25,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     from srt.reports.text.tables import text_table
 
     rows = [(name, item.title, ", ".join(item.frames)) for name, item in exporters().items()]
-    click.echo(text_table(("target", "what is written", "axes"), rows, "lll"))
+    show(text_table(("target", "what is written", "axes"), rows, "lll"))
     context.exit()
 
 
@@ -103,56 +103,11 @@ def export(
     if made.unknown:
         warn(f"{chosen.title} asks for what is not known, and it is not in the file: {'; '.join(made.unknown)}.")
     if not quiet:
-        click.echo(report(made))
-        click.echo("".join(f"\nWritten to {place}" for place in written) or "\nNothing is written: add -o FILE.")
+        from srt.reports.text.exported_calibration import export_text
+
+        show(export_text(made))
+        show("".join(f"\nWritten to {place}" for place in written) or "\nNothing is written: add -o FILE.")
     return 0
-
-
-def report(made: ExportedCalibration) -> str:
-    """Say what a file is, how it is applied, what it leaves and what to mind.
-
-    Parameters
-    ----------
-    made : ExportedCalibration
-
-    Returns
-    -------
-    str
-        Lines of up to 80 characters but for formulas.
-    """
-    from srt.reports.text.tables import text_table
-
-    rows = [
-        (r.title, *(f"{value:.3e}" for value in (r.gyro_max, r.gyro_rms, r.accel_max, r.accel_rms)))
-        for r in made.residuals
-    ]
-    headers = ("beside srt apply", "gyro max\nrad/s", "rms\nrad/s", "accel. max\nm/s^2", "rms\nm/s^2")
-    axes = {
-        "mars": "MARS axes, those of the calibration",
-        "table": "axes of the table-mounted frame",
-        "accel": "axes that its accelerometer matrix defines",
-    }[made.frame]
-    lines = [
-        f"{made.format.title}",
-        f"formula: {made.format.formula}",
-        f"axes: {axes}",
-    ]
-    if made.frame != "mars":
-        x, y, z = made.turn_mrad
-        lines.append(f"turned from MARS axes by ({x:.4f}, {y:.4f}, {z:.4f}) mrad; v is C v there, C =")
-        lines += ["  " + "  ".join(f"{value: .12f}" for value in row) for row in made.C_FB.tolist()]
-    lines += [
-        "",
-        f"Left on {made.readings.title}:",
-        "",
-        text_table(headers, rows, "lrrrr"),
-        "",
-        "Not held:",
-        *(f"  {loss}" for loss in made.losses),
-    ]
-    if made.format.advice:
-        lines += ["", "Mind:", *(f"  {sentence}" for sentence in made.format.advice)]
-    return "\n".join(lines)
 
 
 def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import sys
-import time
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-import click
-
-from srt.cli.output import make_directory, say, warn
+from srt.cli.messages import figure_title, say, show, warn
+from srt.cli.output_paths import make_directory
+from srt.cli.progress import unit_progress
 from srt.exceptions import SrtError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from srt.cli.jobs import Job
+    from srt.cli.calibration_jobs import Job
     from srt.comparison.fleet import Fleet, FleetUnit
     from srt.comparison.parallel import Engine
     from srt.estimation.options import Options
@@ -27,13 +24,19 @@ FLEET_FROM: Final = 6
 """More recordings than five are shown as a fleet: so many full tables nobody reads, and from six on it is judged."""
 
 
+class FleetEngine(NamedTuple):
+    """Processes for a fleet: their number (0: one on each core), or the address of a Dask scheduler."""
+
+    workers: int = 1
+    scheduler: str | None = None
+
+
 def run_fleet(
     jobs: Sequence[Job],
     estimator: str,
     options: Options,
     *,
-    workers: int,
-    scheduler: str | None,
+    engine: FleetEngine,
     output: Path | None,
     quiet: bool,
     force: bool,
@@ -45,8 +48,7 @@ def run_fleet(
     jobs : sequence of Job
     estimator : str
     options : Options
-    workers : int
-    scheduler : str or None
+    engine : FleetEngine
     output : Path or None
         Folder of the results.
     quiet, force : bool
@@ -69,8 +71,8 @@ def run_fleet(
     by_name = {job.name: job for job in jobs}
     unwritten: dict[str, SrtError] = {}
     # Workers on other machines stand elsewhere in the tree of folders.
-    paths = {job.name: job.recording if scheduler is None else job.recording.absolute() for job in jobs}
-    engine = _engine(workers, scheduler)
+    paths = {job.name: job.recording if engine.scheduler is None else job.recording.absolute() for job in jobs}
+    processes = _engine(engine.workers, engine.scheduler)
     with unit_progress(len(jobs), quiet=quiet) as progress:
 
         def finished(unit: FleetUnit) -> None:
@@ -80,7 +82,7 @@ def run_fleet(
                 unwritten[unit.name] = error
             progress(unit)
 
-        fleet = calibrate_fleet(paths, estimator, options=options, engine=engine, force=force, finished=finished)
+        fleet = calibrate_fleet(paths, estimator, options=options, engine=processes, force=force, finished=finished)
     if output is not None:
         atomic_write_text(output / "fleet.csv", fleet.to_csv())
         document = json.dumps(fleet.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
@@ -88,8 +90,8 @@ def run_fleet(
     if not quiet:
         from srt.reports.text.fleet import fleet_text
 
-        click.echo(fleet_text(fleet))
-        click.echo(
+        show(fleet_text(fleet))
+        show(
             "\nNothing was written: -o FOLDER keeps the results."
             if output is None
             else f"\nWritten to {output}: the units' results, fleet.csv, fleet.json"
@@ -97,55 +99,6 @@ def run_fleet(
     for error in unwritten.values():
         say(str(error))
     return max([_tell(fleet, by_name), *(error.exit_code for error in unwritten.values())])
-
-
-@contextmanager
-def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[FleetUnit], None]]:
-    """Lend a function that is told of every unit that is done: a bar on a terminal, one line each elsewhere.
-
-    Parameters
-    ----------
-    count : int
-        Of all units.
-    quiet : bool
-
-    Yields
-    ------
-    callable
-        Takes the unit.
-    """
-    if quiet:
-        yield lambda unit: None  # noqa: ARG005 - nothing is shown
-        return
-    begun = time.monotonic()
-    done, failed = 0, 0
-    if sys.stderr.isatty():
-        try:
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-        except ModuleNotFoundError:
-            pass  # plain lines tell the same
-        else:
-            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-            with Progress(*columns, console=Console(stderr=True, highlight=False), transient=True) as bar:
-                task = bar.add_task("units", total=count)
-
-                def advance(unit: FleetUnit) -> None:
-                    nonlocal failed
-                    failed += unit.exit_code != 0
-                    bar.update(task, advance=1, description=f"units, {failed} failed" if failed else "units")
-
-                yield advance
-            return
-
-    def line(unit: FleetUnit) -> None:
-        nonlocal done
-        done += 1
-        left = (time.monotonic() - begun) / done * (count - done)
-        rest = f", about {left:.0f} s left" if done < count else ""
-        click.echo(f"{unit.name}: {unit.status.replace('_', ' ')} ({done} of {count}{rest})", err=True)
-
-    yield line
 
 
 def _engine(workers: int, scheduler: str | None) -> Engine | None:
@@ -167,7 +120,7 @@ def _write(unit: FleetUnit, job: Job) -> None:
     if job.plot is not None:
         from srt.reports.figures.calibration import calibration_figure, save_figure
 
-        save_figure(calibration_figure(unit.calibration, title=job.name), job.plot)
+        save_figure(calibration_figure(unit.calibration, title=figure_title(job.name)), job.plot)
 
 
 def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:

@@ -1,4 +1,4 @@
-"""``srt inspect``: what a recording holds, as a table and a picture, before anything is calibrated."""
+"""``srt inspect``: content and faults of a recording, as a table and a figure."""
 
 from __future__ import annotations
 
@@ -7,30 +7,27 @@ from pathlib import Path
 
 import click
 
-from srt.cli.output import check_file, recording_folder, require_matplotlib, say
+from srt.cli.messages import announce, figure_title, say, show
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
 from srt.exceptions import DataError
-
-PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-JSON_SUFFIXES = (".json",)
 
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
-@click.option("--deep", is_flag=True, help="Calibrate, too, and look for what only a calibration shows.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE", help="All of it: FILE.json.")
-@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Picture: FILE.png, .pdf or .svg.")
-@click.option("-q", "--quiet", is_flag=True, help="No table; what refuses the recording only.")
+@click.option("--deep", is_flag=True, help="Also calibrate, and look for faults that only a calibration shows.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE", help="Result: FILE.json.")
+@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@click.option("-q", "--quiet", is_flag=True, help="No table; fatal faults only.")
 def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | None, quiet: bool) -> int:
-    """Show what RECORDING, a folder with recording.toml and samples, holds.
+    """Show the content of RECORDING, a folder with recording.toml and samples, and look for faults.
 
-    Rate and gaps, units, noise at rest (with its Allan deviation where the unit rests for 30 s or more), where it
-    stands still, how it was turned, which sequences of the test these turns are, and what is wrong with it.
+    Shown are sample rate and gaps, units, noise at rest (with the Allan deviation of stationary windows of 30 s or
+    more), stationary windows, rotations, recognised sequences of the test, and faults.
 
-    Exit codes: 0 nothing stands against a calibration; 1 something does, in one sentence; 2 wrong usage or
-    unreadable input.
+    Exit codes: 0 no fatal fault; 1 a fatal fault, in one sentence; 2 wrong usage or unreadable input.
     """
     if json_file is not None:
-        check_file(json_file, JSON_SUFFIXES, "The inspection")
+        check_file(json_file, RESULT_SUFFIXES, "The inspection")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
         require_matplotlib()
@@ -42,17 +39,17 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
     samples = srt.load_recording(recording)
     found = inspection.inspect(samples, calibrating=deep, units=inspection.declared_units(recording))
     if not quiet:
-        click.echo(inspection_report(found, title=str(recording)))
+        show(inspection_report(found, title=str(recording)))
     if json_file is not None:
         document = json.dumps(found.as_dict(), indent=1, ensure_ascii=False, allow_nan=False)
         atomic_write_text(json_file, document + "\n")
     if plot is not None:
-        name = recording_folder(recording).resolve().name
-        figure = srt.reports.figures.inspection.inspection_figure(samples, found, title=name)
-        srt.reports.figures.inspection.save_figure(figure, plot)
-    written = [str(path) for path in (json_file, plot) if path is not None]
-    if written and not quiet:
-        click.echo(f"\nWritten: {', '.join(written)}")
+        from srt.reports.figures.inspection import inspection_figure
+        from srt.reports.figures.style import save_figure
+
+        title = figure_title(recording_folder(recording).resolve().name)
+        save_figure(inspection_figure(samples, found, title=title), plot)
+    announce(json_file, plot, quiet=quiet)
     refusal = found.diagnosis.refusal
     if refusal is not None:
         say(refusal.sentence)

@@ -1,19 +1,17 @@
-"""``srt calibrate --merge``: several recordings of one unit to one calibration."""
+"""``srt calibrate --merge``: one calibration from several recordings of a unit."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import click
-
-from srt.cli.output import warn
+from srt.cli.messages import announce, show, warn
 from srt.exceptions import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from srt.cli.jobs import Display, Job
+    from srt.cli.calibration_jobs import Display, Job
     from srt.estimation.options import Options
     from srt.result.calibration import Calibration
 
@@ -21,12 +19,12 @@ if TYPE_CHECKING:
 def run_merging(
     jobs: Sequence[Job], estimator: str, options: Options, display: Display, output: Path | None, plot: Path | None
 ) -> int:
-    """Calibrate every recording, merge what converged, and write and show the result.
+    """Calibrate every recording, merge the results, write and print the merged one.
 
     Parameters
     ----------
     jobs : sequence of Job
-        A recording each, or a calibration of one (.json).
+        Recordings, or calibrations (.json) of recordings.
     estimator : str
     options : Options
     display : Display
@@ -35,15 +33,16 @@ def run_merging(
     Returns
     -------
     int
-        Exit code: 0; what is left out is said as a warning.
+        Exit code 0; recordings that are left out become warnings.
 
     Raises
     ------
     SrtError
-        An input that cannot be read, recordings that are not of one unit, or none that can be merged.
+        An input that cannot be read, recordings of different units, or none that can be merged.
     """
     from srt.comparison.merge import merge_calibrations
-    from srt.reports.text.calibration import held_summary, report
+    from srt.reports.text.calibration import held_summary
+    from srt.reports.text.calibration_summary import calibration_text
     from srt.reports.text.repeatability import repeatability_text
 
     found: dict[str, Calibration] = {}
@@ -64,31 +63,37 @@ def run_merging(
         merged.save(output)
     if not display.quiet:
         title = str(output) if output is not None else ", ".join(found)
-        click.echo(report(merged, title=title, truth=display.truth, budget=display.budget, verdict=display.verdict))
-        click.echo(f"\n{repeatability_text(merged)}")
+        text = calibration_text(
+            merged,
+            title=title,
+            truth=display.truth,
+            details=display.details,
+            budget=display.budget,
+            verdict=display.verdict,
+        )
+        show(text)
+        show(f"\n{repeatability_text(merged)}")
     if plot is not None:
         from srt.reports.figures.calibration import calibration_figure, save_figure
 
         save_figure(calibration_figure(merged, truth=display.truth, title="merged"), plot)
-    written = [str(path) for path in (output, plot) if path is not None]
-    if not display.quiet:
-        click.echo(
-            f"\nWritten: {', '.join(written)}" if written else "\nNothing was written: -o FILE.json keeps the result."
-        )
+    announce(output, plot, quiet=display.quiet)
+    if output is None and plot is None and not display.quiet:
+        show("\nNothing was written: -o FILE.json keeps the result.")
     if merged.held:
         warn(f"held, not observed: {held_summary(merged)}.")
     return 0
 
 
 def _calibration(job: Job, estimator: str, options: Options, display: Display) -> Calibration:
-    """Read a calibration, or make it from its recording."""
+    """Load a calibration, or calibrate the recording."""
     import srt
-    from srt.cli.progress import playback_progress
+    from srt.cli.progress import iteration_progress
 
     if job.recording.suffix == ".json":
         return srt.load_calibration(job.recording)
     recording = srt.load_recording(job.recording)
-    with playback_progress(job.name, quiet=display.quiet) as progress:
+    with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     for title, reason in calibration.provenance.get("voided", {}).items():
         warn(f"{job.recording}: {title} is void ({reason}).")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import click
 
-from srt.cli.jobs import PLOT_SUFFIXES, RESULT_SUFFIXES
-from srt.cli.output import announce, check_file, require_matplotlib, say
+from srt.cli.messages import announce, say, show
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
+from srt.cli.progress import status_line
 from srt.comparison.parallel import one_thread
 from srt.exceptions import InputError
 
@@ -92,7 +92,7 @@ def plan(
         options = chosen.plan.model_copy(update={"total_time_s": total_time})
         chosen = chosen.model_copy(update={"plan": options})
     if sequence is not None:
-        show(chosen, sequence)
+        print_signature(chosen, sequence)
         return 0
     if after is not None:
         if any(given is not None for given in (output, sheet, document, plot)) or table_1:
@@ -132,13 +132,13 @@ def make(chosen: PlanFile, files: PlanFiles, *, table_1: bool, quiet: bool) -> i
 
         save_figure(plan_figure(found, title=title), files.plot)
     if not quiet:
-        click.echo(plan_text(found, title))
+        show(plan_text(found, title))
         if table_1:
             try:
                 comparison = table_1_text(found, table_1_plan(*task, found.total_s, limits))
             except InputError as error:
                 comparison = "\n".join(wrap(f"Table 1 is no alternative: {error}"))
-            click.echo(comparison)
+            show(comparison)
     announce(*files, quiet=quiet)
     if found.unmet:
         say(unmet_targets_text(found))
@@ -146,14 +146,14 @@ def make(chosen: PlanFile, files: PlanFiles, *, table_1: bool, quiet: bool) -> i
     return 0
 
 
-def show(chosen: PlanFile, text: str) -> None:
+def print_signature(chosen: PlanFile, text: str) -> None:
     """Print the signature of one sequence."""
     from srt.planning.plan_text import signature_text
     from srt.planning.signature_table import parse_sequence, signature
 
     fixture = chosen.stand.kinematics()
     candidate = parse_sequence(text, fixture)
-    click.echo(signature_text(candidate, fixture, signature(candidate, fixture, chosen.conditions())))
+    show(signature_text(candidate, fixture, signature(candidate, fixture, chosen.conditions())))
 
 
 def propose(chosen: PlanFile, after: Path, *, quiet: bool) -> int:
@@ -170,23 +170,22 @@ def propose(chosen: PlanFile, after: Path, *, quiet: bool) -> int:
             fixture, conditions, chosen.targets.sigma(), known, limits=chosen.plan.limits(), progress=progress
         )
     if not quiet:
-        click.echo(proposals_text(found))
+        show(proposals_text(found))
     return 0
 
 
 @contextmanager
 def _progress(*, quiet: bool) -> Iterator[Callable[[str, int, float], None] | None]:
     """Yield a progress function of stage, count and gap to the optimum; None unless on a terminal."""
-    if quiet or not sys.stderr.isatty():
+    if quiet:
         yield None
         return
-    from rich.console import Console
-
     stages = {"optimum": "optimising the continuous design", "plan": "selecting whole sequences"}
-    with Console(stderr=True).status("listing the sequences that the fixture can execute") as status:
+    with status_line("listing the sequences that the fixture can execute") as update:
 
-        def tell(what: str, count: int, gap: float) -> None:
-            left = f", round {count}: within {100.0 * gap:.1f} %" if what == "optimum" else ""
-            status.update(stages.get(what, what) + left)
+        def report(stage: str, count: int, gap: float) -> None:
+            left = f", round {count}: within {100.0 * gap:.1f} %" if stage == "optimum" else ""
+            if update is not None:
+                update(stages.get(stage, stage) + left)
 
-        yield tell
+        yield None if update is None else report

@@ -1,47 +1,149 @@
-"""Progress of play-backs on standard error: one moving line on a terminal, one line each elsewhere."""
+"""Progress on standard error: a moving line or bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
 import sys
+import time
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-import click
+from srt.cli.messages import printable, progress_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from srt.comparison.fleet import FleetUnit as Unit
 
-def _sentence(name: str, number: int, correction: float) -> str:
-    return f"{name}: play-back {number}, largest correction {correction:.1e}"
+_LINE_EVERY_S: Final = 30.0
+"""Time between lines of progress where there is no terminal, s."""
 
 
 @contextmanager
-def playback_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, float], None] | None]:
-    """Lend a function that an estimator calls after every play-back.
+def status_line(first: str) -> Iterator[Callable[[str], None] | None]:
+    """Yield a function that replaces the text of a moving line; None if there is no terminal, or no rich.
+
+    Parameters
+    ----------
+    first : str
+        Text before the first call.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    try:
+        from rich.console import Console
+        from rich.text import Text
+    except ModuleNotFoundError:
+        yield None
+        return
+    with Console(stderr=True, highlight=False).status(Text(printable(first))) as status:
+        yield lambda text: status.update(Text(printable(text)))
+
+
+@contextmanager
+def iteration_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, float], None] | None]:
+    """Yield a function of the number of an iteration and its largest correction; None if quiet.
 
     Parameters
     ----------
     name : str
-        Of the recording.
+        Name of the recording.
     quiet : bool
-
-    Yields
-    ------
-    callable or None
-        Takes the number of the play-back and the largest correction; None if quiet.
     """
     if quiet:
         yield None
         return
-    if sys.stderr.isatty():
-        try:
-            from rich.console import Console
-        except ModuleNotFoundError:
-            pass  # plain lines tell the same
+    with status_line(f"{name}: preparing") as update:
+        report = progress_line if update is None else update
+        yield lambda number, correction: report(f"{name}: iteration {number}, largest correction {correction:.1e}")
+
+
+@contextmanager
+def bar(label: str, total: int | None = None) -> Iterator[Callable[[int, int, str], None] | None]:
+    """Yield a function of count, total and label that moves a bar; None if there is no terminal, or no rich."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    try:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    except ModuleNotFoundError:
+        yield None
+        return
+    columns = (
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True, highlight=False), transient=True) as progress:
+        task = progress.add_task(printable(label), total=total)
+        yield lambda done, size, text: progress.update(task, completed=done, total=size, description=printable(text))
+
+
+@contextmanager
+def count_progress(name: str, *, quiet: bool, lines: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield a function of the finished and of all trials; None if quiet.
+
+    Parameters
+    ----------
+    name : str
+    quiet : bool
+    lines : bool
+        Print lines where there is no terminal, every 30 s.
+    """
+    if quiet:
+        yield None
+        return
+    with bar(name) as move:
+        if move is not None:
+            yield lambda done, size: move(done, size, name)
         else:
-            console = Console(stderr=True, highlight=False)
-            with console.status(f"{name}: preparing") as status:
-                yield lambda number, correction: status.update(_sentence(name, number, correction))
-            return
-    yield lambda number, correction: click.echo(_sentence(name, number, correction), err=True)
+            yield _periodic_lines(name) if lines else None
+
+
+def _periodic_lines(name: str) -> Callable[[int, int], None]:
+    """Function that prints the progress at the first call, then every 30 s and at the end."""
+    began = said = time.monotonic()
+    first: int | None = None
+
+    def line(done: int, size: int) -> None:
+        nonlocal said, first
+        now = time.monotonic()
+        if first is None:
+            first = done
+            progress_line(f"{name}: {done} of {size} trials exist already" if done else f"{name}: {size} trials")
+        elif done == size or now - said > _LINE_EVERY_S:
+            said = now
+            left = (now - began) / (done - first) * (size - done)
+            progress_line(f"{name}: {done} of {size} trials, {left:.0f} s left")
+
+    return line
+
+
+@contextmanager
+def unit_progress(count: int, *, quiet: bool) -> Iterator[Callable[[Unit], None]]:
+    """Yield a function that takes every finished unit of a fleet: a bar on a terminal, one line each elsewhere.
+
+    Parameters
+    ----------
+    count : int
+        Number of all units.
+    quiet : bool
+    """
+    if quiet:
+        yield lambda unit: None  # noqa: ARG005 - nothing is shown
+        return
+    begun = time.monotonic()
+    done, failed = 0, 0
+    with bar("units", count) as move:
+
+        def advance(unit: Unit) -> None:
+            nonlocal done, failed
+            done += 1
+            failed += unit.exit_code != 0
+            if move is not None:
+                move(done, count, f"units, {failed} failed" if failed else "units")
+                return
+            left = (time.monotonic() - begun) / done * (count - done)
+            rest = f", about {left:.0f} s left" if done < count else ""
+            progress_line(f"{unit.name}: {unit.status.replace('_', ' ')} ({done} of {count}{rest})")
+
+        yield advance

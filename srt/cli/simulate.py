@@ -8,20 +8,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from srt.cli.output import check_directory
+from srt.cli.messages import show
+from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from sims import Scenario, Simulation
-
-FORMATS = ("csv", "npz", "parquet", "h5")
 
 
 @click.command()
 @click.argument("scenario", metavar="SCENARIO")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write; made if absent.")
 @click.option("--seed", type=click.IntRange(min=0), help="Instead of the scenario's.")
-@click.option("--format", "samples_format", type=click.Choice(FORMATS), help="Of the samples; default: the scenario's.")
+@click.option(
+    "--format", "samples_format", type=click.Choice(SAMPLES_FORMATS), help="Of the samples; default: the scenario's."
+)
 @click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def simulate(
@@ -40,7 +41,7 @@ def simulate(
     samples_format = samples_format or chosen.recording.format
     write_simulation(simulation, output, samples_format=samples_format, overwrite=overwrite)
     if not quiet:
-        click.echo(summary(simulation, output, samples_format))
+        show(summary(simulation, output, samples_format))
     return 0
 
 

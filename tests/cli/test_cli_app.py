@@ -16,7 +16,7 @@ from srt.cli import app as application
 from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.cli.calibrate import CHOICES
-from srt.cli.simulate import FORMATS
+from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
 from srt.recording.samples import SAMPLES_FORMATS
 
 HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow")

@@ -14,6 +14,7 @@ import pytest
 import srt
 import srt.estimation.registry
 from srt.cli import main
+from srt.reports.text.calibration_summary import calibration_summary
 from srt.sensor_errors import NAMES, SYMBOLS
 
 SCENARIO = """
@@ -61,7 +62,7 @@ def rows_of(out):
 
 
 def test_table_holds_every_parameter_as_the_library_finds_it(recording, calibration, capfd):
-    assert main(["calibrate", str(recording)]) == 0
+    assert main(["calibrate", str(recording), "--details"]) == 0
     out, err = capfd.readouterr()
     rows = rows_of(out)
     assert list(rows) == list(NAMES)
@@ -78,10 +79,44 @@ def test_table_holds_every_parameter_as_the_library_finds_it(recording, calibrat
     assert "Residuals over sigma: rms" in out
     assert "-o FILE.json" in out
     # Progress went elsewhere.
-    assert re.fullmatch(r"(unit-7: play-back \d+, largest correction \d\.\de-\d\d\n)+", err)
+    assert re.fullmatch(r"(unit-7: iteration \d+, largest correction \d\.\de-\d\d\n)+", err)
 
 
-@pytest.mark.parametrize("more", [[], ["--budget"], ["--no-asymmetry"], ["--estimator", "least-squares"], ["--truth"]])
+def test_summary_has_status_and_verdict_first_and_at_most_45_lines(recording, capfd):
+    assert main(["calibrate", str(recording)]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert len(lines) <= 45
+    first = lines.index("")
+    assert first <= 10
+    assert "closed-form" in lines[0]
+    assert lines[1].startswith("Converged after")
+    assert lines[2].startswith("Verdict: The measurements agree")
+    assert list(rows_of("\n".join(lines))) == list(NAMES)
+    assert "--details" in lines[-1]
+    assert "chi2" not in "\n".join(lines)
+
+
+def test_summary_says_what_to_do(calibration):
+    found = replace(
+        calibration,
+        warnings=("The residuals are larger than the noise explains. " * 8, "Another one. " * 20),
+        noise={**calibration.noise, "estimated": ["gyro_noise", "gyro_quantization"]},
+    )
+    lines = calibration_summary(found, title="x", source="unit-7").splitlines()
+    assert lines.index("") <= 10
+    head = " ".join(" ".join(lines[: lines.index("")]).split())
+    assert "To do: state gyro_noise_deg_per_sqrt_h in [imu] of recording.toml" in head
+    assert "'srt inspect unit-7 --deep'" in head
+    assert max(map(len, lines)) <= 80
+    failed = replace(calibration, status="not_converged", message="It is not done.")
+    head = calibration_summary(failed, title="x", source="unit-7").split("\n\n")[0]
+    assert "Status not converged: It is not done." in head
+    assert "srt inspect unit-7 --deep" in head
+
+
+@pytest.mark.parametrize(
+    "more", [[], ["--details"], ["--budget"], ["--no-asymmetry"], ["--estimator", "least-squares"], ["--truth"]]
+)
 def test_report_fits_80_columns_without_escape_codes(recording, capfd, more):
     more = [*more, str(recording / "truth.json")] if more == ["--truth"] else more
     assert main(["calibrate", str(recording), *more]) == 0
@@ -92,9 +127,9 @@ def test_report_fits_80_columns_without_escape_codes(recording, capfd, more):
 
 
 def test_contributions_are_the_largest_of_the_library(recording, calibration, capfd):
-    assert main(["calibrate", str(recording)]) == 0
+    assert main(["calibrate", str(recording), "--details"]) == 0
     out = capfd.readouterr().out
-    line = next(line for line in out.split("Where sigma comes from")[1].splitlines() if line.startswith(" κxx "))
+    line = next(line for line in out.split("Largest sources of sigma")[1].splitlines() if line.startswith(" κxx "))
     sizes = sorted((float(v[0]) * 1e6 for v in calibration.contributions.values()), reverse=True)
     shown = [float(number) for number in re.findall(r"\d\.\d+", line)]
     assert shown == pytest.approx(sizes[: len(shown)], abs=0.006)
@@ -153,7 +188,7 @@ def test_options_reach_the_estimator(recording, tmp_path):
 def test_held_parameters_are_marked_with_the_reason(recording, capfd):
     assert main(["calibrate", str(recording), "--hold", "accel_bias_y"]) == 0
     out, err = capfd.readouterr()
-    assert rows_of(out)["accel_bias_y"][3] == "held"
+    assert rows_of(out)["accel_bias_y"][3] == "fixed"
     assert "accel_bias_y: fixed on request" in out
     assert "Status partial" in out
     assert err.splitlines()[-1].startswith("srt: warning: ")
@@ -194,8 +229,8 @@ def test_several_recordings_are_kept_apart_and_a_failed_one_stops_none(recording
     assert len(failures) == 1
     assert paths[1] in failures[0]
     assert out.count("Converged after") == 2
-    assert "a: play-back 1" in err
-    assert "c: play-back 1" in err
+    assert "a: iteration 1" in err
+    assert "c: iteration 1" in err
 
 
 def test_the_worst_code_wins_and_the_recording_is_named(recording, result, tmp_path, capfd):
@@ -263,14 +298,14 @@ def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, mon
     assert main(["calibrate", str(recording), "--estimator", "theirs"]) == 0
     out = capfd.readouterr().out
     assert "theirs" in out
-    assert "Where sigma comes from" not in out
+    assert "Largest sources of sigma" not in out
 
 
 def test_progress_on_a_terminal_is_one_moving_line(recording, monkeypatch, capfd):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert main(["calibrate", str(recording)]) == 0
     out, err = capfd.readouterr()
-    assert "play-back 1, largest" not in out
+    assert "iteration 1, largest" not in out
     assert "\x1b" not in out
     assert err.count("\n") <= 1
 
@@ -279,4 +314,4 @@ def test_progress_without_rich_is_plain(recording, monkeypatch, capfd):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setitem(sys.modules, "rich.console", None)
     assert main(["calibrate", str(recording)]) == 0
-    assert "play-back 1, largest correction" in capfd.readouterr().err
+    assert "iteration 1, largest correction" in capfd.readouterr().err

@@ -102,7 +102,7 @@ def test_table_holds_estimates_and_differences_as_the_library_finds_them(recordi
     assert "least-squares and closed-form agree: largest difference" in out
     # Progress went elsewhere, each line with the estimator's name.
     assert re.fullmatch(
-        r"(unit-7, (closed-form|least-squares): play-back \d+, largest correction \d\.\de-\d\d\n)+", err
+        r"(unit-7, (closed-form|least-squares): iteration \d+, largest correction \d\.\de-\d\d\n)+", err
     )
 
 

@@ -11,8 +11,8 @@ import pytest
 
 import srt
 from srt.cli import main
-from srt.cli.demo import verdict
 from srt.cli.truth import load_truth
+from srt.reports.text.truth_comparison import largest_error_text
 from srt.sensor_errors import NAMES
 
 
@@ -84,14 +84,14 @@ def test_verdict_names_the_worst_and_the_bound():
     calibration = srt.Calibration("x", "converged", "", srt.SensorErrors(), np.diag(sigma**2))
     error = np.zeros(27)
     error[4] = -5.0
-    text = " ".join(verdict(calibration, srt.SensorErrors(error)).split())
+    text = " ".join(largest_error_text(calibration, srt.SensorErrors(error)).split())
     assert f"The largest error is 2.50 sigma ({NAMES[4]})" in text
     assert "the largest of 27 normal draws stays below 3.11 sigma in 95% of all runs" in text
-    assert text.endswith("is as expected.")
+    assert text.endswith("agrees with the truth.")
     error[4] = 8.0
-    assert "is not as expected" in " ".join(verdict(calibration, srt.SensorErrors(error)).split())
+    assert "does not agree with the truth" in " ".join(largest_error_text(calibration, srt.SensorErrors(error)).split())
     held = replace(calibration, held=dict.fromkeys(NAMES[4:], "held on request"))
-    assert "of 4 normal draws stays below 2.49 sigma" in " ".join(verdict(held, srt.SensorErrors()).split())
+    assert "of 4 normal draws stays below 2.49 sigma" in " ".join(largest_error_text(held, srt.SensorErrors()).split())
 
 
 def test_default_folder_is_kept_out_of_version_control():

@@ -18,7 +18,7 @@ import srt
 from sims.physics.imu import read_out
 from sims.physics.table_motion import table1_motion
 from srt.cli import main
-from srt.cli.recordings import find_recordings, unit_names
+from srt.cli.recording_arguments import find_recordings, unit_names
 from srt.recording.recording import Fixture
 from srt.sensor_errors import INDEX, NAMES, SYMBOLS, SensorErrors
 
@@ -232,7 +232,7 @@ def test_statuses_count_and_are_said(lot, quick, tmp_path, capfd):
     out, err = capfd.readouterr()
     assert srt.load_calibration(tmp_path / "unit-3.json").status == "not_converged"
     assert f"srt: {lot / 'unit-3'}: It is not done; {tmp_path / 'unit-3.json'} holds it with that status." in err
-    assert re.search(r"^ unit-3 +SN-2 +not conv\. .* not judged$", out, re.MULTILINE)
+    assert re.search(r"^ unit-3 +SN-2 +not conv\. .* not tested$", out, re.MULTILINE)
     assert "there are 0." in out
     quick |= {"status": "partial", "held": {"gyro_bias_x": "not shown"}}
     assert main(["calibrate", str(lot / "unit-[1-7]"), "-q"]) == 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from srt.cli.output import recording_folder
+from srt.cli.output_paths import recording_folder
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _RESERVED: Final = "fleet"
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class RecordingArguments:
     """Recordings that the arguments stand for.
 
     Attributes
@@ -36,7 +36,7 @@ class Found:
     searched: bool
 
 
-def find_recordings(arguments: Sequence[Path], *, files: Sequence[str] = ()) -> Found:
+def find_recordings(arguments: Sequence[Path], *, files: Sequence[str] = ()) -> RecordingArguments:
     """Resolve arguments to recordings.
 
     An argument that exists is itself, whatever signs its name holds; a folder without ``recording.toml`` stands for
@@ -68,7 +68,7 @@ def find_recordings(arguments: Sequence[Path], *, files: Sequence[str] = ()) -> 
         for path in paths:
             first.setdefault(recording_folder(path).resolve(), path)
         paths = list(first.values())
-    return Found(tuple(paths), searched)
+    return RecordingArguments(tuple(paths), searched)
 
 
 def unit_names(paths: Sequence[Path]) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Jobs of 'srt calibrate': which recording, where its result and figure go, and what is shown."""
+"""Jobs of 'srt calibrate': recordings with the paths of their results and figures, and the parts that are printed."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from srt.cli.output import check_directory, check_file, recording_folder
-from srt.cli.recordings import file_name, unit_names
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_directory, check_file, recording_folder
+from srt.cli.recording_arguments import file_name, unit_names
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.sensor_errors import SensorErrors
-
-
-PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-
-RESULT_SUFFIXES = (".json",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +25,7 @@ class Job:
     ----------
     recording : Path
     name : str
-        Of the recording's folder; the result's file is called by it where several are made.
+        Name of the folder of the recording; the file of the result has it where there are several.
     output, plot : Path or None
     """
 
@@ -42,17 +37,23 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Display:
-    """What to show of a calibration, and whether to make it whatever is wrong with the recording."""
+    """Parts of a calibration that are printed, and ``force``: calibrate in spite of faults of the recording."""
 
     truth: SensorErrors | None = None
+    details: bool = False
     budget: bool = False
     verdict: bool = False
     quiet: bool = False
     force: bool = False
 
+    @property
+    def complete(self) -> bool:
+        """True if the whole report is printed, not the summary alone."""
+        return self.details or self.budget or self.verdict
+
 
 def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
-    """Settle where every result goes, and that it can go there.
+    """Choose the path of every result, and check that it can be written.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
     Raises
     ------
     InputError
-        A place that cannot be written, or one place for two results.
+        A path that cannot be written, or one path for two results.
     """
     names = [recording_folder(path).resolve().name for path in recordings]
     several = len(recordings) > 1
@@ -94,12 +95,12 @@ def plan(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> 
 
 
 def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
-    """Name the recordings to merge, and settle that the one result can go where it is to go.
+    """Name the recordings to merge, and check that the result can be written.
 
     Raises
     ------
     InputError
-        One recording alone, the same one twice, or a place that cannot be written.
+        One recording alone, the same one twice, or a path that cannot be written.
     """
     if len(recordings) < 2:
         raise InputError(f"--merge needs two recordings of a unit at least, and there is only {recordings[0]}.")
@@ -118,15 +119,13 @@ def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | N
 
 
 def plan_fleet(recordings: Sequence[Path], output: Path | None, plot: Path | None) -> tuple[Job, ...]:
-    """Name the units, settle where every result goes, and that it can go there.
+    """Name the units, choose the path of every result, and check that it can be written.
 
     Raises
     ------
     InputError
-        A recording named twice, or a place that cannot be written.
+        A recording that is named twice, or a path that cannot be written.
     """
-    from srt.cli.jobs import PLOT_SUFFIXES, Job
-
     if output is not None:
         if output.suffix.lower() in (".json", ".csv"):
             raise InputError(

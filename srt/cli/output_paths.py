@@ -1,12 +1,10 @@
-"""What all commands do alike: sentences to the user, and a look at the places that they are to write to."""
+"""Paths of results: checks that they can be written, before the work whose result they are to hold."""
 
 from __future__ import annotations
 
 import tempfile
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError, MissingExtraError
 from srt.recording.atomic_file import unwritable
@@ -16,40 +14,28 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def say(sentence: str) -> None:
-    """Tell the user one thing on standard error."""
-    click.echo(f"srt: {sentence}", err=True)
-
-
-def warn(sentence: str) -> None:
-    """Tell the user of something that did not stop the work, on standard error."""
-    say(f"warning: {sentence}")
-
-
-def announce(*paths: Path | None, quiet: bool = False) -> None:
-    """Print the files that were written; None stands for a file that was not asked for."""
-    written = [str(path) for path in paths if path is not None]
-    if written and not quiet:
-        click.echo(f"\nWritten: {', '.join(written)}")
+PLOT_SUFFIXES: Final = (".png", ".pdf", ".svg")
+RESULT_SUFFIXES: Final = (".json",)
+SAMPLES_FORMATS: Final = ("csv", "npz", "parquet", "h5")
+"""Formats of samples, written out: importing them from srt.recording would make the help wait for numpy."""
 
 
 def require_matplotlib() -> None:
-    """Raise MissingExtraError where matplotlib is missing, before the work whose result is to be drawn."""
+    """Raise MissingExtraError if matplotlib is missing, before the result is computed."""
     if find_spec("matplotlib") is None:
         raise MissingExtraError("matplotlib", "plot", "A plot")
 
 
 def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:
-    """Refuse a file that could not be written, before the work whose result it is to hold.
+    """Check that a file can be written, before its content is computed.
 
     Parameters
     ----------
     path : Path
     suffixes : sequence of str
-        Endings that the file may have. A result under another is mostly a slip, and would replace, say, the
-        samples.
+        Endings that are allowed. Another ending is mostly a slip, and could replace a file of samples.
     what : str
-        What the file is to hold, as a sentence begins.
+        Content of the file, as the start of a sentence.
 
     Raises
     ------
@@ -64,7 +50,7 @@ def check_file(path: Path, suffixes: Sequence[str], what: str) -> None:
 
 
 def check_directory(path: Path) -> None:
-    """Refuse a folder that could not be made or written to, without making it.
+    """Check that a folder can be created or written to, without creating it.
 
     Raises
     ------
@@ -79,7 +65,7 @@ def check_directory(path: Path) -> None:
 
 
 def make_directory(path: Path) -> None:
-    """Make a folder for results. Raises InputError if it cannot be made."""
+    """Create a folder for results. Raises InputError if it cannot be created."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -87,13 +73,13 @@ def make_directory(path: Path) -> None:
 
 
 def recording_folder(recording: Path) -> Path:
-    """Give the folder of a recording that was named by its folder or by its ``recording.toml``."""
+    """Folder of a recording that is named by its folder or by its ``recording.toml``."""
     return recording.parent if recording.suffix == ".toml" else recording
 
 
 def _check_folder(folder: Path, wanted: Path) -> None:
     try:
-        # Permission bits do not tell of read-only disks and the like; a file without a name does.
+        # Permission bits do not show read-only disks and the like; an unnamed temporary file does.
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:

@@ -1,0 +1,107 @@
+"""Summary of a calibration: status, verdict and advice in a few lines, then the table of the 27 parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from srt.reports.text.calibration import held_summary, parameter_table, report, wrap
+from srt.reports.text.leave_one_out import overall
+from srt.reports.text.tables import WIDTH
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srt.result.calibration import Calibration
+    from srt.sensor_errors import SensorErrors
+
+_MOST_LINES: Final = 10
+"""Lines before the table: with it, the summary fits a terminal of 50 lines."""
+_NOTE_LINES: Final = 2
+"""Lines of one note; --details shows it whole."""
+_MORE: Final = " ..."
+"""Mark of a text that is cut; --details shows all of it."""
+_STATED_NOISE: Final = {"gyro_noise": "gyro_noise_deg_per_sqrt_h", "accel_noise": "accel_noise_ug_per_sqrt_hz"}
+"""Keys of [imu] in recording.toml that replace an estimate from the stationary windows."""
+
+
+def calibration_summary(
+    calibration: Calibration, *, title: str, truth: SensorErrors | None = None, source: str = ""
+) -> str:
+    """Status, verdict and advice, then the table of the parameters.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    title : str
+        Title: the path of the recording.
+    truth : SensorErrors, optional
+        Adds columns of the truth, the error, and the error over sigma.
+    source : str
+        Path of the recording for the command that looks for faults; empty: none.
+
+    Returns
+    -------
+    str
+        Lines of at most 80 characters, without a line feed at the end.
+    """
+    head = [line for text in _verdict(calibration, title) for line in wrap(text)]
+    advice = [line for text in _advice(calibration, source) for line in wrap(text)]
+    notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
+    lines = [*head, *_shortened(notes, _MOST_LINES - len(head) - len(advice)), *advice]
+    return "\n".join([*lines, "", parameter_table(calibration, truth)])
+
+
+def calibration_text(
+    calibration: Calibration,
+    *,
+    title: str,
+    truth: SensorErrors | None = None,
+    source: str = "",
+    details: bool = False,
+    budget: bool = False,
+    verdict: bool = False,
+) -> str:
+    """Summary of a calibration; with one of the flags, the whole report."""
+    if details or budget or verdict:
+        return report(calibration, title=title, truth=truth, budget=budget, verdict=verdict)
+    return calibration_summary(calibration, title=title, truth=truth, source=source)
+
+
+def _verdict(calibration: Calibration, title: str) -> Iterator[str]:
+    """Heading, status, and agreement of the measurements."""
+    serial = calibration.provenance.get("serial")
+    yield f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}"
+    message = calibration.message.split(" Fixed, not observed:")[0].split(" Held, not observed:")[0]
+    yield message if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: {message}"
+    if calibration.verdict:
+        yield f"Verdict: {overall(calibration.verdict)}"
+
+
+def _notes(calibration: Calibration) -> Iterator[str]:
+    """Warnings, and the parameters that are fixed with the reason."""
+    if calibration.held:
+        yield f"Fixed, not observed: {held_summary(calibration)}."
+    yield from (f"Note: {sentence}" for sentence in calibration.warnings)
+
+
+def _advice(calibration: Calibration, source: str) -> Iterator[str]:
+    """Next steps for the user."""
+    estimated = [key for name, key in _STATED_NOISE.items() if name in calibration.noise.get("estimated", ())]
+    if estimated:
+        yield (
+            f"To do: state {' and '.join(estimated)} in [imu] of recording.toml; now the noise is estimated from the "
+            "stationary windows, and bias instability is not in the sigmas."
+        )
+    usable = calibration.status in ("converged", "partial")
+    if source and (not usable or (calibration.verdict and calibration.warnings)):
+        yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
+
+
+def _shortened(lines: list[str], most: int) -> list[str]:
+    """First lines of a text, with a mark where it goes on."""
+    if len(lines) <= most or most <= 0:
+        return lines[: max(most, 0)]
+    last = lines[most - 1].removesuffix(_MORE)
+    while len(last) + len(_MORE) > WIDTH:
+        last = last.rpartition(" ")[0]
+    return [*lines[: most - 1], last + _MORE]

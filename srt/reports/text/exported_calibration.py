@@ -1,0 +1,55 @@
+"""Text of an exported calibration: formula, axes, remaining difference and limits of the format."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from srt.reports.text.tables import text_table
+
+if TYPE_CHECKING:
+    from srt.exporters.conversion import ExportedCalibration
+
+
+def export_text(made: ExportedCalibration) -> str:
+    """Description of an exported file: formula, axes, difference from ``srt apply``, limits and advice.
+
+    Parameters
+    ----------
+    made : ExportedCalibration
+
+    Returns
+    -------
+    str
+        Lines of up to 80 characters but for formulas.
+    """
+    rows = [
+        (r.title, *(f"{value:.3e}" for value in (r.gyro_max, r.gyro_rms, r.accel_max, r.accel_rms)))
+        for r in made.residuals
+    ]
+    headers = ("difference from srt apply", "gyro max\nrad/s", "rms\nrad/s", "accel. max\nm/s^2", "rms\nm/s^2")
+    axes = {
+        "mars": "MARS axes, those of the calibration",
+        "table": "axes of the table-mounted frame",
+        "accel": "axes that its accelerometer matrix defines",
+    }[made.frame]
+    lines = [
+        f"{made.format.title}",
+        f"formula: {made.format.formula}",
+        f"axes: {axes}",
+    ]
+    if made.frame != "mars":
+        x, y, z = made.turn_mrad
+        lines.append(f"turned from MARS axes by ({x:.4f}, {y:.4f}, {z:.4f}) mrad; v is C v there, C =")
+        lines += ["  " + "  ".join(f"{value: .12f}" for value in row) for row in made.C_FB.tolist()]
+    lines += [
+        "",
+        f"Difference on {made.readings.title}:",
+        "",
+        text_table(headers, rows, "lrrrr"),
+        "",
+        "Not in the file:",
+        *(f"  {loss}" for loss in made.losses),
+    ]
+    if made.format.advice:
+        lines += ["", "Note:", *(f"  {sentence}" for sentence in made.format.advice)]
+    return "\n".join(lines)

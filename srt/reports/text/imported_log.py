@@ -1,0 +1,63 @@
+"""Text of an imported log: samples, rate, units and their origin, sizes of the readings, notes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.constants import DEG
+from srt.reports.text.calibration import wrap
+from srt.reports.text.tables import text_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from srt.recording.imported_samples import ImportedSamples
+    from srt.recording.importer_registry import Importer
+    from srt.recording.recording import Recording
+
+_FASTEST_RAD_S: Final = 100.0
+"""Rate beyond that of any gyro sold (4000 °/s), rad/s: a larger one means a wrong unit."""
+
+
+def import_text(recording: Recording, imported: ImportedSamples, importer: Importer, source: Path) -> str:
+    """Table of an imported log: samples, rate, units and their origin, sizes of the readings, notes.
+
+    Parameters
+    ----------
+    recording : Recording
+    imported : ImportedSamples
+    importer : Importer
+    source : Path
+
+    Returns
+    -------
+    str
+    """
+    interval = recording.nominal_interval_s
+    per = recording.interval_s if recording.kind == "increment" else 1.0
+    rate, force = (np.linalg.norm(values, axis=1) / per for values in (recording.gyro, recording.accel))
+    stamps = "stamps" if imported.sample_rate_hz is None else "stated"
+    rows: list[list[str] | None] = [
+        ["format", f"{importer.title} ({importer.name})"],
+        ["samples", f"{recording.time.size} ({recording.kind})"],
+        ["rate", f"{1.0 / interval:.6g} Hz ({stamps}), {recording.gaps.size} gaps"],
+        ["duration", f"{recording.time.size * interval:.1f} s"],
+        ["time", imported.units.get("time", "no stamps, counted from 0")],
+        ["gyros", imported.units.get("gyro", "")],
+        ["", f"median {np.median(rate) / DEG:.4g} °/s, largest {rate.max() / DEG:.4g} °/s"],
+        ["accelerometers", imported.units.get("accel", "")],
+        ["", f"median {np.median(force):.5g} m/s², largest {force.max():.5g} m/s²"],
+    ]
+    temperature = recording.temperature
+    if temperature is not None:
+        rows.append(["temperature", f"{temperature.min():.1f} to {temperature.max():.1f} °C"])
+    rows += [[what, text] for what, text in (("serial", recording.serial), ("date", recording.date)) if text]
+    lines = [*wrap(str(source)), text_table(["", "as read"], rows, "ll")]
+    notes = list(imported.notes)
+    if rate.max() > _FASTEST_RAD_S:
+        notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than IMUs can: check --gyro-unit.")
+    for note in notes:
+        lines += wrap(f"Note: {note}")
+    return "\n".join(lines)

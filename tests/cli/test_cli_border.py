@@ -1,0 +1,153 @@
+"""The border of the command line: limits of machine and Python, closed streams, signals, and hostile names."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from srt.cli import main
+from srt.cli.messages import figure_title, printable
+
+POSIX = pytest.mark.skipif(os.name == "nt", reason="signals and streams of POSIX")
+SRT = [sys.executable, "-m", "srt.cli"]
+
+
+def run(*arguments, **options):
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options}
+    return subprocess.run([*SRT, *arguments], timeout=120, check=False, **options)
+
+
+def one_sentence(done, code):
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("srt: ")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hostile")
+    assert main(["simulate", "noise-free", "-o", str(folder / "unit"), "-q"]) == 0
+    return folder / "unit"
+
+
+def test_control_characters_are_shown_as_codes():
+    assert printable("a\x1b]0;title\x07b\tc\nd") == "a\\x1b]0;title\\x07b\tc\nd"
+    assert printable("\u202eexe.\udcff") == "\\u202eexe.\\udcff"
+    assert printable("κxx, µrad, °/h, μ, 10⁻⁶") == "κxx, µrad, °/h, μ, 10⁻⁶"
+    assert figure_title(r"$\input{x}$") == r"\$\input{x}\$"
+
+
+@POSIX
+def test_escape_codes_of_names_and_serials_do_not_reach_the_terminal(recording, tmp_path, capfd):
+    folder = tmp_path / "u\x1b]0;owned\x07"
+    recording.rename(folder)
+    text = (folder / "recording.toml").read_text(encoding="utf-8")
+    (folder / "recording.toml").write_text(text.replace("[recording]", '[recording]\nserial = "\\u001b[31mX"', 1))
+    try:
+        assert main(["inspect", str(folder)]) == 0
+        assert main(["calibrate", str(folder)]) == 0
+        assert main(["calibrate", str(folder), "-o", str(folder / "\x1b.txt")]) == 2
+    finally:
+        (folder / "recording.toml").write_text(text)
+        folder.rename(recording)
+    out, err = capfd.readouterr()
+    assert "\x1b" not in out + err
+    assert "\x07" not in out + err
+    assert "\\x1b[31mX" in out
+
+
+@POSIX
+@pytest.mark.parametrize("name", [r"$\input{x}$", "not-utf8-\udcff", "$", "a$b$c"])
+def test_names_do_not_break_the_plot(recording, tmp_path, name):
+    folder, plot = tmp_path / name, tmp_path / "x.png"
+    folder.symlink_to(recording)
+    assert main(["calibrate", str(folder), "-q", "--plot", str(plot)]) == 0
+    assert main(["inspect", str(folder), "-q", "--plot", str(plot)]) == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_foreign_matplotlib_backend_does_no_harm(recording, tmp_path):
+    done = run(
+        "inspect", str(recording), "-q", "--plot", str(tmp_path / "x.png"), env={**os.environ, "MPLBACKEND": "nonsense"}
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_output_is_one_sentence():
+    with Path("/dev/full").open("w") as full:
+        one_sentence(run("list", "formats", stdout=full), 2)
+
+
+@POSIX
+def test_a_closed_output_is_no_traceback():
+    done = subprocess.run(
+        ["/bin/sh", "-c", f"{sys.executable} -m srt.cli list formats >&-"], capture_output=True, text=True, check=False
+    )
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 0
+
+
+@POSIX
+def test_a_deleted_working_directory_is_one_sentence(tmp_path):
+    script = f"mkdir gone && cd gone && rmdir ../gone && {sys.executable} -P -m srt.cli calibrate unit"
+    done = subprocess.run(["/bin/sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    one_sentence(done, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("digits", f"[recording]\nsamples = {'9' * 5000}\n"),
+        ("nested", f"[recording]\nsamples = {'[' * 20000}{']' * 20000}\n"),
+    ],
+)
+def test_limits_of_python_are_one_sentence(tmp_path, capfd, name, text):
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / "recording.toml").write_text(text)
+    assert main(["calibrate", str(folder)]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("srt: ")
+    assert err.count("\n") == 1
+
+
+def test_deeply_nested_json_is_one_sentence(tmp_path, capfd):
+    file = tmp_path / "x.json"
+    file.write_text("[" * 200_000 + "]" * 200_000)
+    assert main(["certificate", str(file)]) == 2
+    assert capfd.readouterr().err.count("\n") == 1
+
+
+@POSIX
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP] if os.name != "nt" else [])
+def test_termination_leaves_nothing_behind(tmp_path, number):
+    process = subprocess.Popen(
+        [*SRT, "robustness", "quick", "--workers", "1", "-o", str(tmp_path / "x")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    line = process.stderr.readline()
+    time.sleep(0.5)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 128 + number, line + err
+    assert "Traceback" not in err
+    assert "Interrupted: finished trials are kept" in err
+
+
+def test_everything_that_is_shipped_is_listed(capfd):
+    assert main(["list"]) == 0
+    out = capfd.readouterr().out
+    for name in ("consumer-mems", "tactical-equal", "quick", "least-squares", "rosbag1", "kalibr"):
+        assert f"\n {name} " in out
+    assert max(map(len, out.splitlines())) <= 80
+    assert main(["list", "plans"]) == 0
+    assert capfd.readouterr().out.startswith("Plans\n")
