@@ -184,6 +184,28 @@ _stuck("gyro_stuck", ("gyro",), dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=Tr
 _stuck("accel_stuck", ("accel",), 0.5)
 
 
+def _wrapped(fault: str, sensor: str, share: float) -> None:
+    @injection(fault, share, "of the largest reading")
+    def wrapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """One triad is stored in signed words too short for its readings."""
+        values = getattr(case.recording, sensor)
+        half = severity * float(np.abs(values).max()) * rng.uniform(0.95, 1.05)
+        return _with(case.recording, sensor, (values + half) % (2.0 * half) - half)
+
+
+_wrapped("gyro_wrapped", "gyro", 0.6)
+_wrapped("accel_wrapped", "accel", 0.7)
+
+
+@injection("gyro_dead_band", dict(zip(GRADES, (5e-4, 1e-3, 5e-3, 0.05), strict=True)), "rad/s")
+def gyro_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Gyro readings below a threshold are output as zero."""
+    recording = case.recording
+    interval = recording.nominal_interval_s if recording.kind == "increment" else 1.0
+    small = np.abs(recording.gyro) < severity * rng.uniform(1.0, 1.5) * interval
+    return replace(recording, gyro=np.where(small, 0.0, recording.gyro))
+
+
 @injection("spikes", 0.05, "of the range")
 def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One to three readings of a channel are hit by a transmission error of a share ``severity`` of its range."""

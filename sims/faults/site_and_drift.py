@@ -43,6 +43,20 @@ def gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
 
 
 @injection(
+    "earth_rate_absent", 1.0, "", unseen={"consumer-mems": _NO_LATITUDE.replace("whatever the latitude", "by latitude")}
+)
+def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """The unit zeroes its gyros in every stationary window, and keeps that zero until the next one."""
+    recording = case.recording
+    gyro = recording.gyro.copy()
+    spans = [span for s in recording.sequences for span in (s.start_static_s, s.end_static_s)]
+    windows = sorted((w.start, w.stop) for w in (recording.window_indices(*span) for span in spans))
+    for (start, stop), following in zip(windows, [*(w[0] for w in windows[1:]), len(gyro)], strict=True):
+        gyro[start:following] -= recording.gyro[start:stop].mean(axis=0)
+    return replace(recording, gyro=gyro)
+
+
+@injection(
     "latitude",
     {"navigation-rlg": 2.0, "tactical-fog": 45.0, "industrial-mems": 45.0},
     "°",

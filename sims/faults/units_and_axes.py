@@ -67,6 +67,7 @@ def _wrong_unit(fault: str, sensor: str, factors: tuple[float, ...], *, rates: b
 _wrong_unit("gyro_degrees", "gyro", (1.0 / DEG,), rates=False)
 _wrong_unit("gyro_radians", "gyro", (DEG,), rates=False)
 _wrong_unit("gyro_per_hour", "gyro", (1.0 / DEG_PER_H, DEG / DEG_PER_H), rates=True)
+_wrong_unit("gyro_milli", "gyro", (1e3,), rates=False)
 _wrong_unit("accel_g", "accel", (1.0 / _G, 1e-3), rates=True)
 _wrong_unit("accel_mg", "accel", (1e3 / _G, 1e3), rates=True)
 _wrong_unit("accel_m_s2", "accel", (_G, 1e-3 * _G), rates=True)

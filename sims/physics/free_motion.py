@@ -1,7 +1,6 @@
-"""Free recordings: a unit turned by hand between poses of stillness, without a fixture or known attitudes.
+"""Free motion: a unit rotated by hand or by a servo between static poses, without a fixture or known attitudes.
 
-Each turn is about an axis fixed in B, with an angle that follows the quintic ``θ(s) = Θ (10 s³ − 15 s⁴ + 6
-s⁵)``, s = t/T: rate and acceleration vanish at both ends, and the peak rate is 15 Θ / 8 T.
+Each turn is about an axis fixed in B; its angle over time is a profile of :mod:`sims.physics.turn_profiles`.
 """
 
 from __future__ import annotations
@@ -16,9 +15,11 @@ from sims.physics.fixture import rotation
 from sims.physics.integrals import Episode
 from sims.physics.table_motion import check_rotation, check_sample_rate, constants_of_site
 from sims.physics.true_motion import Clock, TrueMotion
+from sims.physics.turn_profiles import TurnProfile, peak_factor, turn_profile
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
+    from sims.physics.turn_profiles import ProfileName
     from srt.recording.recording import Site
     from srt.types import Array, Indices
 
@@ -30,6 +31,11 @@ def random_turns(
     axes = rng.standard_normal((count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     return np.asarray(axes * rng.uniform(smallest_rad, largest_rad, (count, 1)))
+
+
+def random_durations(rng: np.random.Generator, count: int, shortest_s: float, longest_s: float) -> Array:
+    """Draw durations of turns with uniform logarithms, shape (count,), s."""
+    return np.asarray(np.exp(rng.uniform(math.log(shortest_s), math.log(longest_s), count)))
 
 
 def random_attitude(rng: np.random.Generator) -> Array:
@@ -51,8 +57,11 @@ def free_motion(
     sample_rate_hz: float = 200.0,
     earth_rate: bool = True,
     start_time_s: float = 0.0,
+    profile: ProfileName = "quintic",
+    durations_s: Array | None = None,
+    rng: np.random.Generator | None = None,
 ) -> TrueMotion:
-    """Stand still, turn, stand still, ... : one pose more than turns.
+    """Integrals of static poses with a turn between each two: one pose more than turns.
 
     Parameters
     ----------
@@ -64,11 +73,17 @@ def free_motion(
     peak_rate_rad_s : float
         Peak rate of every turn.
     dwell_s : float
-        Stillness of every pose, s.
+        Length of the window of every pose, s.
     settle_s : float
-        Further stillness, before the window, after each turn, s.
+        Rest between each turn and the following window, s.
     sample_rate_hz, earth_rate, start_time_s
         As in :func:`sims.physics.table_motion.run_schedule`.
+    profile : str
+        Angle over time of every turn, see :mod:`sims.physics.turn_profiles`.
+    durations_s : ndarray, shape (m,), optional
+        Duration of each turn, s, in place of ``peak_rate_rad_s``.
+    rng : numpy.random.Generator, optional
+        Needed for the profile "recorded-hand".
 
     Returns
     -------
@@ -80,17 +95,27 @@ def free_motion(
         raise InputError(f"Turns are rotation vectors in an array of shape (m, 3), not {vectors.shape}.")
     if peak_rate_rad_s <= 0.0 or dwell_s <= 0.0 or settle_s < 0.0:
         raise InputError("A free recording needs a positive peak rate and dwell, and a settling time not below zero.")
+    sizes = np.array([np.linalg.norm(vector) for vector in vectors])
+    durations = peak_factor(profile) * sizes / peak_rate_rad_s if durations_s is None else np.asarray(durations_s)
+    if durations.shape != sizes.shape or not np.all((durations > 0.0) | (sizes == 0.0)):
+        raise InputError(
+            f"The durations are {durations.tolist()} s: give a positive one for each of {len(sizes)} turns."
+        )
     ned_from_body = check_rotation(attitude)
     constants = constants_of_site(site, earth_rate=earth_rate)
     clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
     dwell = max(1, round(dwell_s * sample_rate_hz))
-    clock.record(_turn_episode(constants @ ned_from_body, np.zeros(3), 0.0, dwell))
+    clock.record(_rest_episode(constants @ ned_from_body, dwell))
     poses = [(clock.at(0), clock.at(dwell))]
     attitudes = [ned_from_body]
-    for vector in vectors:
-        duration = 15.0 / 8.0 * float(np.linalg.norm(vector)) / peak_rate_rad_s
-        n_samples = clock.samples(duration + settle_s) + dwell
-        clock.record(_turn_episode(constants @ attitudes[-1], vector, duration, n_samples))
+    for vector, size, duration in zip(vectors, sizes.tolist(), durations.tolist(), strict=True):
+        n_samples = clock.samples((duration if size > 0.0 else 0.0) + settle_s) + dwell
+        fixed = constants @ attitudes[-1]
+        if size > 0.0:
+            shape = turn_profile(profile, size, duration, rng)
+            clock.record(_turn_episode(fixed, vector, duration, n_samples, shape))
+        else:
+            clock.record(_rest_episode(fixed, n_samples))
         poses.append((clock.at(clock.now - dwell), clock.at(clock.now)))
         attitudes.append(attitudes[-1] @ rotation(vector))
     time, piece_starts, total = clock.stack()
@@ -109,35 +134,45 @@ def free_motion(
     )
 
 
-def _turn_episode(constants_b: Array, vector: Array, duration_s: float, n_samples: int) -> Episode:
-    """One turn about a fixed axis and the stillness after it.
+def _rest_episode(constants_b: Array, n_samples: int) -> Episode:
+    """Rest with constant Earth rate and specific force in B, of shape (2, 3), rad/s and m/s²."""
+
+    def evaluate(_: Indices, time: Array) -> Array:
+        return np.broadcast_to(constants_b.ravel(), (*time.shape, 6))
+
+    return Episode(n_samples, np.array([0.0, math.inf]), np.array([False]), 0.0, evaluate)
+
+
+def _turn_episode(
+    constants_b: Array, vector: Array, duration_s: float, n_samples: int, profile: TurnProfile
+) -> Episode:
+    """One turn about a fixed axis and the rest after it.
 
     Parameters
     ----------
     constants_b : ndarray, shape (2, 3)
         Earth rate (rad/s) and specific force (m/s²) in B before the turn.
     vector : ndarray, shape (3,), rad
+        Not zero.
     duration_s : float
     n_samples : int
+    profile : TurnProfile
     """
     total = float(np.linalg.norm(vector))
-    axis = vector / total if total > 0.0 else np.array([1.0, 0.0, 0.0])
+    axis = vector / total
     along = (constants_b @ axis)[:, np.newaxis] * axis
     across = constants_b - along
     third = np.cross(axis, constants_b)
+    last = len(profile.borders) + 1
 
     def evaluate(piece: Indices, time: Array) -> Array:
-        s = np.where(piece == 0, time / duration_s, 1.0) if total > 0.0 else np.ones_like(time)
-        angle = (total * s**3 * (10.0 + s * (6.0 * s - 15.0)))[..., np.newaxis]
-        rate = (30.0 * total * (s * (1.0 - s)) ** 2)[..., np.newaxis]
-        if total > 0.0:
-            rate = rate / duration_s
-        # Vectors that stand still turn backwards, seen from B.
+        turning = np.broadcast_to(piece < last, time.shape)
+        angle, slope = profile.evaluate(total, np.where(turning, time / duration_s, 1.0))
+        angle, rate = angle[..., np.newaxis], (np.where(turning, slope, 0.0) / duration_s)[..., np.newaxis]
+        # Vectors fixed in space rotate backwards in B.
         earth, force = (along[i] + np.cos(angle) * across[i] - np.sin(angle) * third[i] for i in (0, 1))
         return np.concatenate([earth + rate * axis, force], axis=-1)
 
-    if total == 0.0:
-        return Episode(n_samples, np.array([0.0, math.inf]), np.array([False]), 0.0, evaluate)
-    # The quintic adds its own frequencies, some turns of phase over its duration, to those of the attitude.
-    bandwidth = 15.0 / 8.0 * total / duration_s + 12.0 / duration_s
-    return Episode(n_samples, np.array([0.0, duration_s, math.inf]), np.array([True, False]), bandwidth, evaluate)
+    breaks = np.array([0.0, *(border * duration_s for border in profile.borders), duration_s, math.inf])
+    bandwidth = profile.peak * total / duration_s + profile.bandwidth / duration_s
+    return Episode(n_samples, breaks, np.arange(last + 1) < last, bandwidth, evaluate)

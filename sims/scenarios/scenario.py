@@ -7,7 +7,8 @@ Tables of a scenario::
     [fixture]    from = "lab-1mrad"; heading_deg              (absent with [free])
     [site]       from = "latitude-45"; latitude_deg, gravity_m_s2 or height_m
     [errors]     draw = "normal", "uniform" or "none"; factor; [errors.values] by name, SI
-    [schedule]   sequences, repeats, dwell_s or dwells_s, rate_rad_s, ...  (or [free]: turns by hand)
+    [schedule]   sequences, repeats, dwell_s or dwells_s, rate_rad_s, ...
+    [free]       in place of [schedule]: turns or rotations_deg, profile, peak_rate_rad_s or turn_duration_s, dwell_s
     [recording]  sample_rate_hz, kind, format, ...
 
 An unknown key is an error: a misspelt key must not leave a default in force.
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from sims.physics.sequences import TABLE_1, TurnSequence, table_sequences
+from sims.physics.turn_profiles import ProfileName  # noqa: TC001 - pydantic reads it
 from sims.scenarios import library
 from srt.constants import (
     ARCSEC,
@@ -56,6 +58,8 @@ def _as_pair(value: object) -> object:
     return pair
 
 
+TurnDuration = Annotated[float, Field(strict=True, ge=0.5, le=30.0, allow_inf_nan=False)]
+"""Duration of a turn by hand, s."""
 Dwells = Annotated[tuple[Positive, Positive], BeforeValidator(_as_pair)]
 SignedAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -290,7 +294,7 @@ class ScheduleConfig(Table):
 
 
 class FreeConfig(Table):
-    """A free recording: turns by hand between still poses."""
+    """A free recording: turns by hand or by a servo between static poses."""
 
     turns: Annotated[int, Field(strict=True, ge=1)] | None = None
     """Number of random turns; or rotations_deg."""
@@ -298,7 +302,11 @@ class FreeConfig(Table):
     largest_turn_deg: Positive = 180.0
     rotations_deg: tuple[Vector, ...] | None = None
     """Rotation vectors in B."""
+    profile: ProfileName = "quintic"
+    """Angle over time of every turn, see :mod:`sims.physics.turn_profiles`."""
     peak_rate_rad_s: Positive = 2.0
+    turn_duration_s: tuple[TurnDuration, TurnDuration] | None = None
+    """Shortest and longest turn, drawn with uniform logarithm for each; in place of peak_rate_rad_s."""
     dwell_s: Positive = 5.0
     settle_s: NonNegative = 0.0
 
@@ -308,6 +316,10 @@ class FreeConfig(Table):
             raise ValueError("give either turns or rotations_deg")
         if self.smallest_turn_deg > self.largest_turn_deg:
             raise ValueError("smallest_turn_deg is above largest_turn_deg")
+        if self.turn_duration_s is not None and self.turn_duration_s[0] > self.turn_duration_s[1]:
+            raise ValueError("turn_duration_s has the longest turn first: give [shortest, longest]")
+        if self.turn_duration_s is not None and "peak_rate_rad_s" in self.model_fields_set:
+            raise ValueError("give either peak_rate_rad_s or turn_duration_s")
         return self
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sims.physics.fixture import draw_fixture, rotation
-from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.free_motion import free_motion, random_attitude, random_durations, random_turns
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.motion import RateProfile
 from sims.physics.table_motion import Schedule, run_schedule
@@ -238,6 +238,9 @@ def _free_run(scenario: Scenario, rng: np.random.Generator) -> TrueMotion:
         site=scenario.site.site(),
         attitude=attitude,
         peak_rate_rad_s=free.peak_rate_rad_s,
+        profile=free.profile,
+        durations_s=None if free.turn_duration_s is None else random_durations(rng, len(turns), *free.turn_duration_s),
+        rng=rng,
         dwell_s=free.dwell_s,
         settle_s=free.settle_s,
         sample_rate_hz=scenario.recording.sample_rate_hz,
