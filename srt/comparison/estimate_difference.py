@@ -1,4 +1,4 @@
-"""Two calibrations of one recording against each other: the difference, and the spread it should have.
+"""Difference of two calibrations of one recording, and its expected covariance.
 
 Two estimates x and x_opt of the same parameters from the same data share most of their noise, so the root sum of
 squares of their sigmas says nothing about their difference d = x − x_opt. If x_opt is efficient, d is uncorrelated with
@@ -6,8 +6,8 @@ it (else a mixture of the two would beat it), and::
 
     cov(d) = P − P_opt
 
-(Hausman 1978, Econometrica 46, 1251). Judged are every parameter on the diagonal of that matrix, and all of them
-together on its inverse. Where P is the smaller of the two the roles are exchanged: the absolute value is taken.
+(Hausman 1978, Econometrica 46, 1251). Every parameter is tested by the diagonal of that matrix, all of them together by
+its inverse. Where P is the smaller of the two the roles are exchanged: the absolute value is taken.
 """
 
 from __future__ import annotations
@@ -29,23 +29,24 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARM: Final = 0.01
-"""Probability that estimators which differ by chance alone are said to disagree: half of it for the largest difference
-of any one parameter, half for the joint tests."""
+"""False-alarm probability of a comparison: half of it for the largest difference of any one parameter, half for the
+joint tests."""
 
 EXPECTED_SIGMA_FLOOR: Final = 0.05
-"""Floor of an expected spread, in units of the larger sigma. Two efficient estimators expect no difference at all, and
-still differ by their stopping rules (0.01 sigma), by terms of second order and by how they treat shared noise: nobody
-needs to know that below a twentieth of sigma."""
+"""Floor of an expected sigma, as a fraction of the larger sigma of the two estimates. The expected difference of two
+efficient estimators is zero; they still differ by their stopping rules (0.01 sigma), by terms of second order and by
+the treatment of shared noise. Below a twentieth of sigma that is immaterial."""
 
 CLEARLY_SMALLER: Final = 0.95
 """Ratio of variances below which the reference is not the efficient estimate of a parameter."""
 
 _NAMED: Final = 3
+"""Number of parameters that a sentence names; the others are counted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimateDifference:
-    """One estimator against the reference.
+    """Difference of one estimator from the reference.
 
     Attributes
     ----------
@@ -55,18 +56,18 @@ class EstimateDifference:
     difference : ndarray, shape (27,), SI
         Estimator less reference; NaN where not compared, as in the next three.
     expected_sigma : ndarray, shape (27,), SI
-        One sigma that the difference should have.
+        Expected 1-sigma of the difference.
     normalised : ndarray, shape (27,)
-        Difference over spread.
+        Difference over expected sigma.
     sigma_ratio : ndarray, shape (27,)
-        Sigma over that of the reference.
+        Sigma of the estimator over that of the reference.
     limit : float
-        What a normalised difference exceeds by chance hardly ever, see :data:`FALSE_ALARM`.
+        Limit of a normalised difference, by :data:`FALSE_ALARM`.
     chi_square, p_value : float
         Of all differences together, with as many degrees of freedom as parameters are compared. The floor on the
-        spread can only raise the p-value.
+        expected sigma can only raise the p-value.
     least_p_value : float
-        What the p-value falls below by chance hardly ever.
+        Limit of the p-value, by :data:`FALSE_ALARM`.
     """
 
     estimator: str
@@ -89,7 +90,7 @@ class EstimateDifference:
 
     @property
     def agrees(self) -> bool:
-        """Whether chance explains all differences, each alone and together; False if nothing is compared."""
+        """True if no difference is significant, alone or together; False if nothing is compared."""
         return bool(self.compared.any()) and not self.differing.any() and self.p_value >= self.least_p_value
 
     @property
@@ -127,7 +128,7 @@ class EstimateDifference:
         }
 
     def sentence(self) -> str:
-        """Say how the two compare, without a full stop."""
+        """Clause on the agreement of the two, without a full stop."""
         if not self.compared.any():
             return f"{self.estimator} and {self.reference} observed no parameter in common"
         if self.agrees:
@@ -136,12 +137,12 @@ class EstimateDifference:
         if not differing.size:
             return (
                 f"{self.estimator} differs from {self.reference} in all parameters together, though in none alone "
-                f"(chi-square {self.chi_square:.0f} for {int(self.compared.sum())}, probability {self.p_value:.1g})"
+                f"(chi-square {self.chi_square:.0f} for {int(self.compared.sum())}, p = {self.p_value:.1g})"
             )
         worst = differing[np.argsort(-np.abs(self.normalised[differing]), kind="stable")]
-        named = some([f"{NAMES[i]} by {abs(self.normalised[i]):.1f}" for i in worst])
+        named = listing([f"{NAMES[i]} by {abs(self.normalised[i]):.1f}" for i in worst])
         limit = f"(limit {self.limit:.1f})"
-        return f"{self.estimator} differs from {self.reference}: {named} expected spreads {limit}"
+        return f"{self.estimator} differs from {self.reference}: {named} expected sigmas {limit}"
 
 
 def estimate_difference(
@@ -194,8 +195,8 @@ def _joint(difference: Array, covariance: Array) -> tuple[float, float]:
     return statistic, float(chdtrc(difference.size, statistic))
 
 
-def some(names: Sequence[str]) -> str:
-    """Name the first few, and count the others."""
+def listing(names: Sequence[str]) -> str:
+    """Listing of the first few names and the number of the others."""
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"{', '.join(names[:_NAMED])}{more}"
 

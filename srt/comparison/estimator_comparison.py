@@ -1,4 +1,4 @@
-"""Estimators side by side on one recording, and whether they agree as far as they should.
+"""Comparison of estimators on one recording, with a test of their agreement.
 
 The statistics of a difference are those of :mod:`srt.comparison.estimate_difference`.
 """
@@ -19,8 +19,8 @@ from srt.comparison.estimate_difference import (
     EstimateDifference,
     estimate_difference,
     finite,
+    listing,
     ratio_of,
-    some,
 )
 from srt.estimation.options import Options
 from srt.estimation.registry import automatic_estimator, find_estimator
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 
 
 ESTIMATORS: Final = ("closed-form", "least-squares", "ekf", "graph")
-"""Those compared where none are named: the least efficient first."""
+"""Estimators compared by default, the least efficient first."""
 
 
 def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Estimators of :data:`ESTIMATORS` that can run here and on this recording; the others with the reason.
+    """Estimators of :data:`ESTIMATORS` that can run on this recording, and the reasons of the others.
 
     Returns
     -------
@@ -86,15 +86,15 @@ def run_estimators(
     options : Options, optional
         The same for all.
     progress : callable, optional
-        Called after every play-back with the estimator's name, its number and the largest correction.
+        Called after every iteration with the name of the estimator, its number and the largest correction.
 
     Returns
     -------
     calibrations : dict of str to Calibration
     seconds : dict of str to float
-        Of every estimator, without the import of its module.
+        Run time of every estimator, without the import of its module.
     failures : dict of str to str
-        Why an estimator gave no result.
+        Reasons of the estimators without a result.
 
     Raises
     ------
@@ -122,7 +122,7 @@ FORMAT: Final = "srt-comparison"
 VERSION: Final = 1
 
 USABLE: Final = ("converged", "partial")
-"""Statuses whose values and sigmas mean what they say."""
+"""Statuses with valid values and sigmas."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +136,7 @@ class Comparison:
     reference : str or None
         The estimate taken as efficient; None if none is usable.
     differences : mapping of str to EstimateDifference
-        Of every other usable estimate with the reference.
+        Difference of every other usable estimate from the reference.
     seconds : mapping of str to float
     failures, left_out : mapping of str to str
         Estimators that ran without a result, and those that were not run, with the reason in a sentence.
@@ -155,12 +155,12 @@ class Comparison:
 
     @property
     def agree(self) -> bool:
-        """Whether there are two usable estimates at least, and all agree with the reference."""
+        """True if there are at least two usable estimates and all agree with the reference."""
         return bool(self.differences) and all(pair.agrees for pair in self.differences.values())
 
     @property
     def complete(self) -> bool:
-        """Whether every estimator that ran ended with a usable result."""
+        """True if every estimator that ran gave a usable result."""
         return not self.failures and all(c.status in USABLE for c in self.calibrations.values())
 
     @property
@@ -177,12 +177,12 @@ class Comparison:
         assert worst.largest is not None
         return (
             f"{_listing([self.reference, *self.differences])} agree: largest difference "
-            f"{abs(worst.normalised[worst.largest]):.1f} expected spreads ({NAMES[worst.largest]} of "
+            f"{abs(worst.normalised[worst.largest]):.1f} expected sigmas ({NAMES[worst.largest]} of "
             f"{worst.estimator}; limit {worst.limit:.1f})."
         )
 
     def error_over_sigma(self, name: str) -> Array:
-        """Error of an estimate over its sigma, shape (27,); NaN where held, or without a truth."""
+        """Error of an estimate over its sigma, shape (27,); NaN where fixed, or without a truth."""
         true = np.nan if self.truth is None else self.truth.vector
         return ratio_of(self.calibrations[name].errors.vector - true, self.calibrations[name].sigma)
 
@@ -242,7 +242,7 @@ def compare(
     left_out: Mapping[str, str] | None = None,
     truth: SensorErrors | None = None,
 ) -> Comparison:
-    """Set calibrations of one recording against each other.
+    """Compare calibrations of one recording.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def compare(
         Which one is taken as efficient. Default: graph, ekf, least-squares, closed-form, others in their order; the
         first that is usable.
     seconds : mapping of str to float, optional
-        How long each took.
+        Run time of each.
     failures, left_out : mapping of str to str, optional
         Estimators without a result, and those not run, with the reason.
     truth : SensorErrors, optional
@@ -302,12 +302,12 @@ def _listing(names: Iterable[str]) -> str:
 
 
 def _rank(name: str) -> int:
-    """Place in the order of efficiency, the most efficient first; strangers after those known."""
+    """Rank by efficiency, the most efficient first; unknown estimators last."""
     return -ESTIMATORS.index(name) if name in ESTIMATORS else 1
 
 
 def _shared(a: Calibration, b: Calibration) -> Mask:
-    """Parameters that two calibrations observed (a held one's sigma is NaN), with a sigma to judge them by."""
+    """Parameters that two calibrations observed, with a positive sigma; that of a fixed one is NaN."""
     mask: Mask = (a.sigma > 0.0) & (b.sigma > 0.0)
     return mask
 
@@ -318,7 +318,7 @@ def _notes(
     chosen: str | None,
     differences: Mapping[str, EstimateDifference],
 ) -> Iterable[str]:
-    """What a reader of the verdict should know besides, in sentences."""
+    """Remarks on the verdict, in sentences."""
     if wanted is not None and chosen not in (wanted, None):
         yield f"The reference asked for, {wanted}, gave no usable result; it is {chosen} instead."
     for name, calibration in calibrations.items():
@@ -328,7 +328,7 @@ def _notes(
     for name, pair in differences.items():
         if pair.smaller_sigma:
             yield (
-                f"{name} states a smaller sigma than {pair.reference} for {some(pair.smaller_sigma)}: there "
+                f"{name} states a smaller sigma than {pair.reference} for {listing(pair.smaller_sigma)}: there "
                 f"{pair.reference} is not the efficient one, or has enlarged its sigmas for its residuals."
             )
     usable = [name for name in calibrations if name in differences or name == chosen]
@@ -338,4 +338,4 @@ def _notes(
         if holders and holders != tuple(usable):
             alone.setdefault(holders, []).append(parameter)
     for holders, parameters in alone.items():
-        yield f"Held by {_listing(holders)} and not by the others: {some(parameters)}."
+        yield f"Fixed by {_listing(holders)} and not by the others: {listing(parameters)}."

@@ -1,6 +1,6 @@
-"""A fleet calibrated: every unit on its own, on any number of processes, and each judged against the others.
+"""Calibration of a fleet: every unit alone, on any number of processes, with a test for outliers among the units.
 
-What fails is kept as a unit without a calibration, and stops no other.
+A unit that fails has no calibration in the result, and stops no other.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ FORMAT: Final = "srt-fleet"
 VERSION: Final = 1
 FAILED: Final = "failed"
 SOUND: Final = ("converged", "partial")
-"""Statuses of calibrations that count: those of others have no part in the fleet, and are not judged."""
+"""Statuses of calibrations in the fleet statistics."""
 
 COLUMNS: Final = (
     *("unit", "serial", "recording", "status", "message", "parameter", "unit_si", "value", "sigma"),
     *("fleet_median", "fleet_scatter", "others_median", "others_scatter", "z", "limit", "flagged"),
 )
-"""Of the tidy table: one row per unit and parameter, SI; a unit without a calibration has one row, with its message."""
+"""Columns of the long table: one row per unit and parameter, SI; a unit without a calibration has one row."""
 
 
 @dataclass(frozen=True, slots=True)
 class UnitTask:
-    """One unit to calibrate: picklable, and all that a process needs to know."""
+    """Task of a worker process: one unit to calibrate; picklable."""
 
     number: int
     name: str
@@ -54,12 +54,12 @@ class UnitTask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetUnit:
-    """What came of one unit.
+    """Result of one unit.
 
     Attributes
     ----------
     name : str
-        In the fleet; no other has it.
+        Unique name in the fleet.
     recording : str
         Its path.
     serial : str or None
@@ -68,7 +68,7 @@ class FleetUnit:
     message : str
         One sentence.
     exit_code : int
-        What the command line would exit with for this unit alone.
+        Exit code of the command line for this unit alone.
     calibration : Calibration or None
     """
 
@@ -82,13 +82,13 @@ class FleetUnit:
 
     @property
     def sound(self) -> bool:
-        """Whether its values have a part in the fleet."""
+        """True if its values count in the fleet statistics."""
         return self.calibration is not None and self.status in SOUND
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
-    """All units in the order in which they were named, and how each stands to the others.
+    """Units in the given order, with the outlier test of each.
 
     Attributes
     ----------
@@ -101,13 +101,13 @@ class Fleet:
     outliers: FleetOutliers
 
     def flagged(self, number: int) -> tuple[int, ...]:
-        """Places of the outlying parameters of a unit, the farthest off first."""
+        """Indices of the outlying parameters of a unit, the largest z first."""
         size = np.abs(self.outliers.z[number])
         found = np.flatnonzero(self.outliers.flagged[number])
         return tuple(found[np.argsort(-size[found], kind="stable")].tolist())
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Rows of the tidy table, :data:`COLUMNS`; None stands for what is not known."""
+        """Rows of the long table, :data:`COLUMNS`; None for unknown values."""
         judged, flagged = self.outliers, self.outliers.flagged
         for number, unit in enumerate(self.units):
             about = {
@@ -137,7 +137,7 @@ class Fleet:
                 yield {**about, "parameter": name, "unit_si": UNITS[i], **known, "flagged": mark}
 
     def to_csv(self) -> str:
-        """The tidy table as CSV; what is not known is an empty cell."""
+        """Long table as CSV; unknown values are empty cells."""
         text = io.StringIO()
         writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
         writer.writeheader()
@@ -145,7 +145,7 @@ class Fleet:
         return text.getvalue()
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON form: units, parameters, and the tidy table; no NaN in it."""
+        """JSON form: units, parameters and the long table, without NaN."""
         judged = self.outliers
         return {
             "format": FORMAT,
@@ -199,7 +199,7 @@ def calibrate_fleet(
     force: bool = False,
     finished: Callable[[FleetUnit], None] | None = None,
 ) -> Fleet:
-    """Calibrate many units and judge each against all the others.
+    """Calibrate many units and test each against all others.
 
     Parameters
     ----------
@@ -209,23 +209,23 @@ def calibrate_fleet(
         As for :func:`srt.calibrate`.
     options : Options, optional
     engine : Engine, optional
-        Where they run; by default here, one after the other. The results do not depend on it.
+        Processes to run on; default: this process, one after the other. The results do not depend on it.
     force : bool
-        Calibrate whatever fault is found.
+        Calibrate in spite of faults.
     finished : callable, optional
         Called with every unit as it is done, in no particular order. What it raises ends the run.
 
     Returns
     -------
     Fleet
-        In the order of ``recordings``. Whatever went wrong with a unit is said there.
+        In the order of ``recordings``. A unit that failed holds the reason.
 
     Raises
     ------
     InputError
         A recording or a name given twice, or an engine that cannot start.
     MissingExtraError
-        What the engine needs is not installed.
+        Without the packages that the engine needs.
     """
     from srt.estimation.options import Options as _Options
 
@@ -248,7 +248,7 @@ def calibrate_fleet(
 
 
 def assemble_fleet(units: Sequence[FleetUnit]) -> Fleet:
-    """Judge units that are calibrated already."""
+    """Fleet of calibrated units, with the outlier test."""
     values, sigmas = (np.full((len(units), N_PARAMETERS), np.nan) for _ in range(2))
     for number, unit in enumerate(units):
         if unit.calibration is not None and unit.sound:
@@ -257,7 +257,7 @@ def assemble_fleet(units: Sequence[FleetUnit]) -> Fleet:
 
 
 def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
-    """Calibrate one unit; what goes wrong, and be it a defect of the program, becomes its message."""
+    """Calibrate one unit; an error, even a defect of the program, becomes its message."""
     from srt.procedure import calibrate
     from srt.recording.folder import load_recording
 
@@ -283,7 +283,7 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
 
 
 def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int, FleetUnit]]:
-    """Run all tasks; what a dying worker left undone is run again, one by one, so that one unit harms no other."""
+    """Run all tasks. If a worker dies, run the unfinished tasks again one by one, so that one unit harms no other."""
     if engine is None:
         yield from map(calibrate_unit, tasks)
         return
@@ -293,7 +293,7 @@ def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int
             del left[number]
             yield number, unit
     except DataError:
-        pass  # said of the unit that it happens with again
+        pass  # the second run finds the unit that causes it
     for number, task in list(left.items()):
         try:
             yield next(iter(engine.run(calibrate_unit, [task])))

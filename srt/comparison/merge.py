@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 ESTIMATOR: Final = "merged"
 USABLE: Final = ("converged", "partial")
 UNLIKELY: Final = 1e-3
+"""p-value below which recordings disagree: one false alarm in 1000 merged calibrations."""
 
 
 def merge_calibrations(
@@ -38,10 +39,10 @@ def merge_calibrations(
     calibrations : sequence of Calibration
         Two at least. Those that did not converge are left out, and the result says so.
     names : sequence of str, optional
-        What the result calls the recordings; default their numbers.
+        Names of the recordings in the result; default their numbers.
     between : bool
-        Whether values may differ from recording to recording by more than their sigmas; False takes the unit as it
-        stands to be the same in all of them.
+        True: values may vary between recordings beyond their sigmas. False: the parameters are the same in all of
+        them.
 
     Returns
     -------
@@ -96,7 +97,7 @@ def _merged(
     observed[seen] = True
     held = {name: members[0].held[name] for i, name in enumerate(NAMES) if not observed[i]}
     U, U_sigma, U_note = _mounting(members)
-    chance = float(chdtrc(freedom, statistic)) if freedom else None
+    p_value = float(chdtrc(freedom, statistic)) if freedom else None
     message = f"Merged from {len(members)} recording{'s' if len(members) > 1 else ''}."
     return Calibration(
         estimator=ESTIMATOR,
@@ -105,7 +106,7 @@ def _merged(
         errors=SensorErrors(vector),
         covariance=covariance,
         held=held,
-        contributions={source: _spread(np.sqrt(np.maximum(np.diag(P), 0.0)), seen) for source, P in by_source.items()},
+        contributions={source: _padded(np.sqrt(np.maximum(np.diag(P), 0.0)), seen) for source, P in by_source.items()},
         U=U,
         U_sigma_rad=U_sigma,
         site=_shared([c.site for c in members]),
@@ -114,7 +115,7 @@ def _merged(
         temperature=_temperature(members),
         provenance=_provenance(members),
         diagnostics={
-            "repeatability": repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, chance))
+            "repeatability": repeatability(stack, used, left_out, vector, sizes, (statistic, freedom, p_value))
         },
         verdict=verdict(
             _recording_diagnostics(stack, within, within + scatter, titles, vector),
@@ -123,14 +124,14 @@ def _merged(
             statistic,
             freedom,
         ),
-        warnings=_warnings(used, left_out, sizes, chance, U_note),
+        warnings=_warnings(used, left_out, sizes, p_value, U_note),
     )
 
 
 def _recording_diagnostics(
     stack: StackedEstimates, within: Array, total: Array, titles: Sequence[str], estimate_: Array
 ) -> tuple[SequenceDiagnostics, ...]:
-    """Every recording against the others by the sigmas within, and the merged values without it by their weights."""
+    """Leave-one-out test of every recording, and the merged values without it."""
     if len(titles) < 2:
         return ()
     groups = [stack.rows(r) for r in range(len(titles))]
@@ -144,14 +145,14 @@ def _recording_diagnostics(
     return tuple(SequenceDiagnostics(title, 1, against, without) for title, against, without in pairs)
 
 
-def _spread(values: Array, at: Indices) -> Array:
+def _padded(values: Array, at: Indices) -> Array:
     out = np.zeros(N_PARAMETERS)
     out[at] = values
     return out
 
 
 def _check(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
-    """Refuse what is not several recordings of one unit, each of its own data."""
+    """Refuse all but several recordings of one unit with data of their own."""
     if len(calibrations) < 2:
         raise InputError(f"Merging needs two recordings of a unit at least, and there is {len(calibrations)}.")
     if len(set(titles)) != len(calibrations):
@@ -188,8 +189,8 @@ def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | Non
     mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     away = np.sum(rotation_vector(mean.T @ turns) ** 2, axis=1)
     # Every recording has its levelling in U, beside its mounting.
-    chance = float(chdtrc(3 * (len(found) - 1), np.sum(away / (2.0 * variance)))) if len(found) > 1 else 1.0
-    if chance < UNLIKELY:
+    p_value = float(chdtrc(3 * (len(found) - 1), np.sum(away / (2.0 * variance)))) if len(found) > 1 else 1.0
+    if p_value < UNLIKELY:
         return (
             None,
             None,
@@ -240,7 +241,7 @@ def _warnings(
     used: Mapping[str, Calibration],
     left_out: Mapping[str, str],
     sizes: Array,
-    chance: float | None,
+    p_value: float | None,
     U_note: str,
 ) -> tuple[str, ...]:
     said = [
@@ -248,8 +249,8 @@ def _warnings(
         for title, status in left_out.items()
     ]
     if len(used) == 1:
-        said.append("One recording alone is left: nothing is averaged, and nothing tells how repeatable it is.")
-    if chance is not None and chance < UNLIKELY:
+        said.append("One recording alone is left: nothing is averaged, and the repeatability is unknown.")
+    if p_value is not None and p_value < UNLIKELY:
         groups = [name.replace("_", " ") for name, size in zip(GROUP_SLICES, sizes, strict=True) if size > 0.0]
         said.append(
             "The recordings differ by more than their sigmas explain"
@@ -258,10 +259,10 @@ def _warnings(
         )  # fmt: skip
     following = [title for title, c in used.items() if KEY in c.diagnostics]
     if following:
-        said.append(f"What the gyros follow specific force by is not merged: {', '.join(following)} have it.")
+        said.append(f"The gyro g-sensitivity is not merged: {', '.join(following)} have it.")
     nameless = [title for title, c in used.items() if c.provenance.get("serial") is None]
     if nameless and len(used) > 1:
-        said.append(f"No serial is given with {', '.join(nameless)}: that they are of one unit is taken on trust.")
+        said.append(f"No serial is given with {', '.join(nameless)}: one unit is assumed.")
     if len({c.site.get("gravity_m_s2") for c in used.values()}) > 1:
-        said.append("Gravity was stated differently: its errors are taken to be independent.")
+        said.append("The stated gravity differs between recordings: its errors are assumed independent.")
     return (*said, *([U_note] if U_note else []))

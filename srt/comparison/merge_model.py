@@ -1,13 +1,13 @@
-"""The linear model of several recordings of one unit, and its generalised least-squares estimate.
+"""Linear model of several recordings of one unit, and its generalised least-squares estimate.
 
 Every recording r measured the same 27 errors x, in the MARS frame that the gyros themselves define, so that values
 can be compared whatever the mounting::
 
     y_r = x + b_r + c_r + e_r
 
-e_r is the recording's own error. c_r is common to recordings: gravity where the same value was stated, and values held
-because no recording showed them; the mean of many recordings has it as much as one. b_r is what differs from recording
-to recording, as bias from turn-on to turn-on: one variance per group of parameters, by restricted maximum likelihood
+e_r is the error of one recording. c_r is common to recordings: gravity where the same value was stated, and parameters
+fixed because no recording observed them; averaging does not reduce it. b_r is the variation between recordings, such as
+the bias from turn-on to turn-on: one variance per group of parameters, by restricted maximum likelihood
 (:mod:`srt.noise.variance_components`). From few recordings that variance is uncertain itself: from n of them, for a
 group of three parameters, to √(2 / 3(n − 1)) of it, 58 % from three.
 """
@@ -36,11 +36,12 @@ GROUP_OF: Final = np.array([list(GROUP_SLICES).index(name.rpartition("_")[0]) fo
 """Number of the group that each parameter belongs to."""
 
 _LEAST_VARIANCE: Final = 1e-6
+"""Variance between recordings, over the smallest variance within, that counts as zero: rounding of the likelihood."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackedEstimates:
-    """All observed parameters of all recordings, one below the other, n rows in all.
+    """Observed parameters of all recordings, n rows in all.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class StackedEstimates:
     own : ndarray, shape (n, n)
         Covariance of the recordings' own errors.
     common : dict of str to ndarray, shape (n, n)
-        Of the errors they share, by source.
+        Covariance of the common errors, by source.
     """
 
     y: Array
@@ -61,7 +62,7 @@ class StackedEstimates:
 
     @property
     def covariance(self) -> Array:
-        """Of all errors within recordings, shape (n, n)."""
+        """Covariance of all errors within recordings, shape (n, n)."""
         return np.asarray(self.own + sum(self.common.values()))
 
     @property
@@ -127,7 +128,7 @@ def _gravity(calibrations: Sequence[Calibration]) -> list[Array]:
 
 
 def _held_values(calibrations: Sequence[Calibration]) -> list[Array]:
-    """Roots of the covariance that held values brought in, symmetric, so that like ones go together."""
+    """Symmetric roots of the covariance due to fixed values, so that equal values correlate."""
     unit = prior_sigma()
     out = []
     for c in calibrations:

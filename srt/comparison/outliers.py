@@ -1,8 +1,8 @@
-"""Units against their fleet: every value against what all the other units say, and when it lies too far off.
+"""Outlier test of a fleet: every value of a unit against the median and scatter of all other units.
 
-For one parameter, ``y_i = m + s u_i + e_i`` are the values of n units: m and s are the fleet's middle and spread, u_i
-is standard normal, and e_i the error of the unit's own calibration, of known sigma ``σ_i``. Unit i is judged by all
-the others, so that it can neither hide itself nor spoil the measure that it is judged by:
+For one parameter, ``y_i = m + s u_i + e_i`` are the values of n units: m and s are the median and scatter of the
+fleet, u_i is standard normal, and e_i the error of the calibration of the unit, of known sigma ``σ_i``. Unit i is
+compared with all others, so that an outlier does not widen the scatter that it is tested by:
 
 *Scatter*, without a middle: ``S = d / (√2 q)``, where d is the K-th smallest difference between two of the others,
 ``K = h (h − 1) / 2`` counts the pairs among h good units, and q is the quantile of ``|N(0, 1)|`` that belongs to K
@@ -12,16 +12,16 @@ measurement errors, and is never taken for less than the least σ of all units, 
 
 *Middle*: the median, of variance ``v = (π / 2) S² / (n − 1)``.
 
-*Judgement*: ``z_i = (y_i − m) / √(S² + σ_i² − σ_0² + v)``, flagged beyond a limit.
+*Test*: ``z_i = (y_i − m) / √(S² + σ_i² − σ_0² + v)``, flagged beyond a limit.
 
-The limit holds the expected number of false flags in a whole table of 27 parameters at 0.01, so the chance of any is
-at most 1 %, however the parameters hang together (Bonferroni). It is the solution c of ``27 n T(n, c) = 0.01``, with
-T the chance that the z of one sound unit exceeds c in size where all σ are equal, :func:`tail_probability`: a σ that
-all share is then as good as spread between the units, and T does not depend on it. Unequal σ are the same with
-``s² + σ_0²`` for s², and the rest, ``σ_i² − σ_0²``, for σ_i²: errors beyond the common ones widen S for all, and the
-own ones stand in the denominator in full. That flags less than stated, never more (tests/comparison/test_fleet.py).
-Subtracting the σ of each pair from its difference would estimate s itself, but with unequal σ a few chance agreements
-make that estimate vanish: it flagged sound units in most fleets.
+The limit holds the expected number of false flags in a whole table of 27 parameters at 0.01, so the probability of
+any is at most 1 %, whatever the correlation of the parameters (Bonferroni). It is the solution c of ``27 n T(n, c) =
+0.01``, with T the probability that the z of one sound unit exceeds c in size where all σ are equal,
+:func:`tail_probability`: a σ that all share then acts as scatter between the units, and T does not depend on it.
+Unequal σ are the same with ``s² + σ_0²`` for s², and the rest, ``σ_i² − σ_0²``, for σ_i²: errors beyond the common
+ones widen S for all, and the own ones stand in the denominator in full. That flags less than stated, never more
+(tests/comparison/test_fleet.py). Subtracting the σ of each pair from its difference would estimate s itself, but with
+unequal σ a few chance agreements make that estimate vanish: it flagged sound units in most fleets.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARMS: Final = 0.01
-"""Expected number of false flags in a table of 27 parameters, and so the most that the chance of one can be."""
+"""Expected number of false flags in a table of 27 parameters; it bounds the probability of one."""
 
 MINIMUM_UNITS: Final = 6
-"""With fewer, no unit is judged: among five the limit would be 96 sigmas, which flags nothing worth the word."""
+"""Smallest number of units of a test. Among five units the limit would be 96 sigma, which flags nothing of use."""
 
 _LIMITS: Final = (
     {6: 26.698, 7: 14.904, 8: 10.906, 9: 10.601, 10: 8.849, 11: 7.827, 12: 7.223, 13: 7.173, 14: 6.760, 15: 6.479}
@@ -56,13 +56,14 @@ _LIMITS: Final = (
 """Limits by number of units, from 6 million draws up to ten units, and 600 million over the square of their number."""
 
 _SCATTER_FROM: Final = 3
+"""Smallest number of units with a scatter."""
 _CHUNK: Final = 2_000_000
 """Numbers in one work array, 16 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetOutliers:
-    """All units against their fleet. NaN stands for what is not known or not judged.
+    """Outlier statistics of all units; NaN where unknown or not tested.
 
     Attributes
     ----------
@@ -71,7 +72,7 @@ class FleetOutliers:
     limit : ndarray, shape (27,)
         Size of z beyond which a value is outlying; NaN with fewer than :data:`MINIMUM_UNITS` units.
     others_median, others_scatter : ndarray, shape (n, 27), SI
-        Of all units but one, which is judged by them.
+        Of all units but the tested one.
     z : ndarray, shape (n, 27)
         Value less the others' median, over the root of squares of the others' scatter, what the unit's own sigma has
         beyond the least one, and the sigma of the median.
@@ -86,14 +87,14 @@ class FleetOutliers:
 
     @property
     def flagged(self) -> Mask:
-        """Which values are outlying, shape (n, 27)."""
+        """Mask of the outlying values, shape (n, 27)."""
         size = np.where(np.isnan(self.z), 0.0, np.abs(self.z))
         out: Mask = size > np.where(np.isnan(self.limit), np.inf, self.limit)
         return out
 
 
 def find_outliers(values: ArrayLike, sigmas: ArrayLike) -> FleetOutliers:
-    """Judge every unit by all the others, parameter by parameter.
+    """Test every unit against all others, parameter by parameter.
 
     Parameters
     ----------
@@ -143,7 +144,7 @@ def find_outliers(values: ArrayLike, sigmas: ArrayLike) -> FleetOutliers:
 
 
 def middle_and_scatter(y: Array) -> tuple[Array, Array]:
-    """Median and scatter of fleets, whoever is outlying in them.
+    """Median and robust scatter of fleets.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def critical_value(units: int) -> float:
 
 
 def tail_probability(units: int, limits: ArrayLike, rng: np.random.Generator, draws: int) -> Array:
-    """Chance that the z of one unit of a sound fleet exceeds a limit in size, where all sigmas are equal.
+    """Probability that the z of one unit of a sound fleet exceeds a limit in size, where all sigmas are equal.
 
     Parameters
     ----------
@@ -191,7 +192,7 @@ def tail_probability(units: int, limits: ArrayLike, rng: np.random.Generator, dr
     limits : array_like
     rng : numpy.random.Generator
     draws : int
-        Of the other units. The unit itself is not drawn: its chance given the others is normal.
+        Of the other units. The unit itself is not drawn: given the others it is normal.
 
     Returns
     -------
@@ -214,14 +215,14 @@ def _normal_limit(units: Array | np.float64) -> Array:
 
 
 def _good_pairs(n: int) -> tuple[int, float]:
-    """Rank, from 0, of the pair that tells the scatter of n units, and the quantile of |N(0, 1)| that belongs to it."""
+    """Rank, from 0, of the pair difference that estimates the scatter of n units, and its quantile of |N(0, 1)|."""
     good = n - max(1, n // 4)
     count = good * (good - 1) // 2
     return count - 1, float(ndtri(0.5 + 0.5 * (count - 0.5) / (n * (n - 1) // 2)))
 
 
 def _with_median(n: int) -> float:
-    """Variance of a unit against the median of the n − 1 others, over that of a unit."""
+    """Variance of the difference of a unit from the median of the n − 1 others, over that of a unit."""
     return 1.0 + 0.5 * math.pi / (n - 1)
 
 
@@ -233,7 +234,7 @@ def _differences(y: Array) -> Array:
 
 
 def _without_each(y: Array) -> tuple[Array, Array]:
-    """Median and scatter of all but each unit, shape (b, n), in the time that sorting the pairs once takes."""
+    """Median and scatter of all but each unit, shape (b, n), from one sort of the pairs."""
     b, n = y.shape
     rank, quantile = _good_pairs(n - 1)
     pairs = _differences(y)

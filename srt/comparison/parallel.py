@@ -22,13 +22,14 @@ if TYPE_CHECKING:
     R = TypeVar("R")
 
 _AHEAD: Final = 4
-"""Tasks handed out for each worker: enough that none waits, few enough that memory stays flat."""
+"""Tasks submitted ahead for each worker: enough that none waits, few enough that memory stays constant."""
 _CONNECT_S: Final = 10.0
+"""Time allowed for the connection to a Dask scheduler, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """Where tasks run.
+    """Processes that run tasks.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How well recordings of one unit repeat: every parameter's values, their scatter, and whether chance explains it."""
+"""Repeatability of the parameters over recordings of one unit: values, scatter, chi-square test."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def repeatability(
     sizes: Array,
     agreement: tuple[float, int, float | None],
 ) -> dict[str, Any]:
-    """Set the table, as JSON values.
+    """Table of the repeatability, as JSON values.
 
     Parameters
     ----------

@@ -135,7 +135,7 @@ def test_a_planted_difference_is_found_and_named(pair, name, sign):
     assert after.normalised[INDEX[name]] == pytest.approx(sign * 6.0)
     assert [NAMES[i] for i in np.flatnonzero(after.differing)] == [name]
     assert not comparison.agree
-    assert f"closed-form differs from least-squares: {name} by 6.0 expected spreads" in comparison.verdict
+    assert f"closed-form differs from least-squares: {name} by 6.0 expected sigmas" in comparison.verdict
 
 
 def test_a_difference_of_all_together_is_found_though_none_alone_is_large(pair):
@@ -177,7 +177,7 @@ def test_agreement_is_a_sentence(pair):
     comparison = compare(pair | {"ekf": pair["least-squares"]})
     worst = max(abs(comparison.differences["closed-form"].normalised))
     assert comparison.verdict.startswith("ekf, closed-form and least-squares agree: largest difference ")
-    assert f"{worst:.1f} expected spreads ({NAMES[comparison.differences['closed-form'].largest]} of closed-form; " in (
+    assert f"{worst:.1f} expected sigmas ({NAMES[comparison.differences['closed-form'].largest]} of closed-form; " in (
         comparison.verdict
     )
     assert comparison.differences["closed-form"].efficiency == pytest.approx(
@@ -199,7 +199,7 @@ def test_held_parameters_are_not_compared_but_named(pair):
     assert int(one.compared.sum()) == 26
     assert np.isnan(one.difference[0])
     assert np.isnan(one.normalised[0])
-    assert comparison.notes == ("Held by closed-form and not by the others: gyro_scale_x.",)
+    assert comparison.notes == ("Fixed by closed-form and not by the others: gyro_scale_x.",)
     both = {name: hold(result, "gyro_scale_x") for name, result in pair.items()}
     assert compare(both).notes == ()
     # What is compared is judged as if there were no more: the marginal difference.

@@ -140,7 +140,7 @@ def test_what_is_common_is_not_averaged_down():
     apart = merge_calibrations(elsewhere, between=False)
     expected = own / 16.0 + by_held + np.outer(effect, effect) / 16.0
     np.testing.assert_allclose(apart.covariance, expected, rtol=1e-6, atol=1e-9 * np.diag(expected).max())
-    assert any("Gravity was stated differently" in w for w in apart.warnings)
+    assert any("The stated gravity differs" in w for w in apart.warnings)
 
 
 def test_contributions_add_up_to_sigma():
@@ -349,7 +349,7 @@ def test_file_and_text(tmp_path):
     assert [row["sequence"] for row in merged.verdict["sequences"]] == ["first", "second", "third"]
     text = repeatability_text(again)
     assert max(map(len, text.splitlines())) <= 80
-    for word in ("first", "2026-02-01", "22.0", "scatter:", "chance:", "farthest:", "All parameters together"):
+    for word in ("first", "2026-02-01", "22.0", "scatter:", "p:", "farthest:", "All parameters together"):
         assert word in text
     assert repeatability_text(calibrations[0]) == ""
 

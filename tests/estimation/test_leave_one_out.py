@@ -358,7 +358,7 @@ def test_single_witnesses_are_named():
     assert rows["11"]["checkable"] == "yes"
     assert rows["11"]["only_witness_of"] == []
     text = report(calibrated(11, "least-squares"), title="unit")
-    assert "not checkable by the others: 1a: κyy κyyy;" in text
+    assert "the others cannot check them: 1a: κyy κyyy;" in " ".join(text.split())
 
 
 def test_a_sequence_that_nothing_checks_is_said_to_be_so():
@@ -376,7 +376,7 @@ def test_a_sequence_that_nothing_checks_is_said_to_be_so():
     assert most_contradicted(result["sequences"]) is None
     text = report(replace(calibrated(11, "closed-form"), verdict=result), title="unit")
     assert text.count("not checkable  ") == 3
-    assert "whether the measurements agree cannot be checked" in text.replace("\n  ", " ")
+    assert "the agreement of the measurements cannot be tested" in " ".join(text.split())
 
 
 def test_the_closed_form_says_what_it_would_hold():
@@ -417,9 +417,9 @@ def test_text_fits_and_explains_every_column(estimator):
     calibration = calibrated(11, estimator)
     text = report(calibration, title="unit", verdict=True)
     assert max(map(len, text.splitlines())) <= 80
-    for column in ("chi2 / dof:", "chance:", "if left out:", "witnesses:", "shown by:", "inflation:", "correlation:"):
+    for column in ("chi2 / dof:", "p:", "shift if omitted:", "independent:", "information from:", "inflation:", "correlation:"):
         assert column in text
-    assert "witnesses:" not in report(calibration, title="unit")
+    assert "independent:" not in report(calibration, title="unit")
 
 
 def test_of_many_sequences_the_least_likely_are_shown():
@@ -438,11 +438,11 @@ def test_of_many_sequences_the_least_likely_are_shown():
 @pytest.mark.parametrize(
     ("statistic", "freedom", "words"),
     [
-        (44.0, 44, "as well as their noise lets them"),
-        (70.0, 44, "less than usual"),
+        (44.0, 44, "agree within their noise"),
+        (70.0, 44, "less well than in 19 of 20 tests"),
         (200.0, 44, "contradict each other"),
         (10.0, 44, "better than their noise allows"),
-        (0.0, 0, "cannot be checked"),
+        (0.0, 0, "cannot be tested"),
     ],
 )
 def test_overall_words(statistic, freedom, words):

@@ -1,4 +1,4 @@
-"""A calibration as a figure. Needs matplotlib; its global state (pyplot, rcParams) is left alone.
+"""Figure of a calibration. Needs matplotlib; its global state (pyplot, rcParams) is unchanged.
 
 Values and their errors differ by orders of magnitude, so each unit has two panels: the values above, and
 below them the ±1 sigma bars on a scale of their own, at estimate minus truth where that is known.
@@ -46,7 +46,9 @@ if TYPE_CHECKING:
 __all__ = ["calibration_figure", "save_figure"]
 
 _SIZE_INCHES: Final = (12.0, 9.5)
+"""Width and height."""
 _MOST_TICKS: Final = 24
+"""Largest number of labels of sequences that fit on the axis."""
 _COMPONENTS = (
     ("1st horizontal axis", BLUE, "o"),
     ("2nd", VERMILION, "s"),
@@ -64,7 +66,7 @@ _TITLES = {
 def calibration_figure(
     calibration: Calibration, *, truth: SensorErrors | None = None, title: str | None = None
 ) -> Figure:
-    """Draw the parameters by unit, the convergence of the play-backs, and the residuals of the sequences.
+    """Draw the parameters by unit, the convergence of the iterations, and the residuals of the sequences.
 
     Parameters
     ----------
@@ -166,21 +168,21 @@ def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | N
         hollow = {"marker": "D", "markersize": 8.0, "markeredgecolor": VERMILION, "markerfacecolor": "none"}
         handles.append(Line2D([], [], color=VERMILION, linewidth=0.8, label="truth", **hollow))  # type: ignore[arg-type]
     if calibration.held:
-        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label="held, not observed"))
+        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label="fixed, not observed"))
     figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=SMALL, frameon=False)
 
 
 def _convergence(axes: Axes, calibration: Calibration) -> None:
     style(axes)
-    axes.set_title("Largest correction of each play-back", fontsize=MEDIUM, color=INK, loc="left")
+    axes.set_title("Largest correction of each iteration", fontsize=MEDIUM, color=INK, loc="left")
     steps = np.array(calibration.corrections)
     number = np.arange(1, len(steps) + 1)
-    shown = steps > 0.0  # a correction of nothing has no place on a logarithmic axis
+    shown = steps > 0.0  # a logarithmic axis has no zero
     if shown.any():
         axes.semilogy(number[shown], steps[shown], "o-", color=BLUE, markersize=5.0)
         axes.yaxis.set_major_locator(LogLocator(numticks=7))
         axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("play-back", fontsize=MEDIUM)
+    axes.set_xlabel("iteration", fontsize=MEDIUM)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.margins(x=0.08, y=0.12)
 

@@ -1,6 +1,6 @@
-"""A comparison of calibrations as a figure. Needs matplotlib; its global state (pyplot, rcParams) is left alone.
+"""Figure of a comparison of calibrations. Needs matplotlib; its global state (pyplot, rcParams) is unchanged.
 
-Everything is in units of the reference's sigma, so that parameters of all units stand on one axis.
+All values are over the sigma of the reference, so that parameters of all units share one axis.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ if TYPE_CHECKING:
 _SIZE_INCHES: Final = (14.0, 8.5)
 _HEADING_WIDTH: Final = 140
 _LINEAR_TO: Final = 12.0
-"""Sigmas up to which the axis of differences is linear throughout; larger ones shall not flatten all others."""
+"""Largest difference, in sigma, on a linear axis; beyond, the axis is logarithmic so that small ones stay visible."""
 
 _ROOM: Final = 0.72
-"""Share of a parameter's column that the estimators' marks take up."""
+"""Fraction of the column of a parameter that the marks of the estimators take up."""
 
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 
 def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Figure:
-    """Draw differences from the reference with the spreads expected of them, and the ratios of sigmas.
+    """Draw differences from the reference with their expected sigmas, and the ratios of sigmas.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _frame(axes: Axes) -> None:
 def _differences(
     axes: Axes, comparison: Comparison, name: str, at: Array, width: float, style: tuple[str, str]
 ) -> None:
-    """Draw one estimate less the reference, with its own sigma, on the band of one expected spread."""
+    """Draw one estimate less the reference, with its own sigma, on the band of its expected sigma."""
     colour, marker = style
     assert comparison.reference is not None
     reference = comparison.calibrations[comparison.reference]
@@ -171,19 +171,19 @@ def _finish_ratios(axes: Axes) -> None:
 
 
 def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[str, str]]) -> list[Any]:
-    """What the legend explains."""
+    """Handles of the legend."""
     handles: list[Any] = []
     for name in names:
         colour, marker = styles[name]
         label = f"{name} ±1σ" + (" (reference)" if name == comparison.reference else "")
         handles.append(Line2D([], [], color=colour, marker=marker, markersize=5.0, label=label))
     if comparison.differences:
-        handles.append(Patch(color=GREY, alpha=0.25, label="expected spread of a difference, ±1σ"))
+        handles.append(Patch(color=GREY, alpha=0.25, label="expected difference, ±1σ"))
     if any(pair.differing.any() for pair in comparison.differences.values()):
         ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": INK}
         handles.append(Line2D([], [], linestyle="none", label="beyond the limit", **ring))  # type: ignore[arg-type]
     if comparison.calibrations[names[0]].held:
-        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label=f"held by {names[0]}"))
+        handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label=f"fixed by {names[0]}"))
     if comparison.truth is not None:
         handles.append(Line2D([], [], color=INK, linewidth=1.3, label="truth"))
     return handles

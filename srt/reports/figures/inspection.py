@@ -1,4 +1,4 @@
-"""An inspection as a figure: readings over time with rests and turns, and the Allan deviation beside them."""
+"""Figure of an inspection: readings over time with stationary windows and rotations, and the Allan deviation."""
 
 from __future__ import annotations
 
@@ -49,15 +49,17 @@ _SIZE_INCHES: Final = (15.0, 8.5)
 _COLOURS: Final = (BLUE, VERMILION, GREEN)
 _MARKERS: Final = ("o", "s", "^")
 _COLUMNS: Final = 1500
-"""Places in time at which a long recording is drawn, each with its least and greatest reading: about one a pixel."""
+"""Number of intervals of time for a long recording, each drawn by its smallest and largest reading: one per pixel."""
 _ALPHA: Final = 0.8
-"""Noise of one axis shall not hide that of the others."""
+"""Opacity of a line, so that the noise of one axis does not hide that of the others."""
 _VISIBLE_GAP: Final = 1e-3
-"""Share of the duration above which a gap shows."""
+"""Fraction of the duration from which a gap is visible: about a pixel."""
 _IN_MINUTES: Final = 1200.0
+"""Duration from which the time axis is in minutes, s."""
 _ROOM: Final = 0.011
-"""Share of the width that a turn's label takes."""
+"""Width of a label of a rotation, as a fraction of that of the panel."""
 _FEW_DECADES: Final = 300.0
+"""Range of an axis below which it has ticks at 1, 2 and 5, not at decades alone."""
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 _STEEP: Final[dict[str, Any]] = {
     "quantization": ":",
@@ -68,7 +70,7 @@ _STEEP: Final[dict[str, Any]] = {
 
 
 def inspection_figure(recording: Recording, inspection: Inspection, *, title: str | None = None) -> Figure:
-    """Draw a recording and what was seen in it.
+    """Draw a recording and its inspection.
 
     Parameters
     ----------
@@ -120,7 +122,7 @@ def inspection_figure(recording: Recording, inspection: Inspection, *, title: st
 
 
 def envelope(time: Array, values: Array, breaks: Indices) -> tuple[Array, Array]:
-    """Thin out a long table to the least and the greatest of every stretch, which looks the same.
+    """Envelope of a long table: smallest and largest value of every interval, which draws the same.
 
     Parameters
     ----------
@@ -153,7 +155,7 @@ def envelope(time: Array, values: Array, breaks: Indices) -> tuple[Array, Array]
 
 
 def _extremes(values: Array, a: int, b: int, size: int) -> tuple[Array, Array]:
-    """Least and greatest of consecutive stretches of a table, each of shape (k, c); the last may be shorter."""
+    """Smallest and largest value of consecutive intervals, each of shape (k, c); the last may be shorter."""
     whole = (b - a) // size
     width = values.shape[1]
     # Column by column: comparing short rows is slow.
@@ -183,7 +185,7 @@ def _rests(axes: Axes, inspection: Inspection, scale: float) -> None:
 
 
 def _name_turns(axes: Axes, inspection: Inspection, scale: float) -> None:
-    """Write above the turns what they were recognised as, or their angle, as far as there is room."""
+    """Label the rotations with the recognised sequence or their angle, as far as there is room."""
     room = _ROOM * inspection.stamps.duration_s * (1.6 if inspection.allan is not None else 1.0)
     taken = -np.inf
     for middle, text, colour in _turn_texts(inspection.turns):
@@ -195,7 +197,7 @@ def _name_turns(axes: Axes, inspection: Inspection, scale: float) -> None:
 
 
 def _turn_texts(turns: tuple[ManoeuvreSummary, ...]) -> Iterator[tuple[float, str, str]]:
-    """Middle, text and colour of turns; where sequences were recognised, they alone."""
+    """Middle, text and colour of the labels; if sequences were recognised, of these alone."""
     named = any(turn.sequence for turn in turns)
     for turn in turns:
         middle = 0.5 * (turn.start_s + turn.end_s)

@@ -1,4 +1,4 @@
-"""What all figures of the package share: matplotlib's classes, or the sentence for its absence; colours, sizes, frames.
+"""Common style of the figures: classes of matplotlib, colours, sizes of letters, frames.
 
 Modules that draw take from here what they need of matplotlib. Its global state (pyplot, rcParams) is left alone.
 """
@@ -70,6 +70,7 @@ GREY: Final = "#777777"
 FAINT: Final = "#DDDDDD"
 
 DPI: Final = 120
+"""Resolution of raster images, dots per inch."""
 SMALL: Final = 9.0
 MEDIUM: Final = 10.0
 SYMBOL: Final = 11.5
@@ -118,7 +119,7 @@ def estimator_styles(names: Iterable[str]) -> dict[str, tuple[str, str]]:
 
 
 def symbol(name: str) -> str:
-    """Give a parameter's symbol, as κxx, with all but its letter set low."""
+    """Symbol of a parameter, as κxx, with its indices as subscripts in mathtext."""
     return rf"{name[0]}$_\mathrm{{{name[1:]}}}$"
 
 

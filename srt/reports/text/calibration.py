@@ -1,4 +1,4 @@
-"""A calibration as text: values with their sigmas in the units people expect, and what to think of them."""
+"""Text of a calibration: values and sigmas in display units, sources of error, verdict and warnings."""
 
 from __future__ import annotations
 
@@ -29,16 +29,18 @@ SOURCE_LABELS: Final = {
     "earth_rate_alignment": "Earth rate",
     "gravity": "gravity",
     "prior": "prior",
-    "held_values": "held values",
+    "held_values": "fixed values",
     "recordings": "recordings",
     "between_recordings": "betw. rec.",
 }
-"""Short names of the sources of error; one that is not here is called by its own."""
+"""Short names of the sources of error; a source that is not listed has its own name."""
 
 _LARGEST: Final = 3
+"""Number of sources of error in the short table."""
 _DIGITS: Final = 7
+"""Largest number of significant digits of a value: a noise-free sigma would ask for more."""
 _SOLVED: Final = 1e-3
-"""Share of sigma below which a residual was solved for, not left over."""
+"""Fraction of sigma below which a residual was solved for exactly: solvers stop at 1e-2 sigma or less."""
 
 
 def report(
@@ -49,7 +51,7 @@ def report(
     budget: bool = False,
     verdict: bool = False,
 ) -> str:
-    """Write the whole report.
+    """Text of the whole report.
 
     Parameters
     ----------
@@ -59,9 +61,9 @@ def report(
     truth : SensorErrors, optional
         Adds columns of the truth, the error, and the error over sigma.
     budget : bool
-        All sources of error as columns instead of the three largest.
+        Shows all sources of error as columns instead of the three largest.
     verdict : bool
-        The verdict by parameter, too.
+        Adds the verdict by parameter.
 
     Returns
     -------
@@ -75,13 +77,13 @@ def report(
         g_sensitivity_table(calibration),
         budget_table(calibration) if budget else contribution_table(calibration),
         verdict_text(calibration, parameters=verdict),
-        "\n".join(_judgement(calibration)),
+        "\n".join(_notes(calibration)),
     ]
     return "\n\n".join(part for part in parts if part)
 
 
 def parameter_table(calibration: Calibration, truth: SensorErrors | None = None) -> str:
-    """Set the 27 values, each rounded as its sigma deserves.
+    """Table of the 27 values, each rounded to two digits of its sigma.
 
     Parameters
     ----------
@@ -109,7 +111,7 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
             SYMBOLS[i],
             name,
             fixed(value, places),
-            "held" if held else fixed(sigma, decimals),
+            "fixed" if held else fixed(sigma, decimals),
             DISPLAY_UNITS[i],
         ]
         if truth is not None:
@@ -121,7 +123,7 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
 
 
 def g_sensitivity_table(calibration: Calibration) -> str:
-    """Set what the gyros follow specific force by, and what the rates at rest are without; empty if not estimated."""
+    """Table of the gyro g-sensitivity and of the scatter of the stationary rates; empty if not estimated."""
     found = calibration.diagnostics.get("g_sensitivity")
     if not found:
         return ""
@@ -133,13 +135,13 @@ def g_sensitivity_table(calibration: Calibration) -> str:
         elements = [f"{fixed(v, decimals)} ± {fixed(s, decimals)}" for v, s in zip(matrix[i], sigma[i], strict=True)]
         rates = [fixed(scatter[when][i] / DEG_PER_H, 2) for when in ("before", "after", "expected")]
         rows.append([f"gyro {axis}", *elements, *rates])
-    heads = ["°/h per g", *(f"along {axis}" for axis in "xyz"), "at rest\n°/h", "\nleft", "\nexpected"]
+    heads = ["°/h per g", *(f"along {axis}" for axis in "xyz"), "scatter\n°/h", "\nafter", "\nexpected"]
     table = text_table(heads, rows, "lrrrrrr", gap=1)
-    return f"Gyros follow specific force; scatter of the rates at rest with that and without\n{table}"
+    return f"Gyro g-sensitivity, and scatter of the stationary rates before and after its correction\n{table}"
 
 
 def contribution_table(calibration: Calibration) -> str:
-    """Set the largest sources of error of every observed parameter; empty if none are known."""
+    """Table of the largest sources of error of every observed parameter; empty without sources."""
     if not calibration.contributions:
         return ""
     rows = []
@@ -155,25 +157,25 @@ def contribution_table(calibration: Calibration) -> str:
     if not rows:
         return ""
     headers = ["", "unit", "largest", "sigma", "second", "sigma", "third", "sigma"]
-    return f"Where sigma comes from (--budget shows all sources)\n{text_table(headers, rows, 'lllrlrlr')}"
+    return f"Largest sources of sigma (--budget shows all)\n{text_table(headers, rows, 'lllrlrlr')}"
 
 
 def budget_table(calibration: Calibration) -> str:
-    """Set all sources of error as columns; empty if none are known."""
+    """Table of all sources of error as columns; empty without sources."""
     observed = _observed(calibration)
     sources = {s: sizes for s, sizes in calibration.contributions.items() if any(sizes[i] > 0.0 for i in observed)}
     if not sources:
         return ""
-    text = ["Sources of sigma, one sigma each; their squares add up"]
+    text = ["Sources of sigma, 1-sigma each; their squares add up"]
     text.append(sources_table(sources, calibration.sigma, observed))
     silent = [source_label(source) for source in calibration.contributions if source not in sources]
     if silent:
-        text += wrap(f"Nothing comes from: {', '.join(silent)}.")
+        text += wrap(f"No contribution from: {', '.join(silent)}.")
     return "\n".join(text)
 
 
 def sources_table(sources: Mapping[str, Array], total: Array | None, parameters: Sequence[int]) -> str:
-    """Set sizes by source as columns, below each other where they do not fit side by side.
+    """Table of sigmas by source as columns; columns that do not fit continue below.
 
     Parameters
     ----------
@@ -209,7 +211,7 @@ def sources_table(sources: Mapping[str, Array], total: Array | None, parameters:
 
 
 def _columns_that_fit(left: list[list[str]], first: list[str], heads: list[str], columns: list[list[str]]) -> int:
-    """How many columns find room beside the first ones; at least one."""
+    """Number of columns that fit beside the first ones; at least one."""
     used = sum(max(map(len, cells)) + 1 for cells in zip(*left, first, strict=True))
     for count, (head, column) in enumerate(zip(heads, columns, strict=True)):
         used += 1 + max(map(len, [*head.split("\n"), *column]))
@@ -219,7 +221,7 @@ def _columns_that_fit(left: list[list[str]], first: list[str], heads: list[str],
 
 
 def residual_summary(calibration: Calibration) -> str:
-    """Say in a sentence or two what the last play-back left over; empty without residuals."""
+    """Sentences on the residuals of the last iteration; empty without residuals."""
     known = [r for r in calibration.residuals if r.sigma > 0.0]
     left = [r for r in known if abs(r.value) > _SOLVED * r.sigma]
     if not left:
@@ -238,17 +240,17 @@ def residual_summary(calibration: Calibration) -> str:
 
 
 def held_summary(calibration: Calibration) -> str:
-    """Name what is held and why, as one clause per reason; empty if nothing is."""
+    """Fixed parameters by reason, one clause each; empty if none is fixed."""
     return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in _reasons(calibration).items())
 
 
 def wrap(text: str, indent: str = "") -> list[str]:
-    """Break a text into lines that fit; the second and later ones are set in."""
+    """Lines of a text within the width; the second and later ones are indented."""
     return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False)
 
 
 def _reasons(calibration: Calibration) -> dict[str, list[str]]:
-    """Held parameters by the reason why."""
+    """Fixed parameters by reason."""
     reasons: dict[str, list[str]] = {}
     for name, reason in calibration.held.items():
         reasons.setdefault(reason, []).append(name)
@@ -267,13 +269,13 @@ def source_label(source: str) -> str:
 def _heading(calibration: Calibration, title: str) -> Iterable[str]:
     serial = calibration.provenance.get("serial")
     yield from wrap(f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}")
-    # Only the first sentence: what is held follows the table, with the reasons.
+    # Only the first sentence: the fixed parameters follow the table, with the reasons.
     message = calibration.message.split(" Fixed, not observed:")[0]
     steps = ", ".join(f"{c:.1e}" for c in calibration.corrections)
     status = "" if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: "
     yield from wrap(f"{status}{message}")
     if steps:
-        yield from wrap(f"Largest correction of each play-back: {steps}.")
+        yield from wrap(f"Largest correction of each iteration: {steps}.")
     temperature = calibration.temperature
     if temperature is not None:
         yield f"Temperature {temperature['mean_c']:.1f} °C, range {temperature['range_c']:.1f} °C."
@@ -282,12 +284,12 @@ def _heading(calibration: Calibration, title: str) -> Iterable[str]:
 def _held(calibration: Calibration) -> Iterable[str]:
     reasons = _reasons(calibration)
     if reasons:
-        yield "Held, not observed"
+        yield "Fixed, not observed"
     for reason, names in reasons.items():
         yield from wrap(f"{', '.join(names)}: {reason}", indent=" ")
 
 
-def _judgement(calibration: Calibration) -> Iterable[str]:
+def _notes(calibration: Calibration) -> Iterable[str]:
     targets = calibration.diagnostics.get("targets")
     if targets:
         met = targets["met_after"]

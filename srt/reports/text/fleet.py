@@ -1,4 +1,4 @@
-"""A fleet as text: one row per unit, and every value that stands out from the others."""
+"""Text of a fleet: one row per unit, and every outlying value."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ _HEADS: Final = (
     *("gyro\nscale", "gyro\nasym.", "gyro\north.", "acc.\nbias"),
     *("acc.\nscale", "acc.\nasym.", "acc.\nmisal.", "gyro\nbias"),
 )
-"""Of the groups, in state order."""
+"""Column heads of the parameter groups, in the order of the parameters."""
 
 _SYMBOLS_SHOWN: Final = 3
+"""Largest number of outlying parameters that a row names."""
 _DIGITS: Final = 4
+"""Largest number of significant digits of a value: eight columns fit within 80 characters."""
 
 
 def fleet_text(fleet: Fleet) -> str:
-    """Write the whole report of a fleet.
+    """Text of the whole report of a fleet.
 
     Parameters
     ----------
@@ -42,14 +44,14 @@ def fleet_text(fleet: Fleet) -> str:
         f"Fleet of {len(fleet.units)} unit{'s' if len(fleet.units) != 1 else ''}\n{state_table(fleet)}",
         size_table(fleet),
         outlying_table(fleet),
-        "\n".join(wrap(judging(fleet))),
+        "\n".join(wrap(outlier_test_text(fleet))),
         _failures(fleet),
     ]
     return "\n\n".join(part for part in parts if part)
 
 
 def state_table(fleet: Fleet) -> str:
-    """Set how every unit came out: status, agreement of its measurements, warnings, and what is outlying."""
+    """Table of the units: status, chi-square of the measurements, number of warnings, outlying parameters."""
     rows = []
     for number, unit in enumerate(fleet.units):
         cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), "", "", "", ""]
@@ -61,13 +63,13 @@ def state_table(fleet: Fleet) -> str:
                 probability(verdict.get("probability")) or "-",
                 str(len(unit.calibration.warnings)),
             ]
-            cells[6] = _outlying(fleet, number) if unit.sound else "not judged"
+            cells[6] = _outlying(fleet, number) if unit.sound else "not tested"
         rows.append(cells)
-    return text_table(["unit", "serial", "status", "chi2/\ndof", "chance", "notes", "outlying"], rows, "lllrrrl")
+    return text_table(["unit", "serial", "status", "chi2/\ndof", "p", "notes", "outlying"], rows, "lllrrrl")
 
 
 def size_table(fleet: Fleet) -> str:
-    """Set the largest error of every group; empty if no unit has a calibration."""
+    """Table of the largest error of every parameter group; empty if no unit has a calibration."""
     rows = [
         [unit.name, *(_largest(fleet, number, unit, group.name) for group in GROUPS)]
         for number, unit in enumerate(fleet.units)
@@ -77,11 +79,11 @@ def size_table(fleet: Fleet) -> str:
         return ""
     heads = [f"{head}\n{group.display_unit}" for head, group in zip(_HEADS, GROUPS, strict=True)]
     text = text_table(["unit", *heads], rows, "l" + "r" * len(heads), gap=1)
-    return f"The largest error of each kind (* one of the kind is outlying)\n{text}"
+    return f"Largest error of each parameter group (* a parameter of the group is outlying)\n{text}"
 
 
 def outlying_table(fleet: Fleet) -> str:
-    """Set every outlying value beside what the other units say; empty if there is none."""
+    """Table of the outlying values with median and scatter of the other units; empty if there is none."""
     judged = fleet.outliers
     rows = []
     for number, unit in enumerate(fleet.units):
@@ -103,22 +105,22 @@ def outlying_table(fleet: Fleet) -> str:
     return f"Outlying\n{text_table(headers, rows, 'llrrrrlr', gap=1)}"
 
 
-def judging(fleet: Fleet) -> str:
-    """Say in a sentence or two by what the units were judged."""
+def outlier_test_text(fleet: Fleet) -> str:
+    """Sentences on the outlier test: limit, number of units, false-alarm probability."""
     sound = sum(unit.sound for unit in fleet.units)
     limit = fleet.outliers.limit[np.isfinite(fleet.outliers.limit)]
     if not len(limit):
         return (
-            f"No unit is judged against the fleet: that takes {MINIMUM_UNITS} converged units with a parameter in "
-            f"common, and there {'is' if sound == 1 else 'are'} {sound}."
+            f"The outlier test needs {MINIMUM_UNITS} converged units with a parameter in common, and there "
+            f"{'is' if sound == 1 else 'are'} {sound}: no unit is tested."
         )
     low, high = f"{limit.min():.3g}", f"{limit.max():.3g}"
-    reach = low if low == high else f"{low} to {high}, by how many units have the parameter"
+    reach = low if low == high else f"{low} to {high}, depending on the number of units with the parameter"
     few = int(np.sum(np.isnan(fleet.outliers.limit)))
     return (
-        f"Each unit is judged by all the others; outlying is a z beyond {reach}. In a sound fleet of {sound} that "
-        f"flags anything at all with a chance of {100.0 * FALSE_ALARMS:.0f} % at most."
-        + (f" Not judged, for fewer than {MINIMUM_UNITS} units have them: {few} parameters." if few else "")
+        f"Each unit is compared with all others; a z beyond {reach} is outlying. In a fleet of {sound} units without "
+        f"outliers, the probability of any flag is at most {100.0 * FALSE_ALARMS:.0f} %."
+        + (f" {few} parameters are not tested: fewer than {MINIMUM_UNITS} units have them." if few else "")
     )
 
 
@@ -126,17 +128,17 @@ def _outlying(fleet: Fleet, number: int) -> str:
     found = fleet.flagged(number)
     more = [f"+{len(found) - _SYMBOLS_SHOWN}"] if len(found) > _SYMBOLS_SHOWN else []
     if not np.any(np.isfinite(fleet.outliers.z[number])):
-        return "not judged"
+        return "not tested"
     return " ".join([*(SYMBOLS[i] for i in found[:_SYMBOLS_SHOWN]), *more]) or "no"
 
 
 def _largest(fleet: Fleet, number: int, unit: FleetUnit, group: str) -> str:
-    """Largest value of a group, no finer than its sigma and no longer than a column bears."""
+    """Largest value of a group, rounded to its sigma and to the width of the column."""
     assert unit.calibration is not None
     where = np.arange(len(NAMES))[GROUP_SLICES[group]]
     where = where[unit.calibration.observed[where]]
     if not len(where):
-        return "held"
+        return "fixed"
     values = unit.calibration.errors.vector[where]
     i = int(where[np.argmax(np.abs(values))])
     value = float(unit.calibration.errors.vector[i]) * DISPLAY_FACTORS[i]
@@ -146,6 +148,6 @@ def _largest(fleet: Fleet, number: int, unit: FleetUnit, group: str) -> str:
 
 
 def _failures(fleet: Fleet) -> str:
-    """Say of every unit that failed why it did."""
+    """Reasons of the units that failed."""
     lines = [line for unit in fleet.units if unit.exit_code for line in wrap(f"{unit.name}: {unit.message}", " ")]
     return "\n".join(["Failed", *lines]) if lines else ""

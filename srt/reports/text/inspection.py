@@ -1,4 +1,4 @@
-"""An inspection as text: what the recording is, its noise, its turns, and what is wrong with it."""
+"""Text of an inspection: overview of the recording, noise, rotations and findings."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ if TYPE_CHECKING:
     from srt.diagnosis.inspection import Inspection, ManoeuvreSummary
 
 _LABEL: Final = 13
+"""Width of the labels of the overview, characters."""
 _MOST_TURNS: Final = 60
+"""Largest number of rotations in the table; the JSON form holds all."""
 _LEGS_WIDTH: Final = 32
 _LABEL_WIDTH: Final = 9
+"""Widths of the columns of axes with angles and of labels, characters: the table fits within 80."""
 _SHOWN: Final = TERMS[:3]
 _DISPLAY: Final = {"accel_quantization_m_s": ("µm/s", 1e6), "gyro_quantization_arcsec": ("arcsec", 1.0)}
-"""Units of the table where they are not those of the key."""
+"""Units of the table where they differ from those of the key."""
 
 _EFFECTS: Final = {"exit 2": "Refused", "exit 1": "Refused", "warning": "Warning", "note": "Note"}
 
 
 def inspection_report(inspection: Inspection, *, title: str) -> str:
-    """Write the whole report.
+    """Text of the whole report.
 
     Parameters
     ----------
@@ -49,7 +52,7 @@ def inspection_report(inspection: Inspection, *, title: str) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Write a number with so many digits, without an exponent where that is readable."""
+    """Text of a number with so many digits, without an exponent where that is readable."""
     text = f"{value:#.{digits}g}"
     if "e" in text:
         text = f"{value:.0f}" if abs(value) >= 1.0 else f"{value:.{digits - 1}e}"
@@ -57,7 +60,7 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def _line(label: str, text: str) -> Iterable[str]:
-    """Break a line of the overview, set in under its text."""
+    """Lines of an entry of the overview, indented under its text."""
     first, *more = wrap(text, " " * _LABEL) or [" " * _LABEL]
     yield f" {label:<{_LABEL - 1}}{first[_LABEL:]}"
     yield from (line[2:] for line in more)
@@ -134,7 +137,7 @@ def _noise(inspection: Inspection) -> Iterable[str]:
 
 
 def _noise_table(figures: dict[str, dict[str, Any]], stated: dict[str, float], sensor: int) -> str:
-    """Set the figures of three gyros or accelerometers, with what is stated of them."""
+    """Table of the noise of three gyros or accelerometers, with the stated values."""
     channels = CHANNELS[3 * sensor : 3 * sensor + 3]
     known = [term.keys[sensor] for term in _SHOWN]
     interval = any("low" in f for c in channels for f in figures[c].values())
@@ -198,7 +201,7 @@ def _turns(inspection: Inspection) -> Iterable[str]:
 
 
 def _leg_lines(turn: ManoeuvreSummary) -> list[str]:
-    """Break what a turn was made of into lines."""
+    """Lines of the rotations that a manoeuvre consists of."""
     lines = [""]
     whole = turn.parts == (turn.net,)
     for text in (f"in all {leg}" if whole else str(leg) for leg in turn.parts):
@@ -213,6 +216,6 @@ def _findings(inspection: Inspection) -> Iterable[str]:
     findings = inspection.diagnosis.findings
     if not findings:
         how = "a calibration shows" if inspection.calibrated else "can be seen without calibrating (--deep does)"
-        yield from wrap(f"Nothing is wrong with it, as far as {how}.")
+        yield from wrap(f"No fault found, as far as {how}.")
     for finding in findings:
         yield from wrap(f"{_EFFECTS[finding.effect]}: {finding.sentence}")

@@ -1,4 +1,4 @@
-"""The verdict on a calibration as text, for a reader who never saw the test: tables, and what their columns say."""
+"""Text of the verdict on a calibration: consistency of the measurements and observability of the parameters."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 UNLIKELY: Final = 0.05
-"""Chance below which something is worth a look, shared among all that are looked at."""
+"""Family-wise significance level: 5 %, the customary one, divided by the number of tests (Bonferroni)."""
 
 _UNEXPECTED: Final = 1e-3
+"""p-value below which the chi-square of all measurements is a contradiction: one false alarm in 1000 recordings."""
 _MOST: Final = 3
+"""Largest number of sequences that the table of observability names for one parameter."""
 _LONG, _SHOWN = 20, 10
-"""Of more sequences than the one, only the other number of them are shown unless all are asked for."""
+"""Rows: of more than 20 sequences the table shows the 10 with the smallest p-values, unless all are requested."""
 
 
 def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
-    """Set the verdict.
+    """Text of the verdict.
 
     Parameters
     ----------
     calibration : Calibration
     parameters : bool
-        Also the table by parameter: who shows it, and what it is mixed up with; and all sequences, however many.
+        Adds the table of observability by parameter, and shows all sequences.
 
     Returns
     -------
     str
-        Lines of at most 80 characters; empty if nothing is known.
+        Lines of at most 80 characters; empty without a verdict.
     """
     verdict = calibration.verdict
     if not verdict:
@@ -49,37 +51,36 @@ def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
 
 
 def overall(verdict: Mapping[str, Any]) -> str:
-    """Say in a sentence whether the residuals are as large as the noise explains."""
+    """Sentence on the agreement of the measurements with each other, by the chi-square of all residuals."""
     statistic, freedom, chance = (verdict[key] for key in ("chi_square", "degrees_of_freedom", "probability"))
     if chance is None:
-        return "Nothing is measured twice: whether the measurements agree cannot be checked."
+        return "No measurement is redundant: the agreement of the measurements cannot be tested."
     if chance < _UNEXPECTED:
         words = "The measurements contradict each other more than their noise explains"
     elif chance < UNLIKELY:
-        words = "The measurements agree less than usual"
+        words = "The measurements agree less well than in 19 of 20 tests"
     elif chance > 1.0 - _UNEXPECTED:
-        words = "The measurements agree better than their noise allows: it is stated or estimated too large"
+        words = "The measurements agree better than their noise allows: the stated or estimated noise is too large"
     else:
-        words = "The measurements agree as well as their noise lets them"
+        words = "The measurements agree within their noise"
     return (
-        f"{words}: chi-square {statistic:.4g} for {freedom} degrees of freedom (about 1 each is expected; larger by "
-        f"chance alone: {probability(chance)})."
+        f"{words}: chi-square {statistic:.4g} for {freedom} degrees of freedom (about 1 each is expected), "
+        f"p = {probability(chance)}."
     )
 
 
 def sequence_table(calibration: Calibration, *, full: bool = True) -> str:
-    """Set every sequence against the others, what hangs on it, and what each column says.
+    """Table of the leave-one-out test of every sequence, with a legend.
 
-    For the filter the chi-square of its innovation stands beside it, all sequences before it being known; under a
-    robust loss its weight.
+    The extended Kalman filter adds the normalised innovation squared, a robust loss the weight of each sequence.
     """
     rows = calibration.verdict["sequences"]
     innovations = calibration.diagnostics.get("filter") or calibration.diagnostics.get("live")
     weights = calibration.diagnostics.get("weights")
     word = _word(calibration)
-    headers, alignment = [word, "chi2 / dof", "chance", "if left out"], "lrrl"
+    headers, alignment = [word, "chi2 / dof", "p", "shift if\nomitted"], "lrrl"
     if innovations:
-        headers, alignment = [*headers, "as it came\nNIS / dof", "chance"], alignment + "rr"
+        headers, alignment = [*headers, "innovation\nNIS / dof", "p"], alignment + "rr"
     if weights:
         headers, alignment = [*headers, "weight"], alignment + "r"
     table: list[list[str] | None] = []
@@ -111,22 +112,23 @@ def sequence_table(calibration: Calibration, *, full: bool = True) -> str:
 def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> list[str]:
     limit = UNLIKELY / len(rows)
     notes = [
-        f"chi2 / dof: how far the {word} is from what all others predict: squares over their sigma, and their number. "
-        "About equal is right.",
-        f"chance: of a larger chi2 by noise alone. Among {len(rows)} {word}s one below {limit:.1g} is worth a look.",
-        f"if left out: the parameter that would move most without the {word}, and how far, in its own sigma.",
+        f"chi2 / dof: chi-square of the {word} against the prediction from all others, and its degrees of freedom. "
+        "About equal is expected.",
+        f"p: probability that noise alone gives a larger chi2. Among {len(rows)} {word}s, examine one below "
+        f"{limit:.1g}.",
+        f"shift if omitted: the parameter that shifts most without the {word}, and its shift in sigma.",
     ]
     if innovations:
-        notes.append(f"as it came: the same with only the {word}s before it known.")
+        notes.append(f"innovation: the same test, with the prediction from the {word}s before it alone (NIS).")
     out = [line for note in notes for line in _wrap(note, " ")]
     worst = most_contradicted(rows)
     if worst is not None:
         out += _wrap(
-            f"{word.capitalize()} {_title(worst)} contradicts the others: chance {probability(worst['probability'])}.",
+            f"{word.capitalize()} {_title(worst)} contradicts the others, p = {probability(worst['probability'])}.",
         )
     for key, words in (
-        ("lost_without", f"Without a {word} would be lost:"),
-        ("only_witness_of", f"Shown by one {word} alone, so not checkable by the others:"),
+        ("lost_without", f"Parameters that are not observable without one {word}:"),
+        ("only_witness_of", f"Parameters that one {word} alone determines, so that the others cannot check them:"),
     ):
         found = [(_title(row), row[key]) for row in rows if row[key]]
         if found:
@@ -136,7 +138,7 @@ def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> l
 
 
 def observability_table(verdict: Mapping[str, Any], word: str = "sequence") -> str:
-    """Set who shows each parameter, and what it is mixed up with."""
+    """Table of observability: information, variance inflation and largest correlation of every parameter."""
     rows: list[list[str] | None] = []
     for row in verdict["parameters"]:
         i = INDEX[row["name"]]
@@ -155,28 +157,29 @@ def observability_table(verdict: Mapping[str, Any], word: str = "sequence") -> s
                 f"{correlation['value']:+.2f} {SYMBOLS[INDEX[correlation['with']]]}" if correlation else "-",
             ]
         )
-    headers = ["", "sigma", "unit", "wit-\nnesses", "shown by", "infla-\ntion", "correlation"]
+    headers = ["", "sigma", "unit", "inde-\npendent", "information from", "infla-\ntion", "correlation"]
     notes = [
-        f"witnesses: about how many {word}s show it independently; at 1 it hangs on a single one.",
-        f"shown by: share of its information that goes with a {word}; {word}s that need each other each hold it all.",
-        "inflation: how much smaller its variance would be if all others were known.",
-        "correlation: of its error with that of the parameter it is mixed up with most.",
+        f"independent: effective number of {word}s that determine it; 1 means a single one.",
+        f"information from: share of its information lost without a {word}; {word}s that work only together have 100 % "
+        "each.",
+        "inflation: its variance over its variance with all other parameters known.",
+        "correlation: largest correlation of its error with that of another parameter.",
     ]
     weakest = verdict["weakest_combination"]
     if weakest is not None:
         terms = " ".join(f"{value:+.2f} {SYMBOLS[INDEX[name]]}" for name, value in weakest["combination"].items())
         notes.append(
-            f"Narrowed down least: {terms}, each in the sigma it has before any data; to "
-            f"{100.0 * weakest['sigma_over_prior']:.2g} % of that."
+            f"Least observable combination: {terms}, each over its prior sigma; posterior sigma "
+            f"{100.0 * weakest['sigma_over_prior']:.2g} % of the prior."
         )
     return "\n".join([text_table(headers, rows, "lrlrlrl"), *(line for note in notes for line in _wrap(note, " "))])
 
 
-def probability(chance: float | None) -> str:
-    """Write a probability; an empty cell for none."""
-    if chance is None:
+def probability(p: float | None) -> str:
+    """Text of a probability; empty for None."""
+    if p is None:
         return ""
-    return f"{chance:.1g}" if chance < 0.01 else f"{chance:.2f}"
+    return f"{p:.1g}" if p < 0.01 else f"{p:.2f}"
 
 
 def _word(calibration: Calibration) -> str:
@@ -186,7 +189,7 @@ def _word(calibration: Calibration) -> str:
 def _influence(row: Mapping[str, Any]) -> str:
     largest = row["largest_influence"]
     if largest is None:
-        return "nothing is left"
+        return "not observable"
     return f"{SYMBOLS[INDEX[largest['parameter']]]} {largest['sigmas']:+.2g}"
 
 

@@ -1,4 +1,4 @@
-"""Repeatability over recordings as text."""
+"""Text of the repeatability over recordings."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 _DIGITS: Final = 7
+"""Largest number of significant digits of a value: a noise-free sigma would ask for more."""
 
 
 def repeatability_text(calibration: Calibration) -> str:
-    """Set the repeatability of a merged calibration.
+    """Text of the repeatability of a merged calibration.
 
     Returns
     -------
@@ -51,7 +52,7 @@ def _recordings(table: Mapping[str, Any]) -> str:
 
 
 def _values(table: Mapping[str, Any]) -> str:
-    """Set value and sigma in every recording, as many recordings beside each other as find room."""
+    """Tables of value and sigma by recording, as many recordings side by side as the width permits."""
     names = [row["name"] for row in table["recordings"]]
     left: list[list[str]] = []
     columns: list[list[tuple[str, str]]] = [[] for _ in names]
@@ -101,36 +102,36 @@ def _scatter(table: Mapping[str, Any]) -> str:
                 f"{away['sigmas']:+.1f} {away['recording']}",
             ]
         )
-    headers = ["", "unit", "mean", "scatter", "least\nsigma", "chi2 / dof", "chance", "farthest"]
+    headers = ["", "unit", "mean", "scatter", "least\nsigma", "chi2 / dof", "p", "farthest"]
     notes = [
-        "scatter: standard deviation of the recordings' values; about as large as their sigma is right.",
-        "chi2 / dof: squares of the values' distances from their mean over sigma, and their number; errors that all "
-        "recordings share, as gravity, are apart.",
-        "chance: of a larger chi2 if nothing but noise differs.",
-        "farthest: the recording farthest from the mean, in the sigma that the distance should have.",
+        "scatter: standard deviation of the values over the recordings; expected to be about their sigma.",
+        "chi2 / dof: chi-square of the values about their mean, and its degrees of freedom; errors common to all "
+        "recordings, such as gravity, are not counted.",
+        "p: probability that noise alone gives a larger chi2.",
+        "farthest: the recording with the largest deviation from the mean, over the sigma of the deviation.",
     ]
     return "\n".join([text_table(headers, rows, "llrrrrrl", gap=1), *(_wrap(note, " ") for note in notes)])
 
 
 def _groups(table: Mapping[str, Any]) -> list[str]:
-    """Say what differs from recording to recording beyond noise, and that the sigmas hold it."""
+    """Sentences on the variation between recordings beyond noise."""
     found = []
     for row in table["groups"]:
         if row["between_sigma"] > 0.0:
             i = GROUP_SLICES[row["group"]].start
             size = row["between_sigma"] * DISPLAY_FACTORS[i]
             words = f"{row['group'].replace('_', ' ')} {fixed(size, decimals_for(size))} {DISPLAY_UNITS[i]}"
-            found.append(f"{words} (chance without it {probability(row['probability'])})")
+            found.append(f"{words} (p = {probability(row['probability'])})")
     whole = (
         f"All parameters together: chi-square {table['chi_square']:.4g} for {table['degrees_of_freedom']} degrees of "
-        f"freedom, chance {probability(table['probability'])}."
+        f"freedom, p = {probability(table['probability'])}."
     )
     if not found:
         return [whole, "Noise explains all differences between the recordings."]
     return [
         whole,
-        f"One sigma from recording to recording beyond noise, which the merged sigmas hold: {'; '.join(found)}. "
-        "Another recording will differ from the merged value by as much again.",
+        f"Standard deviation between recordings beyond noise, included in the merged sigmas: {'; '.join(found)}. "
+        "Expect another recording to differ from the merged value by as much.",
     ]
 
 

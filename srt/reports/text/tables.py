@@ -1,4 +1,4 @@
-"""Numbers and tables as plain text: columns that line up within 80 characters."""
+"""Numbers and tables as plain text: aligned columns within 80 characters."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 WIDTH: Final = 80
+"""Width of all text, characters: that of the customary terminal."""
 _GAP: Final = 2
 _MOST_DECIMALS: Final = 6
 _FIXED_BELOW: Final = 1e7
+"""Value from which a number has an exponent: columns are about ten characters wide."""
 
 
 def decimals_for(sigma: float) -> int:
-    """Decimals that show two digits of a sigma; a value beside it needs no more.
+    """Number of decimals that shows two significant digits of a sigma.
 
     Parameters
     ----------
@@ -33,7 +35,7 @@ def decimals_for(sigma: float) -> int:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """Write a number with the given decimals; one that they do not fit gets an exponent.
+    """Text of a number with the given decimals; very large and very small ones get an exponent.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ def text_table(
     indent: int = 1,
     gap: int = _GAP,
 ) -> str:
-    """Set a table in columns.
+    """Text of a table.
 
     Parameters
     ----------
