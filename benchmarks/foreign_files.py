@@ -5,6 +5,7 @@ ArduPilot's logs as text are written by hand: no library writes them.
 
 from __future__ import annotations
 
+import zipfile
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -162,6 +163,31 @@ def write_dataflash_text(path: Path, messages: list[tuple[str, str, str, list[li
         lines.append(f"FMT, {129 + number}, 40, {name}, {layout}, {columns}")
         lines += [", ".join((name, *map(repr, row))) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def write_sensor_logger(
+    path: Path,
+    stamps: np.ndarray,
+    values: np.ndarray,
+    tables: tuple[str, str] = ("TotalAcceleration", "Gyroscope"),
+    *,
+    folder: bool = False,
+) -> None:
+    """Zip archive, or folder, of the app Sensor Logger: a table of each sensor, with axes in reverse."""
+    seconds = (stamps - stamps[0]) / 1e9
+    files = {"Metadata.csv": "version,device name\n3,phone\n"}
+    for name, columns in zip(tables, (values[:, 3:], values[:, :3]), strict=True):
+        rows = zip(stamps.tolist(), seconds.tolist(), columns[:, ::-1].tolist(), strict=True)
+        lines = [",".join(map(repr, (stamp, second, *row))) for stamp, second, row in rows]
+        files[f"{name}.csv"] = "\n".join(["time,seconds_elapsed,z,y,x", *lines]) + "\n"
+    if folder:
+        path.mkdir()
+        for name, text in files.items():
+            (path / name).write_text(text, encoding="ascii")
+        return
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
 
 
 def imu_rows(stamps: np.ndarray, values: np.ndarray, instance: int | None = 0) -> list[list[Any]]:

@@ -318,6 +318,14 @@ def psins() -> list[Seed]:
     ]
 
 
+def sensor_logger() -> list[Seed]:
+    stamps, values = ff.samples(ROWS)
+    return [
+        _made(lambda path: ff.write_sensor_logger(path, stamps, values), "a.zip"),
+        _made(lambda path: ff.write_sensor_logger(path, stamps, values, folder=True), "a"),
+    ]
+
+
 def recording_toml() -> list[Seed]:
     samples = _text(",".join(NAMES), np.column_stack(list(_columns().values())))
     others = {f"samples.{kind}": _samples(kind) for kind in ("npz", "h5")}
@@ -355,6 +363,7 @@ READERS: dict[str, Callable[[], list[Seed]]] = {
     "kalibr": kalibr,
     "imu-tk": imu_tk,
     "psins": psins,
+    "sensor-logger": sensor_logger,
     "csv": csv,
 }
 """Seeds by the name of the importer."""

@@ -72,6 +72,7 @@ IMPORTERS: Final[dict[str, str]] = {
     "rosbag2": "srt.recording.importers.rosbag:ROSBAG2",
     "ulog": "srt.recording.importers.ulog:ULOG",
     "ardupilot": "srt.recording.importers.ardupilot:ARDUPILOT",
+    "sensor-logger": "srt.recording.importers.sensor_logger:SENSOR_LOGGER",
     "matlab": "srt.recording.importers.matlab:MATLAB",
     "hdf5": "srt.recording.importers.arrays:HDF5",
     "parquet": "srt.recording.importers.arrays:PARQUET",

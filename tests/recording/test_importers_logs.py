@@ -4,6 +4,7 @@ import importlib
 import os
 import sqlite3
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,26 @@ def test_a_ros_2_bag_comes_back_from_its_one_file(tmp_path, storage, compression
     if storage == "mcap":
         # Known by its content, whatever it is called.
         assert_same(read(file.rename(tmp_path / "renamed.log")))
+
+
+@pytest.mark.parametrize("compression", ["", "storage"])
+def test_an_mcap_file_without_profile_comes_back(tmp_path, compression):
+    """The profile is optional in MCAP; recorders other than ROS's leave it empty."""
+    ff.write_bag2(tmp_path / "bag", {"/imu": (STAMPS, VALUES, "")}, "mcap", compression)
+    data = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    # After the magic and nine bytes stand the profile and the library, each with its length before it.
+    start = 17
+    library = data[start + 12 : start + 12 + int.from_bytes(data[start + 8 : start + 12], "little")]
+    assert data[start : start + 8] == b"\x04\0\0\0ros2"
+    for profile in (b"", b"ros1", b"x"):
+        named = library.ljust(len(library) + 4 - len(profile))
+        header = b"".join(len(each).to_bytes(4, "little") + each for each in (profile, named))
+        (tmp_path / "a.mcap").write_bytes(data[:start] + header + data[start + len(header) :])
+        if profile:
+            with pytest.raises(InputError, match=r"a\.mcap is not a readable ROS 2 bag .*Profile is not ros2"):
+                read(tmp_path / "a.mcap")
+        else:
+            assert_same(read(tmp_path / "a.mcap"))
 
 
 def test_one_of_several_topics_is_chosen_and_the_others_are_named(tmp_path):
@@ -518,6 +539,45 @@ def test_a_foreign_topic_of_the_same_name_is_refused(tmp_path):
     ff.write_ulog(tmp_path / "a.ulg", [("sensor_combined", 0, "uint64_t timestamp;float x;", columns)])
     with pytest.raises(InputError, match=r"sensor_combined has no field gyro_rad\[0\]"):
         read(tmp_path / "a.ulg")
+
+
+# Sensor Logger
+
+
+@pytest.mark.parametrize("folder", [False, True])
+@pytest.mark.parametrize("gyro", ["Gyroscope", "GyroscopeUncalibrated"])
+def test_sensor_logger_comes_back_from_its_archive_and_its_folder(tmp_path, folder, gyro):
+    path = tmp_path / "2023-11-14.zip"
+    ff.write_sensor_logger(path, STAMPS, VALUES, ("TotalAcceleration", gyro), folder=folder)
+    assert find_importer(path).name == "sensor-logger"
+    imported = read(path)
+    assert_same(imported)
+    assert imported.units["gyro"].startswith("rad/s")
+    assert imported.units["accel"].startswith("m/s^2")
+    assert note(imported, f"Accelerometers from TotalAcceleration.csv, gyros from {gyro}.csv")
+
+
+def test_sensor_logger_of_unknown_unit_asks_for_it(tmp_path):
+    path = tmp_path / "a.zip"
+    ff.write_sensor_logger(path, STAMPS, VALUES, ("AccelerometerUncalibrated", "GyroscopeUncalibrated"))
+    with pytest.raises(InputError, match="in what unit its accel columns are"):
+        read(path)
+    np.testing.assert_array_equal(read(path, accel_unit="g").accel, VALUES[:, 3:] * 9.80665)
+    ff.write_sensor_logger(path, STAMPS, VALUES, ("Accelerometer", "Gyroscope"))
+    with pytest.raises(InputError, match=r"no acceleration with gravity \(expected: TotalAcceleration.csv or Acc"):
+        read(path)
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(InputError, match=r"a\.zip is not a readable archive of Sensor Logger"):
+        import_file(path, name="sensor-logger")
+
+
+def test_sensor_logger_names_its_archive_in_errors(tmp_path):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("Gyroscope.csv", "time,seconds_elapsed,z,y,x\n1,2,3,4,5\n2,oops,1,1,1\n")
+        archive.writestr("TotalAcceleration.csv", "time,seconds_elapsed,z,y,x\n1,2,3,4,5\n2,2,1,oops,1\n")
+    with pytest.raises(InputError, match=r"a\.zip/TotalAcceleration\.csv, line 3, column 4 \(y\): 'oops' was found"):
+        read(path)
 
 
 # ArduPilot

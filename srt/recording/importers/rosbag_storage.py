@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import mmap
 import sqlite3
 from contextlib import closing
 from dataclasses import dataclass
@@ -26,6 +27,9 @@ METADATA: Final = "metadata.yaml"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _FIRST_BYTES = ((b"#ROSBAG V", BAG1), (b"\x89MCAP0\r\n", MCAP), (b"SQLite format 3\0", SQLITE))
+
+_PROFILE = 17
+"""Offset of the profile in an MCAP file: after the magic, the kind of the record and its length."""
 
 _TOPICS_LISTED = 8
 """Topics that a message lists; a bag of a vehicle has hundreds."""
@@ -121,7 +125,7 @@ def open_bag(path: Path, message_type: str) -> Bag:
     kinds: dict[str, Any] = {BAG1: Reader1, MCAP: McapReader, SQLITE: Reader2, FOLDER: Reader2}
     if title not in kinds:
         raise InputError(f"{path} is no storage file of a bag, by its first bytes: copy it again.")
-    reader = kinds[title](path)
+    reader = kinds[title](_WithProfile(path) if title == MCAP and _lacks_profile(path) else path)
     reader.open()
     store = _definitions(ros1=title == BAG1)
     for connection in reader.connections:
@@ -138,6 +142,34 @@ def open_bag(path: Path, message_type: str) -> Bag:
                 "it with the default of ROS 2."
             )
     return Bag(path, title, reader, store.deserialize_ros1 if title == BAG1 else store.deserialize_cdr)
+
+
+class _WithProfile:
+    """Path of an MCAP file without profile that opens as one of profile "ros2", which rosbags requires.
+
+    The four letters take the place of the first four of the library's name in the header, so that no offset changes.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def open(self, _mode: str) -> mmap.mmap:
+        """Open a copy of the file in memory, of which only the changed page takes room."""
+        with self._path.open("rb") as file:
+            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        length = int.from_bytes(content[_PROFILE + 4 : _PROFILE + 8], "little")
+        header = (4).to_bytes(4, "little") + b"ros2" + (length - 4).to_bytes(4, "little")
+        content[_PROFILE : _PROFILE + len(header)] = header
+        return content
+
+    def __str__(self) -> str:
+        return str(self._path)
+
+
+def _lacks_profile(path: Path) -> bool:
+    """True for an MCAP file with an empty profile and a library's name of four letters or more."""
+    lengths = head(path, _PROFILE + 8)[_PROFILE:]
+    return lengths[:4] == bytes(4) and int.from_bytes(lengths[4:], "little") >= len("ros2")
 
 
 @cache
