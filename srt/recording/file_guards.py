@@ -1,7 +1,7 @@
-"""What a file of arrays may cost: its headers are held against its size before anything is reserved for them.
+"""Checks of array files before they are read: sizes in their headers against the size of the file.
 
-A header of a few bytes can promise an array of terabytes, a compressed one can swell a thousandfold, and an HDF5 file
-can name other files on the disk. All of that is refused in one sentence before it is read.
+A header of a few bytes can state an array of terabytes, a compressed array can expand a thousandfold, and an HDF5 file
+can name other files on the disk. Such files are refused before memory is reserved.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _TREE_MAGIC = b"TREE"
 
 DEFLATE_LIMIT: Final = 1032
-"""Deflate cannot make anything smaller than by this factor; other compressors are held to it, too."""
+"""Largest compression ratio of deflate; the limit for other compressors too."""
 
 SLACK_BYTES: Final = 1 << 20
-"""Promised beyond that without a word: small files hold columns that are all one number."""
+"""Size, bytes, accepted at any ratio: small files have constant columns."""
 
 
 NPZ_EXPANSION_LIMIT: Final = 100
@@ -37,19 +37,19 @@ NPZ_SLACK_BYTES: Final = 256 << 20
 
 
 def require_size(path: Path, what: str, promised: int, present: int, factor: int = DEFLATE_LIMIT) -> None:
-    """Refuse an array that is larger than the bytes it comes from can make.
+    """Refuse an array that is larger than its bytes in the file can expand to.
 
     Parameters
     ----------
     path : Path
     what : str
-        The array, for the message.
+        Name of the array in the message.
     promised : int
-        Bytes that its header states.
+        Size stated in the header, bytes.
     present : int
-        Bytes that it has in the file.
+        Size in the file, bytes.
     factor : int
-        By how much they may grow.
+        Largest ratio of the two.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def require_size(path: Path, what: str, promised: int, present: int, factor: int
 
 
 def guard_npz(path: Path, archive: Any, name: str, file_size: int) -> None:
-    """Check one array of an NPZ archive by its headers.
+    """Check the headers of one array of an NPZ archive, and the size of all arrays.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def guard_npz(path: Path, archive: Any, name: str, file_size: int) -> None:
     Raises
     ------
     InputError
-        An array larger than its file, or of Python objects, which are never unpickled.
+        Arrays larger than their file allows, or of Python objects, which are never unpickled.
     """
     members = set(archive.zip.namelist())
     member = f"{name}.npy" if f"{name}.npy" in members else name
@@ -92,7 +92,7 @@ def guard_npz(path: Path, archive: Any, name: str, file_size: int) -> None:
 
 
 def guard_npy(path: Path, file: BinaryIO, file_size: int) -> None:
-    """Check a single array in NumPy's format by its header, and go back to the start of it. Raises InputError."""
+    """Check the header of a NumPy file, and rewind it. Raises InputError."""
     _guard_npy_header(path, "the array", file, file_size)
     file.seek(0)
 
@@ -109,22 +109,22 @@ def _guard_npy_header(path: Path, what: str, stream: Any, size: int) -> None:
 
 
 def guard_hdf5(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> None:
-    """Check one link of an HDF5 file and the dataset behind it, before either is followed.
+    """Check one link of an HDF5 file and its dataset before reading them.
 
     Parameters
     ----------
     path : Path
     h5py : module
     group : h5py.Group
-        That holds the link.
+        Group of the link.
     name : str
-        Of the link, within the group.
+        Name of the link within the group.
     file_size : int
 
     Raises
     ------
     InputError
-        A link or a dataset that leads to another file, or a dataset larger than its file can hold.
+        A link or dataset in another file, or a dataset larger than its file allows.
     """
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise InputError(f"{path}: {name} is a link to another place, which is not followed: copy the data there.")
@@ -141,7 +141,7 @@ def guard_hdf5(path: Path, h5py: Any, group: Any, name: str, file_size: int) -> 
 
 
 def guard_hdf5_trees(path: Path) -> None:
-    """Refuse an HDF5 file in which nodes of a tree name one another in a circle: its library would go round for ever.
+    """Refuse an HDF5 file with a cycle in the nodes of a tree, which its library would follow without end.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def guard_hdf5_trees(path: Path) -> None:
             return
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             base = max(data.find(_HDF5_MAGIC), 0)
-            # How long an address is stands in another place since the second version.
+            # The byte with the length of addresses moved in version 2 of the superblock.
             width = data[base + 13] if data[base + 8 : base + 9] < b"\x02" and len(data) > base + 13 else 8
             width = width if width in (2, 4, 8) else 8
             following: dict[int, int] = {}
@@ -178,5 +178,5 @@ def guard_hdf5_trees(path: Path) -> None:
 
 
 def guard_parquet(path: Path, metadata: Any, file_size: int) -> None:
-    """Check the number of rows that a Parquet file states against its size. Raises InputError."""
+    """Check the stated number of rows of a Parquet file against its size. Raises InputError."""
     require_size(path, "the table", 8 * int(metadata.num_rows), file_size)

@@ -1,7 +1,7 @@
 """Recordings on disk: a folder with ``recording.toml`` and the samples file that it names.
 
-Units are converted here, and in the importers of foreign formats: files state theirs, in names of keys or as keys;
-memory holds SI.
+This module and the importers of foreign formats convert units: files state their units, in names of keys or as keys;
+values in memory are in SI.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ if TYPE_CHECKING:
 
 TOML_NAME: Final = "recording.toml"
 
-_NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # local anomalies, which the formula does not know
+_NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4  # 1 sigma: local anomalies, which normal gravity does not include
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingMetadata:
-    """What a recording's file says beside its samples.
+    """Site, fixture, noise and sequence labels of a recording.
 
     Attributes
     ----------
@@ -80,16 +80,16 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
     Returns
     -------
     Recording
-        In SI units. Gravity is ``gravity_m_s2`` where given, else normal gravity at ``height_m``. Without a
-        column ``temperature``, ``temperature_c`` holds for all samples; without a column ``time``,
-        ``sample_rate_hz`` makes it, the first interval starting at 0. Samples in a foreign format are imported; units
-        that such a format defines need not be stated.
+        In SI units. Gravity is ``gravity_m_s2`` if given, else normal gravity at ``height_m``. Without a column
+        ``temperature``, all samples have ``temperature_c``. Without a column ``time``, ``sample_rate_hz`` gives the
+        time stamps; the first interval starts at 0. Samples in a foreign format are imported; units that such a format
+        defines can be omitted.
 
     Raises
     ------
     InputError
         A file that is absent, unreadable or damaged, an unknown key, a wrong type, unit or value, samples outside the
-        recording's folder, or such that :class:`~srt.recording.recording.Recording` refuses. One sentence each.
+        recording's folder, or samples that :class:`~srt.recording.recording.Recording` refuses.
     MissingExtraError
         If the samples format needs a package that is not installed.
     """
@@ -146,9 +146,9 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
     Parameters
     ----------
     file : str
-        Named in messages.
+        Name of the file in messages.
     document : mapping
-        What TOML holds.
+        Content of the TOML file.
 
     Returns
     -------
@@ -171,12 +171,12 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
 
 
 def read_document(toml: Path) -> dict[str, Any]:
-    """Read a ``recording.toml`` as it is, its sections known but not yet checked.
+    """Read a ``recording.toml`` without checking its values; its sections are known ones.
 
     Parameters
     ----------
     toml : Path
-        It, or its folder.
+        The file, or its folder.
 
     Returns
     -------
@@ -202,7 +202,7 @@ def write_recording(
     ----------
     recording : Recording
     directory : path-like
-        Made if absent.
+        Folder; created if absent.
     samples_format : str
         "csv", "npz", "parquet" or "h5".
     overwrite : bool
@@ -226,7 +226,7 @@ def write_recording(
     name, usual, old_name = _unused_name(folder, samples_format), f"samples.{samples_format}", _old_name(folder)
     temperature = recording.temperature
     constant = temperature is not None and temperature.strides == (0,)
-    # The column views do not copy; writers do, one column or block at a time.
+    # Writers copy one column or block at a time.
     samples = Samples(recording.gyro, recording.accel, recording.time, None if constant else temperature)
     try:
         write_samples(folder / name, samples)
@@ -299,7 +299,7 @@ def _find_toml(path: Path) -> Path:
 
 
 def _conversion_advice(path: Path, what: str) -> str:
-    """How a foreign file becomes a recording, if its format is known."""
+    """Advice to convert a foreign file, if its format is known."""
     from srt.recording.importer_registry import find_importer
 
     try:
@@ -310,10 +310,10 @@ def _conversion_advice(path: Path, what: str) -> str:
 
 
 def _inside(toml: Path, name: str) -> Path:
-    """The samples' path, which may not lead out of the recording's folder, not even by a symbolic link."""
+    """Path of the samples, which must lie in the recording's folder; symbolic links are resolved."""
     path = toml.parent / name
     try:
-        # A bag may be a folder, whose files might be links.
+        # A bag may be a folder with links as files.
         parts = [path, *path.iterdir()] if path.is_dir() else [path]
         folder = toml.parent.resolve()
         inside = all(part.resolve().is_relative_to(folder) for part in parts)
@@ -331,7 +331,7 @@ def _inside(toml: Path, name: str) -> Path:
 def _import_recording(
     toml: Path, samples_path: Path, main: Mapping[str, Any], about: RecordingMetadata, source: str
 ) -> Recording:
-    """Read samples in a foreign format, with what the keys of [recording] say about them."""
+    """Import samples in a foreign format, with the units and other keys of [recording]."""
     from srt.recording.import_options import ImportOptions
     from srt.recording.imported_samples import to_recording
     from srt.recording.importer_registry import import_file
@@ -439,7 +439,7 @@ def _conversion(
 
 
 def _apply(values: Array, conversion: tuple[Array, Array]) -> None:
-    """Convert in place, touching nothing that is right already."""
+    """Apply offset and factor in place."""
     offset, factor = conversion
     if offset.any():
         values -= offset
@@ -449,7 +449,7 @@ def _apply(values: Array, conversion: tuple[Array, Array]) -> None:
 
 def _sha256(path: Path) -> str:
     if path.is_dir():
-        # A bag may be a folder: its files' hashes, in the order of their names.
+        # A bag may be a folder: hash of the hashes of its files, in the order of their names.
         files = sorted(each for each in path.iterdir() if each.is_file() and each.name != TOML_NAME)
         return hashlib.sha256("\n".join(f"{_sha256(each)} {each.name}" for each in files).encode()).hexdigest()
     with path.open("rb") as file:
@@ -457,7 +457,7 @@ def _sha256(path: Path) -> str:
 
 
 def _prepare(folder: Path, *, overwrite: bool) -> bool:
-    """Make the folder; say whether it was absent."""
+    """Create the folder if absent; True if it was created."""
     try:
         if folder.exists():
             if not folder.is_dir():

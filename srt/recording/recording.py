@@ -1,10 +1,10 @@
-"""Recording in memory: samples in SI units, site, fixture, unit and sequence labels.
+"""Recording in memory: samples in SI units, site, fixture, IMU noise and sequence labels.
 
-Conventions: a *rate* sample is the mean over the interval that ends at its time stamp, an *increment* sample
-the integral over that interval. Specific force at rest points up.
+A *rate* sample is the mean over the interval that ends at its time stamp, an *increment* sample the integral over that
+interval. Specific force at rest points up.
 
-Everything is checked once, when it is built, so that what computes with a recording need not ask again. The
-arrays become read-only views, copied only if they are not contiguous float64 already.
+The constructor checks all values. The arrays become read-only views; they are copied only if they are not contiguous
+float64.
 """
 
 from __future__ import annotations
@@ -29,36 +29,37 @@ Kind = Literal["rate", "increment"]
 Derived = TypeVar("Derived")
 
 GRAVITY_RANGE_M_S2: Final = (9.5, 10.1)
-"""Gravity outside this is not on the Earth's surface (9.76 to 9.84 m/s²)."""
+"""Accepted gravity, m/s²; the Earth's surface has 9.76 to 9.84."""
 
 LARGEST_VALUE: Final = 1e12
 """Bound of the magnitude of values from files, SI units: far above any sensor's range; sums of squares stay finite."""
 
 _WOBBLE: Final = 0.01
-"""Of the sigma of the rotations, where no wobble is stated: 2 seconds of arc of a fixture of 1 mrad."""
+"""Default wobble as a fraction of the rotation sigma: 2 seconds of arc for a fixture of 1 mrad."""
+
 WINDOW_TOLERANCE: Final = 1e-6
-"""Rounding of stamps and window limits that a window's edge forgives, in intervals."""
+"""Tolerance of window limits for the rounding of stamps, in intervals."""
 
 _MAY_BE_ZERO = frozenset({"gyro_quantization", "accel_quantization", "gyro_bias_instability", "accel_bias_instability"})
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where the recording was made.
+    """Site of the recording: gravity and latitude.
 
     Attributes
     ----------
     gravity_m_s2 : float
         Plumb-bob gravity, m/s².
     gravity_sigma_m_s2 : float
-        Its one-sigma uncertainty, a common error of the accelerometer scales.
+        Standard deviation of gravity, m/s²: a common error of the accelerometer scale factors.
     latitude_rad : float or None
-        None: unknown; the Earth's rate is then a bounded unknown in the gyro-bias sigma.
+        None: unknown; the gyro-bias sigma then includes the whole Earth rate.
 
     Raises
     ------
     InputError
-        Gravity or latitude that the Earth's surface does not have, a sigma that is not positive.
+        Gravity or latitude outside the range on the Earth's surface, a sigma that is not positive.
     """
 
     gravity_m_s2: float
@@ -73,7 +74,7 @@ class Site:
                 "(the Earth's surface has 9.76 to 9.84): give it in m/s², positive."
             )
         _require_positive("The gravity sigma", self.gravity_sigma_m_s2, "m/s²")
-        # The tolerance lets ±90° through whatever way it was converted.
+        # The tolerance accepts ±90° after any conversion.
         if self.latitude_rad is not None and not abs(self.latitude_rad) <= (90.0 + 1e-9) * DEG:
             raise InputError(
                 f"The latitude is {self.latitude_rad / DEG:g}°, but -90° to 90° is expected: check it, and its unit."
@@ -82,21 +83,19 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """The two-axis fixture and its accuracy (one sigma).
-
-    Heading is that of the table x axis, clockwise from north.
+    """Two-axis fixture: heading of the table x axis, clockwise from north, and 1-sigma accuracy.
 
     Attributes
     ----------
     heading_rad : float or None
         None: unknown (not zero).
     alignment_sigma_rad : float
-        One draw per recording of each of: base level x, y, north; mounting x, y, z.
+        Error of each of base level x, y, north and mounting x, y, z; constant in a recording.
     rotation_sigma_rad : float
-        One draw per executed rotation, the move to a start attitude included.
+        Error of each rotation, including the rotation to a start attitude; independent draws.
     wobble_sigma_rad : float or None
-        By how much the inner axis tilts from one start to the next, along the outer one: wobble of the bearings, and
-        movement of the floor. None: not stated; a hundredth of ``rotation_sigma_rad`` is taken.
+        Change of the tilt of the inner axis about the outer one from start to start: bearing wobble and floor movement.
+        None: not stated; the default is a hundredth of ``rotation_sigma_rad``.
 
     Raises
     ------
@@ -125,18 +124,18 @@ class Fixture:
 
     @property
     def wobble(self) -> float:
-        """Wobble, rad; where it is not stated, a hundredth of the rotations' sigma."""
+        """Axis wobble, rad; if not stated, a hundredth of the rotation sigma."""
         return _WOBBLE * self.rotation_sigma_rad if self.wobble_sigma_rad is None else self.wobble_sigma_rad
 
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Stated noise of a unit; None means not stated, to be estimated from the stationary windows.
+    """Stated noise of an IMU; None: not stated, to be estimated from the stationary windows.
 
     Attributes
     ----------
     gyro_noise : float or None
-        Angle random walk, rad/√s.
+        Angular random walk, rad/√s.
     accel_noise : float or None
         Velocity random walk, m/s²·√s (that is m/s/√s).
     gyro_quantization : float or None
@@ -151,7 +150,7 @@ class ImuNoise:
     Raises
     ------
     InputError
-        A figure that is not positive; quantisation and bias instability may be zero.
+        A value that is not positive; quantization and bias instability may be zero.
     """
 
     gyro_noise: float | None = None
@@ -172,14 +171,14 @@ class ImuNoise:
 
 @dataclass(frozen=True, slots=True)
 class SequenceLabel:
-    """One stillness-rotation-stillness piece of a recording.
+    """Label of one sequence in a recording: stationary window, rotation, stationary window.
 
     Attributes
     ----------
     start_static_s, end_static_s : (float, float)
         A window [a, b] holds the samples with a + dt/2 < t <= b + dt/2.
     id : str or None
-        Name in Table 1 of Savage 2020 ("1" ... "14", "1a" ...); None for a free turn.
+        Name in Table 1 of Savage 2020 ("1" ... "14", "1a" ...); None for a free rotation.
     down, along_outer : str or None
         For an id outside Table 1: the IMU axis that points down, and the one that points along the outer
         axis, each "x", "y", "z", "-x", "-y" or "-z" ("-z" down: the z axis points up).
@@ -189,8 +188,8 @@ class SequenceLabel:
     Raises
     ------
     InputError
-        Windows that end before they start or overlap, axes that are none, or the same down and along the
-        outer axis, an id outside Table 1 without its definition, or one of Table 1 with another definition.
+        Windows that end before they start or overlap, invalid axes, or the same axis down and along the outer axis,
+        an id outside Table 1 without its definition, or one of Table 1 with another definition.
     """
 
     start_static_s: tuple[float, float]
@@ -254,7 +253,7 @@ class SequenceLabel:
 
     @property
     def title(self) -> str:
-        """What messages call it."""
+        """Name of the sequence in messages."""
         if self.id is None:
             return f"The free turn at {self.start_static_s[0]:g} s"
         return f"Sequence {self.id!r} at {self.start_static_s[0]:g} s"
@@ -262,7 +261,7 @@ class SequenceLabel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """Samples and what is known about them.
+    """Recording of an IMU: samples, site, fixture, noise and sequence labels.
 
     Attributes
     ----------
@@ -280,9 +279,9 @@ class Recording:
     sequences : tuple of SequenceLabel
         Empty: the recording is segmented automatically.
     sample_rate_hz : float or None
-        Overrides the time stamps' spacing where given.
+        Overrides the spacing of the time stamps, if given.
     temperature : ndarray, shape (n,), °C, or None
-        One value broadcast to n samples stands for a temperature stated, not recorded.
+        One value broadcast to n samples is a stated, not a recorded temperature.
     serial, date, source : str or None
     data_sha256 : str or None
         Hash of the samples file.
@@ -290,8 +289,7 @@ class Recording:
     Raises
     ------
     InputError
-        Shapes that disagree, values that are not finite, time that does not increase, labels outside the
-        samples.
+        Inconsistent shapes, values that are not finite, time that does not increase, labels outside the samples.
     """
 
     time: Array
@@ -337,7 +335,7 @@ class Recording:
 
     def _check_label(self, label: SequenceLabel) -> None:
         first, last, interval = float(self.time[0]), float(self.time[-1]), self.nominal_interval_s
-        # One interval to spare on each side: some loggers stamp the start of a sample.
+        # One interval of tolerance on each side: some loggers stamp the start of a sample.
         low, high = first - 2.001 * interval, last + 1.001 * interval
         for name in ("start_static_s", "end_static_s"):
             a, b = getattr(label, name)
@@ -354,14 +352,14 @@ class Recording:
                 )
 
     def memo(self, key: Hashable, make: Callable[[], Derived]) -> Derived:
-        """Value derived from this recording, made once: diagnosis and estimators share what they prepare.
+        """Derived value of this recording, computed once and shared by diagnosis and estimators.
 
         Parameters
         ----------
         key : hashable
-            Names the value, with all choices that it depends on.
+            Name of the value, with all options that it depends on.
         make : callable
-            Without arguments; what it raises is not kept.
+            Function without arguments that computes the value; its exceptions are not stored.
         """
         if key not in self._memo:
             self._memo[key] = make()
@@ -369,7 +367,7 @@ class Recording:
         return value
 
     def __getstate__(self) -> dict[str, Any]:
-        """Fields without the derived values, which another process makes anew."""
+        """Fields without the derived values, which another process recomputes."""
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_memo"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -378,28 +376,28 @@ class Recording:
 
     @property
     def timing(self) -> SampleTiming:
-        """Intervals and gaps, found when first asked for."""
+        """Sampling intervals and gaps, computed at the first use."""
         return self.memo("timing", lambda: sample_timing(self.time, self.sample_rate_hz))
 
     @property
     def interval_s(self) -> float | Array:
-        """Duration that each sample covers, s: a number where uniform, else shape (n,)."""
+        """Duration of each sample, s: a number if uniform, else shape (n,)."""
         return self.timing.interval_s
 
     @property
     def nominal_interval_s(self) -> float:
-        """The typical duration of a sample, s."""
+        """Typical duration of a sample, s."""
         return self.timing.nominal_interval_s
 
     @property
     def gaps(self) -> Indices:
-        """Indices of the samples that start a new contiguous piece; empty without interruptions."""
+        """Indices of the first samples after interruptions; empty without interruptions."""
         return self.timing.gaps
 
     def window_indices(self, a: float, b: float) -> slice:
-        """Find the samples of the window [a, b], those with a + dt/2 < t <= b + dt/2.
+        """Indices of the samples of the window [a, b], those with a + dt/2 < t <= b + dt/2.
 
-        Adjoining windows share no sample and lose none, whichever way stamps and limits are rounded.
+        Adjacent windows have no sample in common and none between them, whatever the rounding of stamps and limits.
 
         Parameters
         ----------
@@ -409,14 +407,14 @@ class Recording:
         Returns
         -------
         slice
-            Into the samples; empty where there are none.
+            Slice of the samples; empty if there are none.
         """
         edge = (0.5 + WINDOW_TOLERANCE) * self.nominal_interval_s
         start, stop = np.searchsorted(self.time, (a + edge, b + edge), side="right")
         return slice(int(start), max(int(start), int(stop)))
 
     def with_sequences(self, sequences: tuple[SequenceLabel, ...]) -> Recording:
-        """Label the same samples otherwise."""
+        """Recording of the same samples with other labels."""
         return replace(self, sequences=sequences)
 
 
@@ -432,7 +430,7 @@ def _same_rotations(first: tuple[tuple[str, float], ...], second: tuple[tuple[st
 
 
 def as_samples(name: str, given: object, dimensions: int) -> Array:
-    """Give a read-only contiguous float64 view, copied only where needed.
+    """Read-only contiguous float64 view, copied only if needed.
 
     Parameters
     ----------
@@ -445,7 +443,7 @@ def as_samples(name: str, given: object, dimensions: int) -> Array:
     Returns
     -------
     ndarray, shape (n,) or (n, 3)
-        A value broadcast to n samples stays one value in memory.
+        A value broadcast to n samples remains one value in memory.
 
     Raises
     ------
@@ -468,8 +466,8 @@ def as_samples(name: str, given: object, dimensions: int) -> Array:
 
 def require_finite(name: str, values: Array, time: Array | None) -> None:
     """Raise InputError that names the first value that is not finite, by column, sample and time."""
-    # A sum is finite only if every term is, and costs a fraction of a test of each. If it overflows,
-    # look closer.
+    # The sum is finite only if every term is, and takes a fraction of the time of a test of each term. It may also
+    # overflow, so the terms are tested then.
     with np.errstate(over="ignore", invalid="ignore"):
         if math.isfinite(values.sum()):
             return

@@ -1,8 +1,8 @@
-"""Tables of samples in files: one column per channel, in the units of the file, format by extension.
+"""Samples files: one column per channel, in the units of the file; the extension gives the format.
 
 Columns ``time``, ``gyro_x`` ... ``gyro_z``, ``accel_x`` ... ``accel_z`` and, optionally, ``temperature``, in
-any order; others are ignored. CSV and NPZ need numpy alone; Parquet and HDF5 need the extra ``io``. Columns
-are read one at a time where the format allows, so that a table never stands in memory twice.
+any order; others are ignored. CSV and NPZ need numpy only; Parquet and HDF5 need the extra ``io``. If the format
+allows, columns are read one at a time, so that memory never has a table twice.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ TEMPERATURE: Final = "temperature"
 
 @dataclass(slots=True)
 class Samples:
-    """A table of samples in the units of its file, not yet checked beyond being numbers.
+    """Samples in the units of their file; their values are not yet checked.
 
     Attributes
     ----------
     gyro, accel : ndarray, shape (n, 3)
     time : ndarray, shape (n,), or None
-        None: the file has no such column.
+        None: the file has no time column.
     temperature : ndarray, shape (n,), or None
     """
 
@@ -53,7 +53,7 @@ class Samples:
 
     @classmethod
     def empty(cls, names: Sequence[str], rows: int) -> Samples:
-        """Make room for n rows of the named columns."""
+        """Samples with uninitialised arrays for the named columns."""
         return cls(
             np.empty((rows, 3)),
             np.empty((rows, 3)),
@@ -62,7 +62,7 @@ class Samples:
         )
 
     def column(self, name: str) -> Array:
-        """Give one column as a view, shape (n,)."""
+        """View of one column, shape (n,)."""
         if name in GYRO_COLUMNS:
             return self.gyro[:, GYRO_COLUMNS.index(name)]
         if name in ACCEL_COLUMNS:
@@ -73,21 +73,21 @@ class Samples:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Columns that the table has, in the order they are written."""
+        """Names of the columns, in the order of writing."""
         first = () if self.time is None else (TIME,)
         last = () if self.temperature is None else (TEMPERATURE,)
         return (*first, *GYRO_COLUMNS, *ACCEL_COLUMNS, *last)
 
 
 def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
-    """Read a table of samples; the extension says how.
+    """Read a samples file; its extension gives the format.
 
     Parameters
     ----------
     path : path-like
         A .csv, .npz, .parquet or .h5 file.
     time_required : bool
-        Whether a table without a time column is refused.
+        Refuse a table without a time column.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
     Raises
     ------
     InputError
-        A file that is absent, of an unknown kind, damaged, without a column, or with cells that are no
+        A file that is absent, of an unknown kind, damaged, without a column, or with cells that are not
         numbers.
     MissingExtraError
         If the format needs a package that is not installed.
@@ -114,12 +114,12 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
 
 
 def write_samples(path: str | Path, samples: Samples) -> None:
-    """Write a table of samples whole or not at all; every number reads back to the last bit.
+    """Write a samples file completely or not at all; reading returns the same bits.
 
     Parameters
     ----------
     path : path-like
-        A .csv, .npz, .parquet or .h5 file; one that exists is replaced.
+        A .csv, .npz, .parquet or .h5 file; an existing file is replaced.
     samples : Samples
 
     Raises
@@ -136,7 +136,7 @@ def write_samples(path: str | Path, samples: Samples) -> None:
 
 
 def select_columns(path: Path, available: Sequence[str], *, time_required: bool) -> tuple[str, ...]:
-    """Pick the columns to read out of those that a file has.
+    """Columns to read, out of those that a file has.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def select_columns(path: Path, available: Sequence[str], *, time_required: bool)
     Raises
     ------
     InputError
-        If one is missing or twice there.
+        If a column is missing or present twice.
     """
     required = ((TIME,) if time_required else ()) + GYRO_COLUMNS + ACCEL_COLUMNS
     missing = [name for name in required if name not in available]
@@ -202,7 +202,7 @@ def _write_csv(path: Path, samples: Samples) -> None:
 
 
 def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> Samples:
-    """Read column by column, and check that each is a list of as many numbers."""
+    """Read column by column, and check that all are lists of equally many numbers."""
     samples: Samples | None = None
     rows = 0
     for name in names:
@@ -225,13 +225,13 @@ def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]])
 
 
 def _read_npz(path: Path, time_required: bool) -> Samples:
-    # What numpy and zipfile raise for a damaged file depends on where the damage is.
+    # Exceptions of numpy and zipfile for a damaged file; they depend on the place of the damage.
     damage = (
         zipfile.BadZipFile, zlib.error, tokenize.TokenError, ValueError, EOFError, KeyError, NotImplementedError,
         OSError, SyntaxError, RecursionError,
     )  # fmt: skip
     try:
-        # Opened here, as numpy leaves files open that it cannot read.
+        # Opened here because numpy does not close files that it cannot read.
         with path.open("rb") as file:
             archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
@@ -261,7 +261,7 @@ def _read_parquet(path: Path, time_required: bool) -> Samples:
         values = file.read(columns=[name]).column(0)
         if not (pa.types.is_floating(values.type) or pa.types.is_integer(values.type)):
             raise InputError(f"{path}: column {name} is of type {values.type}, but numbers are expected.")
-        array: NDArray[Any] = values.to_numpy()  # an absent value becomes nan, and is found with its row later
+        array: NDArray[Any] = values.to_numpy()  # an absent value becomes nan, which Recording refuses with its row
         return array
 
     try:
@@ -293,7 +293,7 @@ def _read_hdf5(path: Path, time_required: bool) -> Samples:
     try:
         guard_hdf5_trees(path)
         with h5py.File(path, "r") as file:
-            # Names that are not UTF-8 come as bytes, and are no columns of ours.
+            # Names that are not UTF-8 are bytes, and never column names.
             available = [name if isinstance(name, str) else repr(name) for name in file]
             names = select_columns(path, available, time_required=time_required)
             return _fill(path, names, column)

@@ -1,7 +1,6 @@
-"""The keys of ``recording.toml`` as a table: name, type, unit and range of each, and where it goes.
+"""Keys of ``recording.toml``: name, type, unit and range of each, and its attribute.
 
-Reader and writer both run on this table, so that a key is described once, and what is not in it is refused
-with the nearest name that is.
+Reader and writer both use these tables. Unknown keys are refused with the most similar known name.
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ class Key:
     Attributes
     ----------
     name : str
-        In the file.
+        Name in the file.
     expected : str
-        What messages say is expected.
+        Expected value in words, for messages.
     read : callable
-        Converts a TOML value to the value inside (SI); raises ValueError for what is not expected.
+        Conversion of a TOML value to SI; raises ValueError for an unexpected value.
     attribute : str or None
-        Field of the dataclass that the section becomes; None: for the reader alone.
+        Field of the dataclass of the section; None: for the reader only.
     factor : float
-        SI units per unit of the file, for the writer.
+        SI units per unit of the file; the writer divides by it.
     """
 
     name: str
@@ -61,12 +60,12 @@ def number(
     high: float = INFINITY,
     above: float = -INFINITY,
 ) -> Key:
-    """Describe a finite number within [low, high] and greater than ``above``, in units of the file."""
+    """Key of a finite number within [low, high] and greater than ``above``, in units of the file."""
 
     def read(value: Any) -> float:
         if not _is_number(value) or not low <= value <= high or not value > above:
             raise ValueError
-        # Multiplied even by 1.0: whole numbers become floats.
+        # The conversion also turns integers into floats.
         return float(value) * factor
 
     limits = "a positive number" if above == 0.0 else "a number"
@@ -78,7 +77,7 @@ def number(
 
 
 def text(name: str, attribute: str | None = None, choices: tuple[str, ...] = ()) -> Key:
-    """Describe a text, one of several where choices are given; a TOML date becomes its text."""
+    """Key of a text, or of one of several choices; a TOML date becomes its text."""
 
     def read(value: Any) -> str:
         if isinstance(value, datetime.date | datetime.datetime) and not choices:
@@ -92,7 +91,7 @@ def text(name: str, attribute: str | None = None, choices: tuple[str, ...] = ())
 
 
 def one_or_three(name: str, unit: str, *, zero: bool) -> Key:
-    """Describe a number, or a list of three for x, y, z; read as a tuple of three."""
+    """Key of a number, or a list of three for x, y, z; read as a tuple of three."""
 
     def read(value: Any) -> tuple[float, ...]:
         numbers = value if isinstance(value, list) else [value] * 3
@@ -114,7 +113,7 @@ def _window(name: str) -> Key:
 
 def _read_rotations(value: Any) -> tuple[tuple[str, float], ...]:
     if not isinstance(value, list):
-        raise ValueError  # noqa: TRY004 - the caller makes one sentence of every refusal
+        raise ValueError  # noqa: TRY004 - the caller turns every ValueError into one sentence
     for item in value:
         if not (isinstance(item, list) and len(item) == 2 and item[0] in ("x", "y", "z") and _is_number(item[1])):
             raise ValueError
@@ -125,7 +124,7 @@ GYRO_UNITS: Final = {
     "rate": {"rad/s": 1.0, "deg/s": DEG, "deg/h": DEG_PER_H},
     "increment": {"rad": 1.0, "deg": DEG},
 }
-"""SI units per unit of the file, by kind of recording; "counts" goes with its own factor."""
+"""SI units per unit of the file, by kind of recording; "counts" has its own factor."""
 
 ACCEL_UNITS: Final = {
     "rate": {"m/s^2": 1.0, "g": STANDARD_GRAVITY_M_S2, "mg": 1e-3 * STANDARD_GRAVITY_M_S2},
@@ -208,13 +207,13 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
     file, section : str
         Named in messages.
     values : object
-        What TOML holds there.
+        Value of the section in TOML.
     keys : tuple of Key
 
     Returns
     -------
     dict
-        By name of the key; absent keys are absent.
+        Values in SI by key; without the keys that are absent.
 
     Raises
     ------
@@ -241,12 +240,12 @@ def read_section(file: str, section: str, values: object, keys: tuple[Key, ...])
 
 
 def fields_of(section: Mapping[str, Any], keys: tuple[Key, ...]) -> dict[str, Any]:
-    """Give the part of a section that fills fields of its dataclass, by name of the field."""
+    """Values of a section that are fields of its dataclass, by field name."""
     return {key.attribute: section[key.name] for key in keys if key.attribute is not None and key.name in section}
 
 
 def emit_section(source: object, keys: tuple[Key, ...]) -> list[str]:
-    """Write the fields of a dataclass as lines of TOML, leaving out what is None.
+    """Lines of TOML for the fields of a dataclass that are not None.
 
     Parameters
     ----------
@@ -272,9 +271,9 @@ def emit_section(source: object, keys: tuple[Key, ...]) -> list[str]:
 
 
 def in_file_unit(value: float, factor: float) -> float:
-    """Convert from SI to the unit of the file, such that reading gives back the same bits where a float can.
+    """Convert from SI to the unit of the file so that reading returns the same bits, if a float can.
 
-    Round numbers are tried first: 45° is 45.0, not 45.00000000000001.
+    Round numbers come first: 45° is 45.0, not 45.00000000000001.
     """
     exact = value / factor
     nearest = (exact, math.nextafter(exact, INFINITY), math.nextafter(exact, -INFINITY))
@@ -285,9 +284,9 @@ def in_file_unit(value: float, factor: float) -> float:
 
 
 def toml_value(value: object) -> str:
-    """Write text, a number, or a list of them as TOML."""
+    """TOML notation of a text, a number, or a list of them."""
     if isinstance(value, str):
-        # A JSON string is a TOML string but for the character DEL.
+        # JSON strings are TOML strings, except for the character DEL.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(item) for item in value) + "]"

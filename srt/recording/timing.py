@@ -1,12 +1,11 @@
-"""How long each sample lasts, read from time stamps that loggers round, jitter and interrupt.
+"""Sampling intervals and gaps, from time stamps with rounding, jitter and interruptions.
 
-A gyro scale factor is an integral over time, so an interval taken from the difference of two rounded stamps
-turns the rounding into noise of that scale factor. Stamps that lie on a straight line to within their own
-rounding therefore give *one* interval, the slope of that line; only stamps that scatter more than that are
-believed one by one.
+A gyro scale factor is an integral over time, so the difference of two rounded stamps as an interval would turn the
+rounding into scale-factor noise. Stamps that lie on a straight line to within their rounding therefore give *one*
+interval, the slope of that line. Stamps with more scatter give an interval each.
 
-A *gap* is where the recording was interrupted: the first sample of a new contiguous piece. The slope is
-common to all pieces, the start of each piece is its own.
+A *gap* is an interruption of the recording; its index is that of the first sample of the next contiguous piece. All
+pieces have the same slope; each has its own start.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 GAP_STEPS: Final = 1.5
-"""A step longer than this many intervals is a gap."""
+"""Shortest step that is a gap, in intervals."""
 
 ROUNDING_FRACTION: Final = 0.02
-"""Deviation from a straight line, in intervals, up to which stamps count as merely rounded."""
+"""Largest deviation of rounded stamps from a straight line, in intervals."""
 
-_BURST_SAMPLES = 32  # host-stamped samples arrive in bursts of up to this many
-_MANY_GAPS = 0.05  # a share of long steps above which they are no interruptions
-_FEW_STEPS = 100  # too few to tell rounding from interruptions
-_ROUNDING_UNITS = 0.6  # rounding moves a stamp by half a unit either way; some more for the fit
-_RATE_MISMATCH = 0.2  # MEMS oscillators are off by up to 10 %; more is a wrong number in the file
+_BURST_SAMPLES = 32  # largest burst of samples that a host stamps at once
+_MANY_GAPS = 0.05  # fraction of long steps above which they are rounding, not gaps
+_FEW_STEPS = 100  # number of steps up to which rounding and gaps cannot be told apart
+_ROUNDING_UNITS = 0.6  # largest deviation of rounded stamps, in units of their last digit: 0.5, and 0.1 for the fit
+_RATE_MISMATCH = 0.2  # relative; MEMS oscillators deviate by up to 10 %, so more is a wrong number in the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +40,11 @@ class SampleTiming:
     Attributes
     ----------
     interval_s : float or ndarray, shape (n,), s
-        Duration that each sample covers: one number where the recording is uniform.
+        Duration of each sample; one number for a uniform recording.
     nominal_interval_s : float
         The typical interval, s.
     gaps : ndarray of int
-        Indices of the samples that start a new contiguous piece (never 0).
+        Indices of the first samples of contiguous pieces, without the first piece.
     """
 
     interval_s: float | Array
@@ -54,14 +53,14 @@ class SampleTiming:
 
 
 def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTiming:
-    """Find intervals and gaps.
+    """Sampling intervals and gaps of a recording.
 
     Parameters
     ----------
     time : ndarray, shape (n,), s
         Strictly increasing stamps, n >= 2.
     sample_rate_hz : float, optional
-        A rate that overrides the spacing of the stamps.
+        Sample rate that overrides the spacing of the stamps.
 
     Returns
     -------
@@ -70,7 +69,7 @@ def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTim
     Raises
     ------
     InputError
-        If the given rate contradicts the stamps by more than a fifth.
+        If the given rate differs from that of the stamps by more than 20 %.
     """
     steps = np.diff(time)
     if sample_rate_hz is not None:
@@ -82,8 +81,8 @@ def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTim
     typical = float(np.median(steps))
     gaps = np.flatnonzero(steps > GAP_STEPS * typical) + 1
     if gaps.size > _MANY_GAPS * steps.size and steps.size > _FEW_STEPS:
-        # Stamps rounded to nearly an interval (800 Hz in whole milliseconds) step by one unit or by two, and
-        # keep to their line all the same.
+        # Stamps rounded to nearly an interval (800 Hz in whole milliseconds) have steps of one or two units, but lie
+        # on a straight line.
         resolution = stamp_resolution(time)
         fewer = np.flatnonzero(steps > max(GAP_STEPS * typical, typical + 1.01 * resolution)) + 1
         slope, deviation = _common_line(time, fewer, typical)
@@ -101,7 +100,7 @@ def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTim
 
 
 def stamp_resolution(time: Array) -> float:
-    """Find the coarsest decimal unit (1 s ... 1 ns) of which all stamps are whole multiples.
+    """Coarsest decimal unit (1 s ... 1 ns) of which all stamps are multiples.
 
     Parameters
     ----------
@@ -110,7 +109,7 @@ def stamp_resolution(time: Array) -> float:
     Returns
     -------
     float
-        s; the floating-point spacing of the stamps where there is no such unit.
+        Unit, s; without such a unit, the floating-point spacing of the stamps.
     """
     floor = float(np.spacing(max(abs(time[0]), abs(time[-1]))))
     probe = time[:: max(1, time.size // 1000)]
@@ -118,7 +117,7 @@ def stamp_resolution(time: Array) -> float:
         unit = 10.0**-decimals
         if unit < 1e3 * floor:
             break
-        # Cheap look at a few stamps first: nearly every unit is ruled out there.
+        # A few stamps first, which exclude nearly every unit.
         if _are_multiples(probe, unit, floor) and _are_multiples(time, unit, floor):
             return unit
     return floor
@@ -131,9 +130,9 @@ def _are_multiples(time: Array, unit: float, floor: float) -> bool:
 
 
 def _gaps_at_known_interval(time: Array, steps: Array, interval: float) -> Indices:
-    """Find gaps when the rate is known: a late stamp is one only if the stamps after it stay late.
+    """Gaps for a known rate: a late stamp is a gap only if the stamps after it are late too.
 
-    Stamps set by the host come in bursts; the long step before one is made up for by the short ones in it.
+    A host stamps samples in bursts; the long step before a burst is compensated by the short steps in it.
     """
     late = np.flatnonzero(steps > GAP_STEPS * interval) + 1
     if late.size == 0:
@@ -165,10 +164,10 @@ def _check_rate(time: Array, steps: Array, gaps: Indices, sample_rate_hz: float)
 
 
 def _common_line(time: Array, gaps: Indices, typical: float) -> tuple[float, float]:
-    """Fit the interval common to all pieces; return it and half the largest range of deviations in a piece.
+    """Interval common to all pieces by least squares, and half the largest range of deviations in a piece.
 
-    Sums run over indices and times relative to the start of each piece: with gaps of hours, sums over
-    absolute ones would lose the interval in rounding.
+    Indices and times are relative to the start of each piece: with gaps of hours, the rounding of absolute times would
+    exceed the interval's accuracy.
     """
     starts = np.concatenate(([0], gaps))
     lengths = np.diff(np.append(starts, time.size))
@@ -184,8 +183,8 @@ def _common_line(time: Array, gaps: Indices, typical: float) -> tuple[float, flo
     cross = np.add.reduceat(local * deviation, starts) - 0.5 * (m - 1.0) * np.add.reduceat(deviation, starts)
     correction = float(cross.sum() / (m * (m * m - 1.0) / 12.0).sum())
     deviation -= correction * local
-    spread = np.maximum.reduceat(deviation, starts) - np.minimum.reduceat(deviation, starts)
-    return typical + correction, 0.5 * float(spread.max())
+    ranges = np.maximum.reduceat(deviation, starts) - np.minimum.reduceat(deviation, starts)
+    return typical + correction, 0.5 * float(ranges.max())
 
 
 def _read_only(indices: Indices) -> Indices:
