@@ -23,6 +23,7 @@ from srt.recording.imported_samples import (
     without_repeats,
 )
 from srt.recording.importer_registry import IMPORTERS, find_importer, import_file
+from srt.recording.importers import channels
 from srt.recording.importers.channels import meaning_of
 from srt.recording.recording import Site
 
@@ -427,11 +428,41 @@ def test_column_maps():
         ("accel_x_m_s2", "accel_x", "m/s^2"),
         ("orientation.x", None, None),
         ("mag_x", None, None),
+        ("scaledGyroX", "gyro_x", None),
+        ("scaledAccelZ", "accel_z", None),
+        ("UncompAcc Y [m/s^2]", "accel_y", "m/s^2"),
+        ("X_ACCL", "accel_x", None),
+        ("z_gyro (deg/s)", "gyro_z", "deg/s"),
+        ("VelInc_X", "accel_x", None),
+        ("xg", None, None),
     ],
 )
 def test_names_of_columns(name, channel, unit):
     found = meaning_of(name)
     assert (None if found is None else (found.channel, found.unit)) == (None if channel is None else (channel, unit))
+
+
+def test_names_of_columns_can_be_added(tmp_path, monkeypatch):
+    monkeypatch.setattr(channels, "COLUMN_NAMES", dict(channels.COLUMN_NAMES))
+    channels._meanings.cache_clear()
+    names = "Uhr,Kreisel X [deg/s],Kreisel Y [deg/s],Kreisel Z [deg/s],dV-Neu.x,dV-Neu.y,dV-Neu.z"
+    try:
+        channels.register_column_names("gyro", "Kreisel")
+        channels.register_column_names("accel", "dV-Neu", kind="increment")
+        channels.register_column_names("time", "Uhr")
+        assert meaning_of("Kreisel X [deg/s]") == channels.Meaning("gyro_x", "deg/s")
+        assert meaning_of("z kreisel") == channels.Meaning("gyro_z")
+        assert meaning_of("dV-Neu.x") == channels.Meaning("accel_x", None, "increment")
+        write_rows(tmp_path / "a.csv", names, [TIME, *GYRO.T, *ACCEL.T])
+        _, imported = import_file(tmp_path / "a.csv", ImportOptions(accel_unit="m/s^2", time_unit="s"))
+        np.testing.assert_array_equal(imported.gyro, GYRO * DEG)
+        for bad in (("gyros", "rot"), ("accel", "Kreisel"), ("gyro", "acc"), ("time", "-")):
+            with pytest.raises(InputError, match=r"is no channel|stands for another channel"):
+                channels.register_column_names(*bad)
+    finally:
+        monkeypatch.undo()
+        channels._meanings.cache_clear()
+    assert meaning_of("z kreisel") is None
 
 
 def test_columns_said_by_name_number_and_stem(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError, clipped, did_you_mean
@@ -19,22 +20,30 @@ if TYPE_CHECKING:
 
     from srt.recording.recording import Kind
 
-_RATE_STEMS: Final = {
-    "gyro": (
+COLUMN_NAMES: Final[dict[tuple[str, Kind | None], tuple[str, ...]]] = {
+    (TIME, None): (
+        "time", "timestamp", "timestamps", "t", "stamp", "headerstamp", "secondselapsed", "sampletime",
+    ),
+    (TEMPERATURE, None): ("temperature", "temp", "imutemperature", "imutemp"),
+    ("gyro", None): (
         "gyro", "gyr", "gyroscope", "g", "w", "omega", "angularvelocity", "angularrate", "angvel", "rotationrate",
-        "wrss",
+        "wrss", "scaledgyro", "uncompgyro",
     ),
-    "accel": (
-        "accel", "acc", "accelerometer", "acceleration", "a", "alpha", "linearacceleration", "linacc",
-        "specificforce", "f", "arss",
+    ("accel", None): (
+        "accel", "acc", "accl", "accelerometer", "acceleration", "a", "alpha", "linearacceleration", "linacc",
+        "specificforce", "f", "arss", "scaledaccel", "uncompaccel", "uncompacc",
     ),
+    ("gyro", "increment"): ("dtheta", "deltatheta", "deltaangle", "dangle", "wm"),
+    ("accel", "increment"): ("dv", "dvel", "deltav", "deltavel", "deltavelocity", "velinc", "vm"),
 }  # fmt: skip
-_INCREMENT_STEMS: Final = {
-    "gyro": ("dtheta", "deltatheta", "deltaangle", "dangle", "wm"),
-    "accel": ("dv", "dvel", "deltav", "deltavel", "deltavelocity", "vm"),
-}
-_TIME_NAMES: Final = ("time", "timestamp", "timestamps", "t", "stamp", "headerstamp", "secondselapsed", "sampletime")
-_TEMPERATURE_NAMES: Final = ("temperature", "temp", "imutemperature", "imutemp")
+"""Names of columns by channel and kind, in lower case without marks; kind None: the name does not state it.
+
+A name of a sensor stands for its array of three columns, and with an axis behind it for one of them, as "gyrox"; names
+of three letters or more may have the axis in front, as "xgyro".
+"""
+
+_SHORTEST_WITH_AXIS_IN_FRONT = 3
+"""Letters of a name that may have the axis in front: "xg" and "ta" may be anything."""
 
 _SUFFIX_UNITS: Final = {
     "rad_s": "rad/s", "rads": "rad/s", "radps": "rad/s", "deg_s": "deg/s", "degs": "deg/s", "dps": "deg/s",
@@ -46,23 +55,52 @@ _PREFIXES: Final = ("field", "imu")
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 
 
+def register_column_names(channel: str, *names: str, kind: Kind | None = None) -> None:
+    """Add names of columns to :data:`COLUMN_NAMES`.
+
+    Parameters
+    ----------
+    channel : "time", "temperature", "gyro" or "accel"
+    *names : str
+        Without axis and unit; case and marks do not count.
+    kind : "increment", optional
+        The kind of samples that the names state.
+
+    Raises
+    ------
+    InputError
+        An unknown channel, or a name of another one.
+    """
+    if (channel, None) not in COLUMN_NAMES:
+        known = [each for each, _ in COLUMN_NAMES]
+        raise InputError(
+            f"{channel!r} is no channel{did_you_mean(channel, known)}: use time, temperature, gyro or accel."
+        )
+    bare = tuple("".join(_words(name)) for name in names)
+    for name, given in zip(bare, names, strict=True):
+        if not name or _meanings().get(name, (channel, kind)) != (channel, kind):
+            raise InputError(f"The column name {given!r} is empty, or stands for another channel: choose another.")
+    COLUMN_NAMES[channel, kind] = (*COLUMN_NAMES.get((channel, kind), ()), *bare)
+    _meanings.cache_clear()
+
+
+@cache
 def _meanings() -> dict[str, tuple[str, Kind | None]]:
     """Channel, and kind where the name states it, by the name of a column without its unit."""
-    table: dict[str, tuple[str, Kind | None]] = dict.fromkeys(_TIME_NAMES, (TIME, None))
-    table.update(dict.fromkeys(_TEMPERATURE_NAMES, (TEMPERATURE, None)))
-    kinds: tuple[tuple[Mapping[str, Sequence[str]], Kind | None], ...] = (
-        (_RATE_STEMS, None),
-        (_INCREMENT_STEMS, "increment"),
-    )
-    for stems, kind in kinds:
-        for sensor, names in stems.items():
-            for name in names:
-                table[name] = (sensor, kind)
-                table.update({f"{name}{axis}": (f"{sensor}_{axis}", kind) for axis in AXES})
+    table: dict[str, tuple[str, Kind | None]] = {}
+    for (channel, kind), names in COLUMN_NAMES.items():
+        for name in names:
+            table[name] = (channel, kind)
+            if channel not in TRIADS:
+                continue
+            table.update({f"{name}{axis}": (f"{channel}_{axis}", kind) for axis in AXES})
+            if len(name) >= _SHORTEST_WITH_AXIS_IN_FRONT:
+                table.update({f"{axis}{name}": (f"{channel}_{axis}", kind) for axis in AXES})
     return table
 
 
-_MEANINGS: Final = _meanings()
+def _words(text: str) -> list[str]:
+    return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
 
 
 def listed(names: Sequence[str], none: str = "none") -> str:
@@ -123,8 +161,7 @@ def meaning_of(name: str) -> Meaning | None:
     """
     brackets = _BRACKETS.search(name)
     unit = normal_unit(brackets.group(1)) if brackets else None
-    bare = _BRACKETS.sub("", name).strip().lower()
-    parts = [part for part in re.split(r"[^a-z0-9]+", bare) if part]
+    parts = _words(_BRACKETS.sub("", name))
     if len(parts) > 1 and parts[0] in _PREFIXES:
         parts = parts[1:]
     # "gyro_x_deg_s": the longest unit at the end that leaves a known name.
@@ -132,7 +169,7 @@ def meaning_of(name: str) -> Meaning | None:
         ending = "_".join(parts[len(parts) - count :]) if count else ""
         if count and (count >= len(parts) or ending not in _SUFFIX_UNITS):
             continue
-        found = _MEANINGS.get("".join(parts[: len(parts) - count]))
+        found = _meanings().get("".join(parts[: len(parts) - count]))
         if found is not None:
             stated = unit or (_SUFFIX_UNITS[ending] if count else None)
             return Meaning(found[0], stated if _fits(found[0], stated) else None, found[1])
