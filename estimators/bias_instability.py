@@ -16,7 +16,7 @@ from srt.estimation.measurement_covariance import accel_drift, gyro_drift
 
 if TYPE_CHECKING:
     from srt.model.rotation_integrals import RotationIntegrals
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
@@ -50,7 +50,7 @@ class BiasInstability:
 
 
 def bias_instability(
-    data: PlaybackData,
+    data: PreparedRecording,
     integrals: RotationIntegrals,
     slopes: tuple[Array, Array],
     owner: tuple[Indices, Indices],
@@ -61,7 +61,7 @@ def bias_instability(
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     integrals : RotationIntegrals
         Gathered with the parts of the time integral.
     slopes : (ndarray, ndarray), shape (W, 3, 3) each

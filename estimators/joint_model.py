@@ -31,7 +31,7 @@ from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
 from srt.sensor_errors import SensorErrors
 from srt.sequences.plausibility import gap_inside
-from srt.sequences.preparation import nominal_attitude, open_session, sequence_of_label
+from srt.sequences.preparation import nominal_attitude, prepare_checked, sequence_of_label
 from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording, SequenceLabel
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 
@@ -67,7 +67,7 @@ class JointModel:
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
     start : SensorErrors, ndarray of shape (3, 3)
         Initial estimate and U.
@@ -78,7 +78,7 @@ class JointModel:
         If the options ask for gyro g-sensitivity, which joint estimation does not model.
     """
 
-    def __init__(self, data: PlaybackData, options: Options, start: tuple[SensorErrors, Array]) -> None:
+    def __init__(self, data: PreparedRecording, options: Options, start: tuple[SensorErrors, Array]) -> None:
         if options.gyro_bias == G_SENSITIVE:
             raise InputError(
                 f"Joint estimation has no option gyro_bias={G_SENSITIVE!r}: use the estimator closed-form or "
@@ -420,14 +420,14 @@ def open_joint_model(recording: Recording, options: Options) -> JointModel:
     Raises
     ------
     DataError
-        As :func:`srt.sequences.preparation.open_session`, and if no sequence has both its windows.
+        As :func:`srt.sequences.preparation.prepare_checked`, and if no sequence has both its windows.
     """
     labels = recording.sequences or find_turns(recording)
     whole = tuple(s for s in labels if not _end_is_missing(recording, s))
     poses = tuple(s for s in labels if s.id is not None and (s not in whole or _rotation_is_incomplete(recording, s)))
     if not whole:
         raise DataError("No sequence of the recording has both its windows: record at least one rotation to its end.")
-    data = open_session(recording, whole, options.average, poses=poses if recording.fixture is not None else ())
+    data = prepare_checked(recording, whole, options.average, poses=poses if recording.fixture is not None else ())
     return JointModel(data, options, initial_estimate(data, options))
 
 

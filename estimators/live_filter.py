@@ -30,7 +30,7 @@ from srt.model.analytic_platform import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.manoeuvres import end_attitude
-from srt.sequences.preparation import open_session
+from srt.sequences.preparation import prepare_checked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from srt.model.prior import Prior
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sensor_errors import SensorErrors
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
 
@@ -145,18 +145,18 @@ class LiveFilter:
             raise InputError("Live calibration needs labelled sequences on a fixture: give the whole recording.")
         if self.labels and label.start_static_s[0] < self.labels[-1].start_static_s[0]:
             raise InputError(f"{label.title} is earlier than the sequence before it: add sequences in their order.")
-        alone = open_session(recording.with_sequences((label,)), (label,), self.options.average)
+        alone = prepare_checked(recording.with_sequences((label,)), (label,), self.options.average)
         self.coarse.add(alone)
         self.labels.append(label)
         so_far = tuple(self.labels)
-        data = open_session(recording.with_sequences(so_far), so_far, self.options.average)
+        data = prepare_checked(recording.with_sequences(so_far), so_far, self.options.average)
         # With few sequences the problem has several minima: the most likely one is used.
         starts = (self.coarse.estimate(), initial_estimate(data, self.options))
         self.joint, self.solver, self.iteration = min((self._solve_from(data, start) for start in starts), key=_rank)
         return self._report(data)
 
     def _solve_from(
-        self, data: PlaybackData, start: tuple[SensorErrors, Array]
+        self, data: PreparedRecording, start: tuple[SensorErrors, Array]
     ) -> tuple[JointModel, KalmanSolver, IterationState]:
         """Process all sequences so far from the original prior, starting the iteration at ``start``."""
         joint, solver = JointModel(data, self.options, start), KalmanSolver(self.prior)
@@ -165,7 +165,7 @@ class LiveFilter:
         with threadpool_limits(limits=1, user_api="blas"):
             return joint, solver, iterate(joint, solver, iteration, requested=requested, max_step=_MAX_STEP)
 
-    def _report(self, data: PlaybackData) -> LiveReport:
+    def _report(self, data: PreparedRecording) -> LiveReport:
         assert self.iteration is not None
         found = self.solver.last
         if found is None or self.iteration.covariance is None:
@@ -230,7 +230,7 @@ class CoarseFilter:
         mean = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), np.zeros(6)])
         self.filter = SquareRootFilter(mean, np.diag(root))
 
-    def add(self, data: PlaybackData) -> None:
+    def add(self, data: PreparedRecording) -> None:
         """Update with the sequences of a session."""
         fixture = data.recording.fixture
         assert fixture is not None

@@ -19,7 +19,7 @@ from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.table1 import SEQUENCES
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
-from srt.sequences.preparation import PlaybackData, prepare
+from srt.sequences.preparation import PreparedRecording, prepare
 
 with contextlib.suppress(ModuleNotFoundError):
     from threadpoolctl import threadpool_limits
@@ -59,7 +59,7 @@ class Simulated:
     ``J`` is dz/d(error in the data) by central differences over all 27 errors.
     """
 
-    data: PlaybackData
+    data: PreparedRecording
     z: np.ndarray
     J: np.ndarray
     rows: dict[tuple[str, str], int] = field(default_factory=dict)
@@ -83,7 +83,7 @@ class Simulated:
         return out
 
 
-def component_rows(data: PlaybackData) -> dict[tuple[str, str], int]:
+def component_rows(data: PreparedRecording) -> dict[tuple[str, str], int]:
     """Place of every measured component in z."""
     rows = {}
     for k, name in enumerate(data.ids):
@@ -114,7 +114,7 @@ def simulated():
     def make(window_attitude: str) -> Simulated:
         options = Options(window_attitude=window_attitude)
 
-        def measure(vector: np.ndarray) -> tuple[PlaybackData, np.ndarray]:
+        def measure(vector: np.ndarray) -> tuple[PreparedRecording, np.ndarray]:
             recording = sims.read_out(motion, SensorErrors(vector))
             data = prepare(recording, recording.sequences, options.average)
             integrated = np.full(len(data.windows.duration_s), window_attitude == "integrated")

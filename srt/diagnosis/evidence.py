@@ -21,7 +21,7 @@ from srt.sequences.recognition import labelled, recognise
 if TYPE_CHECKING:
     from srt.recording.recording import Recording, SequenceLabel
     from srt.result.calibration import Calibration
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
     from srt.types import Array, Indices, Mask
 
@@ -119,7 +119,7 @@ class Evidence:
         return self.recording if self.has_labels else labelled(self.recording, self.labels)
 
     @cached_property
-    def data(self) -> PlaybackData | None:
+    def data(self) -> PreparedRecording | None:
         """The labelled recording, prepared without checks; None if that is not possible."""
         try:
             return prepare(self._with_labels, self.labels, self.options.average)
@@ -135,7 +135,7 @@ class Evidence:
         return np.asarray(np.searchsorted(gaps, first, side="right") == np.searchsorted(gaps, last, side="left"))
 
     @property
-    def _data(self) -> PlaybackData:
+    def _data(self) -> PreparedRecording:
         if self.data is None:
             raise DataError("The recording holds no sequence with two windows.")
         return self.data

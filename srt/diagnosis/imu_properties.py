@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.result.calibration import Calibration
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
@@ -179,7 +179,7 @@ def _with_asymmetry(evidence: Evidence, fit: StationaryRateFit) -> Calibration |
         return None
 
 
-def _of_g_sensitivity(data: PlaybackData, fit: StationaryRateFit) -> float:
+def _of_g_sensitivity(data: PreparedRecording, fit: StationaryRateFit) -> float:
     """Standard deviation of asymmetry due to that of the g-sensitivity: a rate over a full rotation."""
     samples, rotation = data.windows.samples, data.rotation
     duration = float(np.median(rotation[:, 1] - rotation[:, 0])) * data.recording.nominal_interval_s
@@ -267,7 +267,7 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
     return WhiteNoiseTest(float(stated), found, more, less)
 
 
-def _step(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> Array:
+def _step(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> Array:
     """Quantization step of single readings, as a rate, shape (3,); zero for pulses of a running sum."""
     if getattr(data.noise, f"{sensor}_edge").any():
         return np.zeros(3)
@@ -277,7 +277,7 @@ def _step(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> Array:
     return smallest_step(np.concatenate([table[a:b:stride] for a, b in samples.tolist()])) * evidence.per_rate
 
 
-def _powers(evidence: Evidence, data: PlaybackData, sensor: Sensor) -> tuple[Array, Array, Indices] | None:
+def _powers(evidence: Evidence, data: PreparedRecording, sensor: Sensor) -> tuple[Array, Array, Indices] | None:
     """Halves of the squared differences of neighbouring averages.
 
     Returns

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis import Diagnosis
     from srt.noise.allan import AllanDeviation
-    from srt.sequences.recognition import FoundTurn, Recognition
+    from srt.sequences.recognition import RecognisedManoeuvre, Recognition
     from srt.types import Array, Indices
 
 _ON_AXIS: Final = 0.94
@@ -217,7 +217,7 @@ def _short_figures(recording: Recording, windows: Indices) -> dict[str, dict[str
     return out
 
 
-def _turn(recording: Recording, turn: FoundTurn) -> ManoeuvreSummary:
+def _turn(recording: Recording, turn: RecognisedManoeuvre) -> ManoeuvreSummary:
     dt = recording.nominal_interval_s
     moving = recording.gyro[turn.first : turn.last]
     fastest = float(np.sqrt(np.einsum("na,na->n", moving, moving).max(initial=0.0)))

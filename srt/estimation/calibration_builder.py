@@ -11,20 +11,20 @@ from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.leave_one_out import verdict
 from srt.result.calibration import Calibration, software
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
-from srt.sequences.manoeuvres import wrong_turns
+from srt.sequences.manoeuvres import wrong_rotation_angles
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from srt.estimation.options import Options
     from srt.estimation.solver_result import SolverResult
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Mask
 
 
 def build_calibration(
     estimator: str,
-    data: PlaybackData,
+    data: PreparedRecording,
     options: Options,
     result: SolverResult,
     fixed: Mapping[str, str],
@@ -37,7 +37,7 @@ def build_calibration(
     Parameters
     ----------
     estimator : str
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
     result : SolverResult
     fixed : mapping of str to str
@@ -110,7 +110,7 @@ def _status(result: SolverResult, fixed: Mapping[str, str], inflation: float) ->
     return status, message, warnings
 
 
-def _provenance(data: PlaybackData, options: Options) -> dict[str, Any]:
+def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:
     return {
         "data_sha256": data.recording.data_sha256,
         "software": software(),
@@ -121,7 +121,7 @@ def _provenance(data: PlaybackData, options: Options) -> dict[str, Any]:
     }
 
 
-def _site(data: PlaybackData) -> dict[str, Any]:
+def _site(data: PreparedRecording) -> dict[str, Any]:
     site = data.recording.site
     return {
         "latitude_deg": None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
@@ -130,7 +130,7 @@ def _site(data: PlaybackData) -> dict[str, Any]:
     }
 
 
-def _noise(data: PlaybackData, result: SolverResult, inflation: float) -> dict[str, Any]:
+def _noise(data: PreparedRecording, result: SolverResult, inflation: float) -> dict[str, Any]:
     noise = data.noise
     return {
         "gyro_noise_rad_per_sqrt_s": noise.gyro_white.tolist(),
@@ -165,7 +165,7 @@ def _shared_errors(result: SolverResult, mask: Mask, inflation: float) -> dict[s
     return out
 
 
-def _alignment(data: PlaybackData) -> dict[str, Any]:
+def _alignment(data: PreparedRecording) -> dict[str, Any]:
     fixture = data.recording.fixture
     if fixture is None:
         return {"fixture": False}
@@ -179,7 +179,7 @@ def _alignment(data: PlaybackData) -> dict[str, Any]:
     }
 
 
-def _temperature(data: PlaybackData) -> dict[str, Any] | None:
+def _temperature(data: PreparedRecording) -> dict[str, Any] | None:
     T = data.recording.temperature
     if T is None:
         return None
@@ -199,7 +199,7 @@ def _temperature(data: PlaybackData) -> dict[str, Any] | None:
     return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
 
 
-def _warnings(data: PlaybackData, result: SolverResult, observed: Mask) -> tuple[str, ...]:
+def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> tuple[str, ...]:
     messages = [f"{title} is void: {reason}." for title, reason in data.voided.items()]
     if result.integrated and len(result.integrated) < len(data.windows.duration_s):
         times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in result.integrated)
@@ -207,7 +207,7 @@ def _warnings(data: PlaybackData, result: SolverResult, observed: Mask) -> tuple
             f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
         )
     if result.status in ("converged", "partial", "not_converged"):
-        messages += wrong_turns(data, result.end_attitude, result.U)
+        messages += wrong_rotation_angles(data, result.end_attitude, result.U)
     if result.solution is not None and result.status in ("converged", "partial"):
         messages += g_sensitivity_report.warnings(data, result.solution.measurements)
     if data.recording.site.latitude_rad is None:

@@ -12,11 +12,11 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
 
-def fixed_sigma(data: PlaybackData, options: Options) -> Array:
+def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     """1-sigma of every parameter's initial value, for the case that it is fixed, shape (27,), SI.
 
     Values given by the user, and asymmetries fixed on request, count as exact. An initial estimate from the fixture is

@@ -19,7 +19,7 @@ from srt.estimation.g_sensitivity import KEY, LEAST_FORCE_VARIATION, MODE
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution
     from srt.estimation.srt_measurements import SrtMeasurements
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
 
@@ -32,14 +32,14 @@ _EARTH_SIGMAS: Final = 3.0
 _DEG_PER_H_PER_G: Final = STANDARD_GRAVITY_M_S2 / DEG_PER_H
 
 
-def rate_disturbances(measurements: SrtMeasurements, data: PlaybackData, wander: Array) -> Array:
+def rate_disturbances(measurements: SrtMeasurements, data: PreparedRecording, wander: Array) -> Array:
     """Disturbances of the window rates by unit draws of all sources, shape (W, 3, S), rad/s.
 
     Parameters
     ----------
     measurements : SrtMeasurements
         With noise integrals.
-    data : PlaybackData
+    data : PreparedRecording
     wander : ndarray, shape (3,), rad/s
         1-sigma of a sequence's gyro bias about that of the test, raw channels.
     """
@@ -47,7 +47,7 @@ def rate_disturbances(measurements: SrtMeasurements, data: PlaybackData, wander:
     return np.concatenate([source.rate for source in sources if source.rate is not None], axis=2)
 
 
-def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
+def diagnostics(data: PreparedRecording, solution: Solution) -> dict[str, Any]:
     """Estimated g-sensitivity, as JSON values; empty where it is not estimated.
 
     ``matrix``, its ``sigma`` and its ``covariance`` (nine elements by rows) are SI, rows gyros and columns axes of B;
@@ -84,7 +84,7 @@ def diagnostics(data: PlaybackData, solution: Solution) -> dict[str, Any]:
     }
 
 
-def warnings(data: PlaybackData, measurements: SrtMeasurements) -> tuple[str, ...]:
+def warnings(data: PreparedRecording, measurements: SrtMeasurements) -> tuple[str, ...]:
     """Warnings: directions in which Γ is not observable, or a significant g-sensitivity that is not estimated."""
     if measurements.poses is not None:
         if not len(measurements.poses.unobserved):
@@ -105,7 +105,7 @@ def warnings(data: PlaybackData, measurements: SrtMeasurements) -> tuple[str, ..
     )
 
 
-def significant_g_sensitivity(measurements: SrtMeasurements, data: PlaybackData) -> float | None:
+def significant_g_sensitivity(measurements: SrtMeasurements, data: PreparedRecording) -> float | None:
     """Largest element of Γ, rad/s per m/s², if the F-test finds it significant, else None.
 
     An Earth-rate error has a part fixed to the vertical, which looks like g-sensitivity: an effect below 3 sigma of the

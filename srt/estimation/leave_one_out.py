@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from srt.estimation.iteration import Solution
     from srt.estimation.options import Options
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
     SequenceRows = tuple[Indices, Indices]
@@ -392,13 +392,13 @@ class LeaveOneOutEstimator(Protocol):
     """Leave-one-out estimator of a solver."""
 
     def __call__(
-        self, data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
+        self, data: PreparedRecording, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
     ) -> list[LeaveOneOutEstimate]:
         """Estimates without each sequence; ``rows_by_sequence`` from :func:`rows_of_sequences`."""
 
 
 def sequence_diagnostics(
-    leave_one_out: LeaveOneOutEstimator, data: PlaybackData, options: Options, solution: Solution, fixed: Mask
+    leave_one_out: LeaveOneOutEstimator, data: PreparedRecording, options: Options, solution: Solution, fixed: Mask
 ) -> tuple[SequenceDiagnostics, ...]:
     """Leave-one-out diagnostics of every sequence of a solution.
 
@@ -406,7 +406,7 @@ def sequence_diagnostics(
     ----------
     leave_one_out : LeaveOneOutEstimator
         Leave-one-out estimator of the solver.
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
     solution : Solution
     fixed : ndarray of bool, shape (27,)
@@ -429,7 +429,7 @@ def sequence_diagnostics(
     return tuple(SequenceDiagnostics(*row) for row in zip(data.ids, data.occurrences, against, without, strict=True))
 
 
-def rows_of_sequences(data: PlaybackData) -> list[SequenceRows]:
+def rows_of_sequences(data: PreparedRecording) -> list[SequenceRows]:
     """Rows of z that belong to one sequence alone, and its windows that no other one uses, for every sequence."""
     used = np.bincount(data.start, minlength=len(data.windows.duration_s))
     used += np.bincount(data.end, minlength=len(used))
@@ -440,7 +440,7 @@ def rows_of_sequences(data: PlaybackData) -> list[SequenceRows]:
     return out
 
 
-def pooling_weights_without(data: PlaybackData, solution: Solution, rows_by_sequence: list[SequenceRows]) -> Array:
+def pooling_weights_without(data: PreparedRecording, solution: Solution, rows_by_sequence: list[SequenceRows]) -> Array:
     """Weights of the windows in the pooled rest rate without each sequence, shape (K, W); zero if none remains."""
     pools = np.tile(solution.measurements.pool, (data.K, 1))
     for pool, (_, windows) in zip(pools, rows_by_sequence, strict=True):

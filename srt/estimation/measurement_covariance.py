@@ -22,7 +22,7 @@ from srt.model import measurement_model as model
 if TYPE_CHECKING:
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.model.rotation_integrals import RotationIntegrals
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 
@@ -49,12 +49,12 @@ class Disturbance:
     force: Array | None = None
 
 
-def project(measurements: SrtMeasurements, data: PlaybackData, source: Disturbance, bias_gain: Array) -> Array:
+def project(measurements: SrtMeasurements, data: PreparedRecording, source: Disturbance, bias_gain: Array) -> Array:
     """Effect G of a source on the measurement vector z, shape (n_z, S).
 
     Parameters
     ----------
-    measurements, data : SrtMeasurements, PlaybackData
+    measurements, data : SrtMeasurements, PreparedRecording
     source : Disturbance
     bias_gain : ndarray, shape (3,)
         Share of a sequence's own rest rate that is taken as its bias (0: pooled, 1: its own).
@@ -88,7 +88,7 @@ def _phi_per_rate(measurements: SrtMeasurements) -> Array:
     return out
 
 
-def bias_gain(measurements: SrtMeasurements, data: PlaybackData, mode: str, wander: Array) -> Array:
+def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str, wander: Array) -> Array:
     """Share of a sequence's own rest rate that is used as its bias, shape (3,).
 
     For biases that differ between sequences by σ and rest rates with noise s, the best linear estimate takes the share
@@ -111,7 +111,7 @@ def bias_gain(measurements: SrtMeasurements, data: PlaybackData, mode: str, wand
     return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
-def rest_rate_variance(measurements: SrtMeasurements, data: PlaybackData) -> Array:
+def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
     D2 = np.linalg.inv(measurements.gyro.matrix) ** 2
     T = data.windows.duration_s
@@ -120,7 +120,7 @@ def rest_rate_variance(measurements: SrtMeasurements, data: PlaybackData) -> Arr
     return out
 
 
-def earth_rate_sigma(data: PlaybackData) -> float:
+def earth_rate_sigma(data: PreparedRecording) -> float:
     """1-sigma error of the Earth rate in a pose, rad/s."""
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
@@ -157,7 +157,7 @@ def excess_variance(rates: Array, expected: Array) -> Array:
 
 
 def disturbances(
-    measurements: SrtMeasurements, data: PlaybackData, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
+    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Disturbance]:
     """All error sources by name, in the order of the report.
 
@@ -165,7 +165,7 @@ def disturbances(
     ----------
     measurements : SrtMeasurements
         Processed with ``with_noise=True``.
-    data : PlaybackData
+    data : PreparedRecording
     wander : ndarray, shape (3,), rad/s
         One sigma of a sequence's gyro bias about the test's, raw channels, where no instability is stated.
     excess : (float, float)
@@ -193,7 +193,7 @@ def disturbances(
 
 def covariances(
     measurements: SrtMeasurements,
-    data: PlaybackData,
+    data: PreparedRecording,
     wander: Array,
     gain: Array,
     excess: tuple[float, float] = (0.0, 0.0),
@@ -214,7 +214,7 @@ def _own_draw(blocks: Array) -> Array:
     return out.reshape(n, rows, n * m)
 
 
-def _gyro_noise(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
+def _gyro_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Disturbance:
     """Angular random walk: in the rotations, in the window means, and in integrated windows."""
     if measurements.integrals.noise is None:
         raise ValueError("the measurements were processed without their noise integrals")
@@ -239,7 +239,7 @@ def _gyro_noise(measurements: SrtMeasurements, data: PlaybackData) -> Disturbanc
     )
 
 
-def _gyro_quantization(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
+def _gyro_quantization(measurements: SrtMeasurements, data: PreparedRecording) -> Disturbance:
     """Angle quantization error at the window boundaries, where the rotations begin and end."""
     K, W, T = data.K, len(data.windows.duration_s), data.windows.duration_s
     A = np.linalg.inv(measurements.gyro.matrix) * data.noise.gyro_edge
@@ -251,7 +251,7 @@ def _gyro_quantization(measurements: SrtMeasurements, data: PlaybackData) -> Dis
     return Disturbance(phi=phi.reshape(K, 3, -1), rate=rate.reshape(W, 3, -1))
 
 
-def _bias_instability(measurements: SrtMeasurements, data: PlaybackData, wander: Array) -> Disturbance:
+def _bias_instability(measurements: SrtMeasurements, data: PreparedRecording, wander: Array) -> Disturbance:
     """Gyro bias instability as specified; otherwise independent biases of the sequences, as their scatter shows."""
     D = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
     if data.noise.gyro_flicker is not None:
@@ -260,12 +260,12 @@ def _bias_instability(measurements: SrtMeasurements, data: PlaybackData, wander:
     return Disturbance(phi=_phi_per_rate(measurements) @ own, rate=own[measurements.window_sequence])
 
 
-def gyro_drift(data: PlaybackData, integrals: RotationIntegrals, slope: Array) -> Disturbance:
+def gyro_drift(data: PreparedRecording, integrals: RotationIntegrals, slope: Array) -> Disturbance:
     """Gyro bias instability, as specified, in rotations and windows.
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     integrals : RotationIntegrals
         With the parts of the time integral.
     slope : ndarray, shape (3, 3) or (W, 3, 3)
@@ -279,12 +279,12 @@ def gyro_drift(data: PlaybackData, integrals: RotationIntegrals, slope: Array) -
     return Disturbance(phi=phi.reshape(*phi.shape[:2], -1), rate=rate.reshape(*rate.shape[:2], -1))
 
 
-def accel_drift(data: PlaybackData, slope: Array) -> Disturbance:
+def accel_drift(data: PreparedRecording, slope: Array) -> Disturbance:
     """Accelerometer bias instability, as specified, in the windows.
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     slope : ndarray, shape (W, 3, 3)
         Compensated specific force of a unit bias of the raw channels.
     """
@@ -292,7 +292,7 @@ def accel_drift(data: PlaybackData, slope: Array) -> Disturbance:
     return Disturbance(force=force.reshape(*force.shape[:2], -1))
 
 
-def _earth_rate_error(measurements: SrtMeasurements, data: PlaybackData) -> Disturbance:
+def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) -> Disturbance:
     """Error of ω̂e: fixture attitude errors times the Earth rate, and the unknown part of the Earth rate."""
     axes = _attitude_errors(measurements, data)
     parts = [np.cross(axes, measurements.earth_rate[:, :, None], axis=1), _unknown_earth_rate(measurements, data)]
@@ -301,7 +301,7 @@ def _earth_rate_error(measurements: SrtMeasurements, data: PlaybackData) -> Dist
     return Disturbance(phi=measurements.integrals.weight_s[:, None, None] * delta, rate=seen)
 
 
-def _attitude_errors(measurements: SrtMeasurements, data: PlaybackData) -> Array:
+def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (K, 3, S).
 
     One draw per recording of base level x, y and north; one per sequence of its initial inner and outer angle. The
@@ -322,7 +322,7 @@ def _attitude_errors(measurements: SrtMeasurements, data: PlaybackData) -> Array
     return vertical
 
 
-def _unknown_earth_rate(measurements: SrtMeasurements, data: PlaybackData) -> Array:
+def _unknown_earth_rate(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Unknown part of the Earth rate (no latitude or no heading), per unit draw in B_Strt, shape (K, 3, S), rad/s."""
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from srt.estimation.leave_one_out import LeaveOneOutEstimator, SequenceDiagnostics
     from srt.estimation.options import Options
     from srt.sensor_errors import SensorErrors
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
 
@@ -86,7 +86,7 @@ class SolverResult:
 
 
 def solver_result(
-    data: PlaybackData,
+    data: PreparedRecording,
     options: Options,
     solution: Solution,
     fixed_reasons: Mapping[str, str],
@@ -96,7 +96,7 @@ def solver_result(
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
     solution : Solution
     fixed_reasons : mapping of str to str
@@ -128,7 +128,7 @@ def solver_result(
     )
 
 
-def _residuals(data: PlaybackData, solution: Solution) -> tuple[Residual, ...]:
+def _residuals(data: PreparedRecording, solution: Solution) -> tuple[Residual, ...]:
     """Residuals after the last iteration with their predicted sigma, zero where a component is solved exactly."""
     z, sigma = solution.measurements.z, np.sqrt(np.maximum(np.diag(solution.residual_covariance), 0.0))
     measurement_sigma = np.sqrt(np.diag(solution.measurement_covariance))

@@ -17,19 +17,21 @@ if TYPE_CHECKING:
 
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import Recording
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Counts, Indices
 
 MOVING: Final = 0.2
-"""Share of a turn's highest rate above which it is moving."""
+"""Share of the highest rate of a manoeuvre above which the unit moves."""
 _SMOOTH_S: Final = 0.05
+"""Averaging time of the rate whose largest axis names the rotation, s: longer than noise, shorter than a stop."""
+
 _SHORTEST: Final = 0.02
-"""Share of a turn's duration, below which a leg is a transient between two others."""
+"""Share of the duration of a manoeuvre below which a leg is a transient between two others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turn:
-    """What happened between two successive stationary windows of one contiguous piece.
+class Manoeuvre:
+    """Rotations between two successive stationary windows of one contiguous piece.
 
     Attributes
     ----------
@@ -56,7 +58,7 @@ class Turn:
         return float(np.linalg.norm(self.legs, axis=1).sum())
 
 
-def find_legs(recording: Recording, windows: Indices, start: int) -> Turn:
+def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeuvre:
     """Split the turn after a window into legs.
 
     A leg is a stretch in which the same sensor axis turns fastest, in the same sense: a fixture turns about one axis at
@@ -98,17 +100,21 @@ def find_legs(recording: Recording, windows: Indices, start: int) -> Turn:
     middles = [(bounds[i][1] + bounds[i + 1][0]) // 2 for i in range(len(bounds) - 1)]
     edges = np.array([0, *middles, b - a], dtype=np.intp)
     legs = np.add.reduceat(per_sample, edges[:-1], axis=0)
-    return Turn(start, start + 1, a, b, legs, a + np.stack([edges[:-1], edges[1:]], axis=1))
+    return Manoeuvre(start, start + 1, a, b, legs, a + np.stack([edges[:-1], edges[1:]], axis=1))
 
 
 QUARTER: Final = 0.5 * np.pi
+"""Quarter turn, rad."""
+
 LEGAL_SCALE: Final = (0.5, 1.6)
-"""Reading over truth of a gyro that quarter turns are counted by; 30 % of error and as much in safety."""
+"""Gyro reading over truth for which quarter turns are counted: scale errors of 30 %, with a margin as large."""
 _UPRIGHT: Final = 0.75
 """Cosine of the angle to the next axis, within which a face counts as down: 40° take in misalignment and bias."""
 _PURE: Final = 0.75
+"""Share of a leg's angle on its largest axis, above which it is a rotation about that axis."""
+
 OFF: Final = 0.4
-"""Quarter turns by which an angle may be off the next whole number and still stand for it."""
+"""Largest distance of an angle from a whole number of quarter turns, in quarter turns."""
 
 
 @cache
@@ -124,7 +130,7 @@ def quarter_turn(axis: int, count: int) -> Counts:
 
 
 def centred(force: Array, gravity: float) -> Array:
-    """Mean specific force of windows less what the extremes of each axis have in common, its bias, shape (W, 3)."""
+    """Mean specific force of windows less the bias of each axis, the mean of its two extremes, shape (W, 3)."""
     low, high = force.min(axis=0), force.max(axis=0)
     both = (low < -0.3 * gravity) & (high > 0.3 * gravity)
     return np.asarray(force - np.where(both, 0.5 * (low + high), 0.0))
@@ -155,10 +161,10 @@ def leg_axis(leg: Array) -> tuple[int, float] | None:
     return axis, float(np.sign(leg[axis]) * size)
 
 
-def scales(turns: Sequence[Turn], face: Sequence[tuple[int, int] | None]) -> Array:
-    """Reading over truth of each gyro axis, from turns of one leg that turn a face over, shape (3,).
+def scales(turns: Sequence[Manoeuvre], face: Sequence[tuple[int, int] | None]) -> Array:
+    """Reading over truth of each gyro axis, from manoeuvres of one leg that change the face that is down, shape (3,).
 
-    What is down before and after such a turn tells its angle but for whole turns, whatever the gyro reads.
+    The faces that are down before and after give the angle but for full circles, whatever the gyro reads.
     """
     ratios: list[list[float]] = [[], [], []]
     for turn in turns:
@@ -195,6 +201,7 @@ def quarters(legs: Array, scale: Array) -> list[tuple[int, int]] | None:
 
 
 _SIGMAS: Final = 6.0
+"""Largest rotation error over its sigma before a label is doubted: about 1e-9 by chance."""
 
 
 @cache
@@ -207,12 +214,12 @@ def end_attitude(sequence: RotationSequence) -> Array:
     return C
 
 
-def wrong_turns(data: PlaybackData, turned: Array, U: Array) -> tuple[str, ...]:
-    """Name the sequences that were not turned as their labels say.
+def wrong_rotation_angles(data: PreparedRecording, turned: Array, U: Array) -> tuple[str, ...]:
+    """Sentences about sequences whose measured rotation contradicts the label.
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     turned : ndarray, shape (K, 3, 3)
         C_End as the gyros measured it, B_End to B_Strt.
     U : ndarray, shape (3, 3)

@@ -56,7 +56,7 @@ def nominal_attitude(sequence: RotationSequence) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class PlaybackData:
+class PreparedRecording:
     """K sequences over W stationary windows.
 
     Attributes
@@ -103,7 +103,7 @@ class PlaybackData:
 
     @cached_property
     def occurrences(self) -> tuple[int, ...]:
-        """How often each sequence's id came before, plus one."""
+        """Occurrence of each sequence's id, counted from one."""
         return tuple(self.ids[: k + 1].count(name) for k, name in enumerate(self.ids))
 
     @cached_property
@@ -209,7 +209,7 @@ def prepare(
     *,
     voided: dict[str, str] | None = None,
     poses: Sequence[SequenceLabel] = (),
-) -> PlaybackData:
+) -> PreparedRecording:
     """Average the windows and set up the sequences; of ``poses`` the start windows alone.
 
     Raises
@@ -228,7 +228,7 @@ def _prepare(
     average: Average,
     voided: dict[str, str],
     poses: tuple[SequenceLabel, ...],
-) -> PlaybackData:
+) -> PreparedRecording:
     if not labels:
         reasons = [f"{k}: {v}" for k, v in voided.items()]
         shown = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if len(reasons) > 2 else "")
@@ -258,7 +258,7 @@ def _prepare(
                 f"{label.start_static_s[1]:g} s) and its end window (from {label.end_static_s[0]:g} s): "
                 "the rotation must lie between them."
             )
-    return PlaybackData(
+    return PreparedRecording(
         recording,
         labels,
         tuple(sequence_of_label(label) for label in labels),
@@ -273,18 +273,21 @@ def _prepare(
 
 
 _CHUNKS: Final = 20
+"""Parts of a window whose mean rates are summed to its angle."""
+
 _MOTION_RAD: Final = 5e-3
 _MOTION_SIGMAS: Final = 8.0
+"""Angle inside a window that is refused, rad, and over its noise; smaller ones are integrated."""
 
 
-def open_session(
+def prepare_checked(
     recording: Recording,
     labels: tuple[SequenceLabel, ...],
     average: Average = "linear",
     *,
     poses: tuple[SequenceLabel, ...] = (),
-) -> PlaybackData:
-    """Check a labelled recording and prepare it for play-back; of ``poses`` the start windows alone.
+) -> PreparedRecording:
+    """Check a labelled recording and prepare it; of ``poses`` the start windows alone.
 
     Sequences with a gap or clipped samples are voided; the result says so.
 
@@ -303,7 +306,7 @@ def _prepare_checked(
     labels: tuple[SequenceLabel, ...],
     average: Average,
     poses: tuple[SequenceLabel, ...],
-) -> PlaybackData:
+) -> PreparedRecording:
     check_interval(recording)
     voided: dict[str, str] = {}
     whole = []
@@ -338,7 +341,7 @@ def _part(recording: Recording, label: SequenceLabel) -> slice:
     )
 
 
-def _check_overlap(data: PlaybackData) -> None:
+def _check_overlap(data: PreparedRecording) -> None:
     """Refuse rotations that share samples: they would count as independent data."""
     order = np.argsort(data.rotation[:, 0])
     ends = np.maximum.accumulate(data.rotation[order, 1])
@@ -349,11 +352,11 @@ def _check_overlap(data: PlaybackData) -> None:
         )
 
 
-def _window_titles(data: PlaybackData) -> list[str]:
+def _window_titles(data: PreparedRecording) -> list[str]:
     return [f"The window from {data.recording.time[a]:.6g} s" for a in data.windows.samples[:, 0].tolist()]
 
 
-def _check_turned(data: PlaybackData) -> None:
+def _check_turned(data: PreparedRecording) -> None:
     """Magnitudes of single-axis turns against their labels: units of the gyros, whatever their axes."""
     turned, nominal, titles = [], [], []
     recording = data.recording
@@ -373,7 +376,7 @@ def _check_turned(data: PlaybackData) -> None:
         check_turns(turned, nominal, titles, interval_s=recording.nominal_interval_s)
 
 
-def _check_stillness(data: PlaybackData) -> None:
+def _check_stillness(data: PreparedRecording) -> None:
     """Refuse a window in which the unit visibly turned; small drifts are integrated later instead of held."""
     recording, noise = data.recording, data.noise
     samples, T = data.windows.samples, data.windows.duration_s

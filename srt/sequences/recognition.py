@@ -9,27 +9,23 @@ The most probable reading of a piece is found by dynamic programming over its re
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, permutations, product
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.model.table1 import AXES, SEQUENCES, axis_vector
+from srt.model.table1 import AXES, SEQUENCES
 from srt.recording.recording import SequenceLabel
 from srt.sequences.manoeuvres import (
     QUARTER,
-    Turn,
-    face_vector,
+    Manoeuvre,
     faces,
-    find_legs,
+    find_manoeuvre,
     leg_axis,
-    quarter_turn,
-    quarters,
-    scales,
 )
-from srt.sequences.preparation import nominal_attitude
 from srt.sequences.rest_detection import resolution_floor
+from srt.sequences.sequence_matching import ENOUGH_TURNS, QUARTER_TURN_WORDS, SequenceReading, promising_mappings
 from srt.sequences.stationary_windows import best_join, find_windows, trimmed, window_times
 
 if TYPE_CHECKING:
@@ -41,19 +37,7 @@ if TYPE_CHECKING:
 
     Word = tuple[tuple[int, int], ...]
 
-_WORDS: Final[dict[str, tuple[tuple[int, int], Word]]] = {
-    name: (
-        (AXES.index(s.down[-1]), round(axis_vector(s.down).sum())),
-        tuple((AXES.index(axis), round(angle / QUARTER)) for axis, angle in s.rotations),
-    )
-    for name, s in SEQUENCES.items()
-}
-"""Face that is down at the start, and quarter turns, of every sequence."""
 
-_STARTS: Final = {name: np.rint(nominal_attitude(s)).astype(np.int64) for name, s in SEQUENCES.items()}
-_LONGEST: Final = max(len(word) for _, word in _WORDS.values())
-_SPLIT: Final = 0.05
-"""Cost, in legs, of a rest inside a sequence."""
 _JOIN: Final = 0.6
 """Cost, in legs, of a jump of attitude inside a rest that nothing else shows."""
 _JOIN_OF_TWO: Final = 0.3
@@ -66,11 +50,8 @@ _TWO_DWELLS: Final = 1.5
 """Length of a rest over the usual one, from which it counts as two."""
 DOUBTFUL: Final = 0.5
 """Confidence below which a sequence is warned of."""
-_ENOUGH: Final = 4
-"""Turns below which the axes are not doubted."""
 _NEARLY_ALL: Final = 15
 """Different sequences with which they are not doubted either."""
-_TRIED: Final = 4
 _CLEARLY: Final = 1.2
 """Times as many legs in sequences that another naming of the axes must explain."""
 _BY_CHANCE: Final = 1.0 / (np.pi / 2.0) / 36.0
@@ -78,8 +59,8 @@ _BY_CHANCE: Final = 1.0 / (np.pi / 2.0) / 36.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundTurn:
-    """A turn, and what it was recognised as.
+class RecognisedManoeuvre:
+    """Manoeuvre and the sequence that it was recognised as.
 
     Attributes
     ----------
@@ -109,13 +90,13 @@ class FoundTurn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recognition:
-    """What was found in a recording.
+    """Stationary windows, manoeuvres and sequences found in a recording.
 
     Attributes
     ----------
     windows : ndarray of int, shape (W, 2)
         Stationary windows, first sample and one past the last; at a join one rest is two windows.
-    turns : tuple of FoundTurn
+    turns : tuple of RecognisedManoeuvre
         In time order; those of one sequence carry its id.
     labels : tuple of SequenceLabel
         Of the sequences, in time order.
@@ -129,7 +110,7 @@ class Recognition:
     """
 
     windows: Indices
-    turns: tuple[FoundTurn, ...]
+    turns: tuple[RecognisedManoeuvre, ...]
     labels: tuple[SequenceLabel, ...]
     confidence: tuple[float, ...]
     scale: Array
@@ -152,7 +133,7 @@ class Recognition:
 
     @property
     def misnamed(self) -> str:
-        """How axes must be named for the sequences to fit, as "the gyro axes are read as x,-y,z"; empty if they are."""
+        """Names that the axes must have, as "the gyro axes are read as x,-y,z"; empty if they are named so."""
         said = [
             f"the {sensor} axes are read as {mapping_text(P)}"
             for sensor, P in zip(("gyro", "accelerometer"), self.mapping, strict=True)
@@ -237,16 +218,16 @@ def _recognise(recording: Recording) -> Recognition:
         second[0] == first[1] or bool(np.any((gaps > first[0]) & (gaps < second[1])))
         for first, second in pairwise(windows)
     ]
-    turns = [find_legs(recording, windows, w) for w, cut in enumerate(apart) if not cut]
+    turns = [find_manoeuvre(recording, windows, w) for w, cut in enumerate(apart) if not cut]
     rates = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     force = np.array([recording.accel[a:b].mean(axis=0) for a, b in windows.tolist()]) * rates
     identity = (np.eye(3), np.eye(3))
     length = windows[:, 1] - windows[:, 0]
     join_cost = np.where(length > _TWO_DWELLS * np.median(length), _JOIN_OF_TWO, _JOIN)
-    best = _Reading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, identity)
-    if len(turns) >= _ENOUGH and len({m.name for m in best.matches}) < _NEARLY_ALL:
-        for mapping in _promising(turns, faces(force, recording.site.gravity_m_s2)):
-            other = _Reading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, mapping)
+    best = SequenceReading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, identity)
+    if len(turns) >= ENOUGH_TURNS and len({m.name for m in best.matches}) < _NEARLY_ALL:
+        for mapping in promising_mappings(turns, faces(force, recording.site.gravity_m_s2)):
+            other = SequenceReading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, mapping)
             if other.legs >= _CLEARLY * max(best.legs, 1):
                 best = other
     return _result(recording, windows, turns, best)
@@ -285,205 +266,7 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
     return labelled(recording, found.labels), found
 
 
-def _mappings() -> list[tuple[Array, Array]]:
-    """Other ways to name the axes: of the accelerometers alone, of the gyros alone, of both.
-
-    Both may differ by a sign: where the axes are left-handed, gyros follow either rule.
-    """
-    eye = np.eye(3)
-    signed = [
-        np.array(sign)[:, None] * eye[list(order)]
-        for order in permutations(range(3))
-        for sign in product((1.0, -1.0), repeat=3)
-    ]
-    others = [P for P in signed if not np.array_equal(P, eye)]
-    return [
-        *((eye, P) for P in others),
-        *((P, eye) for P in others),
-        *((P, P) for P in others),
-        *((-P, P) for P in others if not np.array_equal(P, -eye)),
-    ]
-
-
-def _promising(turns: SequenceOf[Turn], face: SequenceOf[tuple[int, int] | None]) -> list[tuple[Array, Array]]:
-    """The few namings of the axes under which most single turns look like sequences of Table 1."""
-    spelled = [(quarters(turn.legs, np.ones(3)), face[turn.start_window]) for turn in turns]
-    read = [(word, down) for word, down in spelled if word is not None and down is not None]
-    known = set(_WORDS.values())
-
-    def count(mapping: tuple[Array, Array]) -> int:
-        # Where each axis goes, and with which sign.
-        (g_axis, g_sign), (a_axis, a_sign) = (
-            (np.argmax(np.abs(P), axis=0).tolist(), P.sum(axis=0).astype(int).tolist()) for P in mapping
-        )
-        return sum(
-            (
-                (a_axis[down[0]], a_sign[down[0]] * down[1]),
-                tuple((g_axis[axis], g_sign[axis] * number) for axis, number in word),
-            )
-            in known
-            for word, down in read
-        )
-
-    ranked = sorted(((count(mapping), -k, mapping) for k, mapping in enumerate(_mappings())), key=lambda r: r[:2])
-    return [mapping for number, _, mapping in ranked[: -_TRIED - 1 : -1] if number >= _ENOUGH]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Match:
-    """A sequence read into turns ``first`` to ``last`` (inclusive), with the attitude of the piece it implies."""
-
-    name: str
-    first: int
-    last: int
-    attitude: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reading:
-    """The best reading of all turns under one naming of the axes."""
-
-    matches: tuple[_Match, ...]
-    joins: frozenset[int]
-    legs: int
-    scale: Array
-    words: tuple[Word | None, ...]
-    faces: tuple[tuple[int, int] | None, ...]
-    mapping: tuple[Array, Array]
-
-    @classmethod
-    def of(
-        cls,
-        turns: SequenceOf[Turn],
-        apart: SequenceOf[bool],
-        force: Array,
-        join_cost: Array,
-        gravity: float,
-        mapping: tuple[Array, Array],
-    ) -> _Reading:
-        gyro, accel = mapping
-        mapped = [Turn(t.start_window, t.end_window, t.first, t.last, t.legs @ gyro.T, t.bounds) for t in turns]
-        face = faces(force @ accel.T, gravity)
-        scale = scales(mapped, face)
-        words: list[Word | None] = []
-        for turn in mapped:
-            found = quarters(turn.legs, scale)
-            words.append(None if found is None or not _agrees(found, turn, face) else tuple(found))
-        matches: list[_Match] = []
-        joins: set[int] = set()
-        begin = 0
-        for t in range(len(mapped) + 1):
-            cut = t == len(mapped) or (
-                t > begin and (apart[mapped[t].start_window - 1] or words[t] is None or words[t - 1] is None)
-            )
-            if cut:
-                if begin < t:
-                    found_here, joined = _read_piece(mapped, words, face, join_cost, begin, t)
-                    matches += found_here
-                    joins |= joined
-                begin = t
-        legs = sum(len(_WORDS[m.name][1]) for m in matches)
-        return cls(tuple(matches), frozenset(joins), legs, scale, tuple(words), tuple(face), mapping)
-
-
-def _agrees(word: SequenceOf[tuple[int, int]], turn: Turn, face: SequenceOf[tuple[int, int] | None]) -> bool:
-    """Whether quarter turns lead from the face before to the face after."""
-    before, after = face[turn.start_window], face[turn.end_window]
-    if before is None or after is None:
-        return False
-    down = face_vector(before)
-    for axis, count in word:
-        down = quarter_turn(axis, count).T @ down
-    return np.array_equal(down, face_vector(after))
-
-
-def _merged(words: SequenceOf[Word]) -> Word:
-    """One word of several, turns about one axis in one sense put together."""
-    out: list[tuple[int, int]] = []
-    for word in words:
-        for axis, count in word:
-            if out and out[-1][0] == axis and out[-1][1] * count > 0:
-                out[-1] = (axis, out[-1][1] + count)
-            else:
-                out.append((axis, count))
-    return tuple(out)
-
-
-def _read_piece(
-    turns: SequenceOf[Turn],
-    words: SequenceOf[Word | None],
-    face: SequenceOf[tuple[int, int] | None],
-    join_cost: Array,
-    begin: int,
-    end: int,
-) -> tuple[list[_Match], set[int]]:
-    """Best reading of the turns ``begin`` to ``end`` of one contiguous piece, and the rests with a hidden join."""
-    carried = [np.eye(3, dtype=np.int64)]
-    for t in range(begin, end):
-        word = words[t]
-        C = carried[-1]
-        for axis, count in word or ():
-            C = C @ quarter_turn(axis, count)
-        carried.append(C)
-    options: list[_Match] = []
-    for i in range(begin, end):
-        for j in range(i, min(i + _LONGEST, end)):
-            spelled = _merged([w for w in words[i : j + 1] if w is not None])
-            for name, (down, word) in _WORDS.items():
-                if word == spelled and face[turns[i].start_window] == down:
-                    attitude = _STARTS[name] @ carried[i - begin].T
-                    options.append(_Match(name, i, j, tuple(attitude.ravel().tolist())))
-    return _best_path(options, begin, end, [float(join_cost[t.start_window]) for t in turns[begin:end]])
-
-
-def _best_path(
-    options: SequenceOf[_Match], begin: int, end: int, join_cost: SequenceOf[float]
-) -> tuple[list[_Match], set[int]]:
-    """Highest-scoring selection of matches that do not overlap, the piece's attitude changing as seldom as may be."""
-    states = sorted({m.attitude for m in options})
-    if not states:
-        return [], set()
-    number = {state: s for s, state in enumerate(states)}
-    starting: dict[int, list[_Match]] = {}
-    for m in options:
-        starting.setdefault(m.first, []).append(m)
-    # score[rest][attitude]: best so far, having reached this rest with the piece lying so.
-    score = np.full((end - begin + 1, len(states)), -np.inf)
-    score[0] = 0.0
-    came: dict[tuple[int, int], tuple[int, int, _Match | None]] = {}
-    for i in range(begin, end + 1):
-        row = score[i - begin]
-        if i == end:
-            break
-        top = int(np.argmax(row))
-        joined = row[top] - join_cost[i - begin]
-        for s in range(len(states)):
-            if row[s] < joined:
-                row[s] = joined
-                came[i, s] = (i, top, None)
-        for s in range(len(states)):
-            if row[s] > score[i + 1 - begin, s]:
-                score[i + 1 - begin, s] = row[s]
-                came[i + 1, s] = (i, s, None)
-        for m in starting.get(i, ()):
-            s = number[m.attitude]
-            value = row[s] + len(_WORDS[m.name][1]) - _SPLIT * (m.last - m.first)
-            if value > score[m.last + 1 - begin, s]:
-                score[m.last + 1 - begin, s] = value
-                came[m.last + 1, s] = (i, s, m)
-    at = (end, int(np.argmax(score[-1])))
-    matches, joins = [], set()
-    while at in came:
-        i, s, taken = came[at]
-        if taken is not None:
-            matches.append(taken)
-        elif i == at[0] and begin < i < end:
-            joins.add(i)
-        at = (i, s)
-    return matches[::-1], joins
-
-
-def _result(recording: Recording, windows: Indices, turns: SequenceOf[Turn], best: _Reading) -> Recognition:
+def _result(recording: Recording, windows: Indices, turns: SequenceOf[Manoeuvre], best: SequenceReading) -> Recognition:
     """Labels and confidences of a reading."""
     confidence = _confidences(turns, best)
     spans = {w: (int(a), int(b)) for w, (a, b) in enumerate(windows.tolist())}
@@ -503,7 +286,7 @@ def _result(recording: Recording, windows: Indices, turns: SequenceOf[Turn], bes
     )
     owner = {t: k for k, m in enumerate(best.matches) for t in range(m.first, m.last + 1)}
     found = tuple(
-        FoundTurn(
+        RecognisedManoeuvre(
             turn.start_window,
             turn.end_window,
             turn.first,
@@ -518,7 +301,9 @@ def _result(recording: Recording, windows: Indices, turns: SequenceOf[Turn], bes
     return Recognition(windows, found, labels, tuple(confidence), best.scale, best.mapping)
 
 
-def _parted_rests(recording: Recording, windows: Indices, turns: SequenceOf[Turn], best: _Reading) -> dict[int, int]:
+def _parted_rests(
+    recording: Recording, windows: Indices, turns: SequenceOf[Manoeuvre], best: SequenceReading
+) -> dict[int, int]:
     """Rests that are two, by window, with the first sample of the second: at hidden joins, and two dwells in one.
 
     A rest that ends one sequence and starts another is one pose for both, unless it is as long as two or the attitude
@@ -546,7 +331,7 @@ def _parted_rests(recording: Recording, windows: Indices, turns: SequenceOf[Turn
     return out
 
 
-def _confidences(turns: SequenceOf[Turn], best: _Reading) -> list[float]:
+def _confidences(turns: SequenceOf[Manoeuvre], best: SequenceReading) -> list[float]:
     """Probability of each match, from how far its legs lie from their nominal angles."""
     out = []
     for m in best.matches:
@@ -558,7 +343,7 @@ def _confidences(turns: SequenceOf[Turn], best: _Reading) -> list[float]:
             found = leg_axis(leg)
             if found is not None:
                 total[found[0]] += abs(found[1]) / best.scale[found[0]]
-        for axis, count in _WORDS[m.name][1]:
+        for axis, count in QUARTER_TURN_WORDS[m.name][1]:
             nominal[axis] += abs(count) * QUARTER
         worst = float(np.abs(total - nominal).max()) / max(1.0, np.sqrt(len(legs)))
         fits = np.exp(-0.5 * (worst / _ANGLE_SIGMA) ** 2) / (_ANGLE_SIGMA * np.sqrt(2.0 * np.pi))
@@ -566,15 +351,15 @@ def _confidences(turns: SequenceOf[Turn], best: _Reading) -> list[float]:
     return out
 
 
-def _why_not(t: int, turn: Turn, best: _Reading) -> str:
-    """Why a turn is no sequence, in a few words."""
+def _why_not(t: int, turn: Manoeuvre, best: SequenceReading) -> str:
+    """Reason for which a manoeuvre is no sequence, in a few words."""
     word = best.words[t]
     if best.faces[turn.start_window] is None or best.faces[turn.end_window] is None:
         return "no axis of the unit is vertical before or after it"
     if word is None:
         return "it is not made of quarter turns about single axes"
     down = best.faces[turn.start_window]
-    for name, (face, nominal) in _WORDS.items():
+    for name, (face, nominal) in QUARTER_TURN_WORDS.items():
         if face == down and tuple((axis, -count) for axis, count in nominal) == word:
             return f"it is sequence {name} turned the other way"
         if face == down and nominal == word:

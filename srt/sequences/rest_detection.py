@@ -26,21 +26,35 @@ if TYPE_CHECKING:
 
 
 BLOCK_S: Final = 0.1
+"""Length of a block, s: short beside a turn, long beside a sample."""
+
 MIN_BLOCK_SAMPLES: Final = 8
+"""Samples of a block at least, so that its variance means something."""
+
 SPREAD: Final = 6.0
 """Sigmas of a block mean within which it counts as the same."""
 _FALSE_ALARM: Final = 1e-4
+"""Probability of a resting block of normal noise to be called loud."""
+
 _LOUD: Final = 10.0
 """Variance of a block over that of the unit's quiet ones, above which it moves. Real rests differ by a few (a hand
 near by, a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
 _SHAKEN: Final = 400.0
 """Variance of specific force over the quiet level, beyond which a block is a knock and no rest."""
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
+"""Samples from which the resolution of the readings is taken."""
+
 _ROUNDING: Final = 1e-9
+"""Rounding error of a block mean over the largest reading."""
+
 _EARTH_SPREAD: Final = 3.0 * EARTH_RATE_RAD_S
+"""Largest change of the rate at rest with the attitude, rad/s: the Earth's rate, with room for g-sensitivity."""
+
 _FACE: Final = 0.5
 """Cells of the direction of specific force, in units of its magnitude, that count as different faces."""
 _STEADY_BLOCKS: Final = 10
+"""Blocks (1 s) over which the specific force of a steady block stays the same."""
+
 _CELL: Final = 4.0
 """Cells in which mean rates are counted, in units of what a bench at rest may show."""
 
@@ -72,7 +86,7 @@ class Blocks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """Which blocks are at rest, and what rest is.
+    """Blocks at rest, and the noise of a sample at rest.
 
     Attributes
     ----------
@@ -146,7 +160,7 @@ def _moments(table: Array, n: int, size: int) -> tuple[Array, Array]:
 
 
 def find_rest(blocks: Blocks) -> Rest:
-    """Tell which blocks are at rest."""
+    """Find the blocks at rest."""
     n = blocks.size
     upper = max(_LOUD, float(chdtri(n - 1, _FALSE_ALARM)) / (n - 1))
     middle = float(chdtri(n - 1, 0.5)) / (n - 1)
@@ -205,7 +219,7 @@ def _rest_rate(blocks: Blocks, candidates: Indices, level: Array, radius: Array)
 
 
 def _steady(blocks: Blocks, level: Array) -> Mask:
-    """Whether the force a second before or after each block is the same within its noise, shape (B,).
+    """Blocks whose specific force a second before or after is the same within its noise, shape (B,).
 
     Over a second even a slow turn moves gravity by more than the noise of a block.
     """

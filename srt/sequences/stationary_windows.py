@@ -37,7 +37,11 @@ _OUTWARD_BLOCKS: Final = 3
 """Blocks beyond a run of still blocks that may hold its last still samples."""
 
 _FEW: Final = 8
+"""Samples below which a part of a window is dropped."""
+
 _CHUNK_S: Final = 0.5
+"""Length of the means between which a jump of attitude is looked for, s."""
+
 _JUMP: Final = 60.0
 """Smallest gain in chi-square (six channels, one of some forty places) by which a jump is believed."""
 _ALONE: Final = 6.0
@@ -45,6 +49,7 @@ _ALONE: Final = 6.0
 _UNUSUAL: Final = 8.0
 """Times what is usual away from the largest step of a window."""
 _MOST_CHUNKS: Final = 10
+"""Means on either side of a jump that are compared."""
 
 
 def to_the_sample(
@@ -260,8 +265,10 @@ def _chunks(recording: Recording, a: int, size: int, count: int) -> Array:
 
 
 MIN_WINDOW_S: Final = 1.0
+"""Shortest stationary window, s."""
 
 MIN_TURN_RAD: Final = 0.1
+"""Smallest angle between two windows that counts as a turn, rad; less is a disturbance."""
 
 
 def find_windows(recording: Recording) -> Indices:

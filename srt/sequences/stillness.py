@@ -1,4 +1,4 @@
-"""Whether the unit stood still in a stationary window: chi-square tests of the window's halves against each other."""
+"""Tests for motion in a stationary window: chi-square of the difference of its halves."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from scipy.special import chdtri
 
 if TYPE_CHECKING:
     from srt.model.sensor_model import Triad
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 
 PROBABILITY: Final = 1e-3
-"""Of calling a still window moving, by both tests of it together."""
+"""Probability that a still window is classified as moving, by both tests together."""
 _PARTS: Final = 16
+"""Parts of a window from which its own noise is taken."""
+
 _MEDIAN_OF_SQUARE: Final = 0.4549
 """Median of chi-square with one degree of freedom."""
 
 
 def moved_windows(
-    data: PlaybackData,
+    data: PreparedRecording,
     gyro: Triad,
     accel: Triad,
     rest_rate: Array,
@@ -37,7 +39,7 @@ def moved_windows(
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     gyro, accel : Triad
         Reading models at the estimate.
     rest_rate : ndarray, shape (W, 3), rad/s
@@ -58,7 +60,13 @@ def moved_windows(
 
 
 def _fails(
-    data: PlaybackData, gyro: Triad, accel: Triad, rest_rate: Array, wander: Array, probability: float, ratio: Array
+    data: PreparedRecording,
+    gyro: Triad,
+    accel: Triad,
+    rest_rate: Array,
+    wander: Array,
+    probability: float,
+    ratio: Array,
 ) -> Mask:
     """Both tests, the stated noise of gyros and accelerometers multiplied by ``ratio``, shape (2, W, 3)."""
     noise = data.noise
@@ -84,7 +92,7 @@ def _fails(
     return np.asarray(tilted | (turned > chdtri(3, 0.5 * probability)))
 
 
-def _own_noise(data: PlaybackData, which: Mask) -> Array:
+def _own_noise(data: PreparedRecording, which: Mask) -> Array:
     """Noise that windows show themselves over what the noise model has, at least one, shape (2, W, 3).
 
     From second differences of the means of sixteen parts, which a steady drift does not move, by their median, which a

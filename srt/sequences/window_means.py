@@ -1,7 +1,7 @@
 """Stationary windows: averages taken once, and the weights of the two averaging algorithms.
 
 A window's mean is what later is compensated: compensating samples would rectify their noise through the asymmetry
-term. With held attitude these sums are all that the play-backs need of the windows.
+term. With held attitude these sums are all that the iterations need of the windows.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from srt.model.prior import Prior
 from srt.model.table1 import AXES
 from srt.recording.recording import Fixture, ImuNoise, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
-from srt.sequences.preparation import open_session
+from srt.sequences.preparation import prepare_checked
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
@@ -347,7 +347,7 @@ class Linear:
 @pytest.fixture(params=[200.0, pytest.param(1000.0, marks=pytest.mark.slow)])
 def linear(request, still_planet):
     recording, truth = record(1, noise=SMALL, share=SHARE, sample_rate_hz=request.param)
-    data = open_session(recording, recording.sequences, OPTIONS.average)
+    data = prepare_checked(recording, recording.sequences, OPTIONS.average)
     brute = BruteForce(recording, data)
     return Linear(recording, data, truth, brute, brute.jacobian(truth))
 
@@ -404,7 +404,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     smallest difference, 1e-3 of one. The covariances, in sigmas, are those of the linear problem.
     """
     recording, _ = record(0, noise=SMALL, share=SHARE, sample_rate_hz=50.0)
-    data = open_session(recording, recording.sequences, OPTIONS.average)
+    data = prepare_checked(recording, recording.sequences, OPTIONS.average)
     closed, best = by_play_back(data, ClosedFormSolver(data, OPTIONS)), by_play_back(data, LeastSquaresSolver(()))
     variance = np.diag(closed.P - best.P) / best.sigma**2
     assert variance.min() > 100.0 * AGREE
@@ -413,7 +413,7 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     z = []
     for seed in range(1, count + 1):
         recording, _ = record(seed, noise=1e-7, share=1.0, sample_rate_hz=50.0)
-        data = open_session(recording, recording.sequences, OPTIONS.average)
+        data = prepare_checked(recording, recording.sequences, OPTIONS.average)
         first = initial_estimate(data, OPTIONS)
         closed = iteration.iterate(data, OPTIONS, ClosedFormSolver(data, OPTIONS), *first)
         if closed.integrated:  # one still window in a thousand is taken for moving, and what it says is used otherwise
