@@ -1,6 +1,6 @@
-"""A calibration in the formats of others: written, read back, applied by their formula, and what that leaves said.
+"""Export of calibrations to the formats of other software, import from them, and the error of the conversion.
 
-Formats are in :mod:`srt.exporters.registry`, the work is done by :mod:`srt.exporters.conversion`.
+The formats are in :mod:`srt.exporters.registry`, the conversion in :mod:`srt.exporters.conversion`.
 """
 
 from __future__ import annotations

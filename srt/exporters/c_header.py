@@ -121,7 +121,7 @@ def c99_header(calibration: Calibration, name: str = "imu") -> str:
     ----------
     calibration : Calibration
     name : str
-        How all names in it begin, as ``imu_correct_gyro``: a letter, then letters, digits and underscores.
+        Prefix of all names, as in ``imu_correct_gyro``: a letter, then letters, digits and underscores.
 
     Returns
     -------
@@ -197,7 +197,7 @@ def _number(value: float) -> str:
 
 
 def _comment(calibration: Calibration, name: str, *, table: bool) -> str:
-    """What the header says of itself; texts from files are kept to characters that cannot end a comment."""
+    """Heading comment; texts from files keep only characters that cannot end a comment."""
 
     def stated(key: str) -> str:
         value = calibration.provenance.get(key)

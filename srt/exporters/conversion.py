@@ -1,4 +1,4 @@
-"""A calibration to another's format and back: written, read again, applied by the target's formula, measured."""
+"""Conversion of a calibration to the format of other software and back, with the error of the converted correction."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ if TYPE_CHECKING:
 
 
 _G_SENSITIVITY_WITHIN = 1e-12
+"""Largest g-sensitivity, relative to the largest rate, that counts as rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedCalibration:
-    """A calibration in another's format, and what that costs.
+    """Calibration in the format of other software, and the error of the conversion.
 
     Attributes
     ----------
@@ -49,13 +50,13 @@ class ExportedCalibration:
     turn_mrad : ndarray, shape (3,)
         The same as a rotation vector.
     readings : Readings
-        What the residuals are measured on.
+        Readings on which the differences are measured.
     residuals : tuple of CorrectionDifference
-        The file's own first; then, where they apply, with the biases given beside it, and of asymmetry alone.
+        Of the file first; then, where they apply, with the biases given separately, and of asymmetry alone.
     losses : tuple of str
-        What the format cannot hold of this calibration.
+        Parts of this calibration that the format does not hold.
     unknown : tuple of str
-        What the format asks for and the calibration does not know.
+        Values that the format requires and the calibration does not hold.
     """
 
     format: Exporter
@@ -71,7 +72,7 @@ class ExportedCalibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedCalibration:
-    """A pre-calibration out of another's format.
+    """Pre-calibration read from the format of other software.
 
     Attributes
     ----------
@@ -97,7 +98,7 @@ def export(
     asymmetry: str = "leave",
     settings: ExportSettings | None = None,
 ) -> ExportedCalibration:
-    """Put a calibration into another's format, in memory.
+    """Convert a calibration to the format of other software, in memory.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def export(
     frame : str, optional
         Axes of the file; default: the first that the format takes.
     asymmetry : "leave" or "fit"
-        How the linear part is chosen (:mod:`srt.exporters.linear_model`); "fit" needs readings.
+        Choice of the linear part (:mod:`srt.exporters.linear_model`); "fit" needs readings.
     settings : ExportSettings, optional
 
     Returns
@@ -120,9 +121,9 @@ def export(
     ------
     InputError
         An unknown format, axes or settings that it does not take, a calibration outside the model, values that the
-        target would cut or drop without a word.
+        target would clip or ignore silently.
     DataError
-        If what was written does not give the linear part back.
+        If the written file does not reproduce the linear part.
     """
     chosen = exporter(target)
     settings = settings or ExportSettings()
@@ -159,7 +160,7 @@ def export(
 
 
 def save(exported: ExportedCalibration, path: str | PathLike[str]) -> tuple[Path, ...]:
-    """Write the files, read them again as they are on disk, and only then let them take their place.
+    """Write the files, read them back from disk, and only then move them to their place.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ def save(exported: ExportedCalibration, path: str | PathLike[str]) -> tuple[Path
     InputError
         If a file cannot be written.
     DataError
-        If what is on disk is not what was meant.
+        If a file on disk differs from its text.
     """
     places = part_paths(exported.format, path)
     with ExitStack() as stack:
@@ -192,7 +193,7 @@ def save(exported: ExportedCalibration, path: str | PathLike[str]) -> tuple[Path
 
 
 def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
-    """Read a file of another's format as a pre-calibration.
+    """Read a file of other software as a pre-calibration.
 
     Parameters
     ----------
@@ -210,12 +211,12 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
     ------
     InputError
         A format that does not hold enough, a file that cannot be read or was edited or truncated, or one with
-        g-sensitivity, which the 27 errors have no place for.
+        g-sensitivity, which is not among the 27 errors.
     """
     chosen = exporter(target)
     if not chosen.imports:
         raise InputError(
-            f"A {target} file is no pre-calibration: it holds too little, or what srt wrote from a whole one."
+            f"A {target} file is not a pre-calibration: it holds too few parameters or a whole calibration."
         )
     texts = {}
     for part, place in part_paths(chosen, path).items():
@@ -238,7 +239,7 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
 
 
 def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
-    """Name the files of a format."""
+    """Paths of the files of a format, by part."""
     base = Path(path)
     return {part: base.with_name(base.stem + part + base.suffix) if part else base for part in chosen.parts}
 
@@ -294,7 +295,7 @@ def _residuals(
 
 
 def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Correction) -> None:
-    """Refuse a file that does not give back what it was made of; lossy formats are measured instead."""
+    """Refuse a file that does not reproduce the exported correction; lossy formats are reported."""
     if chosen.within is None:
         return
     rate, force = expected(readings.gyro[:1000], readings.accel[:1000])
@@ -303,8 +304,8 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
         size = max(float(np.abs(values).max()), 1.0)
         if not worst <= chosen.within * size:
             raise DataError(
-                f"The {name} correction of the {chosen.name} file is {worst:.3g} off what it was made of, "
-                f"where {chosen.within * size:.1g} is allowed: it is not written; use another format."
+                f"The {name} correction of the {chosen.name} file differs by {worst:.3g} from the exported one, "
+                f"more than the tolerance {chosen.within * size:.1g}: it is not written; use another format."
             )
 
 
@@ -319,14 +320,16 @@ def _asymmetric(calibration: Calibration) -> bool:
 
 
 def _forward(chosen: Exporter, fields: Fields) -> tuple[Triad, Triad]:
-    """Turn any format into readings ``y = M v + b``: its correction is affine, and seven readings show all of it."""
+    """Sensor model ``y = M v + b`` of a format: its correction is affine, so seven readings determine it."""
     probes = np.vstack([np.zeros(3), np.eye(3)])
     zero = np.zeros((4, 3))
     rate, force = chosen.apply(fields, probes, probes)
     rate_of_gyro, _ = chosen.apply(fields, probes, zero)
     rate_of_accel = chosen.apply(fields, zero, probes)[0]
     if np.abs(rate_of_accel[1:] - rate_of_accel[0]).max() > _G_SENSITIVITY_WITHIN * max(1.0, np.abs(rate).max()):
-        raise InputError("its gyros are g-sensitive, which the 27 sensor errors have no place for: set that to zero.")
+        raise InputError(
+            "its gyros are g-sensitive, which is not among the 27 sensor errors: set the g-sensitivity to zero."
+        )
     linears = []
     for values in (rate_of_gyro, force):
         matrix = np.linalg.inv((values[1:] - values[0]).T)

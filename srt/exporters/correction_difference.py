@@ -1,4 +1,4 @@
-"""How far a format's correction is from our own, on a recording or on motion in all directions alike."""
+"""Difference of two corrections of the same readings: a recording, or rotation and force in all directions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError
 from srt.model.sensor_model import accel_triad, gyro_triad
-from srt.recording.recording import as_samples, require_finite
+from srt.recording.sample_checks import as_samples, require_finite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,20 +23,22 @@ if TYPE_CHECKING:
     Correction = Callable[[Array, Array], tuple[Array, Array]]
 
 DIRECTIONS: Final = 1000
+"""Number of directions of the standard motion: neighbours are 6° apart."""
 STANDARD_RATE_RAD_S: Final = 1.0
+"""Rate of the standard motion, rad/s."""
 _BLOCK: Final = 1 << 16
 """Samples compared at a time, so that a long recording needs no more memory than a short one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """Raw readings to compare corrections on.
+    """Raw readings on which corrections are compared.
 
     Attributes
     ----------
     gyro, accel : ndarray, shape (n, 3), rad/s and m/s²
     title : str
-        What they are, for people.
+        Description in text.
 
     Raises
     ------
@@ -61,7 +63,7 @@ class Readings:
 
     @classmethod
     def of(cls, recording: Recording, title: str = "the recording") -> Readings:
-        """Take a recording's; increments become rates, which is what all formats are stated for."""
+        """Readings of a recording; increments become rates, as all formats expect."""
         n = len(recording.time)
         if recording.kind == "rate":
             return cls(recording.gyro, recording.accel, f"{n} samples of {title}")
@@ -70,7 +72,7 @@ class Readings:
 
     @classmethod
     def standard(cls, calibration: Calibration) -> Readings:
-        """Make what the unit reads at 1 rad/s and 1 g in 1000 directions spread evenly over the sphere.
+        """Readings of the unit at 1 rad/s and 1 g in 1000 directions distributed evenly over the sphere.
 
         Rate and force of a sample point in different directions; there is no noise.
         """
@@ -84,12 +86,12 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class CorrectionDifference:
-    """Length of the vector by which two corrections differ.
+    """Magnitude of the difference of two corrections.
 
     Attributes
     ----------
     title : str
-        What is compared with our own correction.
+        Description of the compared correction.
     gyro_max, gyro_rms : float, rad/s
     accel_max, accel_rms : float, m/s²
     """

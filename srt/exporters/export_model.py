@@ -1,4 +1,4 @@
-"""What a writer gets: the linear model in the format's axes, what is known of the unit, and what the user set."""
+"""Input of the writer of a format: linear sensor model in the axes of the format, noise, settings, heading."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ LAST_INSTANCE: Final = 9
 
 
 class FormatDescription(Protocol):
-    """A format as its files describe it; :class:`srt.exporters.file_format.Exporter` is one."""
+    """Description of a format in the heading of its files; :class:`srt.exporters.file_format.Exporter` is one."""
 
     @property
     def title(self) -> str:
-        """Name of the format for people."""
+        """Name of the format in text."""
 
     @property
     def formula(self) -> str:
-        """How its reader applies the numbers."""
+        """Formula that its reader applies."""
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -53,18 +53,18 @@ class FormatDescription(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ExportSettings:
-    """What a calibration does not know and some formats ask for; None where not stated.
+    """Values that some formats require and a calibration does not hold; None where not stated.
 
     Attributes
     ----------
     topic : str or None
-        Of the readings, for formats that name it; default "/imu0".
+        ROS topic of the readings; default "/imu0".
     rate_hz : float or None
         Sample rate.
     gyro_random_walk : float or None
-        Of the bias, rad/s²/√Hz.
+        Rate random walk of the gyro bias, rad/s²/√Hz.
     accel_random_walk : float or None
-        Of the bias, m/s³/√Hz.
+        Random walk of the accelerometer bias, m/s³/√Hz.
     instance : int or None
         Which IMU of the autopilot, from 0; default 0.
 
@@ -98,7 +98,7 @@ class ExportSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportModel:
-    """A calibration made ready for one format.
+    """Calibration prepared for one format.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class ExportModel:
     gyro, accel : LinearModel
         In the format's axes F.
     frame : str
-        What F is: "mars", "table" or "accel".
+        Name of F: "mars", "table" or "accel".
     C_FB : ndarray, shape (3, 3)
         From MARS axes to F.
     settings : ExportSettings
@@ -126,7 +126,7 @@ class ExportModel:
         return None if stated is None else np.array(stated, dtype=np.float64)
 
     def heading(self, item: FormatDescription) -> list[str]:
-        """Say, in ASCII lines for a comment, what the file is of, how it is applied and what it lacks."""
+        """ASCII lines for a comment: unit, origin, formula, axes and losses."""
         provenance = self.calibration.provenance
         stated = {
             key: _UNSAFE.sub("_", str(provenance.get(key) or "not stated"))[:200]
@@ -147,10 +147,10 @@ class ExportModel:
 
     @property
     def turn_mrad(self) -> Array:
-        """The turn from MARS axes to F as a rotation vector, shape (3,), mrad."""
+        """Rotation vector from MARS axes to F, shape (3,), mrad."""
         return 1e3 * np.asarray(rotation_vector(self.C_FB[None])[0])
 
 
 def comment(lines: Sequence[str], mark: str = "#") -> str:
-    """Set lines as comments."""
+    """Lines as comments."""
     return "".join(f"{mark} {line}".rstrip() + "\n" for line in lines)

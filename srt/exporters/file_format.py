@@ -1,4 +1,4 @@
-"""What a format is, and how its fields are read without trusting the file."""
+"""Description of an export format, and checked reading of its fields."""
 
 from __future__ import annotations
 
@@ -20,30 +20,32 @@ if TYPE_CHECKING:
     Fields = dict[str, Array]
 
 ROUNDING: Final = 1e-11
-"""Of the largest value: what two orders of the same exact operations may differ by (condition numbers reach 10)."""
+"""Relative rounding of two orders of the same operations in double precision (condition numbers reach 10)."""
 SINGLE: Final = 2e-6
-"""The same where the numbers of a file are kept in single precision (6e-8 each, a dozen of them)."""
+"""The same for files in single precision: 6e-8 for each of about a dozen numbers, times a margin of 3."""
 
 _ROTATION_WITHIN: Final = 1e-6
+"""Largest departure from orthogonality of a rotation written with seven digits."""
 _ZERO_WITHIN: Final = 1e-12
+"""Largest entry that counts as rounding of zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exporter:
-    """One format.
+    """Export format.
 
     Attributes
     ----------
     name, title : str
-        On the command line, and for people.
+        On the command line, and in text.
     suffixes : tuple of str
         Endings that its file may have, the first preferred.
     formula : str
-        How the target applies it, ASCII.
+        Formula of the target, ASCII.
     losses : tuple of str
-        What the format cannot hold beside asymmetry and covariance.
+        Parts of a calibration that it does not hold, beside asymmetry and covariance.
     advice : tuple of str
-        What to know before loading the file.
+        Notes on the use of the file.
     frames : tuple of str
         Axes that it can be written in, the first by default: "mars", "table" or, where the format decides them,
         "accel".
@@ -56,17 +58,17 @@ class Exporter:
     parts : tuple of str
         Appended to the stem of the file's name; one empty part is one file.
     triangle : "lower", "upper" or None
-        Of the accelerometer matrix in axes "accel".
+        Shape of the accelerometer matrix in axes "accel".
     within : float or None
         The linear part comes back to this fraction of the largest value; None where the format is too small for it.
     biases : bool
-        Whether it holds biases.
+        True if it holds biases.
     imports : bool
-        Whether it holds enough for a pre-calibration.
+        True if it can be read as a pre-calibration.
     options : frozenset of str
         ExportSettings that it takes; others are refused.
     asymmetry : bool
-        Whether it holds asymmetry.
+        True if it holds asymmetry.
     """
 
     name: str
@@ -131,7 +133,7 @@ def numbers(found: Any, name: str, shape: tuple[int, ...]) -> Array:
 
 
 def triangular(values: Array, name: str, triangle: str) -> Array:
-    """Refuse a matrix with entries that its reader would drop without a word."""
+    """Refuse a matrix with entries that its reader would ignore."""
     dropped = np.triu(values, 1) if triangle == "lower" else np.tril(values, -1)
     if np.abs(dropped).max() > _ZERO_WITHIN:
         raise InputError(
@@ -201,12 +203,12 @@ def single(values: Array) -> Array:
 
 
 def solved(matrix: Array, vectors: Array) -> Array:
-    """Multiply each row of shape (n, 3) by the inverse of a matrix."""
+    """Rows of shape (n, 3), each multiplied by the inverse of a matrix."""
     return np.asarray(np.linalg.solve(matrix, vectors.T).T, dtype=np.float64)
 
 
 def rows(matrix: Array, vectors: Array) -> Array:
-    """Multiply each row of shape (n, 3) by a matrix."""
+    """Rows of shape (n, 3), each multiplied by a matrix."""
     return np.asarray(vectors @ matrix.T)
 
 

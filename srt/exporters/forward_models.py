@@ -1,4 +1,4 @@
-"""Formats that state what the sensor reads: ``measured = M true + b``.
+"""Formats that state the sensor model: ``measured = M true + b``.
 
 Kalibr (model scale-misalignment)::
 
@@ -52,7 +52,7 @@ NOISE_NAMES: Final = {
 
 
 def chain_fields(model: ExportModel) -> dict[str, object]:
-    """Give the entries of ``imu0`` that Kalibr and OpenVINS share."""
+    """Entries of ``imu0`` that Kalibr and OpenVINS share."""
     return {
         "T_i_b": np.eye(4).tolist(),
         **named(model, NOISE_NAMES),

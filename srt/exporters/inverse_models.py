@@ -1,7 +1,7 @@
-"""Formats that state how readings are corrected: ``true = M (measured − b)`` or ``true = M measured − b``.
+"""Formats that state the compensation: ``true = M (measured − b)`` or ``true = M measured − b``.
 
 OpenVINS: ``w_I = R_GYROtoIMU Dw (w_m − Tg a_I − b_g)``, ``a_I = R_ACCtoIMU Da (a_m − b_a)``; the file holds the
-inverses Tw, Ta and the rotations from I. Tw and Ta are triangular, a full matrix is cut to its triangle without a word.
+inverses Tw, Ta and the rotations from I. Tw and Ta are triangular; the reader ignores the other entries.
 With both rotations free any axes will do. Were there g-sensitivity, Tg would be Kalibr's A times C_gyro_i, not A.
 
 imucal: ``acc = R_a⁻¹ K_a⁻¹ (U − b_a)``, ``gyr = R_g⁻¹ K_g⁻¹ (U − K_ga acc − b_g)``, K diagonal and the rows of R of

@@ -1,10 +1,10 @@
-"""The linear part of a calibration, and the factors that formats want it in.
+"""Linear part of a calibration, and its triangular factors.
 
-No format but our own holds scale-factor asymmetry. What is exported is linear, ``y = M v + b``, and there are two ways
-to choose M and b where ``y = M v + s ∘ |v| + b``:
+Most formats hold no scale-factor asymmetry: the exported model is linear, ``y = M v + b``. There are two ways to choose
+M and b where ``y = M v + s ∘ |v| + b``:
 
-* "leave": M and b as they are. The slope is then the mean of both signs, which is the best that one slope can do for
-  motion of both signs alike, and b is exact where a channel is at zero. ``s |v|`` is left.
+* "leave": M and b as they are. The slope is the mean of both signs, the best linear fit for motion that is symmetric
+  about zero, and b is exact where a channel is at zero. ``s |v|`` remains as an error.
 * "fit": ``|v|`` of every channel is replaced by the line ``α v + β`` that fits it best over a given recording, hence
   ``M + diag(s α)`` and ``b + s β``. For a unit that is mounted level, z always sees +g, and its asymmetry goes wholly
   into that scale. It is right for motion like the recording's, and for no other.
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 ASYMMETRY: Final = ("leave", "fit")
 
 _MOVING_FROM: Final = 1e-9
-"""Of its largest value, the spread of a channel from which on it is said to move."""
+"""Standard deviation of a channel over its largest value below which it counts as constant: rounding of doubles."""
 
 _REVERSED: Final = np.eye(3)[::-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearModel:
-    """Readings ``y = M v + b`` of a triad.
+    """Linear sensor model ``y = M v + b`` of a triad.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class LinearModel:
     bias: Array
 
     def correct(self, readings: Array) -> Array:
-        """Undo the readings, shape (n, 3)."""
+        """True values of readings, shape (n, 3)."""
         return np.asarray(np.linalg.solve(self.matrix, (readings - self.bias).T).T)
 
     def turned(self, C: Array) -> LinearModel:
-        """The same readings, v in axes that C takes its components to."""
+        """The same model for v in other axes; C takes components to these."""
         return LinearModel(self.matrix @ C.T, self.bias)
 
     @property
@@ -60,7 +60,7 @@ class LinearModel:
 
 
 def linear_part(triad: Triad, motion: Array | None = None) -> LinearModel:
-    """Take the linear part of a triad.
+    """Linear part of a triad.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ def linear_part(triad: Triad, motion: Array | None = None) -> LinearModel:
     matrix, bias = triad.matrix, triad.bias
     if motion is not None:
         size = np.abs(motion)
-        spread, size_spread = motion - motion.mean(axis=0), size - size.mean(axis=0)
-        variance = np.mean(spread**2, axis=0)
-        # A channel that moves by rounding alone does not move: any slope would fit it.
+        deviation, size_deviation = motion - motion.mean(axis=0), size - size.mean(axis=0)
+        variance = np.mean(deviation**2, axis=0)
+        # For a channel that is constant but for rounding, any slope would fit.
         moving = np.sqrt(variance) > _MOVING_FROM * size.max(axis=0)
-        slope = np.where(moving, np.mean(spread * size_spread, axis=0) / np.where(moving, variance, 1.0), 0.0)
+        slope = np.where(moving, np.mean(deviation * size_deviation, axis=0) / np.where(moving, variance, 1.0), 0.0)
         offset = size.mean(axis=0) - slope * motion.mean(axis=0)
         matrix = matrix + np.diag(triad.asymmetry * slope)
         bias = bias + triad.asymmetry * offset
@@ -117,4 +117,4 @@ def upper_rotation(M: Array) -> tuple[Array, Array]:
 
 
 FACTORS: Final = {"lower": lower_rotation, "upper": upper_rotation}
-"""By the triangle that the accelerometer matrix is to have."""
+"""Factorisations by the triangle of the accelerometer matrix."""

@@ -1,4 +1,4 @@
-"""The figures of noise and rate that visual-inertial formats keep beside the calibration."""
+"""Noise densities, random walks and sample rate that visual-inertial formats hold beside the calibration."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DEFAULT_TOPIC: Final = "/imu0"
 
 
 def known_figures(model: ExportModel) -> dict[str, float]:
-    """Collect what is known, each one number for all axes.
+    """Known values, one number for all axes of a sensor.
 
     Parameters
     ----------
@@ -22,8 +22,8 @@ def known_figures(model: ExportModel) -> dict[str, float]:
     -------
     dict of str to float
         Any of "gyro_noise", "accel_noise" (white, rad/s/√Hz and m/s²/√Hz, that of the noisiest axis),
-        "gyro_random_walk", "accel_random_walk" and "rate_hz". What is not known is left out rather than invented: a
-        rotation test is too short to show how a bias walks.
+        "gyro_random_walk", "accel_random_walk" and "rate_hz". Unknown values are absent: a rotation test
+        is too short to determine the random walk of a bias.
     """
     found: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
@@ -38,13 +38,13 @@ def known_figures(model: ExportModel) -> dict[str, float]:
 
 
 def named(model: ExportModel, names: dict[str, str]) -> dict[str, Any]:
-    """Give the known figures under the names that a format has for them."""
+    """Known values under the names of a format."""
     figures = known_figures(model)
     return {name: figures[key] for key, name in names.items() if key in figures}
 
 
 def unknown(model: ExportModel) -> tuple[str, ...]:
-    """Name what such a format asks for and nobody stated."""
+    """Names of the required values that are unknown."""
     figures = known_figures(model)
     words = {
         "gyro_noise": "gyro noise",

@@ -1,4 +1,4 @@
-"""Registers of a unit and parameters of autopilots and nodes.
+"""Parameter files: registers of a VectorNav unit, parameters of autopilots and of ROS 2 nodes.
 
 VectorNav, registers 84 (gyro) and 25 (accelerometer): ``X = C (A − B)``, on top of the factory's own calibration;
 single precision inside the unit.
@@ -7,7 +7,7 @@ PX4: ``a = (raw − off) ∘ scale``, ``w = raw − off``; ArduPilot the same. N
 misalignment at all. The three accelerometer factors are the best that factors can be for forces of all directions
 alike: row i of Ma being m, ``scale_i = m_i / |m|²``.
 
-ROS 2: no package defines such a file, so this one holds all that there is, asymmetry included.
+ROS 2: no package defines such a file; this one holds all parameters, asymmetry included.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _COMMAND: Final = re.compile(r"\$(VNWRG,(\d+),([^*$]*))\*([0-9A-Fa-f]{2}|XX)")
 
 
 def checksum(text: str) -> str:
-    """Give the 8-bit checksum of what stands between $ and *, as two hexadecimal digits."""
+    """8-bit checksum of the text between $ and *, as two hexadecimal digits."""
     return f"{functools.reduce(operator.xor, text.encode('ascii'), 0):02X}"
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 INTEGRATION_COVARIANCE: Final = 1e-10
-"""Of the position, m²/s: an integration error of 10 µm/√s, so that the covariance of a single step has an inverse.
+"""Covariance of the integrated position, m²/s: 10 µm/√s, so that the covariance of a single step has an inverse.
 
 gtsam's own default is 1 m²/s.
 """
@@ -57,13 +57,13 @@ def gtsam_preintegration(
     ----------
     calibration : Calibration
     readings : "corrected" or "raw"
-        What will be fed: the result of :meth:`srt.Calibration.apply` in MARS axes, or the readings as they are.
+        Input of the factors: the result of :meth:`srt.Calibration.apply` in MARS axes, or the readings as they are.
     up : bool
-        Whether z of the navigation frame points up (else down).
+        True: z of the navigation frame points up; False: down.
     gravity_m_s2 : float, optional
         Where the data are from; default: the calibration's site.
     gyro_random_walk, accel_random_walk : float, optional
-        Of the biases, rad/s²/√Hz and m/s³/√Hz; both or none.
+        Random walks of the biases, rad/s²/√Hz and m/s³/√Hz; both or none.
 
     Returns
     -------

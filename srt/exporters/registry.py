@@ -1,4 +1,4 @@
-"""Every format that can be written, by name."""
+"""Registry of the export formats by name."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def test_numbers_on_the_page_are_those_of_the_file(saved, plain_page, tmp_path, 
         if stated["observed"]:
             assert float(row[3]) == pytest.approx(stated["sigma"] * factor, abs=step)
         else:
-            assert row[3] == "held"
+            assert row[3] == "fixed"
             assert SYMBOLS[INDEX[stated["name"]]] in read.text.split("Fixed, not measured")[1]
     for word in ("SN-1", "2026-05-04", "45°", "23.2 °C", "range 1.5 °C", f"{1:064x}", "test 0.1.0", source.sha256):
         assert word in read.text
@@ -180,12 +180,12 @@ def test_residuals_are_summed_by_sequence(saved, plain_page):
         assert row[5] == COMPONENTS[np.argmax(np.abs(own))].replace("_", " ")
 
 
-def test_what_the_test_cannot_see_follows_the_test(saved):
+def test_limitations_follow_the_test(saved):
     told = {
         "temperature": "23.2 °C",
         "none": "not recorded",
         "held": "3 parameters were not measured",
-        "latitude": "Earth's rate",
+        "latitude": "Earth rate",
     }
     whole = " ".join(make_certificate(saved(calibration())).limitations)
     assert told["temperature"] in whole
@@ -413,13 +413,13 @@ def test_an_earlier_calibration_that_is_none(saved, changes, message):
         changes_since(new, old)
 
 
-def test_a_serial_that_is_not_stated_is_taken_on_trust(saved):
+def test_a_serial_that_is_not_stated_is_said(saved):
     new = saved(calibration(seed=1), "new.json")
     nameless = calibration(seed=2, provenance={"data_sha256": f"{2:064x}"})
     made = make_certificate(new, change=changes_since(new, saved(nameless, "old.json")))
-    assert any("taken on trust" in note for note in made.change_notes)
+    assert any("one unit is assumed" in note for note in made.change_notes)
     assert not any(
-        "taken on trust" in n
+        "one unit is assumed" in n
         for n in make_certificate(new, change=changes_since(new, saved(calibration(seed=3), "old.json"))).change_notes
     )
 

@@ -1,4 +1,4 @@
-"""Limits that a unit must meet: largest absolute values and largest sigmas, from a TOML file with units in its keys."""
+"""Acceptance limits: largest absolute values and largest sigmas, from a TOML file with units in its keys."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 SUFFIXES: Final = {"ppm": "ppm", "µrad": "urad", "µg": "ug", "°/h": "deg_per_h"}
-"""How the unit of a table is written in a key."""
+"""Unit suffixes of the keys, by display unit."""
 SECTIONS: Final = ("value", "sigma")
 
 
@@ -33,7 +33,7 @@ class AcceptanceLimits:
     value, sigma : ndarray, shape (27,), SI
         NaN where there is no limit.
     name : str
-        Of the file, without its folder.
+        Name of the file, without its folder.
     """
 
     value: Array
@@ -42,11 +42,11 @@ class AcceptanceLimits:
 
     @property
     def given(self) -> Mask:
-        """Which parameters have a limit, shape (27,)."""
+        """Mask of the parameters with a limit, shape (27,)."""
         return np.asarray(~np.isnan(self.value) | ~np.isnan(self.sigma))
 
     def met(self, calibration: Calibration) -> Mask:
-        """Which parameters meet their limits, shape (27,); one that was not measured meets none.
+        """Mask of the parameters that meet their limits, shape (27,); a fixed one meets none.
 
         Parameters
         ----------

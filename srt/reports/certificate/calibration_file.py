@@ -1,7 +1,7 @@
-"""A calibration file read with suspicion: what a certificate repeats must be whole, and agree with itself.
+"""Calibration file checked for completeness and consistency, as input of a certificate.
 
-Much of a calibration is stated twice: sigmas beside the covariance, units beside names, the verdict beside both. An
-edit by hand, or a file that was cut and mended, mostly changes one of the two.
+A calibration states many values twice: sigmas and covariance, names and units, verdict and both. An edit by hand mostly
+changes one of the two.
 """
 
 from __future__ import annotations
@@ -26,23 +26,26 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 _ROUNDING: Final = 1e-6
-"""Relative: numbers are written with all their digits, so that only the order of operations is between them."""
+"""Relative tolerance between values stated twice: numbers are written in full, so the difference is rounding."""
 _ROTATION: Final = 1e-6
+"""Largest departure of U from orthogonality."""
 _HASH_DIGITS: Final = 64
+"""Hexadecimal digits of a SHA-256."""
 _LARGEST_COUNT: Final = 2**53
+"""Largest integer that doubles count exactly to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationFile:
-    """A calibration and the file that it came from.
+    """Calibration and its file.
 
     Attributes
     ----------
     calibration : Calibration
     name : str
-        Of the file, without its folder.
+        Name of the file, without its folder.
     sha256 : str
-        Of the file.
+        SHA-256 of the file.
     """
 
     calibration: Calibration
@@ -51,20 +54,20 @@ class CalibrationFile:
 
     @property
     def serial(self) -> str | None:
-        """Of the unit; None if it was not stated."""
+        """Serial of the unit; None if not stated."""
         serial: str | None = self.calibration.provenance.get("serial")
         return serial
 
     @property
     def hashes(self) -> tuple[str, ...]:
-        """Of all samples that the calibration rests on; the parts of a merged one."""
+        """SHA-256 of the samples of all recordings of the calibration."""
         provenance = self.calibration.provenance
         tables = provenance.get("recordings") or [provenance]
         return tuple(t["data_sha256"] for t in tables if t.get("data_sha256"))
 
 
 def load_calibration_file(path: Path) -> CalibrationFile:
-    """Read a calibration that a certificate may repeat.
+    """Read and check a calibration file.
 
     Parameters
     ----------
@@ -105,17 +108,17 @@ def _number(text: str) -> float:
 
 
 def _defect(calibration: Calibration, document: Mapping[str, Any]) -> str | None:
-    """What is wrong with a calibration; None if nothing shows."""
+    """First defect of a calibration; None without a defect."""
     for key, fits, expected in _PARTS:
         value: Any = {"verdict": {}, **document}  # a verdict may be absent, but nothing else in its place
         for step in key.split("."):
             value = value.get(step) if isinstance(value, dict) else None
         if not fits(value):
             return f"{key} is not {expected}"
-    return _wrong_row(document) or _wrong_statistics(calibration) or _wrong_verdict(calibration)
+    return _inconsistent_row(document) or _inconsistent_covariance(calibration) or _inconsistent_verdict(calibration)
 
 
-def _wrong_row(document: Mapping[str, Any]) -> str | None:
+def _inconsistent_row(document: Mapping[str, Any]) -> str | None:
     for row, unit, symbol in zip(document["parameters"], UNITS, SYMBOLS, strict=True):
         for key, expected in (("unit", unit), ("symbol", symbol)):
             if row.get(key) != expected:
@@ -127,7 +130,7 @@ def _wrong_row(document: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _wrong_statistics(calibration: Calibration) -> str | None:
+def _inconsistent_covariance(calibration: Calibration) -> str | None:
     observed, covariance = calibration.observed, calibration.covariance
     sigma = np.sqrt(np.maximum(np.diag(covariance)[observed], 0.0))
     if covariance[~observed].any():
@@ -140,10 +143,10 @@ def _wrong_statistics(calibration: Calibration) -> str | None:
     sizes = calibration.contributions.values()
     if any(size.shape != (N_PARAMETERS,) or not np.all(np.isfinite(size)) for size in sizes):
         return f"a source of error does not have {N_PARAMETERS} sigmas"
-    return _wrong_state(calibration)
+    return _inconsistent_status(calibration)
 
 
-def _wrong_state(calibration: Calibration) -> str | None:
+def _inconsistent_status(calibration: Calibration) -> str | None:
     U = calibration.U
     if U is not None and (
         U.shape != (3, 3) or not np.allclose(U @ U.T, np.eye(3), atol=_ROTATION) or np.linalg.det(U) < 0.0
@@ -155,7 +158,7 @@ def _wrong_state(calibration: Calibration) -> str | None:
     return None if reason is None else f"it says {calibration.status}, but {reason}"
 
 
-def _wrong_verdict(calibration: Calibration) -> str | None:
+def _inconsistent_verdict(calibration: Calibration) -> str | None:
     sigma = calibration.sigma
     for row in calibration.verdict.get("parameters", ()):
         if str(row.get("name")) not in INDEX or not _is_number(row.get("sigma")):
@@ -186,12 +189,12 @@ def _list_of(fits: Callable[[object], bool]) -> Callable[[object], bool]:
 
 
 def _table(**columns: Callable[[object], bool]) -> Callable[[object], bool]:
-    """Whether a value is a table with such columns at least."""
+    """Test for a table with at least these columns."""
     return lambda value: isinstance(value, dict) and all(fits(value.get(key)) for key, fits in columns.items())
 
 
 def _whole_table(**columns: Callable[[object], bool]) -> Callable[[object], bool]:
-    """Whether a value is a table in which none of these columns is absent."""
+    """Test for a table in which all of these columns are present."""
     fits = _table(**columns)
     return lambda value: isinstance(value, dict) and set(columns) <= set(value) and fits(value)
 
@@ -205,7 +208,7 @@ def _is_size(value: object) -> bool:
 
 
 def _is_verdict(value: object) -> bool:
-    """Whether it is a whole verdict, or an absent one."""
+    """True for a complete verdict, and for an absent one."""
     judged = {"chi_square": _is_size, "degrees_of_freedom": _is_size, "probability": _or_none(_is_chance)}
     sequences = _list_of(_whole_table(sequence=_is_text, occurrence=_is_number, **judged))
     whole = _whole_table(**judged, sequences=sequences, parameters=_list_of(_table()))
@@ -241,4 +244,4 @@ _PARTS: Final[tuple[tuple[str, Callable[[object], bool], str], ...]] = (
     ("provenance.recordings", _or_none(_list_of(_table(**_PROVENANCE))), "a list of provenances"),
     ("verdict", _is_verdict, "a whole verdict"),
 )
-"""Parts of the file that a certificate repeats: where, what they must be, and that in words."""
+"""Checked parts of the file: key, test, and expectation in words."""

@@ -1,4 +1,4 @@
-"""What a certificate says, as data: sentences, facts and tables. How it looks is left to the page and the PDF."""
+"""Content of a certificate: sentences, definitions and tables, without their layout."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration, Residual
 
 _DIGITS: Final = 7
+"""Largest number of significant digits of a value: a noise-free sigma would ask for more."""
 _SOLVED: Final = 1e-3
-"""Share of sigma below which a residual was solved for, not left over."""
+"""Fraction of sigma below which a residual was solved for exactly."""
 _STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certificate:
-    """What the certificate of one unit says.
+    """Content of the certificate of one unit.
 
     Attributes
     ----------
@@ -50,24 +51,24 @@ class Certificate:
     outcome : str
         "passed", "failed", or empty without limits.
     summary : tuple of str
-        What matters most, in sentences.
+        Main results, in sentences.
     facts : tuple of (str, str)
-        Which unit, when, where, of which data, by which software.
+        Unit, date, site, data and software, as labels and texts.
     parameters : CertificateTable
     held : tuple of str
-        What was not measured, and why.
+        Fixed parameters and the reasons.
     residuals : CertificateTable or None
         By sequence.
     residual_notes : tuple of str
     recordings : CertificateTable or None
-        Of a merged calibration.
+        Recordings of a merged calibration.
     changes : CertificateTable or None
         Since an earlier calibration.
     change_notes : tuple of str
     application : Application
-        How to apply it.
+        Formulas and numbers of the compensation.
     limitations : tuple of str
-        What the test cannot see.
+        Limitations of the test.
     notes : tuple of str
         Warnings of the calibration.
     failed : tuple of str
@@ -109,7 +110,7 @@ def make_certificate(
     limits: AcceptanceLimits | None = None,
     change: ParameterChanges | None = None,
 ) -> Certificate:
-    """Put together what a certificate says.
+    """Content of a certificate.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def make_certificate(
 
 
 def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = None) -> CertificateTable:
-    """Set values and sigmas in the units people expect, and what became of the limits.
+    """Table of values and sigmas in display units, with the results of the limits.
 
     Parameters
     ----------
@@ -180,7 +181,7 @@ def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = 
             CertificateCell(SYMBOLS[i]),
             CertificateCell(name.replace("_", " ")),
             CertificateCell(*_value(i, value, sigma)),
-            CertificateCell("held", mark="held") if held else CertificateCell(*_value(i, sigma, sigma)),
+            CertificateCell("fixed", mark="held") if held else CertificateCell(*_value(i, sigma, sigma)),
             CertificateCell(DISPLAY_UNITS[i]),
         ]
         if limits is not None and met is not None:
@@ -198,7 +199,7 @@ def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = 
 
 
 def change_table(source: CalibrationFile, change: ParameterChanges) -> CertificateTable:
-    """Set the change of every parameter over its combined sigma.
+    """Table of the change of every parameter, over its combined sigma.
 
     Parameters
     ----------
@@ -230,14 +231,14 @@ def change_table(source: CalibrationFile, change: ParameterChanges) -> Certifica
     compared = int(np.sum(~np.isnan(change.sigma)))
     note = (
         "sigma: of the change, the root of the sum of both squares. A change beyond "
-        f"{change.limit:.2f} sigma is marked: with {compared} parameters compared, chance alone marks any at all in at "
-        f"most {FALSE_ALARM:.0%} of comparisons."
+        f"{change.limit:.2f} sigma is marked: over the {compared} compared parameters, the probability of any false "
+        f"mark is at most {FALSE_ALARM:.0%}."
     )
     return CertificateTable("Change since the last calibration", head, tuple(rows), "llrrrrlrl", note, _STARTS)
 
 
 def residual_table(calibration: Calibration) -> CertificateTable | None:
-    """Set what is left over of every sequence; None without residuals.
+    """Table of the residuals by sequence; None without residuals.
 
     Parameters
     ----------
@@ -249,7 +250,7 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
     by_turn: dict[tuple[str, int], list[Residual]] = {}
     for residual in calibration.residuals:
         by_turn.setdefault((residual.sequence, residual.occurrence), []).append(residual)
-    against = ("chi-square / dof", "chance") if judged else ()
+    against = ("chi-square / dof", "p") if judged else ()
     head = ("sequence", "residuals", "left over", "rms / sigma", "largest / sigma", "in", *against)
     rows = []
     for turn, residuals in by_turn.items():
@@ -281,8 +282,9 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
                 CertificateCell(probability(row["probability"]) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
-    note = "left over: residuals that the parameters do not solve for exactly; about 1 sigma each is expected." + (
-        " chi-square: how far the sequence is from what all others predict; chance: of a larger one." * bool(judged)
+    note = "left over: residuals that are not solved for exactly; about 1 sigma each is expected." + (
+        " chi-square: against the prediction from all other sequences; p: probability of a larger one by noise."
+        * bool(judged)
     )
     return CertificateTable("Residuals by sequence", head, tuple(rows), "lrrrrl" + ("rr" if judged else ""), note)
 
@@ -298,7 +300,7 @@ def _summary(
             else f"All {count} limited parameters passed."
         )
     elif calibration.status == "converged":
-        yield "No limits were given: the values and their sigmas stand for themselves."
+        yield "No acceptance limits were given."
     measured = int(calibration.observed.sum())
     status = calibration.status.replace("_", " ")
     yield f"{measured} of {len(NAMES)} parameters were measured (estimator {plain(calibration.estimator)}, {status})."
@@ -349,18 +351,18 @@ def _change_notes(source: CalibrationFile, change: ParameterChanges) -> Iterator
     temperatures = [temperature(s.calibration) for s in (old, source)]
     yield f"Temperature before: {temperatures[0]}; now: {temperatures[1]}."
     if change.on_trust:
-        yield "A serial is not stated: that both are of one unit is taken on trust."
+        yield "A serial is not stated: one unit is assumed."
     yield (
-        "What both tests share, such as the gravity of the site, is taken as independent: the sigma of a change is "
-        "then rather too large than too small."
+        "Errors common to both tests, such as that of gravity, are treated as independent: the sigma of a change is "
+        "rather too large than too small."
     )
 
 
 def _value(i: int, value: float, sigma: float) -> tuple[str, float]:
-    """A parameter in its display unit, rounded as its sigma deserves, and its SI value."""
+    """Text of a parameter in its display unit, rounded to two digits of its sigma, and its SI value."""
     factor = DISPLAY_FACTORS[i]
     decimals = 2 if math.isnan(sigma) else decimals_for(sigma * factor)
-    # A noise-free sigma asks for more digits of the value than anyone reads.
+    # A noise-free sigma would ask for too many digits of the value.
     places = decimals if value == sigma else min(decimals, max(_DIGITS - len(f"{abs(value * factor):.0f}"), 0))
     return fixed(value * factor, places), value
 

@@ -1,4 +1,4 @@
-"""The pictures of a certificate. Each draws into a figure or a part of one, so that page and PDF share them."""
+"""Figures of a certificate, as SVG for the page and the PDF."""
 
 from __future__ import annotations
 
@@ -56,14 +56,16 @@ _KINDS: Final = (
 """Word in a component's name, label, colour, marker."""
 _OTHER: Final = ("", "other", GREY, "D")
 _MOST_TICKS: Final = 24
+"""Largest number of labels of sequences on the axis."""
 _IN_MINUTES: Final = 1200.0
+"""Duration from which the time axis is in minutes, s."""
 _GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))
 """Units of the panels of parameters, by rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class CertificateFigure:
-    """A picture of the certificate.
+    """Figure of the certificate.
 
     Attributes
     ----------
@@ -71,7 +73,7 @@ class CertificateFigure:
         A word, for identifiers.
     title : str
     caption : str
-        How to read it.
+        Legend.
     size_in : (float, float)
         Width and height, inches.
     draw : callable
@@ -86,7 +88,7 @@ class CertificateFigure:
 
 
 def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ...]:
-    """Choose the pictures that there is something to show in.
+    """Figures for which the calibration has data.
 
     Parameters
     ----------
@@ -100,7 +102,7 @@ def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ..
         "convergence": any(c > 0.0 for c in calibration.corrections),
         "correlation": int(calibration.observed.sum()) > 1,
     }
-    return tuple(p for p in _PICTURES if shown[p.name])
+    return tuple(p for p in _FIGURES if shown[p.name])
 
 
 def figure_svg(certificate: Certificate, figure: CertificateFigure) -> str:
@@ -139,7 +141,7 @@ def _parameters(certificate: Certificate, figure: Figure | SubFigure) -> None:
             draw_errors(grid[1, column], calibration, None, members[unit], unit)
             grid[1, column].set_title("±1 sigma", fontsize=_TEXT, color=INK, loc="left")
             for axes in grid[:, column]:
-                _settle(axes)
+                _set_label_sizes(axes)
 
 
 def _residuals(certificate: Certificate, figure: Figure | SubFigure) -> None:
@@ -169,7 +171,7 @@ def _residuals(certificate: Certificate, figure: Figure | SubFigure) -> None:
     largest = max(1.5, *(abs(r.value / r.sigma) for r in residuals))
     axes.set_ylim(-1.15 * largest, 1.15 * largest)
     figure.legend(loc="outside upper left", ncols=4, fontsize=_TEXT, frameon=False, labelcolor=INK)
-    _settle(axes)
+    _set_label_sizes(axes)
 
 
 def _test(certificate: Certificate, figure: Figure | SubFigure) -> None:
@@ -193,7 +195,7 @@ def _test(certificate: Certificate, figure: Figure | SubFigure) -> None:
         style(axes)
         axes.set_title(title, fontsize=_TEXT, color=INK, loc="left")
         axes.yaxis.set_major_locator(MaxNLocator(5))
-        _settle(axes)
+        _set_label_sizes(axes)
     excess.set_xlabel(f"time, {unit}", fontsize=_TEXT, color=INK)
     handles = [
         Line2D([], [], color=colour, marker=marker, markersize=3.0, label=axis)
@@ -206,9 +208,9 @@ def _convergence(certificate: Certificate, figure: Figure | SubFigure) -> None:
     axes = figure.subplots()
     draw_convergence(axes, certificate.source.calibration)
     axes.set_title("", loc="left")
-    axes.set_xlabel("play-back", fontsize=_TEXT, color=INK)
+    axes.set_xlabel("iteration", fontsize=_TEXT, color=INK)
     axes.set_ylabel("largest correction", fontsize=_TEXT, color=INK)
-    _settle(axes)
+    _set_label_sizes(axes)
 
 
 def _correlation(certificate: Certificate, figure: Figure | SubFigure) -> None:
@@ -216,7 +218,7 @@ def _correlation(certificate: Certificate, figure: Figure | SubFigure) -> None:
     seen = np.flatnonzero(calibration.observed)
     sigma = calibration.sigma[seen]
     C = calibration.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
-    # Size as opacity: no correlation is the paper itself, be it light or dark.
+    # Magnitude as opacity: zero correlation shows the background, light or dark.
     picture = np.empty((*C.shape, 4))
     colours = np.array([[int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for colour in (BLUE, VERMILION)])
     picture[..., :3] = colours[(C > 0.0).astype(int)]
@@ -246,47 +248,47 @@ def _correlation(certificate: Certificate, figure: Figure | SubFigure) -> None:
     figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=_TEXT, frameon=False, labelcolor=INK)
 
 
-def _settle(axes: Axes) -> None:
-    """Set all numbers of a panel in the letters of the page."""
+def _set_label_sizes(axes: Axes) -> None:
+    """Set the sizes of all numbers of a panel."""
     axes.tick_params(labelsize=_TEXT)
     axes.yaxis.get_offset_text().set_fontsize(_TEXT)
 
 
-_PICTURES: Final = (
+_FIGURES: Final = (
     CertificateFigure(
         "parameters",
         "Parameters with their error bars",
-        "Values, and below them their bars of one sigma on a scale of their own. A cross marks what was held.",
+        "Values, and below them their 1-sigma bars on a scale of their own. A cross marks a fixed parameter.",
         (7.0, 7.2),
         _parameters,
     ),
     CertificateFigure(
         "residuals",
         "Residuals of the sequences",
-        "What the estimate leaves unexplained, over the sigma that it should have: two in three between the dashes.",
+        "Residuals over their expected sigma: two in three are expected between the dashed lines.",
         (7.0, 2.7),
         _residuals,
     ),
     CertificateFigure(
         "test",
         "Attitude and acceleration over the test",
-        "Lines of the gyros that end on the marks of the accelerometers, and a specific force at rest that is gravity, "
-        "show that the corrected unit is right.",
+        "For a correct calibration the lines (gyros) end on the marks (accelerometers), and the specific force in the "
+        "stationary windows equals gravity.",
         (7.0, 6.0),
         _test,
     ),
     CertificateFigure(
         "convergence",
-        "Convergence of the play-backs",
-        "Largest correction of any parameter (accelerometer bias in g) in each pass through the recording.",
+        "Convergence of the iterations",
+        "Largest correction of any parameter (accelerometer bias in g) in each iteration.",
         (7.0, 2.3),
         _convergence,
     ),
     CertificateFigure(
         "correlation",
         "Correlation of the errors",
-        "Errors of two parameters that go together; the fuller the colour, the more. Use the covariance in the "
-        "calibration file where several parameters are combined.",
+        "Correlation coefficients of the errors; opacity shows the magnitude. Use the covariance in the calibration "
+        "file where several parameters are combined.",
         (6.4, 6.4),
         _correlation,
     ),

@@ -1,6 +1,6 @@
-"""The certificate as one page of HTML that needs nothing beside it: light or dark, wide or narrow, or printed.
+"""The certificate as one self-contained page of HTML: for light and dark, wide and narrow screens, and print.
 
-Texts out of files are never taken for markup. Pictures are drawn once, in colours that the page's style decides.
+Texts out of files are escaped. The style of the page sets the colours of the figures.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ _REFERENCE: Final = re.compile(r'(\bid="|href="#|url\(#)')
 
 @dataclass(frozen=True, slots=True)
 class PageFigure:
-    """A picture as the page holds it.
+    """Figure of the page.
 
     Attributes
     ----------
     title, caption : str
     svg : str
-        The picture itself.
+        Drawing.
     width_px : int
-        On a screen that is wide enough.
+        Width on a screen that is wide enough.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""A unit against itself: what has changed since an earlier calibration, over what chance changes."""
+"""Changes of the parameters of a unit since an earlier calibration, with a test of their significance."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARM: Final = 0.01
-"""Chance that any parameter at all is flagged though none has changed, by Bonferroni's bound: it holds whatever the
-correlation between them."""
+"""Probability of any false flag over all parameters, by Bonferroni's bound, which holds for any correlation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterChanges:
-    """New values less old ones.
+    """New parameters minus old ones.
 
     Attributes
     ----------
@@ -31,9 +30,9 @@ class ParameterChanges:
     difference, sigma : ndarray, shape (27,), SI
         Change and its combined sigma, ``sqrt(sigma_new² + sigma_old²)``; NaN where one of the two did not measure it.
     limit : float
-        Of the absolute change over sigma, beyond which it is flagged.
+        Limit of the absolute change over sigma.
     on_trust : bool
-        Whether a serial is missing, so that both being one unit is taken on trust.
+        True if a serial is missing, so that one unit is assumed.
     """
 
     old: CalibrationFile
@@ -49,7 +48,7 @@ class ParameterChanges:
 
     @property
     def flagged(self) -> Mask:
-        """Which parameters changed by more than chance explains, shape (27,)."""
+        """Mask of the significant changes, shape (27,)."""
         return np.asarray(np.abs(self.ratio) > self.limit)
 
     @property
@@ -59,7 +58,7 @@ class ParameterChanges:
 
 
 def changes_since(new: CalibrationFile, old: CalibrationFile) -> ParameterChanges:
-    """Compare a unit's calibration with an earlier one.
+    """Changes since an earlier calibration of the same unit.
 
     Parameters
     ----------

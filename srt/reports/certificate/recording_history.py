@@ -1,7 +1,7 @@
-"""The recording behind a calibration: whether it is the one, whether the values follow from it, and how the test went.
+"""Verification of a calibration against its recording, and the history of attitude and specific force over the test.
 
-A file whose values were edited can still agree with itself. Played back with those values, the samples then leave
-other residuals than the file has.
+A file whose values were edited can still be consistent. Processing the samples with those values then gives other
+residuals than the file states.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from srt.model import rotations
 from srt.model.table1 import SEQUENCES
 from srt.result.applier import Applier
 from srt.sensor_errors import GROUP_SLICES
-from srt.sequences.preparation import open_session
+from srt.sequences.preparation import prepare_checked
 from srt.sequences.recognition import label_sequences
 from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import moved_windows
@@ -29,26 +29,26 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.reports.certificate.calibration_file import CalibrationFile
     from srt.result.calibration import Calibration
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
 BY_PLAYBACK: Final = ("closed-form", "least-squares")
-"""Estimators whose residuals are those of a play-back; others have residuals of their own making."""
+"""Estimators whose residuals are those of an iteration; others define their residuals differently."""
 _SHARE: Final = 0.5
-"""Of what one sigma of the parameters does to a residual: the last correction, which was not played back, is a
-hundredth of a sigma; an edit that matters is more than a sigma."""
+"""Tolerance of a residual, over its change by one sigma of the parameters. The last correction, which is not
+re-processed, is a hundredth of a sigma; an edit that matters is more than a sigma."""
 _ROUNDING: Final = 1e-8
-"""Of g, and of a milliradian per second: below what any unit shows."""
+"""Rounding tolerance, of g and of 1 mrad/s: below the resolution of any unit."""
 _USED: Final = ("average", "down", "window_attitude", "gyro_bias", "measured_vertical")
-"""Options that say how a recording is played back."""
+"""Options that affect the processing of a recording."""
 _MOST: Final = 200
-"""Points of attitude that are drawn of a sequence."""
+"""Number of attitudes in the history of a sequence: more than a figure resolves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingHistory:
-    """How a test went, from the corrected samples.
+    """Attitude and specific force over a test, from the corrected samples.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
     source : CalibrationFile
     recording : Recording
     name : str
-        What messages call it.
+        Name of the recording in messages.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
 
 
 def recording_history(source: CalibrationFile, recording: Recording, name: str) -> RecordingHistory:
-    """Play a recording back with the calibration's values, and follow the test.
+    """Process a recording with the values of the calibration, and collect its history.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def recording_history(source: CalibrationFile, recording: Recording, name: str) 
     recording : Recording
         Its own, see :func:`check_recording`.
     name : str
-        What messages call it.
+        Name of the recording in messages.
 
     Raises
     ------
@@ -139,15 +139,15 @@ def recording_history(source: CalibrationFile, recording: Recording, name: str) 
         labels = labelled.sequences or find_turns(labelled)
         if calibration.estimator == "closed-form":
             labels = tuple(s for s in labels if s.id in SEQUENCES)
-        data = open_session(labelled, labels, options.average)
+        data = prepare_checked(labelled, labels, options.average)
     except DataError as error:
-        raise InputError(f"{name} cannot be played back, unlike when {source.name} was made: {error}") from None
+        raise InputError(f"{name} cannot be processed, unlike when {source.name} was made: {error}") from None
     if calibration.estimator in BY_PLAYBACK and not _follows(calibration, data, options):
         raise InputError(
-            f"The values in {source.name} do not follow from {name}: played back with them, its samples leave other "
+            f"The values in {source.name} do not follow from {name}: processed with them, its samples give other "
             "residuals than the file has, so that one of the two was edited; calibrate the recording again."
         )
-    return _course(calibration, data)
+    return _history(calibration, data)
 
 
 def _options(calibration: Calibration, name: str) -> Options:
@@ -158,8 +158,8 @@ def _options(calibration: Calibration, name: str) -> Options:
         raise InputError(f"{name} states options that there are not; it was edited: calibrate again.") from None
 
 
-def _follows(calibration: Calibration, data: PlaybackData, options: Options) -> bool:
-    """Whether a play-back with the calibration's values leaves the residuals that it states."""
+def _follows(calibration: Calibration, data: PreparedRecording, options: Options) -> bool:
+    """True if the recording, processed with the values of the calibration, gives the residuals that it states."""
     K, W = data.K, len(data.windows.duration_s)
     stated = _stated(calibration, data)
     offset = _array(calibration.noise.get("gyro_bias_by_sequence_rad_s"), (K, 3))
@@ -192,15 +192,15 @@ def _follows(calibration: Calibration, data: PlaybackData, options: Options) -> 
     return bool(turns.all() and first[2 * K : -3].all() and rates)
 
 
-def _within(calibration: Calibration, playback: SrtMeasurements, stated: Array, data: PlaybackData) -> Mask:
-    """Which measurements of a play-back are as near to the residuals stated as the sigmas ask for."""
+def _within(calibration: Calibration, playback: SrtMeasurements, stated: Array, data: PreparedRecording) -> Mask:
+    """Mask of the measurements that match the stated residuals within the tolerance."""
     by_sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", playback.H, calibration.covariance, playback.H), 0.0))
     unit = np.append(np.full(len(stated), data.gravity), [1e-3, 1e-3, 1e-3])
     away = np.abs(playback.z - np.concatenate([stated, np.zeros(3)]))
     return np.asarray(away <= _SHARE * by_sigma + _ROUNDING * unit)
 
 
-def _stated(calibration: Calibration, data: PlaybackData) -> Array | None:
+def _stated(calibration: Calibration, data: PreparedRecording) -> Array | None:
     """Residuals of the file in the order of the measurements; None if they are of other sequences."""
     K = data.K
     if len(calibration.residuals) != 4 * K:
@@ -223,7 +223,7 @@ def _array(value: object, shape: tuple[int, ...]) -> Array | None:
     return out if out.shape == shape and bool(np.all(np.isfinite(out))) else None
 
 
-def _course(calibration: Calibration, data: PlaybackData) -> RecordingHistory:
+def _history(calibration: Calibration, data: PreparedRecording) -> RecordingHistory:
     recording = data.recording
     interval = recording.interval_s
     increments = recording.kind == "increment"

@@ -1,4 +1,4 @@
-"""Cells and tables as every form of the certificate sets them."""
+"""Tables of a certificate and their cells, common to the page and the PDF."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
 _TEXT = 400
+"""Largest number of characters of a text out of a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class CertificateCell:
-    """A cell of a table.
+    """Cell of a table of the certificate.
 
     Attributes
     ----------
     text : str
     value : float or None
-        The number that the text rounds, SI, for programs that read the page.
+        Unrounded number of the text, SI, for programs that read the page.
     mark : str
         "passed", "failed", "changed" or "held"; the text says the same.
     """
@@ -33,7 +34,7 @@ class CertificateCell:
 
 @dataclass(frozen=True, slots=True)
 class CertificateTable:
-    """A table.
+    """Table of the certificate.
 
     Attributes
     ----------
@@ -43,7 +44,7 @@ class CertificateTable:
     alignment : str
         One letter per column: "l" or "r".
     note : str
-        How to read it.
+        Legend.
     breaks : set of int
         Rows that begin a group.
     """
@@ -57,7 +58,7 @@ class CertificateTable:
 
 
 def plain(text: object, length: int = _TEXT) -> str:
-    """Give a text out of a file as it may be shown: in one line, printable, not endless; empty for None.
+    """Text out of a file in one line, printable and of limited length; empty for None.
 
     Parameters
     ----------

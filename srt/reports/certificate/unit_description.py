@@ -1,4 +1,4 @@
-"""Facts of a certificate: unit, site, data, versions; how to apply the calibration, and what the test cannot see."""
+"""Unit, site, data and software of a certificate; application of the calibration; limitations of the test."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 
 SERIAL_LENGTH: Final = 200
-"""Characters of a serial that are shown."""
+"""Largest number of characters of a serial: longer ones are not serials."""
 
 
 def facts(
     source: CalibrationFile, course: RecordingHistory | None, limits: AcceptanceLimits | None
 ) -> Iterator[tuple[str, str]]:
-    """Give which unit, when, where, of which data, by which software, as labels and texts.
+    """Unit, date, site, data and software, as labels and texts.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def facts(
 
 
 def recordings_table(calibration: Calibration) -> CertificateTable | None:
-    """Set the recordings of a merged calibration; None for any other."""
+    """Table of the recordings of a merged calibration; None for any other."""
     members = calibration.provenance.get("recordings") or ()
     if not members:
         return None
@@ -123,7 +123,7 @@ def _fixture(calibration: Calibration, *, merged: bool) -> str:
 
 
 def temperature(calibration: Calibration) -> str:
-    """Say at which temperature the test was made."""
+    """Text of the temperature of the test."""
     known = calibration.temperature
     return "not recorded" if known is None else f"{known['mean_c']:.1f} °C, range {known['range_c']:.1f} °C"
 
@@ -135,7 +135,7 @@ def _option(value: Any) -> str:
 
 
 def limitations(calibration: Calibration, course: RecordingHistory | None) -> tuple[str, ...]:
-    """List what the test cannot see.
+    """Limitations of the test.
 
     Parameters
     ----------
@@ -149,50 +149,47 @@ def limitations(calibration: Calibration, course: RecordingHistory | None) -> tu
 def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Iterator[str]:
     if calibration.held:
         count = len(calibration.held)
-        yield f"{count} parameters were not measured: what stands in their place was there before the test."
+        yield f"{count} parameters were not measured: their values are prior values."
     if not {*NAMES[GROUP_SLICES["accel_asymmetry"]]} <= set(calibration.held):
         yield (
-            "Accelerometers were seen at no more than 1 g. An asymmetry and a quadratic term look the same there, and "
-            "beyond 1 g the two part."
+            "Accelerometers were tested up to 1 g. There an asymmetry and a quadratic term cannot be told apart; "
+            "beyond 1 g they differ."
         )
     else:
-        yield "Accelerometers were seen at no more than 1 g: a quadratic term is not known, and grows beyond 1 g."
+        yield "Accelerometers were tested up to 1 g: a quadratic term is not known, and grows beyond 1 g."
     fastest = "" if course is None else f" (up to {course.turned_deg_s:.3g} °/s)"
-    yield (
-        f"Gyros were seen at the rates of the turns{fastest}: a scale factor that depends on the rate, near zero or "
-        "beyond, is not known."
-    )
+    yield (f"Gyros were tested at the rates of the rotations{fastest}: the scale factor at other rates is not known.")
     known = calibration.temperature
     yield (
-        "The temperature of the test was not recorded, and what changes with temperature is not known."
+        "The temperature of the test was not recorded; the temperature dependence is not known."
         if known is None
-        else f"What changes with temperature: the test was made at {known['mean_c']:.1f} °C, within "
+        else f"The temperature dependence is not known: the test was made at {known['mean_c']:.1f} °C, within "
         f"{known['range_c']:.1f} °C."
     )
     yield (
-        "Dependence of the gyros on acceleration, and of all sensors on vibration, pressure, supply and magnetic "
-        "field: no parameter stands for it, and part of it would be in the values."
+        "Gyro g-sensitivity, and the dependence of all sensors on vibration, pressure, supply and magnetic field, are "
+        "not among the 27 parameters; part of them is in the values."
     )
     yield (
-        "Delays and bandwidth of the sensors, and where in the unit the accelerometers sit: the unit stands still when "
-        "specific force is taken."
+        "Delays and bandwidth of the sensors, and the size effect of the accelerometers, are not measured: specific "
+        "force is taken from stationary windows."
     )
     yield (
-        "What changes from one switching-on to the next, or with age, beyond what the sigmas of the biases hold."
+        "Changes from turn-on to turn-on or with age are known only as far as the sigmas of the biases hold them."
         if calibration.provenance.get("recordings")
-        else "What changes from one switching-on to the next, or with age: this is one test on one day."
+        else "Changes from turn-on to turn-on or with age are not known: this is one test."
     )
     yield (
-        "How the MARS axes lie in the unit's housing: "
+        "Orientation of the MARS axes in the housing: "
         + (
-            "U leads to the axes of the table only, as well as the unit was mounted on it."
+            "U relates them to the axes of the table only, to the accuracy of the mounting."
             if calibration.U is not None
             else "there is no reference for it in this test."
         )
     )
     if calibration.site.get("latitude_deg") is None:
-        yield "The Earth's rate: without a latitude it stays in the gyro biases, whose sigmas hold it."
-    yield ("Gravity is taken as stated: an error of it is an error of all accelerometer scale factors alike.")
+        yield "The Earth rate is in the gyro biases, as no latitude is stated; their sigmas hold it."
+    yield "Gravity is taken as stated: its error is a common error of all accelerometer scale factors."
 
 
 FORMULAS: Final = ("y = M v + s ∘ |v| + b", "v = (M + diag(s ∘ sign v))⁻¹ (y − b)")
@@ -201,14 +198,14 @@ FORMULAS: Final = ("y = M v + s ∘ |v| + b", "v = (M + diag(s ∘ sign v))⁻¹
 
 @dataclass(frozen=True, slots=True)
 class Application:
-    """How to apply a calibration.
+    """Application of a calibration.
 
     Attributes
     ----------
     formulas : tuple of str
-        What a unit reads, and how to correct it.
+        Sensor model and compensation.
     sentences : tuple of str
-        What the symbols are.
+        Meaning of the symbols.
     tables : tuple of CertificateTable
         M, s and b of gyros and accelerometers, and U where it is known.
     """
@@ -219,17 +216,17 @@ class Application:
 
 
 def application_section(calibration: Calibration) -> Application:
-    """Say how to apply a calibration.
+    """Application of a calibration: formulas, their symbols and their numbers.
 
     Parameters
     ----------
     calibration : Calibration
     """
     sentences = [
-        "y: what the unit reads; v: the true value. Gyros in rad/s, accelerometers in m/s²; each has its own M, s and "
+        "y: reading; v: true value. Gyros in rad/s, accelerometers in m/s²; each has its own M, s and "
         "b. ∘ multiplies element by element.",
-        "Take the signs of v from inverse(M) (y − b) first, then from v itself until they stay. Where s is zero, one "
-        "step is all.",
+        "Take the signs of v from inverse(M) (y − b) first, then from v itself until they no longer change. Where s is "
+        "zero, one step suffices.",
         "Readings that are increments of a time step T: divide them by T, correct, multiply by T.",
         "v is in MARS axes, those in which the matrix M of the gyros is symmetric.",
     ]
