@@ -18,6 +18,7 @@ import numpy as np
 from srt.constants import DEG
 from srt.exceptions import InputError
 from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES
+from srt.recording.sample_checks import as_samples, require_finite, require_increasing
 from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
@@ -429,62 +430,6 @@ def _same_rotations(first: tuple[tuple[str, float], ...], second: tuple[tuple[st
     )
 
 
-def as_samples(name: str, given: object, dimensions: int) -> Array:
-    """Read-only contiguous float64 view, copied only if needed.
-
-    Parameters
-    ----------
-    name : str
-        What messages call it.
-    given : array_like, shape (n,) or (n, 3)
-    dimensions : int
-        1 or 2.
-
-    Returns
-    -------
-    ndarray, shape (n,) or (n, 3)
-        A value broadcast to n samples remains one value in memory.
-
-    Raises
-    ------
-    InputError
-        If it has another shape or does not consist of numbers.
-    """
-    try:
-        values = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} does not consist of numbers: {error}.") from None
-    if values.ndim != dimensions or (dimensions == 2 and values.shape[1] != 3):
-        expected = "(n, 3)" if dimensions == 2 else "(n,)"
-        raise InputError(f"{name} has the shape {values.shape}, but {expected} is expected.")
-    if values.strides != (0,):
-        values = np.ascontiguousarray(values)
-    values = values.view()
-    values.flags.writeable = False
-    return values
-
-
-def require_finite(name: str, values: Array, time: Array | None) -> None:
-    """Raise InputError that names the first value that is not finite, by column, sample and time."""
-    # The sum is finite only if every term is, and takes a fraction of the time of a test of each term. It may also
-    # overflow, so the terms are tested then.
-    with np.errstate(over="ignore", invalid="ignore"):
-        if math.isfinite(values.sum()):
-            return
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size == 0:
-        return
-    row, column = divmod(int(bad[0]), values.size // len(values))
-    full_name = f"{name}_{AXES[column]}" if values.ndim == 2 else name
-    when = "" if time is None else f", at {time[row]:.9g} s,"
-    raise InputError(
-        f"Column {full_name}: sample {row + 1} of {len(values)}{when} is {values.flat[bad[0]]} "
-        f"({bad.size} such in this sensor), but every reading must be a finite number: "
-        "repair or remove the sample.",
-        fault="not_finite",
-    )
-
-
 def require_bounded(recording: Recording) -> None:
     """Raise InputError that names the first value read from a file that is too large for its quantity.
 
@@ -501,18 +446,3 @@ def require_bounded(recording: Recording) -> None:
             f"Column {full_name}: sample {row + 1} of {len(values)} is {value:.3g} in SI units, but every value must "
             f"be smaller than {LARGEST_VALUE:.0e}: correct the unit, or repair or remove the sample."
         )
-
-
-def require_increasing(time: Array) -> None:
-    """Raise InputError that names the first stamp which does not follow its predecessor."""
-    rising = time[1:] > time[:-1]
-    if rising.all():
-        return
-    bad = np.flatnonzero(~rising) + 1
-    row = int(bad[0])
-    what = "repeats" if time[row] == time[row - 1] else "goes back from"
-    raise InputError(
-        f"Column time: sample {row + 1} of {time.size} at {time[row]:.9g} s {what} {time[row - 1]:.9g} s "
-        f"({bad.size} such in all), but time must increase: remove repeated samples, or restore the order.",
-        fault="time_repeats" if what == "repeats" else "time_backwards",
-    )
