@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from estimators.accuracy_targets import PARAMETER_UNITS
+from estimators.covariance_filter import CovarianceFilter
 from estimators.iteration import default_prior, run
 from estimators.joint_model import open_joint_model
 from estimators.kalman_filter import KalmanSolver
+from estimators.sequential_filter import SequentialFilter, run_sequentially
+from estimators.square_root_filter import SquareRootFilter
+from estimators.unscented_filter import UnscentedFilter
+from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
@@ -27,10 +32,19 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     InputError
         If an option belongs to another estimator.
     DataError
-        As :func:`srt.sequences.preparation.open_session`.
+        As :func:`srt.sequences.preparation.prepare_checked`.
     """
     options.refuse(("loss",), "The Kalman filter")
-    solver = KalmanSolver(options.prior or default_prior())
+    prior = options.prior or default_prior()
+    solver = KalmanSolver(prior, CovarianceFilter if options.filter == "covariance" else SquareRootFilter)
+    if options.filter != "iterated":
+        options.refuse(("live",), f"The filter {options.filter!r}")
+    if options.filter in ("one-pass", "per-sequence", "unscented"):
+        joint = open_joint_model(recording, options)
+        free = np.array([name not in options.fixed_names for name in NAMES])
+        if options.filter == "unscented":
+            return run_sequentially(UnscentedFilter(joint, prior, free), joint, progress)
+        return run_sequentially(SequentialFilter(joint, prior, options.filter, free), joint, progress)
     if not options.live:
         return run(open_joint_model(recording, options), solver, progress)
     from estimators.live_filter import LiveFilter, run_live

@@ -50,6 +50,11 @@ class SquareRootFilter(SquareRootKalmanFilter):  # type: ignore[misc]
         """Square root of the covariance, shape (n, n)."""
         return np.asarray(self.P1_2)
 
+    def project(self, E: Array) -> Array:
+        """Covariance ``E P Eᵀ`` of linear functions of the first states."""
+        root = E @ self.root[: E.shape[1]]
+        return np.asarray(root @ root.T)
+
     def grow(self, number: int) -> None:
         """Append states of mean zero and unit variance, independent of the others."""
         n = self.dim_x

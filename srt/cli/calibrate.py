@@ -32,6 +32,7 @@ CHOICES = {
     "step": ("jacobian", "coefficients"),
     "start": ("auto", "zero"),
     "loss": ("squared", "huber", "cauchy"),
+    "filter": ("iterated", "per-sequence", "one-pass", "covariance", "unscented"),
 }
 
 
@@ -39,8 +40,8 @@ GROUPS = {
     "Fixture and sensors": ("no_asymmetry", "hold", "gyro_bias", "no_fixture_states"),
     "Fleet": ("workers", "scheduler"),
     "Expert": (
-        "average", "down", "window_attitude", "step", "start", "max_playbacks", "loss", "prior", "live", "target",
-        "force",
+        "average", "down", "window_attitude", "step", "start", "max_playbacks", "loss", "filter", "prior", "live",
+        "target", "force",
     ),
 }  # fmt: skip
 """Groups of options in the help."""
@@ -128,6 +129,13 @@ GROUPS = {
 )
 @click.option(
     "--loss", type=click.Choice(CHOICES["loss"]), default="squared", show_default=True, help="Loss function of graph."
+)
+@click.option(
+    "--filter",
+    type=click.Choice(CHOICES["filter"]),
+    default="iterated",
+    show_default=True,
+    help="Form of ekf, for comparison: iterated or not, covariance form, unscented.",
 )
 @click.option(
     "--prior",

@@ -22,7 +22,7 @@ from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
-from srt.sequences.preparation import open_session
+from srt.sequences.preparation import prepare_checked
 
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 _BIAS = GROUP_SLICES["gyro_bias"]
@@ -43,7 +43,7 @@ class ClosedFormSolver:
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
         Sequences of Table 1; those that occur more than once are averaged.
     options : Options
 
@@ -53,7 +53,7 @@ class ClosedFormSolver:
         If the sequences support no formula at all.
     """
 
-    def __init__(self, data: PlaybackData, options: Options) -> None:
+    def __init__(self, data: PreparedRecording, options: Options) -> None:
         self.data = data
         fixed = set(options.fixed_names)
         supported = closed_form.formulas(set(data.ids), asymmetry=not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= fixed)
@@ -135,14 +135,14 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If the recording has no fixture, or its sequences are not those of Table 1.
     """
-    options.refuse(("loss", "prior", "fixture_states", "live", "targets"), "The closed form")
+    options.refuse(("loss", "filter", "prior", "fixture_states", "live", "targets"), "The closed form")
     labels = tuple(s for s in recording.sequences if s.id in SEQUENCES)
     if recording.fixture is None or not labels:
         raise DataError(
             "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none; "
             "use the least-squares estimator."
         )
-    data = open_session(recording, labels, options.average)
+    data = prepare_checked(recording, labels, options.average)
     solver = ClosedFormSolver(data, options)
     start, U = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
@@ -159,7 +159,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
 
 
 def without_sequences(
-    data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
+    data: PreparedRecording, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
 ) -> list[LeaveOneOutEstimate]:
     """Estimates without each sequence, by the formulas that the other sequences support."""
     measurements, n = solution.measurements, len(solution.measurements.z)
@@ -211,7 +211,7 @@ def _supported(ids: frozenset[str], fixed: tuple[str, ...]) -> tuple[tuple[int, 
     return tuple(INDEX[f.parameter] for f in formulas), coefficients
 
 
-def _measured(data: PlaybackData, without: int = -1) -> Array:
+def _measured(data: PreparedRecording, without: int = -1) -> Array:
     """Components from the measurements, averaged over occurrences, shape (number of components, n_z)."""
     out = np.zeros((len(_COMPONENTS), 2 * data.K + len(data.windows.duration_s) + 3))
     for k, sequence in enumerate(data.catalogue):

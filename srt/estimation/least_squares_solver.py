@@ -30,7 +30,7 @@ from srt.estimation.solver_result import solver_result
 from srt.model import measurement_model as model
 from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import N_PARAMETERS, NAMES
-from srt.sequences.preparation import open_session
+from srt.sequences.preparation import prepare_checked
 from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 
@@ -99,9 +99,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     DataError
         If no rotation between two stationary windows is found, or readings are impossible.
     """
-    options.refuse(("step", "loss", "prior", "fixture_states", "live", "targets"), "Least squares")
+    options.refuse(("step", "loss", "filter", "prior", "fixture_states", "live", "targets"), "Least squares")
     labels = recording.sequences or find_turns(recording)
-    data = open_session(recording, labels, options.average)
+    data = prepare_checked(recording, labels, options.average)
     first = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
     fixed = {n: reason_on_request(n, uncertain) for n in options.fixed_names}
@@ -127,7 +127,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
 
 
 def _solve(
-    data: PlaybackData,
+    data: PreparedRecording,
     options: Options,
     requested: tuple[str, ...],
     first: tuple[SensorErrors, Array],
@@ -172,7 +172,9 @@ def _inflation(solution: Solution, fixed: Mask) -> float:
     return float(np.sqrt(statistic / freedom))
 
 
-def _excess(solution: Solution, data: PlaybackData, fixed: Mask, present: tuple[float, float]) -> tuple[float, float]:
+def _excess(
+    solution: Solution, data: PreparedRecording, fixed: Mask, present: tuple[float, float]
+) -> tuple[float, float]:
     """Unmodelled rotation error, rad, and specific-force error per window, m/s², 1-sigma, by restricted likelihood."""
     measurements = solution.measurements
     unit = measurement_covariance.covariances(measurements, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
@@ -183,7 +185,7 @@ def _excess(solution: Solution, data: PlaybackData, fixed: Mask, present: tuple[
 
 
 def without_sequences(
-    data: PlaybackData, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
+    data: PreparedRecording, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
 ) -> list[LeaveOneOutEstimate]:
     """Weighted least squares without each sequence (see the module docstring)."""
     measurements, n = solution.measurements, len(solution.measurements.z)
@@ -226,13 +228,13 @@ def without_sequences(
     return [leave_one_out_estimate(np.stack([full, N]), g, estimated) for N, g in found[:-1]]
 
 
-def _bias_gain(data: PlaybackData, options: Options, solution: Solution) -> Array:
+def _bias_gain(data: PreparedRecording, options: Options, solution: Solution) -> Array:
     """Share of a sequence's own rest rate that was used as its bias."""
     compensated = np.sqrt(np.linalg.inv(solution.measurements.gyro.matrix) ** 2 @ solution.wander**2)
     return measurement_covariance.bias_gain(solution.measurements, data, options.gyro_bias, compensated)
 
 
-def _offset_effect(data: PlaybackData, solution: Solution, gain: Array) -> Array:
+def _offset_effect(data: PreparedRecording, solution: Solution, gain: Array) -> Array:
     """Effect of a pooled rate on the horizontal components through the biases less it, shape (2 K, 3)."""
     measurements = solution.measurements
     per_rate = measurements.integrals.time @ measurements.gyro.matrix
@@ -240,7 +242,7 @@ def _offset_effect(data: PlaybackData, solution: Solution, gain: Array) -> Array
     return np.asarray((M @ per_rate * gain).reshape(2 * data.K, 3))
 
 
-def _pooled_noise(data: PlaybackData, solution: Solution, gain: Array, pools: Array) -> tuple[Array, Array]:
+def _pooled_noise(data: PreparedRecording, solution: Solution, gain: Array, pools: Array) -> tuple[Array, Array]:
     """Covariance of rates pooled in P ways with the measurements, shape (n_z, 3 P), and of each, shape (P, 3, 3)."""
     measurements = solution.measurements
     with_z = np.zeros((len(measurements.z), 3 * len(pools)))

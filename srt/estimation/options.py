@@ -20,6 +20,7 @@ GyroBias = Literal["auto", "pooled", "per-sequence", "g-sensitive"]
 Step = Literal["jacobian", "coefficients"]
 Start = Literal["auto", "zero"]
 Loss = Literal["squared", "huber", "cauchy"]
+Filter = Literal["iterated", "per-sequence", "one-pass", "covariance", "unscented"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,9 @@ class Options:
     measured_vertical : bool
         From the second iteration on, take the vertical of each pose from the measured specific force; False: always
         the nominal one.
+    filter : "iterated", "per-sequence", "one-pass", "covariance" or "unscented"
+        Form of the Kalman filter: square-root form, iterated over the test; each sequence iterated; one pass linearised
+        about the running estimate; covariance form, iterated over the test; unscented.
     loss : "squared", "huber" or "cauchy"
         Loss of the factor graph: squared is efficient, the robust ones reduce the weight of outliers.
     fixture_states : bool
@@ -76,6 +80,7 @@ class Options:
     max_playbacks: int = 20
     measured_vertical: bool = True
     loss: Loss = "squared"
+    filter: Filter = "iterated"
     fixture_states: bool = True
     prior: Prior | None = None
     live: bool = False
@@ -168,6 +173,7 @@ _CHOICES = {
     "step": get_args(Step),
     "start": get_args(Start),
     "loss": get_args(Loss),
+    "filter": get_args(Filter),
 }
 
 

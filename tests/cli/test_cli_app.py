@@ -112,6 +112,7 @@ def test_choices_are_those_of_the_library():
         "gyro_bias": srt.estimation.options.GyroBias,
         "step": srt.estimation.options.Step,
         "loss": srt.estimation.options.Loss,
+        "filter": srt.estimation.options.Filter,
     }
     assert {name: get_args(kind) for name, kind in types.items()} | {"start": ("auto", "zero")} == CHOICES
     for name, allowed in CHOICES.items():

@@ -1,0 +1,234 @@
+"""Filters linearised about their running estimate, sequence by sequence, for comparison with the iterated filter.
+
+They start from the prior mean, process every sequence once in time order, and never return to an earlier one:
+
+- ``one-pass``: each sequence linearised about the estimate from the sequences before it (textbook extended filter);
+- ``per-sequence``: the update of each sequence iterated (iterated extended filter);
+- ``unscented``: see :mod:`estimators.unscented_filter`.
+
+Limits: one level frame, windows that no other sequence uses, and one gyro bias. The estimate does not converge by
+iteration, so that it is compared with the optimum of all measurements, linearised about it. A difference beyond 1 sigma
+is reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from estimators.accuracy_targets import PARAMETER_UNITS
+from estimators.dense_solution import solve
+from estimators.iteration import apply_correction
+from estimators.kalman_filter import FilterRun, filter_diagnostics, prior_root
+from estimators.linear_system import attitude_columns
+from estimators.linearisation import linearise
+from estimators.nuisance_elimination import eliminate_nuisances, global_columns
+from estimators.solution_analysis import FixedParameters, make_calibration, with_prior
+from estimators.solver import IterationState, LinearSolution, Solver
+from estimators.square_root_filter import SquareRootFilter
+from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.exceptions import InputError
+from srt.model.sensor_model import outside_model
+from srt.sensor_errors import NAMES, SensorErrors
+
+if TYPE_CHECKING:
+    from estimators.joint_model import JointModel
+    from estimators.joint_state import JointState
+    from estimators.linear_system import LinearSystem
+    from srt.estimation.registry import Progress
+    from srt.model.prior import Prior
+    from srt.result.calibration import Calibration
+    from srt.types import Array, Mask
+
+
+_ITERATIONS: Final = {"one-pass": 1, "per-sequence": 10}
+"""Largest number of linearisations of each sequence."""
+_SETTLED_SIGMAS: Final = 1e-3
+"""Correction, in sigmas of the updated state, at which the iteration of a sequence has converged."""
+_ATTITUDE_PASSES: Final = 3
+"""Number of linearisations of the attitudes for the comparison with the optimum: the second is exact to 1e-9 rad."""
+_OPTIMUM_SIGMAS: Final = 1.0
+"""Distance from the optimum of all measurements, in sigmas, above which linearisation errors are reported."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SequenceUpdate:
+    """Estimate after the update with a sequence.
+
+    Attributes
+    ----------
+    state : JointState
+    x : ndarray, shape (n,)
+        Mean of the filter's states: zero for those that ``state`` holds.
+    root : ndarray, shape (n, n)
+        Square root of their covariance.
+    correction : ndarray, shape (27,)
+        Correction of the reported parameters by this sequence.
+    covariance : ndarray, shape (27, 27)
+    innovations : ndarray
+        Normalised and decorrelated.
+    """
+
+    state: JointState
+    x: Array
+    root: Array
+    correction: Array
+    covariance: Array
+    innovations: Array
+
+
+class SequentialFilter(Solver):
+    """Filter that processes each sequence once, linearised about the running estimate.
+
+    Parameters
+    ----------
+    joint : JointModel
+    prior : Prior
+    form : "one-pass" or "per-sequence"
+    free : ndarray of bool, shape (27,)
+        Parameters that are estimated.
+
+    Raises
+    ------
+    InputError
+        If the recording or the options need states that these filters do not have.
+    """
+
+    name = "ekf"
+
+    def __init__(self, joint: JointModel, prior: Prior, form: str, free: Mask) -> None:
+        windows = np.concatenate([joint.data.start, joint.data.end])
+        if len(joint.level_frames) > 1 or len(np.unique(windows)) < len(windows) or joint.bias_walks:
+            raise InputError(
+                f"The filter {form!r} needs labelled sequences on a fixture, with windows of their own and one gyro "
+                "bias: use filter='iterated'."
+            )
+        self.prior: Prior = prior
+        self.form, self.free = form, free
+        self.last: FilterRun | None = None
+        self.optimum: dict[str, Any] = {}
+
+    def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
+        """Not available: these filters choose their linearisation points."""
+        raise NotImplementedError
+
+    def diagnostics(self, joint: JointModel) -> dict[str, Any]:
+        """Innovations and standard deviations by sequence, and the comparison with the optimum."""
+        out = {} if self.last is None else filter_diagnostics(joint, self.last)
+        return out | ({"optimum": self.optimum} if self.optimum else {})
+
+    def process(self, joint: JointModel, progress: Progress | None) -> IterationState:
+        """Process all sequences in time order, starting from the prior mean."""
+        vector = np.where(self.free, self.prior.mean.vector, joint.start.errors.vector)
+        iteration = IterationState(replace(joint.start, errors=SensorErrors(vector), U=joint.U_prior), self.free)
+        iteration.corrections = []
+        updates: list[SequenceUpdate] = []
+        for i, k in enumerate(joint.order.tolist()):
+            try:
+                update = self.update(joint, iteration.state, i, updates[-1] if updates else None)
+            except (np.linalg.LinAlgError, ValueError) as error:
+                iteration.message = f"The filter {self.form!r} failed in sequence {joint.data.ids[k]}: {error}."
+                return iteration
+            updates.append(update)
+            iteration.state = update.state
+            iteration.corrections.append(float(np.max(np.abs(update.correction) / PARAMETER_UNITS)))
+            if progress is not None:
+                progress(i + 1, iteration.corrections[-1])
+        self.last = FilterRun(
+            delta=np.zeros(0),
+            correction=updates[-1].correction,
+            covariance=updates[-1].covariance,
+            sequences=tuple(joint.order.tolist()),
+            innovations=tuple(update.innovations for update in updates),
+            sigma=np.array([np.sqrt(np.diag(update.covariance)) for update in updates]),
+        )
+        iteration.covariance = updates[-1].covariance
+        self._compare_with_optimum(joint, iteration)
+        return iteration
+
+    def update(
+        self, joint: JointModel, state: JointState, number: int, previous: SequenceUpdate | None
+    ) -> SequenceUpdate:
+        """Update the estimate with a sequence, linearised once or until the correction is negligible."""
+        state = joint.initial_attitudes(state, joint.compensate(state))
+        total: Array | float = 0.0
+        for _ in range(_ITERATIONS[self.form]):
+            system = linearise(joint, state, joint.compensate(state), self.free)
+            part = eliminate_nuisances(joint, system)[number]
+            columns = global_columns(system)
+            n = int(np.sum(columns < system.columns["instability"].start))
+            if previous is None:
+                root, mean = np.eye(len(columns)), np.zeros(len(columns))
+                root[:n, :n], mean[:n] = prior_root(system, state, self.prior, columns[:n])
+            else:
+                root, mean = previous.root, previous.x.copy()
+                mean[:n] -= total  # the predicted state, relative to the present linearisation point
+            ekf = SquareRootFilter(mean, root)
+            ekf.correct(-part.b, part.H)
+            delta = np.zeros(system.A.shape[1])
+            delta[columns], delta[part.local[0]] = ekf.x, part.nuisances(ekf.x, np.zeros(3))[0]
+            state = apply_correction(state, system, delta)
+            require_valid(state)
+            total = total + ekf.x[:n]
+            if np.all(np.abs(ekf.x[:n]) <= _SETTLED_SIGMAS * np.linalg.norm(ekf.root[:n], axis=1)):
+                break
+        x = ekf.x.copy()
+        x[:n] = 0.0
+        E = system.parameter_map()[:, columns]
+        return SequenceUpdate(state, x, ekf.root, E[:, :n] @ total, ekf.project(E), ekf.whitened)
+
+    def _compare_with_optimum(self, joint: JointModel, iteration: IterationState) -> None:
+        """Set the status by the distance of the estimate from the optimum of all measurements and the prior."""
+        compensated = joint.compensate(iteration.state)
+        state = joint.initial_attitudes(iteration.state, compensated)
+        for _ in range(_ATTITUDE_PASSES):
+            iteration.linearisation_point, iteration.compensated = state, compensated
+            iteration.system = linearise(joint, state, compensated, self.free)
+            solution = solve(with_prior(joint, self, iteration))
+            kept = np.where(attitude_columns(iteration.system), solution.delta, 0.0)
+            state = apply_correction(state, iteration.system, kept)
+        assert iteration.system is not None
+        assert iteration.covariance is not None
+        E = iteration.system.parameter_map()
+        sigma = np.maximum(np.linalg.norm(E @ solution.root, axis=1), np.finfo(float).tiny)
+        distance = np.where(self.free, np.abs(E @ solution.delta) / sigma, 0.0)
+        worst = int(np.argmax(distance))
+        ratio = (np.sqrt(np.diag(iteration.covariance)) / sigma)[self.free]
+        self.optimum = {
+            "distance_sigma": float(distance[worst]),
+            "parameter": NAMES[worst],
+            "sigma_ratio": [float(ratio.min()), float(ratio.max())],
+        }
+        if distance[worst] <= _OPTIMUM_SIGMAS:
+            iteration.status, iteration.message = "converged", f"Processed {joint.data.K} sequences once."
+        else:
+            iteration.message = (
+                f"The filter {self.form!r} ended {distance[worst]:.3g} sigma ({NAMES[worst]}) from the optimum of all "
+                "measurements: errors of the linearisation about its earlier estimates."
+            )
+
+
+def require_valid(state: JointState) -> None:
+    """Raise an error if the estimated errors are outside the sensor model."""
+    reason = outside_model(state.errors)
+    if reason is not None:
+        raise np.linalg.LinAlgError(f"the estimate left the sensor model, as {reason}")
+
+
+def run_sequentially(solver: SequentialFilter, joint: JointModel, progress: Progress | None) -> Calibration:
+    """Calibrate with a filter that processes each sequence once.
+
+    Raises
+    ------
+    InputError
+        If an option does not apply to joint estimation.
+    """
+    options = joint.options
+    options.refuse(("step", "down", "measured_vertical", "start"), f"The filter {solver.form!r}")
+    uncertain = fixed_sigma(joint.data, options)
+    fixed = FixedParameters({name: reason_on_request(name, uncertain) for name in options.fixed_names}, uncertain)
+    with threadpool_limits(limits=1, user_api="blas"):
+        return make_calibration(joint, solver, solver.process(joint, progress), fixed, {})
