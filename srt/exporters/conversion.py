@@ -220,6 +220,8 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
         )
     texts = {}
     for part, place in part_paths(chosen, path).items():
+        if part in chosen.companions:
+            continue
         try:
             texts[part] = place.read_bytes().decode("utf-8")
         except OSError as error:
@@ -241,7 +243,10 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
 def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
     """Paths of the files of a format, by part."""
     base = Path(path)
-    return {part: base.with_name(base.stem + part + base.suffix) if part else base for part in chosen.parts}
+    return {
+        part: base.with_name(base.stem + part + base.suffix) if part else base
+        for part in (*chosen.parts, *chosen.companions)
+    }
 
 
 def _axes(calibration: Calibration, chosen: Exporter, frame: str, Ma: Array) -> Array:

@@ -57,6 +57,8 @@ class Exporter:
         The target's formula: (fields, gyro, accel), shapes (n, 3) in SI, to the corrected ones in SI.
     parts : tuple of str
         Appended to the stem of the file's name; one empty part is one file.
+    companions : tuple of str
+        Parts that are written beside these and not needed to read a file.
     triangle : "lower", "upper" or None
         Shape of the accelerometer matrix in axes "accel".
     within : float or None
@@ -82,6 +84,7 @@ class Exporter:
     apply: Callable[[Fields, Array, Array], tuple[Array, Array]]
     advice: tuple[str, ...] = ()
     parts: tuple[str, ...] = ("",)
+    companions: tuple[str, ...] = ()
     triangle: str | None = None
     within: float | None = ROUNDING
     biases: bool = True
@@ -174,8 +177,17 @@ def from_json(text: str) -> dict[str, Any]:
 def to_yaml(document: Mapping[str, Any], head: str = "") -> str:
     """Write YAML, numbers in full and in a form that every reader takes for numbers. Raises MissingExtraError."""
     yaml = _yaml()
-    # This dumper writes 1.0e-05, not 1e-05, which YAML 1.1 takes for a word.
-    return head + str(yaml.safe_dump(dict(document), sort_keys=False, default_flow_style=None, width=1000))
+
+    class Dumper(yaml.SafeDumper):  # type: ignore[misc, name-defined]
+        """Indents lists below their key: OpenCV's FileStorage, which reads for OpenVINS, requires it."""
+
+        def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:  # noqa: ARG002
+            return super().increase_indent(flow, indentless=False)
+
+    # PyYAML writes 1.0e-05; a YAML 1.1 reader takes 1e-05 for a string. Only lists of numbers stand in one line.
+    flat = not any(isinstance(value, list | dict) for value in document.values())
+    options: dict[str, Any] = {"sort_keys": False, "default_flow_style": False if flat else None, "width": 1000}
+    return head + str(yaml.dump(dict(document), Dumper=Dumper, **options))
 
 
 def from_yaml(text: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Formats that state the sensor model: ``measured = M true + b``.
 
-Kalibr (model scale-misalignment)::
+Kalibr (model scale-misalignment; the flat file beside it, NAME-imu.yaml, is the input of ``--imu``)::
 
     a_m = M_a a_I + b_a        w_m = M_g C_gyro_i w_I + A C_gyro_i a_I + b_g
 
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 
 _KALIBR_MODEL: Final = "scale-misalignment"
+_KALIBR_INPUT: Final = "-imu"
+"""Part of the file with noise densities, random walks, topic and rate alone."""
 
 NOISE_NAMES: Final = {
     "accel_noise": "accelerometer_noise_density",
@@ -72,7 +74,9 @@ def _write_kalibr(model: ExportModel) -> dict[str, str]:
             "gyroscopes": {"M": M_g.tolist(), "A": np.zeros((3, 3)).tolist(), "C_gyro_i": C_gyro_i.tolist()},
         }
     }
-    return {"": to_yaml(document, comment(model.heading(KALIBR)))}
+    flat = {**named(model, NOISE_NAMES), "rostopic": model.settings.topic or DEFAULT_TOPIC}
+    heading = comment(model.heading(KALIBR))
+    return {"": to_yaml(document, heading), _KALIBR_INPUT: to_yaml(flat, heading)}
 
 
 def _read_kalibr(texts: Texts) -> Fields:
@@ -106,7 +110,11 @@ KALIBR: Final = Exporter(
     suffixes=(".yaml", ".yml"),
     formula="a_m = M_a a + b_a; w_m = M_g C_gyro_i w + A C_gyro_i a + b_g",
     losses=("biases: the file has no field for them, and what reads it estimates them itself",),
-    advice=("Extrinsics change with the axes: T_cam_imu becomes T_cam_imu [C' 0; 0 1], C' the transpose of C.",),
+    advice=(
+        "Give NAME-imu.yaml to the option --imu; the other file has the form of Kalibr's result.",
+        "Extrinsics change with the axes: T_cam_imu becomes T_cam_imu [C' 0; 0 1], C' the transpose of C.",
+    ),
+    companions=(_KALIBR_INPUT,),
     frames=("accel",),
     triangle="lower",
     write=_write_kalibr,

@@ -106,6 +106,8 @@ VECTORNAV: Final = Exporter(
     within=SINGLE,
 )
 
+_PX4_LAST_INSTANCE: Final = 3
+"""PX4 has four slots of calibration parameters, CAL_ACC0 to CAL_ACC3."""
 _OFFSET_LIMIT: Final = 3.5
 _SCALE_LIMITS: Final = (0.8, 1.2)
 """ArduPilot's stated ranges of INS_ACCOFFS (m/s²) and INS_ACCSCAL."""
@@ -143,6 +145,11 @@ def _parameter_values(model: ExportModel) -> dict[str, Array]:
 
 
 def _write_px4(model: ExportModel) -> dict[str, str]:
+    if (model.settings.instance or 0) > _PX4_LAST_INSTANCE:
+        raise InputError(
+            f"The instance is {model.settings.instance}, but PX4 has parameters for 0 to {_PX4_LAST_INSTANCE}: give "
+            "one of these."
+        )
     names, values = _px4_names(model.settings.instance or 0), _parameter_values(model)
     # Vehicle, component, name, value, type 9: float.
     lines = [
@@ -228,6 +235,8 @@ PX4: Final = Exporter(
     losses=_AUTOPILOT_LOSSES,
     advice=(
         "CAL_ACCn_ID and CAL_GYROn_ID stay those of the unit: calibrate once with the ground station, then load this.",
+        "Some releases of PX4 ignore a change of at most 0.01 in an offset or scale: compare the parameters after "
+        "loading.",
         "Temperature compensation (TC_...) works before these offsets; none was on in the test, so leave it off.",
     ),
     frames=("mars", "table"),

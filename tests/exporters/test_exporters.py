@@ -423,7 +423,8 @@ def test_a_truncated_file_is_refused(target):
     """Wherever it is cut, short of losing nothing but blanks at its end."""
     item = exporters.exporter(target)
     made = export(calibrated(np.random.default_rng(13)), target)
-    for part, text in made.texts.items():
+    for part in item.parts:
+        text = made.texts[part]
         body = len(text.rstrip())
         for length in {*range(0, body, max(body // 60, 1)), body - 1}:
             with pytest.raises(srt.InputError) as caught:
@@ -736,3 +737,42 @@ def test_gtsam_needs_the_noise():
     pytest.importorskip("gtsam")
     with pytest.raises(srt.InputError, match="white noise"):
         gtsam_preintegration(calibrated(np.random.default_rng(27), noise={}), readings="raw")
+
+
+def test_opencv_opens_the_file_of_openvins(tmp_path):
+    """OpenVINS reads by OpenCV's FileStorage, which is stricter than YAML."""
+    cv2 = pytest.importorskip("cv2")
+    calibration = calibrated(np.random.default_rng(31))
+    (path,) = save(export(calibration, "openvins", settings=ExportSettings(rate_hz=200.0)), tmp_path / "imu.yaml")
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    assert storage.isOpened()
+    node = storage.getNode("imu0")
+    expected = yaml.safe_load(path.read_text(encoding="utf-8").split("\n", 1)[1])["imu0"]
+    for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC", "Tg"):
+        rows = node.getNode(name)
+        found = [[rows.at(i).at(j).real() for j in range(3)] for i in range(3)]
+        np.testing.assert_array_equal(found, expected[name])
+    for name in ("gyroscope_noise_density", "accelerometer_noise_density", "update_rate"):
+        assert node.getNode(name).real() == expected[name]
+    assert node.getNode("rostopic").string() == expected["rostopic"]
+
+
+def test_kalibr_gets_the_flat_file_of_its_option_imu(tmp_path):
+    """Keys of Kalibr's ImuParameters, at the top level; its parser is not installable here."""
+    settings = ExportSettings(topic="/imu/raw", rate_hz=250.0, gyro_random_walk=1e-5, accel_random_walk=2e-4)
+    result, flat = save(export(calibrated(np.random.default_rng(32)), "kalibr", settings=settings), tmp_path / "k.yaml")
+    assert (result.name, flat.name) == ("k.yaml", "k-imu.yaml")
+    found = yaml.safe_load(flat.read_text(encoding="utf-8"))
+    noise = {"accelerometer_noise_density", "gyroscope_noise_density"}
+    walks = {"accelerometer_random_walk": 2e-4, "gyroscope_random_walk": 1e-5}
+    assert set(found) == {*noise, *walks, "rostopic", "update_rate"}
+    assert found["rostopic"] == "/imu/raw"
+    assert {name: found[name] for name in walks} == walks
+    flat.unlink()
+    assert load(result, "kalibr").absent
+
+
+@pytest.mark.parametrize("instance", [4, 7])
+def test_px4_has_four_instances(instance):
+    with pytest.raises(srt.InputError, match="0 to 3"):
+        export(calibrated(np.random.default_rng(33)), "px4", settings=ExportSettings(instance=instance))
