@@ -18,6 +18,7 @@ from srt.sensor_errors import GROUP_SLICES, GROUPS, NAMES
 
 console = Console(width=150)
 ERRORS = slice(0, 24)
+"""Sensor errors of the test, without the gyro bias."""
 
 
 def worst(trials: list[Trial], part: slice = ERRORS) -> float:

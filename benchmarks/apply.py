@@ -1,4 +1,4 @@
-"""Cost of correcting readings: per sample of arrays against one matrix product of the same run, and one at a time.
+"""CPU time of the correction of readings: arrays, relative to one matrix product, and single samples.
 
 ``python benchmarks/apply.py`` on one core; a sample is three gyros and three accelerometers.
 """
@@ -20,11 +20,13 @@ from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 REPEATS = 25
+"""Repeats of each timing; figures are medians."""
 G = 9.80665
+"""Standard gravity, m/s²."""
 
 
 def medians(calls: dict[str, Callable[[], object]], repeats: int = REPEATS) -> dict[str, float]:
-    """Median processor time of each, s; taken in turn, so that a busy moment of the machine strikes all alike."""
+    """Median CPU time of each call, s; the calls take turns, so that other load affects all of them alike."""
     spans: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()

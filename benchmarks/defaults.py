@@ -1,4 +1,4 @@
-"""The figures behind the default options: noise-free remainder and honest sigma of every alternative, side by side.
+"""Figures for the choice of the default options: noise-free error and noise sigma of every alternative.
 
 ``python benchmarks/defaults.py`` prints the table of docs/design/defaults.md.
 """

@@ -55,7 +55,7 @@ from srt.sensor_errors import (
     SYMBOLS,
     SensorErrors,
 )
-from srt.sequences.preparation import open_session
+from srt.sequences.preparation import prepare_checked
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -73,6 +73,7 @@ STANDARD_ERRORS: Final = 3.5
 _TWO_SIDED_95: Final = 1.959964
 """Half width of the 95 % interval of a normal error, sigma."""
 _GYRO_BIAS_RAD_S: Final = 10.0 * DEG_PER_H
+"""Half width of the uniform distribution of the gyro bias."""
 _FIXTURE_SIGMA: Final = {
     "level_sigma_rad": 1e-3,
     "north_sigma_rad": 1e-3,
@@ -80,6 +81,7 @@ _FIXTURE_SIGMA: Final = {
     "non_orthogonality_sigma_rad": 0.0,
     "rotation_sigma_rad": 1e-3,
 }
+"""1-sigma errors of the fixture of :func:`accuracy_trials.noisy_recording`."""
 
 
 @cache
@@ -282,6 +284,7 @@ def summarise(grade: str, units: Sequence[UnitTrials]) -> tuple[dict[str, Effici
 
 console = Console(width=150)
 BATCH = 200
+"""Units between two lines of the report."""
 FIRST_SEED = {grade: 10_000 * (1 + i) for i, grade in enumerate(GRADES)}
 
 
@@ -348,7 +351,7 @@ def component_table(grade: str) -> Table:
     motion = table1_motion(site=SITE, sample_rate_hz=100.0, stated_fixture=Fixture(0.0, 1e-3, 1e-3))
     recording = read_out(motion, SensorErrors(), GRADES[grade], np.random.default_rng(FIRST_SEED[grade]))
     options = Options()
-    data = open_session(recording, recording.sequences, options.average)
+    data = prepare_checked(recording, recording.sequences, options.average)
     solution = iterate(data, options, LeastSquaresSolver(()), *initial_estimate(data, options))
     H, R = solution.measurements.H, solution.measurement_covariance
 

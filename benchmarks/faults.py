@@ -31,6 +31,7 @@ from srt.recording.atomic_file import atomic_write_text
 console = Console(width=180)
 RESULTS = Path("build") / "fault-study.jsonl"
 EVERY_S = 60.0
+"""Time between two lines of the report, s."""
 
 
 def progress() -> Report:

@@ -44,9 +44,11 @@ if TYPE_CHECKING:
     Picks = Mapping[str, tuple[tuple[int, int], ...]]
 
 TURNS_PER_AXIS: Final = 3
+"""Full turns about each axis: the rotation errors of the fixture then weigh a third."""
 TURN_RAD: Final = TURNS_PER_AXIS * 2.0 * math.pi
+"""Angle turned about each axis, rad."""
 TURN_WAIT_S: Final = 1.0
-"""Stillness before and after a turn that serves for nothing else."""
+"""Rest before and after a turn, s; not used as a face."""
 
 # The two faces of z are seen at two headings half a turn apart. Then the Earth's horizontal rate does not end in K_ga,
 # which would take it for a g-sensitivity and subtract it from the turns about z, whose axis is vertical.
@@ -85,6 +87,7 @@ TABLE_1_FACES: Final[Picks] = {
 
 TABLE_1_TURNS: Final = tuple(_IDS.index(name) for name in ("2", "1", "3"))
 TABLE_1_TURN_RAD: Final = 2.0 * math.pi
+"""Angle of the turns of Table 1, rad."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,11 +127,13 @@ IMU_TK: Final = {
     "accelerometer offset, counts": (33124.2, 33275.2, 32364.4),
     "gyro gain, counts/(rad/s)": (4777.96, 4764.21, 4773.66),
 }
+"""Results that imu_tk's authors publish for the Xsens set."""
 CERTIFICATE: Final = {
     "accelerometer gain, counts/(m/s²)": (415.0, 413.0, 415.0),
     "accelerometer offset, counts": (33123.0, 33276.0, 32360.0),
     "gyro gain, counts/(rad/s)": (4778.0, 4758.0, 4766.0),
 }
+"""Results on the manufacturer's certificate of the same unit."""
 
 
 def xsens(recording: srt.Recording, estimator: str, gyro_bias: str) -> None:

@@ -57,9 +57,12 @@ console = Console(width=180)
 
 GRADE = "tactical"
 FIXTURES_RAD = (1e-4, 1e-3, 5e-3)
+"""1-sigma errors of the fixtures: a precise one, the paper's, a bench."""
 SAMPLE_RATE_HZ = 100.0
 DWELL_S = 10.0
+"""Length of every stationary window, s, as in the paper."""
 FIRST_SEED = 60_000
+"""Seed of the first unit: apart from the seeds of the other studies."""
 ASYMMETRIES = ("gyro_asymmetry", "accel_asymmetry")
 ESTIMATORS: dict[str, tuple[str, dict[str, Any]]] = {
     "closed-form": ("closed-form", {}),
@@ -68,16 +71,17 @@ ESTIMATORS: dict[str, tuple[str, dict[str, Any]]] = {
     "graph": ("graph", {}),
     "graph, asymmetry held": ("graph", {"hold": ASYMMETRIES}),
 }
-"""Ours: estimator and options. The last knows as much of the unit as imucal does."""
+"""Our estimators and their options. The last one assumes no asymmetry, as imucal does."""
 HELD, IMUCAL, IMUCAL_SAME = "graph, asymmetry held", "imucal", "imucal, same samples"
 METHODS = (*ESTIMATORS, IMUCAL, IMUCAL_SAME)
 ASYMMETRY_NOT_ESTIMATED = (HELD, IMUCAL, IMUCAL_SAME)
 POPULATIONS = {
     "no asymmetry": METHODS,
-    "asymmetry 1e-3": tuple(m for m in METHODS if m != HELD),  # it would be told a falsehood
+    "asymmetry 1e-3": tuple(m for m in METHODS if m != HELD),  # its assumption is wrong there
 }
 """Units, and the methods that calibrate them."""
 AXES_APART = slice(27, 30)
+"""Rows of the accelerometer non-orthogonality, after the 27 parameters."""
 ROWS = {
     "gyro scale, ppm": GROUP_SLICES["gyro_scale"],
     "gyro asymmetry, ppm": GROUP_SLICES["gyro_asymmetry"],
@@ -92,10 +96,11 @@ ROWS = {
 """Parameter groups. Orthogonality of the accelerometers is the part of their misalignment that depends on no frame."""
 ASYMMETRY_ROWS = ("gyro asymmetry, ppm", "accelerometer asymmetry, ppm")
 PROFILE = RateProfile(1.0, 10.0)
+"""Rotations of the fixture: 1 rad/s, 10 rad/s²."""
 
 
 @dataclass(slots=True)
-class Outcome:
+class UnitErrors:
     """Errors by method, each of shape (30,) in the units of the tables; seconds of one core; statuses."""
 
     errors: dict[str, np.ndarray] = field(default_factory=dict)
@@ -122,7 +127,7 @@ class Durations:
     face: float
 
 
-def unit(seed: int, sigma_rad: float) -> tuple[dict[str, Outcome], Durations]:
+def unit(seed: int, sigma_rad: float) -> tuple[dict[str, UnitErrors], Durations]:
     """Calibrate one unit, with and without its asymmetry, on a fixture with errors of one sigma.
 
     A seed is one unit, one gravity and one draw of the fixture's errors, which ``sigma_rad`` makes larger or smaller.
@@ -160,7 +165,7 @@ def unit(seed: int, sigma_rad: float) -> tuple[dict[str, Outcome], Durations]:
             read_out(m, truth, GRADES[GRADE], np.random.default_rng(s))
             for m, s in zip((motion, *ferraris), noise_seeds, strict=True)
         )
-        outcome = outcomes[population] = Outcome()
+        outcome = outcomes[population] = UnitErrors()
         for method in filter(ESTIMATORS.get, methods):
             name, options = ESTIMATORS[method]
             outcome.add(method, truth, lambda r=recording, n=name, o=options: srt.calibrate(r, n, checks=False, **o))
@@ -191,7 +196,7 @@ class Study:
 
     units: int
     fixtures_rad: tuple[float, ...] = FIXTURES_RAD
-    outcomes: dict[tuple[str, float], list[Outcome]] = field(default_factory=dict)
+    outcomes: dict[tuple[str, float], list[UnitErrors]] = field(default_factory=dict)
     durations: Durations | None = None
 
     def run(self, report: Callable[[str], None]) -> None:
@@ -204,7 +209,7 @@ class Study:
             report(f"{1e3 * sigma_rad:g} mrad: {self.units} units, {time.monotonic() - began:.0f} s since the start")
 
     def rms(self, population: str, sigma_rad: float, method: str, row: str) -> float:
-        """Of the group's parameters in all units; NaN for what a method does not estimate."""
+        """Rms error of a group's parameters over all units; NaN for parameters that a method does not estimate."""
         if method in ASYMMETRY_NOT_ESTIMATED and row in ASYMMETRY_ROWS:
             return math.nan
         errors = [o.errors[method][ROWS[row]] for o in self.outcomes[population, sigma_rad]]

@@ -1,4 +1,4 @@
-"""Speed and memory of campaigns: trials per second and core, where the time goes, two workers against one.
+"""Speed and memory of campaigns: trials per second and core, CPU time of each part, two workers against one.
 
 ``python benchmarks/robustness.py`` runs 17 sequences at 100 Hz with noise through the closed form; ``--memory`` runs
 10,000 short trials and prints the memory of all processes on the way. Figures are medians of rounds, and ratios are of
@@ -30,6 +30,7 @@ from srt.estimation.options import Options
 
 console = Console(width=120)
 ROUNDS = 5
+"""Rounds of a comparison; figures are their medians."""
 MIB = 2.0**20
 
 

@@ -1,4 +1,4 @@
-"""Speed and memory figures: medians, and ratios to reading the samples once, timed in the same run on one core.
+"""Speed and memory figures: medians, and ratios to one read of the samples in the same run, on one core.
 
 ``python benchmarks/speed.py`` runs all; ``--long`` adds 20 million samples.
 """
@@ -23,6 +23,7 @@ from srt.model.analytic_platform import gyro_stream, integrate_attitude
 from srt.model.sensor_model import gyro_triad
 
 REPEATS = 15
+"""Repeats of each timing; figures are medians."""
 
 
 def timed(call: Callable[[], object], repeats: int = REPEATS) -> float:

@@ -22,8 +22,9 @@ LINES: Final = {
     "perfect": (GREY, ":"),
 }
 DELTAS: Final = (("rotation", 1e3, "mrad"), ("velocity", 1.0, "m/s"), ("position", 1.0, "m"))
+"""Preintegrated quantities: name, factor from SI, unit."""
 SMALLEST_M: Final = 0.01
-"""Foot of the picture."""
+"""Lower limit of the axis, m."""
 
 
 def tables(outcomes: Mapping[tuple[str, str], DriftResult], marks_min: Sequence[float]) -> str:

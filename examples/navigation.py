@@ -55,28 +55,30 @@ GRADES: Final = {
 """Scenario of each grade in the library: the unit, and the fixture on which such a unit is calibrated."""
 FORMS: Final = {
     "raw": "as read",
-    "raw, zeroed": "as read, mean error of the first 30 s taken off as a bias",
+    "raw, zeroed": "as read, minus the mean error of the first 30 s",
     "calibrated": "corrected by the calibration",
     "calibrated, zeroed": "corrected, then zeroed",
     "perfect": "corrected by the unit's true errors: noise and drift remain",
 }
 MARKS_MIN: Final = (1, 10, 30)
+"""Times of the tables, min."""
 OUTPUT_S: Final = 20.0
 """Time between two points of a drift curve."""
 SEGMENTS_EVERY_S: Final = 60.0
+"""Time between the starts of two preintegrated segments, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unit:
-    """A unit and its calibration.
+class CalibratedUnit:
+    """Simulated unit and its calibration.
 
     Attributes
     ----------
     truth : SensorErrors
     imu : sims.ImuModel
-        Noise, drift, quantisation, range and g-sensitivity.
+        Noise, drift, quantization, range and g-sensitivity.
     calibration : Calibration
-        As read back from its file.
+        Calibration as loaded from its file.
     """
 
     truth: srt.SensorErrors
@@ -97,7 +99,7 @@ class DriftResult:
         return np.array([np.interp(60.0 * minutes, self.time_s, drift) for drift in self.drifts[form]])
 
 
-def calibrated_unit(scenario: str, rng: np.random.Generator, folder: Path) -> Unit:
+def calibrated_unit(scenario: str, rng: np.random.Generator, folder: Path) -> CalibratedUnit:
     """Draw a unit, run the rotation test on it, and calibrate it from the recording.
 
     Parameters
@@ -118,16 +120,16 @@ def calibrated_unit(scenario: str, rng: np.random.Generator, folder: Path) -> Un
     if calibration.status != "converged":
         raise srt.DataError(f"A unit of the scenario {scenario} was not calibrated: {calibration.message}")
     calibration.save(folder / "unit.json")
-    return Unit(simulation.truth, simulation.imu, srt.load_calibration(folder / "unit.json"))
+    return CalibratedUnit(simulation.truth, simulation.imu, srt.load_calibration(folder / "unit.json"))
 
 
-def sensed(motion: Motion, unit: Unit, rng: np.random.Generator | None) -> Readings:
+def sensed(motion: Motion, unit: CalibratedUnit, rng: np.random.Generator | None) -> Readings:
     """Increments that a unit reads on a motion, by the simulator's own IMU.
 
     Parameters
     ----------
     motion : Motion
-    unit : Unit
+    unit : CalibratedUnit
     rng : numpy.random.Generator or None
         None suits a unit without noise alone.
 
@@ -159,7 +161,7 @@ def sensed(motion: Motion, unit: Unit, rng: np.random.Generator | None) -> Readi
     return recording.gyro, recording.accel
 
 
-def forms_of(motion: Motion, unit: Unit, raw: Readings) -> dict[str, Readings]:
+def forms_of(motion: Motion, unit: CalibratedUnit, raw: Readings) -> dict[str, Readings]:
     """Readings in every form of :data:`FORMS`."""
     perfect = replace(unit.calibration, errors=unit.truth)
     options: dict[str, Any] = {"kind": "increment", "dt": motion.interval_s, "frame": "mars"}

@@ -23,16 +23,18 @@ if TYPE_CHECKING:
 
 
 STANDSTILL_S: Final = 30.0
+"""Rest at the start of every course, s: the biases are estimated in it."""
 START_LLA: Final = (45.0, 10.0, 200.0)
 """Latitude and longitude, degrees, and altitude, m, of every course."""
 ROCKING_SPEED_M_S: Final = 10.0
-"""From here on a vehicle rocks with most of its amplitude; at rest not at all."""
+"""Speed at which a vehicle rocks with most of its amplitude; at rest it does not rock."""
 G: Final = 9.81
+"""Gravity of the bank angles, m/s²."""
 
 Quantity = Literal["speed_m_s", "heading_deg", "path_deg"]
 
 
-class Step(NamedTuple):
+class SmoothChange(NamedTuple):
     """A smooth change of one quantity."""
 
     start_s: float
@@ -47,22 +49,22 @@ class Vehicle:
 
     Attributes
     ----------
-    opening : tuple of Step
-        Once, times counted from the start of the course.
+    opening : tuple of SmoothChange
+        Changes executed once; times count from the start of the course.
     cycle_start_s, cycle_s : float
-        When the cycle begins first, and its length.
-    cycle : tuple of Step
-        Again and again, times counted from the start of each cycle.
+        Start of the first cycle, and its length.
+    cycle : tuple of SmoothChange
+        Changes repeated in every cycle; times count from its start.
     roll_per_lateral_g : "balanced" or float, deg
-        An aircraft balances its turns; a car leans by so much for each g of sideways acceleration, outwards.
+        An aircraft banks into balanced turns; a car rolls outwards by this angle for each g of lateral acceleration.
     rocking_deg, rocking_hz : float
         Amplitude and frequency.
     """
 
-    opening: tuple[Step, ...]
+    opening: tuple[SmoothChange, ...]
     cycle_start_s: float
     cycle_s: float
-    cycle: tuple[Step, ...]
+    cycle: tuple[SmoothChange, ...]
     roll_per_lateral_g: float | Literal["balanced"]
     rocking_deg: float
     rocking_hz: float
@@ -71,22 +73,22 @@ class Vehicle:
 VEHICLES: Final = {
     "aircraft": Vehicle(
         opening=(
-            Step(30.0, 25.0, "speed_m_s", 70.0),
-            Step(52.0, 8.0, "path_deg", 5.0),
-            Step(60.0, 60.0, "speed_m_s", 50.0),
-            Step(280.0, 20.0, "path_deg", -5.0),
+            SmoothChange(30.0, 25.0, "speed_m_s", 70.0),
+            SmoothChange(52.0, 8.0, "path_deg", 5.0),
+            SmoothChange(60.0, 60.0, "speed_m_s", 50.0),
+            SmoothChange(280.0, 20.0, "path_deg", -5.0),
         ),
         cycle_start_s=300.0,
         cycle_s=500.0,
         cycle=(
-            Step(0.0, 45.0, "heading_deg", 90.0),
-            Step(60.0, 90.0, "heading_deg", -180.0),
-            Step(160.0, 30.0, "speed_m_s", 40.0),
-            Step(200.0, 10.0, "path_deg", -3.0),
-            Step(215.0, 60.0, "heading_deg", 100.0),
-            Step(280.0, 10.0, "path_deg", 3.0),
-            Step(290.0, 30.0, "speed_m_s", -40.0),
-            Step(325.0, 165.0, "heading_deg", 360.0),
+            SmoothChange(0.0, 45.0, "heading_deg", 90.0),
+            SmoothChange(60.0, 90.0, "heading_deg", -180.0),
+            SmoothChange(160.0, 30.0, "speed_m_s", 40.0),
+            SmoothChange(200.0, 10.0, "path_deg", -3.0),
+            SmoothChange(215.0, 60.0, "heading_deg", 100.0),
+            SmoothChange(280.0, 10.0, "path_deg", 3.0),
+            SmoothChange(290.0, 30.0, "speed_m_s", -40.0),
+            SmoothChange(325.0, 165.0, "heading_deg", 360.0),
         ),
         roll_per_lateral_g="balanced",
         rocking_deg=0.5,
@@ -97,19 +99,19 @@ VEHICLES: Final = {
         cycle_start_s=STANDSTILL_S,
         cycle_s=240.0,
         cycle=(
-            Step(0.0, 10.0, "speed_m_s", 13.0),
-            Step(15.0, 12.0, "heading_deg", 90.0),
-            Step(30.0, 10.0, "speed_m_s", 12.0),
-            Step(42.0, 20.0, "heading_deg", -60.0),
-            Step(65.0, 6.0, "path_deg", 3.0),
-            Step(85.0, 6.0, "path_deg", -6.0),
-            Step(105.0, 6.0, "path_deg", 3.0),
-            Step(115.0, 12.0, "speed_m_s", -16.0),
-            Step(130.0, 24.0, "heading_deg", 270.0),
-            Step(160.0, 12.0, "heading_deg", -90.0),
-            Step(180.0, 8.0, "speed_m_s", 8.0),
-            Step(190.0, 12.0, "heading_deg", -90.0),
-            Step(205.0, 10.0, "speed_m_s", -17.0),  # and stands for the rest of the cycle, as at traffic lights
+            SmoothChange(0.0, 10.0, "speed_m_s", 13.0),
+            SmoothChange(15.0, 12.0, "heading_deg", 90.0),
+            SmoothChange(30.0, 10.0, "speed_m_s", 12.0),
+            SmoothChange(42.0, 20.0, "heading_deg", -60.0),
+            SmoothChange(65.0, 6.0, "path_deg", 3.0),
+            SmoothChange(85.0, 6.0, "path_deg", -6.0),
+            SmoothChange(105.0, 6.0, "path_deg", 3.0),
+            SmoothChange(115.0, 12.0, "speed_m_s", -16.0),
+            SmoothChange(130.0, 24.0, "heading_deg", 270.0),
+            SmoothChange(160.0, 12.0, "heading_deg", -90.0),
+            SmoothChange(180.0, 8.0, "speed_m_s", 8.0),
+            SmoothChange(190.0, 12.0, "heading_deg", -90.0),
+            SmoothChange(205.0, 10.0, "speed_m_s", -17.0),  # and stands for the rest of the cycle, as at traffic lights
         ),
         roll_per_lateral_g=-4.0,
         rocking_deg=0.3,

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 
 _ANOMALY_M_S2: Final = 5e-4
+"""Gravity anomaly, 1 sigma, m/s²: the uncertainty of normal gravity."""
 _HEIGHT_M: Final = 200.0
+"""Largest height of the other place, m."""
 
 _NO_LATITUDE = (
     "A g-sensitivity of 180 °/h/g hides the vertical part of the Earth's rate, and the flicker of the bias (20 °/h) "

@@ -9,7 +9,7 @@ Three kinds, by where they act; each function returns a new object and leaves it
     record = noisier_window(record, (start_s, end_s), factor, gyro_noise, accel_noise, rng)
 
 A disturbance of the true motion is sensed by gyros and accelerometers alike; one of the samples is not, and comes
-after quantisation and saturation. Spans of time hold the samples that a window with the same limits holds,
+after quantization and saturation. Spans of time hold the samples that a window with the same limits holds,
 a + dt/2 < t <= b + dt/2 (:meth:`srt.recording.recording.Recording.window_indices`).
 """
 

@@ -5,7 +5,7 @@ Per sample of length dt, with the true integrals of :class:`sims.physics.true_mo
     gyro  = Mg ∫ω dt + κasym ∘ ∫|ω| dt + κbias dt + G ∫f dt + drift dt + N √dt · white
     accel = Ma ∫f dt + λasym ∘ ∫|f| dt + λbias dt           + drift dt + N √dt · white
 
-then, in the order of a real signal chain: saturation of the mean over the sample, pulse quantisation of the
+then, in the order of a real signal chain: saturation of the mean over the sample, pulse quantization of the
 running integral with the remainder carried, and rounding of the output word. Integrals are exact, so a
 recording at 50 Hz is the sum of the same recording at 1000 Hz. The matrices are built here from the 27
 numbers by name.
@@ -181,7 +181,7 @@ def read_out(
     errors : SensorErrors
         In B.
     imu : ImuModel, optional
-        Noise, quantisation, range, g-sensitivity; default none of them.
+        Noise, quantization, range, g-sensitivity; default none of them.
     rng : numpy.random.Generator, optional
         Needed when the model is random; gyro and accelerometer draw from children of their own.
     kind : "rate" or "increment"

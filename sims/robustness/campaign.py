@@ -104,11 +104,11 @@ AXES: Final[Mapping[str, AxisDefinition]] = {
 }
 
 
-class _Table(BaseModel):
+class _TomlTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class CampaignTable(_Table):
+class CampaignTable(_TomlTable):
     """Table [campaign]."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -120,7 +120,7 @@ class CampaignTable(_Table):
     """Iterate from the true errors too, which detects wrong minima; without it the status is not verified."""
 
 
-class RandomTable(_Table):
+class RandomTable(_TomlTable):
     """Distribution of a quantity that every trial draws."""
 
     low: Finite | None = None
@@ -156,7 +156,7 @@ class RandomTable(_Table):
         return f"{self.low:g} to {self.high:g}" + (", log" if self.log else "")
 
 
-class _Campaign(_Table):
+class _Campaign(_TomlTable):
     campaign: CampaignTable
     scenario: dict[str, Any]
     grid: dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]] = {}

@@ -1,4 +1,4 @@
-"""Plan files: what a test shall reach, on which fixture, with which unit; and plans as scenarios to simulate.
+"""Plan files: targets, unit, fixture and limits of a test to plan; and plans as scenarios to simulate.
 
 Tables of a plan file::
 
@@ -37,7 +37,7 @@ from sims.scenarios.scenario import (
     Scenario,
     ScheduleConfig,
     SiteConfig,
-    Table,
+    TomlTable,
     validation_sentence,
 )
 from srt.constants import DEG
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 _Count = Annotated[int, Field(strict=True, ge=1)]
 
 
-class AxisConfig(Table):
+class AxisConfig(TomlTable):
     """Freedom of one axis of the fixture."""
 
     travel_deg: tuple[Finite, Finite] | None = None
@@ -77,8 +77,8 @@ class AxisConfig(Table):
         return self
 
 
-class StandConfig(Table):
-    """What the fixture can do."""
+class StandConfig(TomlTable):
+    """Capabilities of the fixture."""
 
     rate_rad_s: Positive = 1.0
     acceleration_rad_s2: Positive = 10.0
@@ -107,7 +107,7 @@ class StandConfig(Table):
         return self
 
 
-class TargetsConfig(Table):
+class TargetsConfig(TomlTable):
     """Sigma wanted, by group; absent: none."""
 
     gyro_scale_ppm: Positive | None = None
@@ -145,8 +145,8 @@ class TargetsConfig(Table):
         return wanted
 
 
-class PlanOptions(Table):
-    """How long the test may be, and what it may consist of."""
+class PlanOptions(TomlTable):
+    """Limits of the test: total time, windows, rotations and sequences."""
 
     total_time_s: Positive | None = None
     shortest_window_s: Positive = 5.0
@@ -157,7 +157,7 @@ class PlanOptions(Table):
     most_sequences: _Count = 40
 
     def limits(self) -> PlanLimits:
-        """Give the limits in the planner's terms."""
+        """Limits as the planner takes them."""
         return PlanLimits(
             self.shortest_window_s, self.longest_window_s, self.largest_turn_deg, self.most_legs,
             self.longest_test_h * 3600.0, self.most_sequences,
@@ -172,7 +172,7 @@ class PlanOptions(Table):
         return self
 
 
-class PlanFile(Table):
+class PlanFile(TomlTable):
     """One planning problem, complete."""
 
     description: str = ""
@@ -206,7 +206,7 @@ class PlanFile(Table):
         )
 
     def scenario(self, plan: Plan, *, seed: int = 1) -> Scenario:
-        """Put a plan into a scenario that ``srt simulate`` runs.
+        """Scenario of a plan, for ``srt simulate``.
 
         Every sequence has an id of its own, ``p01`` and on, in the order of execution.
         """

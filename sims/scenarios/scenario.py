@@ -65,16 +65,17 @@ SignedAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 MRAD = 1e-3
 PPM = 1e-6
+"""Milliradian and part per million in SI."""
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of a scenario: frozen, and strict about its keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class NoiseConfig(Table):
-    """Noise, quantisation, range and g-sensitivity of a unit; absent means none."""
+class NoiseConfig(TomlTable):
+    """Noise, quantization, range and g-sensitivity of a unit; absent means none."""
 
     gyro_noise_deg_per_sqrt_h: NonNegative = 0.0
     accel_noise_ug_per_sqrt_hz: NonNegative = 0.0
@@ -110,7 +111,7 @@ class NoiseConfig(Table):
         return self.gyro_g_sensitivity_deg_per_h_per_g * DEG_PER_H / STANDARD_GRAVITY_M_S2
 
 
-class ErrorSizes(Table):
+class ErrorSizes(TomlTable):
     """One-sigma size of each group of sensor errors before calibration; absent means none."""
 
     gyro_scale_ppm: NonNegative = 0.0
@@ -136,7 +137,7 @@ class ErrorSizes(Table):
         }
 
 
-class ImuConfig(Table):
+class ImuConfig(TomlTable):
     """One IMU grade."""
 
     name: str
@@ -149,7 +150,7 @@ class ImuConfig(Table):
     """One sigma of a random turn on top, about each axis."""
 
 
-class FixtureConfig(Table):
+class FixtureConfig(TomlTable):
     """The fixture: its true one-sigma errors, and what the recording states of it."""
 
     name: str
@@ -179,7 +180,7 @@ class FixtureConfig(Table):
         }
 
 
-class SiteConfig(Table):
+class SiteConfig(TomlTable):
     """The site: latitude, and gravity given or by the WGS 84 normal formula."""
 
     name: str = ""
@@ -206,7 +207,7 @@ class SiteConfig(Table):
         return Site(normal_gravity_m_s2(latitude, self.height_m), self.gravity_sigma_m_s2 or 5e-4, latitude)
 
 
-class ErrorsConfig(Table):
+class ErrorsConfig(TomlTable):
     """Sensor errors of the unit."""
 
     draw: Literal["normal", "uniform", "none"] = "normal"
@@ -226,7 +227,7 @@ class ErrorsConfig(Table):
         return self
 
 
-class CustomSequence(Table):
+class CustomSequence(TomlTable):
     """A sequence that is not in Table 1."""
 
     id: str
@@ -251,7 +252,7 @@ class CustomSequence(Table):
         return TurnSequence(self.id, self.down, self.along_outer, self.rotations)
 
 
-class ScheduleConfig(Table):
+class ScheduleConfig(TomlTable):
     """A run on the fixture."""
 
     sequences: tuple[str, ...] = tuple(TABLE_1)
@@ -293,7 +294,7 @@ class ScheduleConfig(Table):
         return once * self.repeats
 
 
-class FreeConfig(Table):
+class FreeConfig(TomlTable):
     """A free recording: turns by hand or by a servo between static poses."""
 
     turns: Annotated[int, Field(strict=True, ge=1)] | None = None
@@ -323,7 +324,7 @@ class FreeConfig(Table):
         return self
 
 
-class RecordingConfig(Table):
+class RecordingConfig(TomlTable):
     """Recording of the samples."""
 
     sample_rate_hz: Positive = 200.0
@@ -331,14 +332,14 @@ class RecordingConfig(Table):
     format: Literal["csv", "parquet", "npz", "h5"] = "csv"
     start_time_s: Finite = 0.0
     noise: Flag = True
-    """False: no noise, drift, quantisation, range or g-sensitivity, whatever the grade says."""
+    """False: no noise, drift, quantization, range or g-sensitivity, whatever the grade says."""
     state_noise: Flag = True
     """False: the recording does not state the noise figures."""
     label_sequences: Flag = True
     serial: str | None = None
 
 
-class Scenario(Table):
+class Scenario(TomlTable):
     """One simulation, complete."""
 
     description: str = ""

@@ -38,7 +38,7 @@ def motion(example, angle, velocity, dt=DT):
 def faultless_unit(example, errors):
     """A unit without noise whose calibration found its errors exactly."""
     calibration = srt.Calibration("", "converged", "", errors, np.zeros((N_PARAMETERS, N_PARAMETERS)))
-    return example.navigation.Unit(errors, sims.ImuModel(), calibration)
+    return example.navigation.CalibratedUnit(errors, sims.ImuModel(), calibration)
 
 
 def drawn_errors(seed=1):
@@ -191,9 +191,9 @@ def test_two_digits(example, value, text):
 
 
 def test_tables_and_picture(example, tmp_path):
-    Outcome = example.navigation.Outcome
+    DriftResult = example.navigation.DriftResult
     time = np.linspace(0.0, 600.0, 31)
-    outcome = Outcome(time)
+    outcome = DriftResult(time)
     for form, rate in zip(example.navigation.FORMS, (20.0, 10.0, 1.0, 4.0, 0.5), strict=True):
         outcome.drifts[form] = [factor * rate * time for factor in (0.9, 1.0, 1.3)]
         outcome.deltas[form] = [np.full((4, 3), rate)]
