@@ -39,16 +39,16 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.model.analytic_platform import GyroStream
     from srt.model.table1 import RotationSequence
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices
 
 
-def initial_estimate(data: PlaybackData, options: Options) -> tuple[SensorErrors, Array]:
+def initial_estimate(data: PreparedRecording, options: Options) -> tuple[SensorErrors, Array]:
     """Initial sensor errors, and the rotation from the table-mounted frame to MARS.
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
         ``start``: "auto", "zero", or the errors themselves.
     """
@@ -76,12 +76,12 @@ _SHORTEST: Final = 0.02
 """Share of a sequence's duration below which a rotation is taken for a disturbance."""
 
 
-def estimate_from_fixture(data: PlaybackData, stream: GyroStream) -> tuple[SensorErrors, Array]:
+def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[SensorErrors, Array]:
     """Initial estimate from the fixture's nominal angles, and the orientation of MARS on the table.
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
         All sequences with nominal rotations.
     stream : GyroStream
         Raw gyro samples of the rotations.
@@ -197,12 +197,12 @@ def _layout() -> Array:
     return E
 
 
-def estimate_from_gravity(data: PlaybackData) -> SensorErrors:
+def estimate_from_gravity(data: PreparedRecording) -> SensorErrors:
     """Initial estimate for free rotations, from |f| = g in every pose.
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     """
     g, readings = data.gravity, data.windows.accel_mean
     E = _layout()
@@ -251,12 +251,12 @@ _EVALUATIONS: Final = 60
 """Largest number of evaluations in a stage."""
 
 
-def estimate_in_stages(data: PlaybackData, options: Options) -> SensorErrors:
+def estimate_in_stages(data: PreparedRecording, options: Options) -> SensorErrors:
     """Initial estimate from the recording alone, beginning with the shortest rotations.
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
 
     Returns
@@ -273,7 +273,7 @@ def estimate_in_stages(data: PlaybackData, options: Options) -> SensorErrors:
     return SensorErrors(u * sizes)
 
 
-def _rotation_lengths(data: PlaybackData) -> Array:
+def _rotation_lengths(data: PreparedRecording) -> Array:
     """Total angle of each sequence's rotations, shape (K,), rad: nominal if known, else from the raw gyros."""
     stream = data.stream(np.zeros(len(data.windows.duration_s), dtype=np.bool_))[0]
     out = np.empty(data.K)
@@ -302,7 +302,7 @@ class _Stage:
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
     chosen : ndarray of int
         Sequences that take part.
@@ -310,7 +310,7 @@ class _Stage:
         Units of the fitted errors; zero fixes a parameter.
     """
 
-    def __init__(self, data: PlaybackData, options: Options, chosen: Indices, sizes: Array) -> None:
+    def __init__(self, data: PreparedRecording, options: Options, chosen: Indices, sizes: Array) -> None:
         self.data = replace(
             data,
             labels=tuple(data.labels[k] for k in chosen),
@@ -325,9 +325,9 @@ class _Stage:
     def fit(self, u: Array) -> Array:
         """Fit the errors, in units of ``sizes``, from an initial value in the same units."""
         found = least_squares(
-            lambda v: self._measured(v)[0],
+            lambda v: self._evaluated(v)[0],
             u,
-            jac=lambda v: self._measured(v)[1],
+            jac=lambda v: self._evaluated(v)[1],
             x_scale=_FIRST_STEP,
             ftol=_TOLERANCE,
             xtol=_TOLERANCE,
@@ -336,13 +336,13 @@ class _Stage:
         )
         return np.asarray(found.x)
 
-    def _measured(self, u: Array) -> tuple[Array, Array]:
+    def _evaluated(self, u: Array) -> tuple[Array, Array]:
         """Residuals and their Jacobian at u; the last evaluation is kept, because scipy asks for the two in turn."""
         if self._at is None or not np.array_equal(u, self._at):
-            self._at, self._last = u.copy(), self._play(u)
+            self._at, self._last = u.copy(), self._evaluate(u)
         return self._last
 
-    def _play(self, u: Array) -> tuple[Array, Array]:
+    def _evaluate(self, u: Array) -> tuple[Array, Array]:
         errors = SensorErrors(u * self.sizes)
         data, g = self.data, self.data.gravity
         K = data.K

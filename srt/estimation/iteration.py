@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from srt.estimation.options import Options
     from srt.estimation.srt_measurements import SrtMeasurements
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
 
@@ -120,9 +120,10 @@ class Iteration:
 
     def __init__(
         self,
-        data: PlaybackData,
+        data: PreparedRecording,
         options: Options,
         solver: Solver,
+        *,
         start: SensorErrors,
         excess: tuple[float, float],
         resume: Solution | None,
@@ -156,7 +157,7 @@ class Iteration:
             # Near the solution the full weights are computed once: they change with the estimate by about 1e-3.
             near = near or (bool(corrections) and corrections[-1] < _NEAR)
             fresh = near and weights is None
-            measurements = self._play(errors, U, nominal=nominal, with_noise=fresh)
+            measurements = self._process(errors, U, nominal=nominal, with_noise=fresh)
             if fresh and self._release_moving(measurements):
                 continue
             try:
@@ -196,10 +197,10 @@ class Iteration:
                 f"{corrections[-1] if corrections else np.inf:.2e} (largest parameter, accelerometer bias in g)."
             )
         if final is None:
-            final = self._play(errors, U, nominal=not self.options.measured_vertical, with_noise=True)
+            final = self._process(errors, U, nominal=not self.options.measured_vertical, with_noise=True)
         return self._finish(final, errors, U, corrections, status, message)
 
-    def _play(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:
+    def _process(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:
         return self.processor.process(
             errors,
             U=U,
@@ -353,7 +354,7 @@ def _require_inside(errors: SensorErrors) -> None:
 
 
 def iterate(
-    data: PlaybackData,
+    data: PreparedRecording,
     options: Options,
     solver: Solver,
     errors: SensorErrors,
@@ -368,7 +369,7 @@ def iterate(
 
     Parameters
     ----------
-    data : PlaybackData
+    data : PreparedRecording
     options : Options
     solver : Solver
     errors : SensorErrors
@@ -385,4 +386,6 @@ def iterate(
         1-sigma of each parameter's initial value, used for fixed parameters; zero means exact.
     """
     uncertain = np.zeros(N_PARAMETERS) if fixed_sigma is None else fixed_sigma
-    return Iteration(data, options, solver, errors, excess, resume, uncertain).run(U, progress)
+    return Iteration(data, options, solver, start=errors, excess=excess, resume=resume, fixed_sigma=uncertain).run(
+        U, progress
+    )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
     from srt.sensor_errors import SensorErrors
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
 
 
@@ -145,7 +145,7 @@ class SrtProcessor:
     The gyro samples of the rotations and the averages of the windows do not depend on the errors and are stored.
     """
 
-    def __init__(self, data: PlaybackData, options: Options, integrated: Mask | None = None) -> None:
+    def __init__(self, data: PreparedRecording, options: Options, integrated: Mask | None = None) -> None:
         W = len(data.windows.duration_s)
         self.data, self.options = data, options
         self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated
@@ -213,9 +213,8 @@ class SrtProcessor:
         with_noise : bool
             Compute the noise integrals too.
         """
-        data = self.data
+        data, U = self.data, np.eye(3) if U is None else U
         gyro, accel = gyro_triad(errors), accel_triad(errors)
-        U = np.eye(3) if U is None else U
         force = accel.compensate(data.windows.accel_mean)
         stream, gyro_mean, poses = self._stream, data.windows.gyro_mean, None
         if self._g_sensitive and self._force is not None:
@@ -242,9 +241,8 @@ class SrtProcessor:
         rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
         # Δa_H = horizontal part of (â_End − â_Strt)  ([P] eq. 1)
         horizontal = np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0])
-        z_down = self._down(force, down, window_C)
         return SrtMeasurements(
-            z=np.concatenate([horizontal.ravel(), z_down, self._pool @ rest]),
+            z=np.concatenate([horizontal.ravel(), self._down(force, down, window_C), self._pool @ rest]),
             H=self._jacobian(integrals, basis, force, rate, gyro, accel),
             integrals=integrals,
             basis=basis,
