@@ -417,7 +417,15 @@ def test_text_fits_and_explains_every_column(estimator):
     calibration = calibrated(11, estimator)
     text = report(calibration, title="unit", verdict=True)
     assert max(map(len, text.splitlines())) <= 80
-    for column in ("chi2 / dof:", "p:", "shift if omitted:", "independent:", "information from:", "inflation:", "correlation:"):
+    for column in (
+        "chi2 / dof:",
+        "p:",
+        "shift if omitted:",
+        "independent:",
+        "information from:",
+        "inflation:",
+        "correlation:",
+    ):
         assert column in text
     assert "independent:" not in report(calibration, title="unit")
 

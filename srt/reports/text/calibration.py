@@ -137,7 +137,7 @@ def g_sensitivity_table(calibration: Calibration) -> str:
         rows.append([f"gyro {axis}", *elements, *rates])
     heads = ["°/h per g", *(f"along {axis}" for axis in "xyz"), "scatter\n°/h", "\nafter", "\nexpected"]
     table = text_table(heads, rows, "lrrrrrr", gap=1)
-    return f"Gyro g-sensitivity, and scatter of the stationary rates before and after its correction\n{table}"
+    return f"Gyro g-sensitivity, and scatter of the rest rates before and after it\n{table}"
 
 
 def contribution_table(calibration: Calibration) -> str:
