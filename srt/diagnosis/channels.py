@@ -13,13 +13,14 @@ from srt.diagnosis.findings import check, finding
 from srt.diagnosis.repeated_samples import repeated_runs
 from srt.diagnosis.spikes import find_spikes
 from srt.model.table1 import AXES
+from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
 CHANNELS: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in AXES)
@@ -173,6 +174,89 @@ def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
                 time=float(evidence.recording.time[run.first]),
                 sequence=evidence.place_title(run.first),
             )
+
+
+_WRAP_JUMP: Final = 0.9
+"""Smallest jump of a wrapping reading between two samples, relative to its range."""
+_WRAP_SYMMETRY: Final = 0.02
+"""Largest distance of the middle of that range from zero, relative to the range: words are signed."""
+_WRAP_SAMPLES: Final = 5
+"""Samples on both sides of a jump, whose medians must lie on both sides of zero: a shock swings back at once."""
+_WRAP_MOTION: Final = {"gyro": 50.0, "accel": 500.0}
+"""Rate of change, rad/s² and m/s³, above which a jump is no motion on a fixture or in a hand."""
+
+
+_DEAD_SHARE: Final = 0.5
+"""Share of stationary readings at zero, from which a channel may have a dead band."""
+_DEAD_STEPS: Final = 2.5
+"""Smallest reading other than zero over the quantization step: one without a dead band."""
+
+
+@check("gyro_dead_band")
+def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
+    """Find gyros that read zero when stationary, and never between zero and a threshold."""
+    if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
+        return
+    windows = evidence.data.windows.samples.tolist()
+    stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
+    share = np.mean(stationary == 0.0, axis=0)
+    for axis in np.flatnonzero(share > _DEAD_SHARE).tolist():
+        size = np.abs(evidence.rate[:, axis])
+        moving = evidence.rate[size > 0.0]
+        if len(moving) < _MANY:
+            continue
+        threshold = float(size[size > 0.0].min())
+        step = float(smallest_step(moving[-_SAMPLES:])[axis])
+        if threshold > _DEAD_STEPS * step:
+            yield finding(
+                "gyro_dead_band",
+                channel=CHANNELS[axis],
+                share=100.0 * float(share[axis]),
+                threshold=threshold,
+                step=step,
+            )
+            return
+
+
+@check("gyro_wrapped", "accel_wrapped")
+def wrapped_readings(evidence: Evidence) -> Iterator[Finding]:
+    """Find channels that jump between their two extremes and stay there; the message gives the first."""
+    for sensor, table in (("gyro", evidence.rate), ("accel", evidence.force)):
+        for axis in range(3):
+            low, high = float(table[:, axis].min()), float(table[:, axis].max())
+            jumps = _wraps(table[:, axis], low, high)
+            jumps = jumps[_within_sequences(evidence, jumps)]
+            if len(jumps) >= 2 and (high - low) / evidence.dt > _WRAP_MOTION[sensor]:
+                yield finding(
+                    f"{sensor}_wrapped",
+                    channel=f"{sensor}_{AXES[axis]}",
+                    low=low,
+                    high=high,
+                    count=len(jumps),
+                    time=float(evidence.recording.time[jumps[0]]),
+                )
+                break
+
+
+def _within_sequences(evidence: Evidence, samples: Indices) -> Mask:
+    """True for samples after neither a gap nor a change of sequence, where the unit may have moved unrecorded."""
+    inside = ~np.isin(samples, evidence.recording.gaps)
+    if evidence.data is not None:
+        sequences = [(evidence.sequence_at(i - 1), evidence.sequence_at(i)) for i in samples.tolist()]
+        inside &= np.array([before is not None and before == after for before, after in sequences], dtype=np.bool_)
+    return np.asarray(inside)
+
+
+def _wraps(column: Array, low: float, high: float) -> Indices:
+    """Samples before which a reading jumps from one of its extremes to the other and stays there."""
+    n, size = _WRAP_SAMPLES, high - low
+    if not low < 0.0 < high or abs(high + low) > _WRAP_SYMMETRY * size:
+        return np.zeros(0, dtype=np.intp)
+    jumps = np.flatnonzero(np.abs(np.diff(column)) > _WRAP_JUMP * size) + 1
+    jumps = jumps[(jumps >= n) & (jumps <= len(column) - n)]
+    before, after = (np.median(column[jumps[:, None] + np.arange(a, a + n)], axis=1) for a in (-n, 0))
+    stays = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > 0.25 * size)
+    return np.asarray(jumps[stays], dtype=np.intp)
 
 
 @check("spikes")

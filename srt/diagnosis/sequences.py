@@ -50,7 +50,7 @@ _FAR: Final = 1.0
 """Squared distance between two sequences, in half turns and in verticals. The nearest two of Table 1 are 2 apart (one
 half turn more, or about another axis); a unit with errors of 10 % is within 0.1 of its own."""
 _SIGMAS: Final = 6.0
-"""Allowed error of an angle in sigma of the fixture, as in :func:`srt.sequences.manoeuvres.wrong_turns`."""
+"""Allowed error of an angle in sigma of the fixture, as in :func:`srt.sequences.manoeuvres.wrong_rotation_angles`."""
 _AGREE: Final = 0.5
 """Share of an angular error that may be missing in the accelerometers: an error of the gyros alone, by lost samples or
 asymmetric scale factors, is missing there entirely."""
@@ -102,7 +102,8 @@ def _turning(evidence: Evidence) -> Mask:
     for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
         first, last = int(samples[s, 0]), int(samples[e, 1])
         count = (last - first) // size
-        means = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3).mean(axis=1)
+        blocks = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3)
+        means = np.median(blocks, axis=1)  # a spike is no rotation
         in_turns[k] = _rate_range(means)
         for w in (s, e):
             inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtri, ndtri, stdtrit
 
-from srt.constants import DEG, EARTH_RATE_RAD_S, normal_gravity_m_s2
+from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.findings import Finding, check, finding
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.manoeuvres import end_attitude
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
-    from srt.sequences.preparation import PlaybackData
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
 HEIGHTS_M: Final = (5000.0, -500.0)
@@ -59,12 +59,13 @@ def gravity(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-@check("latitude", "north")
+@check("earth_rate_absent", "latitude", "north")
 def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     """Test the stated latitude and heading against the Earth rate in the stationary windows.
 
     Likelihood ratio: the latitude is wrong if the best one explains the vertical component and the horizontal magnitude
-    significantly better; the heading likewise by the direction of the horizontal component.
+    significantly better; the heading likewise by the direction of the horizontal component. If no Earth rate at all
+    explains the readings significantly better than any latitude does, the unit removes it.
     """
     site, fixture = evidence.recording.site, evidence.recording.fixture
     if site.latitude_rad is None or fixture is None:
@@ -88,6 +89,15 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     by_latitude = misfit(latitudes)
     best = int(np.argmin(by_latitude))
     latitude = site.latitude_rad
+    absent = (fit.vertical / vertical_sigma) ** 2 + (size / horizontal_sigma) ** 2
+    if float(by_latitude[best]) - absent > limit:
+        yield finding(
+            "earth_rate_absent",
+            found=float(np.hypot(fit.vertical, size) / DEG_PER_H),
+            sigma=float(np.hypot(vertical_sigma, horizontal_sigma) / DEG_PER_H),
+            expected=float(EARTH_RATE_RAD_S / DEG_PER_H),
+        )
+        return
     if float(misfit(np.array([latitude]))[0] - by_latitude[best]) > limit:
         near = latitudes[by_latitude <= by_latitude[best] + 1.0]
         yield finding(
@@ -197,7 +207,7 @@ def stationary_rate_fit(evidence: Evidence) -> StationaryRateFit | None:
     return _FITS[evidence]
 
 
-def _fit(evidence: Evidence, data: PlaybackData) -> StationaryRateFit | None:
+def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | None:
     W = len(data.windows.duration_s)
     chosen = np.unique(np.linspace(0, W - 1, min(W, _MOST_WINDOWS)).astype(int))
     rate, force = data.windows.gyro_mean[chosen], data.windows.accel_mean[chosen]
@@ -253,7 +263,7 @@ def _fit(evidence: Evidence, data: PlaybackData) -> StationaryRateFit | None:
     )
 
 
-def _poses(data: PlaybackData) -> Array | None:
+def _poses(data: PreparedRecording) -> Array | None:
     """Base axes in table-mounted axes at each window, C_T,base transposed: row i is base axis i, shape (W, 3, 3)."""
     if data.recording.fixture is None or any(s is None for s in data.catalogue):
         return None
@@ -265,7 +275,7 @@ def _poses(data: PlaybackData) -> Array | None:
     return out
 
 
-def _covariance(data: PlaybackData, start: Array, end: Array, *, known: bool) -> Array:
+def _covariance(data: PreparedRecording, start: Array, end: Array, *, known: bool) -> Array:
     """Covariance of the mean rates of the windows, by axis, shape (3, W, W), (rad/s)²."""
     noise, T = data.noise, end - start
     instability = data.recording.noise.gyro_bias_instability or 0.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.noise.noise_model import smallest_step
+from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
@@ -125,9 +125,9 @@ def _least_noise(evidence: Evidence) -> Array:
 def _step(table: Array, windows: list[tuple[int, int]], some: Array) -> Array:
     """Quantization step, by the median of a few windows; from motion for channels that show none when stationary."""
     few = windows[:: max(1, len(windows) // _FEW)]
-    steps = np.array([smallest_step(table[a:b]) for a, b in few])
+    steps = np.array([quantization_step(table[a:b]) for a, b in few])
     seen = np.array([np.median(s[s > 0.0]) if np.any(s > 0.0) else 0.0 for s in steps.T])
-    return seen if np.all(seen > 0.0) else np.where(seen > 0.0, seen, smallest_step(some))
+    return seen if np.all(seen > 0.0) else np.where(seen > 0.0, seen, quantization_step(some))
 
 
 def _off(x: Array) -> Array:

@@ -45,6 +45,7 @@ class _WrongUnit:
 _GYRO_UNITS: Final = (
     _WrongUnit("gyro_degrees", 1.0 / DEG, "degrees", "radians", rates_only=False),
     _WrongUnit("gyro_radians", DEG, "radians", "degrees", rates_only=False),
+    _WrongUnit("gyro_milli", 1e3, "thousandths", "the unit", rates_only=False),
     _WrongUnit("gyro_per_hour", 1.0 / DEG_PER_H, "deg/h", "rad/s"),
     _WrongUnit("gyro_per_hour", DEG / DEG_PER_H, "deg/h", "deg/s"),
     _WrongUnit("gyro_per_hour", DEG_PER_H / DEG, "deg/s", "deg/h"),
@@ -86,6 +87,8 @@ _WHOLE: Final = 1e-6
 """Largest distance from a whole number, by rounding."""
 _READINGS: Final = 4000
 """Readings from which a common step is taken."""
+_COARSEST_COUNT: Final = 16
+"""Largest common divisor of raw counts, of which some low bits may be constant; larger ones are pulses in a unit."""
 _FEWEST_COUNTS: Final = 10.0
 """Range of the readings in counts, below which whole numbers are chance."""
 _MOST_COUNTS: Final = 2.0**52
@@ -98,6 +101,7 @@ _MOST_COUNTS: Final = 2.0**52
     "gyro_degrees",
     "gyro_radians",
     "gyro_per_hour",
+    "gyro_milli",
     "gyro_counts",
     "accel_g",
     "accel_mg",
@@ -129,7 +133,7 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
         nearest = min((u for u in units if rates or not u.rates_only), key=lambda u: abs(off - math.log(u.factor)))
         distance = abs(off - math.log(nearest.factor))
         step = _common_step(getattr(evidence.recording, sensor), wholes)
-        if (step and distance > _TIGHT) or (step == 1 and sensor == "gyro"):
+        if (0 < step <= _COARSEST_COUNT and distance > _TIGHT) or (step == 1 and sensor == "gyro"):
             yield finding(f"{sensor}_counts", **_fields(evidence, sensor, scales, None))
             continue
         power = _power_of_two(scales)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.rotation_readings import computed_once, invert_readings, nominal_end_attitude, raw_triads, robust_fit
-from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, smallest_step
+from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
+from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
@@ -148,7 +149,7 @@ def _resolution(evidence: Evidence, samples: Indices) -> Array:
     steps = np.zeros((len(some), 6))
     for v, (a, b) in enumerate(some.tolist()):
         part = slice(a, min(b, a + _RESOLUTION_SAMPLES))
-        steps[v] = *smallest_step(evidence.recording.gyro[part]), *smallest_step(evidence.recording.accel[part])
+        steps[v] = *quantization_step(evidence.recording.gyro[part]), *quantization_step(evidence.recording.accel[part])
     # A disturbed window holds finer steps; readings that hardly ever change hold none.
     seen = np.where(steps > 0.0, steps, np.nan)
     shown = np.isfinite(seen).any(axis=0)

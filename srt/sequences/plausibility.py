@@ -17,7 +17,7 @@ import numpy as np
 from srt.constants import ARCSEC, DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
-from srt.noise.quantization import quantization_step
+from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -285,7 +285,7 @@ def _limits_seen(triad: Array, axis: int, least: float) -> tuple[float, float]:
     if len(inner) < 2:
         return -np.inf, np.inf
     scatter = float(np.median(np.abs(np.diff(inner)))) / _MEDIAN_OF_DIFFERENCES
-    step = float(quantization_step(inner[:, None])[0])
+    step = float(smallest_step(inner[:, None])[0])
     coarse = step > _NOISY * scatter
     # Without noise a turn at one rate repeats its extreme too, but then the other channels are smooth meanwhile.
     others = np.delete(triad, axis, axis=1)
