@@ -1,7 +1,7 @@
 """Damaged and hostile input to every reader and to recording.toml: nothing but a recording or a clear error.
 
 ``python benchmarks/fuzz.py`` gives 100,000 inputs, shared out evenly; ``--count N`` as many in all, ``--only NAME ...``
-some readers, ``--one NAME:INDEX`` a single input again, its error unhidden (``--keep`` leaves its files).
+some readers, ``--one NAME:INDEX`` a single input again, with its error in full (``--keep`` leaves its files).
 
 Each input is a valid file, made by its format's own library, and damaged: bits turned, bytes cut off, moved, doubled,
 numbers in it replaced by hostile ones. What is checked of every one:
@@ -51,20 +51,21 @@ from srt.recording.importers import child_process
 from srt.recording.recording import Site
 
 SECONDS_PER_INPUT = 10
-"""Of this process's computing, so that a busy machine does not count."""
+"""Computing time of this process, s, after which an input counts as one that hangs; a busy machine does not matter."""
 SECONDS_TO_KILL = 20
-"""The same, after which the process is ended: compiled code does not stop for the interpreter."""
+"""Computing time, s, after which the process is ended: compiled code does not stop for a signal of the interpreter."""
 TOTAL = 100_000
+"""Inputs in all, without ``--count``."""
 FORBIDDEN_EVENTS = frozenset({"pickle.find_class", "os.system", "subprocess.Popen", "os.exec", "os.posix_spawn"})
 SITE = Site(9.80665, 5e-4)
 
 
 class HangError(BaseException):
-    """An input that takes too long; no Exception, so that nothing on the way takes it for damage."""
+    """An input that takes too long; no Exception, so that no reader reports it as damage."""
 
 
 class Watch:
-    """What the interpreter reports of files and code while an input is read."""
+    """Audit events of the interpreter on files and code while an input is read."""
 
     def __init__(self, folder: Path) -> None:
         places = [sys.prefix, sys.base_prefix, *sysconfig.get_paths().values(), str(Path(srt.__file__).parents[1])]
@@ -174,7 +175,7 @@ def read(name: str, seed: Seed, path: Path) -> None:
 
 
 def judge(name: str, seed: Seed, path: Path, watch: Watch) -> str:
-    """Outcome of one input: "read", "refused", or what is wrong."""
+    """Outcome of one input: "read", "refused", or the failure."""
     watch.seen.clear()
     watch.on = True
     signal.setitimer(signal.ITIMER_PROF, SECONDS_PER_INPUT)
@@ -210,7 +211,7 @@ def generator(name: str, index: int) -> np.random.Generator:
 
 
 def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> None:
-    """Run a reader's inputs; lines "index outcome" of all that is wrong, then the counts, on standard output."""
+    """Run the inputs of a reader; print a line "index outcome" for each failure, then the counts."""
     seeds = seeds_of(name)
     pool = [data for seed in seeds for data in seed.files.values()]
     folder = scratch / "input"
@@ -219,7 +220,7 @@ def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> 
     unraisable: list[str] = []
     sys.unraisablehook = lambda info: unraisable.append(f"unraisable {info.exc_type.__name__}: {info.exc_value}"[:160])
     signal.signal(signal.SIGPROF, _alarm)
-    # What is loaded or made once, is so before the watch begins.
+    # Modules and code that are made once are made before the watch begins.
     for each in IMPORTERS:
         importer(each)
     impose, child_process.impose, child_process.spawn = child_process.impose, lambda _: True, InProcess
@@ -254,7 +255,7 @@ def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> 
 
 
 def supervise(name: str, count: int, memory_mib: int) -> tuple[int, int, list[str], int]:
-    """Run a reader's inputs in processes of their own; read, refused, failures with their seeds, peak growth in MiB."""
+    """Run the inputs of a reader in own processes; counts of read and refused, failures, peak growth in MiB."""
     failures: list[str] = []
     taken, refused, grown, start = 0, 0, 0, 0
     with TemporaryDirectory(prefix="fuzz-") as scratch:
@@ -293,7 +294,7 @@ def _fresh(folder: Path) -> None:
 
 
 def once(text: str, *, keep: bool) -> None:
-    """Read one input again, its error unhidden."""
+    """Read one input again; its error is shown in full."""
     name, _, index = text.rpartition(":")
     seeds = seeds_of(name)
     pool = [data for seed in seeds for data in seed.files.values()]

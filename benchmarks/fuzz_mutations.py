@@ -78,7 +78,7 @@ def cut_start(data: bytearray, rng: np.random.Generator) -> bytearray:
 
 
 def hostile_number(data: bytearray, rng: np.random.Generator) -> bytearray:
-    """Where a count or a length may stand."""
+    """Place where a count or a length may stand."""
     width = WIDTHS[int(rng.integers(4))]
     at = _place(max(len(data) - width, 1), rng)
     if rng.random() < 0.5:
@@ -172,7 +172,7 @@ TEXT: tuple[Mutation, ...] = (replace_word, replace_word, replace_word, insert_t
 
 
 def _place(size: int, rng: np.random.Generator) -> int:
-    """Where to damage: half of the time within the first or the last bytes, where headers and footers stand."""
+    """Place of a damage: in half of the cases within the first or the last bytes, where headers and footers stand."""
     if size < 1:
         return 0
     if rng.random() < 0.5:

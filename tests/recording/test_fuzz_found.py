@@ -1,4 +1,4 @@
-"""What the fuzzer found in the readers of recordings, each as the smallest file that shows it."""
+"""Failures that the fuzzer found in the readers of recordings, each as the smallest file that shows it."""
 
 import io
 import subprocess

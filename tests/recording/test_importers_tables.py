@@ -1,4 +1,4 @@
-"""Tables of samples in foreign formats, each in a file that its own library wrote, and what is said of bad ones."""
+"""Tables of samples in foreign formats, each in a file that its own library wrote, and messages on faulty ones."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ KALIBR = "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z"
 
 
 def write_rows(path, header, columns, delimiter=","):
-    """By Python's csv, which writes every digit of a float."""
+    """Write a table by Python's csv, which writes every digit of a float."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, delimiter=delimiter)
         if header is not None:
@@ -311,7 +311,7 @@ def test_a_unit_is_never_guessed(tmp_path, missing):
         import_file(tmp_path / "a.csv", ImportOptions(**options))
 
 
-def test_a_unit_said_goes_before_the_format_with_a_note(tmp_path):
+def test_a_given_unit_overrides_the_format_with_a_note(tmp_path):
     write_stamped(tmp_path / "a.csv", EUROC)
     _, imported = import_file(tmp_path / "a.csv", ImportOptions(gyro_unit="deg/s"))
     np.testing.assert_array_equal(imported.gyro, GYRO * DEG)
@@ -465,7 +465,7 @@ def test_names_of_columns_can_be_added(tmp_path, monkeypatch):
     assert meaning_of("z kreisel") is None
 
 
-def test_columns_said_by_name_number_and_stem(tmp_path):
+def test_columns_given_by_name_number_and_stem(tmp_path):
     names = "t0,rot_x,rot_y,rot_z,p,q,r"
     write_rows(tmp_path / "a.csv", names, [TIME, *GYRO.T, *ACCEL.T])
     columns = parse_columns("time=t0,gyro=rot,accel_x=p,accel_y=6,accel_z=r")

@@ -33,6 +33,9 @@ HDF5_MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 _MOST_COLUMNS = 64
 """Columns of a table; a longer side of an array is its rows."""
 
+_SENSOR_COLUMNS = 6
+"""Columns of gyros and accelerometers together."""
+
 _MOST_ARRAYS = 10_000
 """Datasets of an HDF5 file that are listed; those of a log number some hundreds."""
 
@@ -182,7 +185,11 @@ def _single_array(file: ArrayFile, options: ImportOptions) -> str | None:
 
 def _wide(file: ArrayFile) -> list[str]:
     """Names of the tables with columns enough for both sensors."""
-    return [name for name, shape in file.shapes.items() if len(shape) == 2 and 6 <= min(shape) <= _MOST_COLUMNS]
+    return [
+        name
+        for name, shape in file.shapes.items()
+        if len(shape) == 2 and _SENSOR_COLUMNS <= min(shape) <= _MOST_COLUMNS
+    ]
 
 
 def _is_columns(shape: tuple[int, ...]) -> bool:

@@ -52,6 +52,8 @@ _SUFFIX_UNITS: Final = {
     "s": "s", "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "raw": COUNTS, "counts": COUNTS, "lsb": COUNTS,
 }  # fmt: skip
 _PREFIXES: Final = ("field", "imu")
+"""First words of names that carry no meaning: "field.angular_velocity.x" of rostopic."""
+
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 
 

@@ -49,7 +49,7 @@ TIME_PER_MIB_S: Final = 5
 ARRAYS: Final = ("gyro", "accel", "time", "temperature")
 FIELDS: Final = ("kind", "sample_rate_hz", "serial", "date", "units", "notes")
 
-NO_LIMITS_NOTE: Final = "This platform has no limits on memory and time of a process: read logs that you trust."
+NO_LIMITS_NOTE: Final = "This platform does not limit the memory of a process: read only logs from a trusted origin."
 
 OUT_OF_MEMORY: Final = 77
 """Exit code of a child that reached its limit on memory; Python and the system use lower and higher ones."""
@@ -247,23 +247,28 @@ def limits_for(path: Path) -> Limits:
 
 
 def impose(limits: Limits) -> bool:
-    """Limit memory, computing time and written files of this process; False where the platform cannot."""
+    """Limit memory, computing time and written files of this process; False where the platform cannot limit all."""
     try:
         import resource
-
-        in_use = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-        bounds = {
-            resource.RLIMIT_AS: in_use + limits.memory,
-            resource.RLIMIT_CPU: limits.seconds,
-            resource.RLIMIT_FSIZE: limits.memory,
-            resource.RLIMIT_CORE: 0,
-        }
+    except ImportError:
+        return False
+    bounds = {
+        resource.RLIMIT_CPU: limits.seconds,
+        resource.RLIMIT_FSIZE: limits.memory,
+        resource.RLIMIT_CORE: 0,
+    }
+    statm = Path("/proc/self/statm")
+    if statm.exists():
+        # The limit counts from zero, so that the memory in use has to be known.
+        in_use = int(statm.read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        bounds[resource.RLIMIT_AS] = in_use + limits.memory
+    try:
         for which, bound in bounds.items():
             hard = resource.getrlimit(which)[1]
             resource.setrlimit(which, (bound if hard == resource.RLIM_INFINITY else min(bound, hard), hard))
-    except (ImportError, OSError, ValueError):
+    except (OSError, ValueError):
         return False
-    return True
+    return statm.exists()
 
 
 def _options(fields: dict[str, Any]) -> ImportOptions:
