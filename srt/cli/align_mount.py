@@ -1,4 +1,4 @@
-"""``srt align-mount``: how the sensor axes stand in the mount."""
+"""``srt align-mount``: angles between the sensor axes and the mount."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ RESULT_SUFFIXES = (".json",)
     type=click.Path(path_type=Path),
     help="Calibration of the unit.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.json", help="Result.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.json", help="Result: FILE.json.")
 @click.option(
     "--level-sigma-mrad",
     type=float,
     metavar="MRAD",
-    help="One sigma of the mount's levelling; default 1, or √2 of the recording's alignment_sigma_mrad.",
+    help="1-sigma of the levelling of the mount; default: 1, or √2 times alignment_sigma_mrad of the recording.",
 )
 @click.option(
     "--axis-sigma-mrad",
     type=float,
     metavar="MRAD",
-    help="One sigma of the axis, tilt and squareness to the mount; default 1, or alignment_sigma_mrad.",
+    help="1-sigma of tilt and squareness of the axis; default: 1, or alignment_sigma_mrad of the recording.",
 )
-@click.option("--force", is_flag=True, help="Whatever the calibration's status and the serial.")
+@click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("-q", "--quiet", is_flag=True, help="No table; warnings and errors only.")
 def align_mount(
     recording_path: Path | None,
@@ -50,9 +50,9 @@ def align_mount(
 ) -> int:
     """Find the three angles between the sensor axes and the mount.
 
-    RECORDING holds the raw readings of the unit on a levelled mount (z down) and pitched by about 90 degrees (x down
-    or up), standing still in each; labels are not needed, and stands may repeat. Without RECORDING the angles are
-    those that the calibration's own test found on its two-axis fixture, to the fixture's accuracy.
+    RECORDING holds raw readings in static poses: the mount levelled (z down), and pitched by about 90 degrees (x down
+    or up). Labels are not needed, and poses may repeat. Without RECORDING the angles are those of the two-axis test of
+    the calibration, to the accuracy of its fixture.
 
     Exit codes: 0 success; 1 the recording cannot support a result; 2 wrong usage, unreadable input, or a calibration
     that does not fit the recording.
@@ -60,13 +60,13 @@ def align_mount(
     if output is not None:
         check_file(output, RESULT_SUFFIXES, "The mount alignment")
         if output.resolve() == calibration_file.resolve():
-            raise InputError(f"{output} is the calibration itself, which shall stay as it is: name another file.")
+            raise InputError(f"{output} is the calibration itself: name another file.")
     sigmas = {"--level-sigma-mrad": level_sigma_mrad, "--axis-sigma-mrad": axis_sigma_mrad}
     for name, value in sigmas.items():
         if value is not None and not 0.0 < value < float("inf"):
             raise InputError(f"{name} is {value:g}, but a positive number of milliradians is expected.")
         if value is not None and recording_path is None:
-            raise InputError(f"{name} belongs to a stand: name the RECORDING of it, or leave the option out.")
+            raise InputError(f"{name} applies to static poses: name their RECORDING, or leave the option out.")
     calibration = load_fit(calibration_file, force=force)
     if recording_path is None:
         from srt.mount.alignment import mount_from_calibration

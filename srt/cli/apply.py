@@ -1,4 +1,4 @@
-"""``srt apply``: a recording corrected by a calibration, and the same correction as a C header."""
+"""``srt apply``: correction of a recording by a calibration, and the same correction as a C header."""
 
 from __future__ import annotations
 
@@ -22,11 +22,17 @@ HEADER_SUFFIXES = (".h",)
 @click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to write; made if absent.")
-@click.option("--frame", type=click.Choice(("mars", "table")), default="mars", show_default=True, help="Axes to give.")
-@click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Of the samples; default: the recording's.")
-@click.option("--c-header", type=click.Path(path_type=Path), metavar="FILE.h", help="Write the correction as C99, too.")
-@click.option("--force", is_flag=True, help="Whatever the calibration's status, the serial and the size of readings.")
-@click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already.")
+@click.option(
+    "--frame",
+    type=click.Choice(("mars", "table")),
+    default="mars",
+    show_default=True,
+    help="Axes of the result.",
+)
+@click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Default: as in RECORDING.")
+@click.option("--c-header", type=click.Path(path_type=Path), metavar="FILE.h", help="Also write the correction as C99.")
+@click.option("--force", is_flag=True, help="Accept any status of the calibration, serial and size of readings.")
+@click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def apply(
     calibration_file: Path,
@@ -42,7 +48,7 @@ def apply(
     """Correct RECORDING by CALIBRATION, the JSON file that 'srt calibrate -o' wrote.
 
     The folder then holds the recording with corrected samples, in SI units, in MARS axes (those of the calibration)
-    or of the table-mounted frame. With --c-header alone nothing is corrected, and RECORDING and -o are left out.
+    or in axes of the table-mounted frame. With --c-header alone, RECORDING and -o are left out.
 
     Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse; 2 wrong usage, unreadable
     input, or a calibration that does not fit the recording.
@@ -63,7 +69,7 @@ def apply(
         if not force:
             check_match(calibration, recording, calibration_file, recording_path)
         corrected = correct(calibration, recording, frame, check=not force)
-    # All that can be refused has been: now it is written.
+    # All checks are done: the results are written.
     written = []
     if corrected is not None and output is not None:
         from srt.recording.folder import write_recording
@@ -81,7 +87,7 @@ def apply(
 
         warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
     if header is not None and "g_sensitivity" in calibration.diagnostics:
-        warn(f"{c_header} does not hold what the gyros follow specific force by: {calibration_file} does.")
+        warn(f"{c_header} does not contain the gyro g-sensitivity; {calibration_file} does.")
     if not quiet:
         if corrected is not None:
             axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
@@ -92,7 +98,7 @@ def apply(
 
 
 def check_places(recording: Path | None, output: Path | None, c_header: Path | None, *, overwrite: bool) -> None:
-    """Refuse what cannot be written, or was not said, before anything is read.
+    """Check paths and combinations before data are read.
 
     Parameters
     ----------
@@ -115,7 +121,7 @@ def check_places(recording: Path | None, output: Path | None, c_header: Path | N
 
 
 def check_output(folder: Path, recording: Path, *, overwrite: bool) -> None:
-    """Refuse a folder that will not be written to, before anything is read.
+    """Check the folder of the result before data are read.
 
     Parameters
     ----------
@@ -125,24 +131,24 @@ def check_output(folder: Path, recording: Path, *, overwrite: bool) -> None:
     Raises
     ------
     InputError
-        The recording's own folder always, for readings that are replaced are lost; one that holds files, unless
-        overwriting is allowed; one that cannot be made.
+        The folder of the recording itself; one that is not empty, unless overwriting is allowed; one that cannot be
+        created.
     """
     if folder.resolve() == recording_folder(recording).resolve():
-        raise InputError(f"The folder {folder} holds the recording itself, which shall stay as it is: name another.")
+        raise InputError(f"The folder {folder} holds the recording itself: name another.")
     check_directory(folder)
     if folder.is_dir() and not overwrite and any(folder.iterdir()):
         raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
 
 
 def load_fit(path: Path, *, force: bool) -> Calibration:
-    """Load a calibration that is fit to be applied.
+    """Load a calibration that can be applied.
 
     Parameters
     ----------
     path : Path
     force : bool
-        Whether any status will do.
+        Accept any status.
 
     Returns
     -------
@@ -151,8 +157,8 @@ def load_fit(path: Path, *, force: bool) -> Calibration:
     Raises
     ------
     InputError
-        What :func:`srt.load_calibration` raises; unless forced, a status other than "converged" and "partial", or
-        errors that such a status does not go with.
+        A file that cannot be read; unless forced, a status other than "converged" and "partial", or errors outside the
+        sensor model.
     """
     from srt.model.sensor_model import outside_model
     from srt.result.calibration import load_calibration
@@ -176,7 +182,7 @@ def load_fit(path: Path, *, force: bool) -> Calibration:
 
 
 def check_match(calibration: Calibration, recording: Recording, calibration_file: Path, recording_path: Path) -> None:
-    """Refuse another unit's recording; serials that are not stated match any. Raises InputError."""
+    """Raise InputError for the recording of another unit; a serial that is not stated matches any."""
     serial = calibration.provenance.get("serial")
     if None not in (serial, recording.serial) and serial != recording.serial:
         raise InputError(
@@ -194,17 +200,17 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
     recording : Recording
     frame : "mars" or "table"
     check : bool
-        Whether to refuse readings whose size belongs to the other kind of samples.
+        Refuse readings whose size fits the other kind of samples.
 
     Returns
     -------
     Recording
-        The corrected samples; stated ranges, which are those of raw readings, are left out.
+        Corrected samples, without the stated ranges, which apply to raw readings.
 
     Raises
     ------
     InputError
-        No table frame, or errors that cannot be undone.
+        No table frame, or errors that cannot be inverted.
     DataError
         Increments given as rates or the reverse, or accelerometers in a wrong unit.
     """
@@ -220,7 +226,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
     if check:
         from srt.sequences.plausibility import check_rest
 
-        # Whatever a vehicle does, the median force is near gravity, as at rest.
+        # In the motion of a vehicle, too, the median of the specific force is near gravity.
         size = np.linalg.norm(recording.accel, axis=1)
         force = float(np.median(size / recording.interval_s if increments else size))
         check_rest(
@@ -238,7 +244,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
 
 def samples_suffix(recording: Path) -> str:
-    """Format of the samples of a recording that has been read before; CSV for a foreign log."""
+    """Format of the samples of a recording; CSV if there is no writer for it."""
     import tomllib
 
     from srt.recording.folder import TOML_NAME

@@ -1,4 +1,4 @@
-"""``srt budget``: the accuracy that a scenario allows, source by source, before anyone goes to the lab."""
+"""``srt budget``: predicted accuracy of a scenario, by source of error."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from srt.cli.calibrate import CHOICES
-from srt.cli.messages import announce, show
+from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
     metavar="NAME",
     help="Repeatable. Default: closed-form, and the optimum (graph, or least-squares where gtsam is absent).",
 )
-@click.option("--paper", is_flag=True, help="The analysis of Savage 2020, §9, with the scenario's figures.")
-@click.option("--draws", type=click.IntRange(min=2), default=30, show_default=True, help="Of the fixture's errors.")
+@click.option("--paper", is_flag=True, help="Analysis of Savage 2020, §9, with the noise of the scenario.")
+@click.option("--draws", type=click.IntRange(min=2), default=30, show_default=True, help="Draws of the fixture errors.")
 @click.option(
     "--gyro-bias",
     type=click.Choice(CHOICES["gyro_bias"]),
     default="auto",
     show_default=True,
-    help="As in calibrate, for all calibrations.",
+    help="Model of the gyro bias, as in calibrate.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json.")
 @click.option(
     "--plot",
     type=click.Path(path_type=Path),
-    help="Stacked bars: FILE.png, .pdf or .svg; of several estimators one each, as FILE-graph.png.",
+    help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-graph.png.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def budget(
@@ -56,11 +56,11 @@ def budget(
 ) -> int:
     """Predict the accuracy of SCENARIO: a TOML file, or the name of a shipped one such as 'demo'.
 
-    For every parameter, one sigma by source: noise, quantisation and bias instability of gyros and accelerometers,
-    Earth rate times alignment, gravity, g-sensitivity, errors of the fixture. --paper gives the numbers that the
-    paper's own analysis gives for the same figures.
+    Printed is the 1-sigma error of every parameter by source: noise, quantization and bias instability of gyros and
+    accelerometers, Earth rate times alignment, gravity, g-sensitivity, fixture. --paper prints the paper's own
+    analysis for the same noise.
 
-    Exit codes: 0 done; 1 a recording of the scenario cannot be calibrated; 2 wrong usage or unreadable input.
+    Exit codes: 0 success; 1 a recording of the scenario cannot be calibrated; 2 wrong usage or unreadable input.
     """
     import sims
 
@@ -91,7 +91,7 @@ def budget(
         for b in found:
             file = plot if len(found) == 1 else plot.with_name(f"{plot.stem}-{b.estimator}{plot.suffix}")
             figures.append(file)
-            save_figure(budget_figure(b, title=f"{scenario}: what limits {b.estimator}"), file)
+            save_figure(budget_figure(b, title=figure_title(f"{scenario}: error budget of {b.estimator}")), file)
     if not quiet:
         from sims.accuracy.budget import NOT_COUNTED
         from srt.reports.text.error_budget import budget_text
@@ -103,7 +103,7 @@ def budget(
 
 
 def default_estimators(gyro_bias: GyroBias = "auto") -> tuple[str, ...]:
-    """The closed form, and the best estimator that can run here and takes the gyro bias so."""
+    """Closed form, and the most efficient estimator that is installed and has this model of the gyro bias."""
     from importlib.util import find_spec
 
     joint = find_spec("gtsam") is not None and gyro_bias != "g-sensitive"
@@ -111,7 +111,7 @@ def default_estimators(gyro_bias: GyroBias = "auto") -> tuple[str, ...]:
 
 
 def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
-    """The paper's analysis with the noise, bias and fixture of a scenario."""
+    """Print the analysis of the paper for the noise, bias and fixture of a scenario."""
     from srt.noise.accuracy_analysis import QUANTITIES, paper_budget
     from srt.recording.atomic_file import atomic_write_text
 
@@ -134,7 +134,7 @@ def paper_mode(scenario: Scenario, output: Path | None, *, quiet: bool) -> int:
 
 
 def paper_setting(scenario: Scenario) -> Any:
-    """What the paper's analysis takes of a scenario; times are the paper's own."""
+    """Inputs of the paper's analysis from a scenario; the times are those of the paper."""
     from srt.noise.accuracy_analysis import PaperSetting
 
     noise, errors = scenario.imu.noise.si(), scenario.imu.errors.si()

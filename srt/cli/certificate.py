@@ -1,4 +1,4 @@
-"""``srt certificate``: what a calibration found of one unit, as a page of HTML and as a PDF."""
+"""``srt certificate``: certificate of a calibrated unit, as HTML and as PDF."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PAGE: Final = ".html"
 _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
-"""Endings under which a folder is hardly meant."""
+"""Endings of names that are files, not folders."""
 
 
 @click.command()
@@ -26,7 +26,7 @@ _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    help="FILE.html, or a folder, made if absent. Default: CALIBRATION-certificate.html here.",
+    help="FILE.html, or a folder; default: CALIBRATION-certificate.html in the working directory.",
 )
 @click.option("--limits", type=click.Path(path_type=Path), metavar="FILE.toml", help="Limits that the unit must meet.")
 @click.option(
@@ -69,7 +69,7 @@ def certificate(
 
 
 def check_places(calibration_file: Path, output: Path | None) -> tuple[Path, Path]:
-    """Say where the page and the PDF go, and refuse what cannot be written before anything is read.
+    """Paths of the page and of the PDF, checked before data are read.
 
     Parameters
     ----------
@@ -107,12 +107,12 @@ def check_places(calibration_file: Path, output: Path | None) -> tuple[Path, Pat
 def assemble(
     calibration_file: Path, recording_path: Path | None, limits: Path | None, against: Path | None
 ) -> Certificate:
-    """Read everything, and put the certificate together.
+    """Read the inputs and make the certificate.
 
     Raises
     ------
     SrtError
-        Input that cannot be read, or does not belong together.
+        Inputs that cannot be read or do not belong together.
     """
     import srt.reports.certificate.html_page
     import srt.reports.certificate.pdf  # a missing extra is reported before the samples are read
@@ -134,7 +134,7 @@ def assemble(
 
 
 def write(made: Certificate, page: Path, document: Path) -> None:
-    """Write the page and the PDF, each whole or not at all, and neither unless both could be made.
+    """Write the page and the PDF, each complete or not at all, and neither unless both can be made.
 
     Raises
     ------

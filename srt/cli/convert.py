@@ -1,4 +1,4 @@
-"""``srt convert``: a recording from a log in any format that has an importer."""
+"""``srt convert``: conversion of a log in another format to a recording."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from srt.cli.grouped_command import GroupedCommand
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
 from srt.exceptions import DataError, InputError
@@ -23,6 +24,10 @@ _ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "counts")
 _TIME_UNITS = ("s", "ms", "us", "ns")
 
 _SITE_KEYS = ("latitude_deg", "gravity_m_s2", "height_m", "gravity_sigma_m_s2")
+_NOISE_KEYS = (
+    "gyro_noise_deg_per_sqrt_h", "accel_noise_ug_per_sqrt_hz", "gyro_quantization_arcsec", "accel_quantization_m_s",
+    "gyro_bias_instability_deg_per_h", "accel_bias_instability_ug", "gyro_range_deg_s", "accel_range_g",
+)  # fmt: skip
 _FIXTURE_KEYS = ("heading_deg", "alignment_sigma_mrad", "rotation_sigma_mrad", "wobble_sigma_mrad")
 _READING = (
     "kind", "time_unit", "gyro_unit", "accel_unit", "sample_rate_hz", "topic", "instance", "delimiter",
@@ -54,54 +59,80 @@ def _options(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
 
 
 _READ = [
-    click.option("--format", "name", default="auto", show_default=True, metavar="FORMAT", help="Of SOURCE."),
+    click.option("--format", "name", default="auto", show_default=True, metavar="FORMAT", help="Format of SOURCE."),
     click.option("--columns", metavar="MAP", help="time,gyro,accel in order, or gyro_x=NAME,... or gyro_x=4,..."),
-    click.option("--gyro-unit", type=click.Choice(_GYRO_UNITS), help="In the file, where it does not say."),
-    click.option("--accel-unit", type=click.Choice(_ACCEL_UNITS), help="In the file, where it does not say."),
-    click.option("--time-unit", type=click.Choice(_TIME_UNITS), help="In the file, where it does not say."),
-    click.option("--kind", type=click.Choice(("rate", "increment")), help="Of the samples; default: rate."),
-    click.option("--sample-rate-hz", type=float, help="Instead of time stamps, or over them."),
-    click.option("--gyro-lsb", metavar="LSB", help="Worth of a count: 1.5e-4, '1/131 deg/s', or three with commas."),
-    click.option("--accel-lsb", metavar="LSB", help="Worth of a count: 1e-3, '1/16384 g', or three with commas."),
-    click.option("--gyro-offset", metavar="COUNTS", help="Counts at zero; one number, or three with commas."),
-    click.option("--accel-offset", metavar="COUNTS", help="Counts at zero; one number, or three with commas."),
-    click.option("--map-gyro", metavar="AXES", help="The file's axes that are x, y, z, such as x,-y,z."),
-    click.option("--map-accel", metavar="AXES", help="The same for the accelerometers."),
-    click.option("--topic", help="Of a bag: which IMU."),
-    click.option("--instance", type=click.IntRange(min=0), help="Of a log: which IMU, from 0."),
-    click.option("--variable", help="Of a MATLAB, HDF5 or NPZ file: the array, struct or group."),
-    click.option("--delimiter", metavar="MARK", help="Of a text: tab, semicolon, comma, pipe, blank, or the mark."),
-    click.option("--decimal-comma", is_flag=True, help="The text writes 1,5 for 1.5."),
-    click.option("--skip", type=click.IntRange(min=0), default=0, help="Lines to leave out at the top of the text."),
+    click.option("--gyro-unit", type=click.Choice(_GYRO_UNITS), help="Unit, if the file does not state it."),
+    click.option("--accel-unit", type=click.Choice(_ACCEL_UNITS), help="Unit, if the file does not state it."),
+    click.option("--time-unit", type=click.Choice(_TIME_UNITS), help="Unit, if the file does not state it."),
+    click.option("--kind", type=click.Choice(("rate", "increment")), help="Kind of the samples; default: rate."),
+    click.option("--sample-rate-hz", type=float, help="Sample rate; it replaces time stamps."),
+    click.option(
+        "--gyro-lsb",
+        metavar="LSB",
+        help="Value of one count: 1.5e-4 or '1/131 deg/s'; three for x,y,z.",
+    ),
+    click.option("--accel-lsb", metavar="LSB", help="Value of one count: 1e-3 or '1/16384 g'; three for x,y,z."),
+    click.option("--gyro-offset", metavar="COUNTS", help="Gyro counts at zero rate; one number or three."),
+    click.option("--accel-offset", metavar="COUNTS", help="Accelerometer counts at zero force; one number or three."),
+    click.option("--map-gyro", metavar="AXES", help="Gyro axes of the file that become x, y, z, as x,-y,z."),
+    click.option("--map-accel", metavar="AXES", help="Accelerometer axes, likewise."),
+    click.option("--topic", help="Topic of the IMU in a bag."),
+    click.option("--instance", type=click.IntRange(min=0), help="Number of the IMU in a log, from 0."),
+    click.option("--variable", help="Array, struct or group of a MATLAB, HDF5 or NPZ file."),
+    click.option(
+        "--delimiter",
+        metavar="MARK",
+        help="Delimiter: tab, semicolon, comma, pipe, blank, or a character.",
+    ),
+    click.option("--decimal-comma", is_flag=True, help="The text file writes 1,5 for 1.5."),
+    click.option("--skip", type=click.IntRange(min=0), default=0, help="Lines to skip at the top of a text file."),
 ]
 
 _SAY = [
     click.option("--like", type=click.Path(path_type=Path), metavar="RECORDING", help="Take site, fixture, imu and "
-                 "sequences from there; options go before."),
-    click.option("--latitude-deg", type=float, help="Of the site."),
-    click.option("--gravity-m-s2", type=float, help="Of the site, positive."),
-    click.option("--height-m", type=float, help="Of the site: normal gravity, with the latitude."),
-    click.option("--gravity-sigma-m-s2", type=float, help="Uncertainty of gravity."),
-    click.option("--heading-deg", type=float, help="Of the fixture's x axis, clockwise from north."),
-    click.option("--alignment-sigma-mrad", type=float, help="Of the fixture."),
-    click.option("--rotation-sigma-mrad", type=float, help="Of each turn of the fixture."),
-    click.option("--wobble-sigma-mrad", type=float, help="By which its inner axis tilts from start to start."),
-    click.option("--serial", help="Of the unit."),
-    click.option("--date", help="Of the recording."),
-    click.option("--temperature-c", type=float, help="For all samples, where the file has none."),
+                 "sequences from this recording; options take precedence."),
+    click.option("--latitude-deg", type=float, help="Latitude of the site."),
+    click.option("--gravity-m-s2", type=float, help="Gravity at the site, positive."),
+    click.option("--height-m", type=float, help="Height of the site: normal gravity, with the latitude."),
+    click.option("--gravity-sigma-m-s2", type=float, help="1-sigma of gravity."),
+    click.option("--heading-deg", type=float, help="Heading of the fixture's x axis, clockwise from north."),
+    click.option("--alignment-sigma-mrad", type=float, help="1-sigma of levelling, north and mounting."),
+    click.option("--rotation-sigma-mrad", type=float, help="1-sigma of each rotation of the fixture."),
+    click.option("--wobble-sigma-mrad", type=float, help="1-sigma of the inner axis tilt, from start to start."),
+    click.option("--gyro-noise-deg-per-sqrt-h", type=float, help="Angle random walk."),
+    click.option("--accel-noise-ug-per-sqrt-hz", type=float, help="Noise density of the accelerometers."),
+    click.option("--gyro-quantization-arcsec", type=float, help="Angle quantization."),
+    click.option("--accel-quantization-m-s", type=float, help="Velocity quantization."),
+    click.option("--gyro-bias-instability-deg-per-h", type=float, help="Bias instability of the gyros."),
+    click.option("--accel-bias-instability-ug", type=float, help="Bias instability of the accelerometers."),
+    click.option("--gyro-range-deg-s", type=float, help="Range of the gyros."),
+    click.option("--accel-range-g", type=float, help="Range of the accelerometers."),
+    click.option("--serial", help="Serial of the unit."),
+    click.option("--date", help="Date of the recording."),
+    click.option("--temperature-c", type=float, help="Temperature of all samples, if the file has none."),
 ]  # fmt: skip
 
 _WRITE = [
-    click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder; made if absent."),
+    click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write."),
     click.option("--to", "samples_format", type=click.Choice(SAMPLES_FORMATS), default="csv", show_default=True,
                  help="Format of the samples written."),
-    click.option("--force", is_flag=True, help="Write it even if the accelerometers do not read gravity."),
-    click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already."),
+    click.option("--force", is_flag=True, help="Write even if the accelerometers do not read gravity."),
+    click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty."),
     click.option("-q", "--quiet", is_flag=True, help="No summary."),
 ]  # fmt: skip
 
 
-@click.command()
+_GROUPS = {
+    "Reading of SOURCE": (*_READING, "name", "columns", "gyro_lsb", "accel_lsb", "gyro_offset", "accel_offset"),
+    "Site": _SITE_KEYS,
+    "Fixture": _FIXTURE_KEYS,
+    "Noise of the unit": _NOISE_KEYS,
+    "Identification": ("serial", "date", "temperature_c"),
+}
+"""Groups of options in the help."""
+
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("second", metavar="[SOURCE2]", required=False, type=click.Path(path_type=Path))
 @click.option(
@@ -125,14 +156,14 @@ def convert(
 ) -> int:
     """Convert the log SOURCE to a recording: a folder with recording.toml and the samples, in SI units.
 
-    SOURCE2 is the gyros' file, where each sensor has its own. The format is found by the content ('--list' shows all);
-    units that the format or the file's header does not state have to be said.
+    SOURCE2 is the file of the gyros where each sensor has its own. The format is detected ('--list' shows all). Units
+    that neither the format nor the header of the file states must be given.
 
-    Gravity is needed: --gravity-m-s2, or --latitude-deg and --height-m, or --like another recording. Any option of the
-    fixture makes one; without, the recording is a free one.
+    Gravity must be given: --gravity-m-s2, or --latitude-deg and --height-m, or --like another recording. With an
+    option of the fixture the recording has one; without, its attitudes are unknown. State the noise of the unit if it
+    is known: otherwise it is estimated from the stationary windows, without bias instability.
 
-    Exit codes: 0 success; 1 the accelerometers do not read gravity, so that a unit is wrong; 2 wrong usage or
-    unreadable input.
+    Exit codes: 0 success; 1 the accelerometers do not read gravity: a unit is wrong; 2 wrong usage or unreadable input.
     """
     check_target(output, source, second, samples_format, overwrite=overwrite)
     if source.suffix == ".toml" or (source / "recording.toml").is_file():
@@ -162,7 +193,7 @@ def convert(
         raise InputError(f"{source}: {error}", fault=error.fault) from None
     if not force:
         check_gravity(recording, source)
-    # All that can be refused has been: now it is written.
+    # All checks are done: the recording is written.
     write_recording(recording, output, samples_format=samples_format, overwrite=overwrite)
     if not quiet:
         from srt.reports.text.imported_log import import_text
@@ -173,7 +204,7 @@ def convert(
 
 
 def check_target(folder: Path, source: Path, second: Path | None, samples_format: str, *, overwrite: bool) -> None:
-    """Refuse a folder that will not be written to, before anything is read.
+    """Check the folder of the result before data are read.
 
     Parameters
     ----------
@@ -185,8 +216,7 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
     Raises
     ------
     InputError
-        A folder that cannot be made, or holds files and may not be written to, or in which the source itself would be
-        replaced.
+        A folder that cannot be created, that is not empty, or in which the source itself would be replaced.
     """
     check_directory(folder)
     samples = (folder / f"samples.{samples_format}").resolve()
@@ -198,7 +228,7 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
 
 
 def reading_options(given: Mapping[str, Any], second: Path | None) -> ImportOptions:
-    """Gather what was said of the source.
+    """Options of the importer from those of the command line.
 
     Parameters
     ----------
@@ -226,36 +256,36 @@ def reading_options(given: Mapping[str, Any], second: Path | None) -> ImportOpti
 
 
 def surroundings(like: Path | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Put together what recording.toml is to say beside the samples.
+    """Tables of recording.toml beside the samples.
 
     Parameters
     ----------
     like : Path or None
-        A recording whose sections are taken.
+        Recording whose tables are taken.
     given : mapping
-        Options of the command line, which go before.
+        Options of the command line; they take precedence.
 
     Returns
     -------
     dict
-        Sections [site], [fixture], [imu] and [[sequence]] in the units of the file.
+        Tables [site], [fixture], [imu] and [[sequence]] in the units of the file.
 
     Raises
     ------
     InputError
-        Gravity from nowhere, or a file that cannot be read.
+        Gravity is not given, or a file cannot be read.
     """
     from srt.recording.folder import read_document
 
     document = {} if like is None else {k: v for k, v in read_document(like).items() if k != "recording"}
-    for section, keys in (("site", _SITE_KEYS), ("fixture", _FIXTURE_KEYS)):
+    for section, keys in (("site", _SITE_KEYS), ("fixture", _FIXTURE_KEYS), ("imu", _NOISE_KEYS)):
         said = {key: given[key] for key in keys if given[key] is not None}
         if not said:
             continue
         before = document.get(section, {})
         if not isinstance(before, dict):
             continue  # refused with its name when it is read
-        # Gravity that is said replaces all that was known of it.
+        # Gravity that is given replaces all values from the other recording.
         drop = {"gravity_m_s2", "height_m", "gravity_sigma_m_s2"} if {"gravity_m_s2", "height_m"} & set(said) else set()
         document[section] = {key: value for key, value in before.items() if key not in drop} | said
     site = document.get("site", {})
@@ -268,7 +298,7 @@ def surroundings(like: Path | None, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_gravity(recording: Recording, source: Path) -> None:
-    """Refuse accelerometers that read nothing like gravity: a unit, or the kind of the samples, is wrong.
+    """Refuse accelerometers that do not read gravity: a unit, or the kind of the samples, is wrong.
 
     Parameters
     ----------
@@ -283,7 +313,7 @@ def check_gravity(recording: Recording, source: Path) -> None:
 
     from srt.sequences.plausibility import check_rest
 
-    # Whatever the unit is turned through, the median force is near gravity, as at rest.
+    # In any motion of a test, the median of the specific force is near gravity.
     size = np.linalg.norm(recording.accel, axis=1)
     force = float(np.median(size / recording.interval_s if recording.kind == "increment" else size))
     try:

@@ -1,4 +1,4 @@
-"""``srt demo``: simulate a unit, calibrate it as ``srt calibrate`` does, and compare with the truth."""
+"""``srt demo``: simulation and calibration of a unit, and comparison with the truth."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ SCENARIO = "demo"
     type=click.Path(path_type=Path),
     help="Folder for recording, result and plot.",
 )
-@click.option("--seed", type=click.IntRange(min=0), help="Of another unit, fixture and noise; default: the scenario's.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of unit, fixture and noise.")
 @click.option("-q", "--quiet", is_flag=True, help="The last sentence only.")
 def demo(output: Path, seed: int | None, quiet: bool) -> int:
     """Run the whole chain on a simulated unit: a navigation-grade IMU on a fixture of 1 mrad.
 
-    The recording is written, read again and calibrated as 'srt calibrate' does it, and the result is set
-    beside the truth that the simulator knows.
+    The recording is written, read again and calibrated as by 'srt calibrate', and the result is compared with the
+    truth of the simulator.
     """
     import sims
     from srt.cli.truth import NAME, load_truth
@@ -39,7 +39,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
 
     folder = output / "recording"
     check_directory(output)
-    # A recording that lies beside its truth was simulated, and can be replaced; no other will be.
+    # A recording with a truth beside it was simulated and can be replaced; any other is kept.
     check_target(folder, overwrite=(folder / NAME).is_file())
     plot: Path | None = output / "calibration.png"
     try:

@@ -1,4 +1,4 @@
-"""``srt export``: a calibration in the format of another tool, with what that leaves uncorrected."""
+"""``srt export``: a calibration in the format of another tool, with the remaining difference."""
 
 from __future__ import annotations
 
@@ -32,20 +32,18 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.command("export")
 @click.argument("calibration_file", metavar="CALIBRATION", type=click.Path(path_type=Path))
 @click.option("--to", "target", required=True, metavar="TARGET", help="Format to write; see --list.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write; without it, only what is lost.")
-@click.option("--recording", type=click.Path(path_type=Path), help="Raw readings to measure the loss on.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write; without it, only the report.")
+@click.option("--recording", type=click.Path(path_type=Path), help="Raw readings on which the difference is measured.")
 @click.option(
     "--frame", type=click.Choice(("mars", "table", "accel")), help="Axes of the file, where there is a choice."
 )
-@click.option(
-    "--fit-asymmetry", is_flag=True, help="Choose the slopes that suit RECORDING best, for such motion alone."
-)
+@click.option("--fit-asymmetry", is_flag=True, help="Fit the scale factors to the motion of RECORDING.")
 @click.option("--topic", help="Topic of the readings, for formats that name it.  [default: /imu0]")
 @click.option("--rate-hz", type=float, help="Sample rate; default: the recording's.")
-@click.option("--gyro-random-walk", type=float, help="Of the gyro biases, rad/s^2/sqrt(Hz).")
-@click.option("--accel-random-walk", type=float, help="Of the accelerometer biases, m/s^3/sqrt(Hz).")
-@click.option("--instance", type=int, help="Which IMU of an autopilot, from 0.")
-@click.option("--force", is_flag=True, help="Whatever the calibration's status and the serial.")
+@click.option("--gyro-random-walk", type=float, help="Random walk of the gyro biases, rad/s^2/sqrt(Hz).")
+@click.option("--accel-random-walk", type=float, help="Random walk of the accelerometer biases, m/s^3/sqrt(Hz).")
+@click.option("--instance", type=int, help="Number of the IMU of an autopilot, from 0.")
+@click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("-q", "--quiet", is_flag=True, help="No report.")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the targets.")
 def export(
@@ -65,11 +63,11 @@ def export(
 ) -> int:
     """Write CALIBRATION, the JSON file of 'srt calibrate -o', in the format of another tool.
 
-    The file is read again and applied by the tool's own formula to the recording (or to 1 rad/s and 1 g in all
-    directions), and what it leaves beside 'srt apply' is shown.
+    The file is read back and applied by the formula of the tool to the recording (or to 1 rad/s and 1 g in all
+    directions); the difference from 'srt apply' is shown.
 
-    Exit codes: 0 success; 1 a file that does not give the calibration back; 2 wrong usage, unreadable input, or a
-    calibration that the target would cut.
+    Exit codes: 0 success; 1 a file that does not reproduce the calibration; 2 wrong usage, unreadable input, or a
+    calibration that the format cannot represent.
     """
     from srt.exporters.conversion import export as make
     from srt.exporters.conversion import save
@@ -116,7 +114,7 @@ def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:
     for place in part_paths(chosen, output).values():
         check_file(place, chosen.suffixes, f"The {chosen.name} file")
         if place.resolve() == calibration.resolve():
-            raise InputError(f"{place} is the calibration itself, which shall stay as it is: name another file.")
+            raise InputError(f"{place} is the calibration itself: name another file.")
 
 
 def _readings(

@@ -1,4 +1,4 @@
-"""``srt calibrate`` of a fleet: many units, one table, and those that stand out from the others."""
+"""``srt calibrate`` of a fleet: one table of many units, with the outliers marked."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
 
 FLEET_FROM: Final = 6
-"""More recordings than five are shown as a fleet: so many full tables nobody reads, and from six on it is judged."""
+"""Number of recordings from which on they are shown as a fleet; outliers are tested from six units on."""
 
 
 class FleetEngine(NamedTuple):
@@ -41,7 +41,7 @@ def run_fleet(
     quiet: bool,
     force: bool,
 ) -> int:
-    """Calibrate all units, write every result as it comes, and show the fleet.
+    """Calibrate all units, write every result when it is ready, and print the fleet.
 
     Parameters
     ----------
@@ -56,12 +56,12 @@ def run_fleet(
     Returns
     -------
     int
-        The worst exit code of a unit; outlying units are warned of, and are no failure.
+        Worst exit code of a unit; an outlier is a warning, not a failure.
 
     Raises
     ------
     SrtError
-        An engine that cannot start, or tables of the fleet that cannot be written.
+        Workers that cannot start, or tables that cannot be written.
     """
     from srt.comparison.fleet import calibrate_fleet
     from srt.recording.atomic_file import atomic_write_text
@@ -70,7 +70,7 @@ def run_fleet(
         make_directory(output)
     by_name = {job.name: job for job in jobs}
     unwritten: dict[str, SrtError] = {}
-    # Workers on other machines stand elsewhere in the tree of folders.
+    # Workers on other machines have other working directories.
     paths = {job.name: job.recording if engine.scheduler is None else job.recording.absolute() for job in jobs}
     processes = _engine(engine.workers, engine.scheduler)
     with unit_progress(len(jobs), quiet=quiet) as progress:
@@ -124,7 +124,7 @@ def _write(unit: FleetUnit, job: Job) -> None:
 
 
 def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:
-    """Say what is wrong with units, one sentence each, and give the worst exit code."""
+    """Print one sentence for each unit with a problem; give the worst exit code."""
     from srt.sensor_errors import NAMES
 
     partial = [unit.name for unit in fleet.units if unit.status == "partial"]

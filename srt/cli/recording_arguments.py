@@ -1,4 +1,4 @@
-"""The RECORDING arguments of a command: recordings, folders that hold some, and patterns that no shell expanded."""
+"""Arguments RECORDING of a command: recordings, folders of recordings, and patterns that the shell did not expand."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 
 _TOML: Final = "recording.toml"
 _RESERVED: Final = "fleet"
-"""Of the fleet's own files beside the results."""
+"""Name of the files of the fleet, which stand beside the results."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingArguments:
-    """Recordings that the arguments stand for.
+    """Recordings that the arguments name.
 
     Attributes
     ----------
     paths : tuple of Path
         In the order of the arguments; within one, by name, with numbers in names by their size.
     searched : bool
-        Whether a folder of recordings or a pattern was among the arguments.
+        True if a folder of recordings or a pattern was among the arguments.
     """
 
     paths: tuple[Path, ...]
@@ -39,20 +39,20 @@ class RecordingArguments:
 def find_recordings(arguments: Sequence[Path], *, files: Sequence[str] = ()) -> RecordingArguments:
     """Resolve arguments to recordings.
 
-    An argument that exists is itself, whatever signs its name holds; a folder without ``recording.toml`` stands for
-    the recordings in it, however deep, but not in hidden folders, not inside recordings, and not behind links to
-    folders of recordings. What is neither there nor a pattern stays, to be refused where it is read.
+    An argument that exists is taken literally. A folder without ``recording.toml`` stands for the recordings in it, at
+    any depth, except in hidden folders, inside recordings, and behind links to folders of recordings. An argument that
+    neither exists nor is a pattern is kept, and refused where it is read.
 
     Parameters
     ----------
     arguments : sequence of Path
     files : sequence of str
-        Endings of files that a pattern may stand for as well, as ".json".
+        Endings of files that a pattern may also match, as ".json".
 
     Raises
     ------
     InputError
-        A folder that cannot be looked through, or a pattern that matches no recording.
+        A folder that cannot be searched, or a pattern that matches no recording.
     """
     paths: list[Path] = []
     searched = False
@@ -72,12 +72,12 @@ def find_recordings(arguments: Sequence[Path], *, files: Sequence[str] = ()) -> 
 
 
 def unit_names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Name units by their folders, with as many of the folders above as it takes to tell them apart.
+    """Names of units: their folders, with as many parent folders as distinguish them.
 
     Raises
     ------
     InputError
-        A recording that is named twice, or two whose results could not be told apart.
+        A recording that is named twice, or two whose results would have one name.
     """
     folders = [recording_folder(path).resolve() for path in paths]
     twice = next((path for n, path in enumerate(paths) if folders[n] in folders[:n]), None)
@@ -96,12 +96,12 @@ def unit_names(paths: Sequence[Path]) -> tuple[str, ...]:
 
 
 def file_name(unit: str) -> str:
-    """Give the name of a unit's files, without an ending."""
+    """Name of the files of a unit, without an ending."""
     return unit.replace("/", "-")
 
 
 def _below(folder: Path) -> list[Path]:
-    """Recordings below a folder that is none itself."""
+    """Recordings below a folder that is not a recording itself."""
     if not folder.is_dir() or (folder / _TOML).exists():
         return []
     found = []

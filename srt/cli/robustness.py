@@ -1,4 +1,4 @@
-"""``srt robustness``: how far from true a unit may be, asked of simulated units, and answered by a map."""
+"""``srt robustness``: campaigns of simulated units, for the size of errors from which calibration converges."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ _ALWAYS: Final = ("trials", "converged")
     help="Processes on this machine. The numbers do not depend on it.",
 )
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler, as tcp://host:8786.")
-@click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Of every point, instead of the file's.")
-@click.option("--fresh", is_flag=True, help="Throw away what the folder holds of an earlier run.")
+@click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Trials of every point; default: as in CONFIG.")
+@click.option("--fresh", is_flag=True, help="Delete the results of an earlier run in the folder.")
 @click.option("--replay", metavar="POINT:TRIAL", help="Repeat one trial and show it; -o keeps its recording.")
-@click.option("--markdown", type=click.Path(path_type=Path), help="Tables of the report, for a document: FILE.md.")
+@click.option("--markdown", type=click.Path(path_type=Path), help="Tables of the report: FILE.md.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 def robustness(
     config: str,
@@ -56,14 +56,13 @@ def robustness(
 ) -> int:
     """Run the campaign CONFIG: a TOML file, or the name of a shipped one such as 'quick'.
 
-    Many units are simulated, each calibrated by every estimator that the campaign names, and judged against the truth:
-    converged, at a wrong minimum, not converged, outside the model. The folder then holds report.html, with maps and
-    the first failures, and results.parquet, one row for each trial and estimator.
+    Many units are simulated and calibrated by the estimators of the campaign. Each result is compared with the truth:
+    converged, wrong minimum, not converged, outside the model. The folder then holds report.html, with maps and the
+    first failures, and results.parquet, one row for each trial and estimator.
 
-    A campaign that was interrupted, in whatever way, goes on where it stopped when the same command is given again.
-    Its numbers depend on its seed alone, not on the workers or the machine's load.
+    The same command resumes an interrupted campaign. The numbers depend on the seed alone, not on the workers.
 
-    Exit codes: 0 the campaign ran, whatever became of its trials; 1 a worker died; 2 wrong usage or unreadable input.
+    Exit codes: 0 the campaign ran; 1 a worker died; 2 wrong usage or unreadable input.
     """
     from sims.robustness.campaign import load_campaign
 
@@ -99,13 +98,13 @@ def robustness(
 
 
 def header_of(campaign: Campaign, config: str) -> Header:
-    """What the report says of a campaign.
+    """Header of the report of a campaign.
 
     Parameters
     ----------
     campaign : Campaign
     config : str
-        As it was named on the command line.
+        Name of the campaign on the command line.
     """
     from sims.robustness.trial_table import Header
 
@@ -139,7 +138,7 @@ def parse_trial(text: str, campaign: Campaign) -> tuple[int, int]:
 
 
 def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -> int:
-    """Repeat one trial: write its recording if asked to, and show what became of it."""
+    """Repeat one trial; write its recording if asked to, and print its results."""
     from sims.robustness.trial import run_trial
 
     scenario, values = campaign.unit(*task)
@@ -164,7 +163,7 @@ def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -
 
 
 def _narrow(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Columns that fit a terminal: outcomes that no trial had, and ranges, are left to the report."""
+    """Columns for a terminal: without ranges, and without outcomes that no trial had."""
     shown = [
         k
         for k, column in enumerate(zip(*rows, strict=True))
@@ -174,7 +173,7 @@ def _narrow(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
 
 
 def rendered(rows: list[tuple[str, ...]]) -> str:
-    """A table as text; the first row is its heading, the first column left-justified."""
+    """Format a table; the first row is the heading, the first column left-justified."""
     from srt.reports.text.tables import text_table
 
     heads = [head.replace(" ", "\n") for head in rows[0]]

@@ -1,4 +1,4 @@
-"""``srt simulate``: a recording, and the truth behind it, from a scenario."""
+"""``srt simulate``: a recording from a scenario, with its truth."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scenario", metavar="SCENARIO")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write; made if absent.")
-@click.option("--seed", type=click.IntRange(min=0), help="Instead of the scenario's.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario.")
 @click.option(
-    "--format", "samples_format", type=click.Choice(SAMPLES_FORMATS), help="Of the samples; default: the scenario's."
+    "--format",
+    "samples_format",
+    type=click.Choice(SAMPLES_FORMATS),
+    help="Default: as in SCENARIO.",
 )
-@click.option("--overwrite", is_flag=True, help="Write to a folder that holds files already.")
+@click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def simulate(
     scenario: str, output: Path, seed: int | None, samples_format: str | None, overwrite: bool, quiet: bool
 ) -> int:
     """Simulate SCENARIO: a TOML file, or the name of a shipped one such as 'demo'.
 
-    The folder then holds the recording (recording.toml and the samples) and truth.json, the sensor errors
-    that a calibration of it should find: 'srt calibrate DIR --truth DIR/truth.json' compares.
+    The folder then holds the recording (recording.toml and samples) and truth.json, the true sensor errors:
+    'srt calibrate DIR --truth DIR/truth.json' shows the errors of a calibration.
     """
     import sims
 
@@ -46,14 +49,14 @@ def simulate(
 
 
 def check_target(folder: Path, *, overwrite: bool) -> None:
-    """Refuse a folder that will not be written to, before anything is simulated. Raises InputError."""
+    """Raise InputError if the folder cannot be written to, before the simulation."""
     check_directory(folder)
     if folder.is_dir() and not overwrite and any(folder.iterdir()):
         raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
 
 
 def run_scenario(scenario: Scenario, seed: int | None) -> Simulation:
-    """Simulate, with another seed than the scenario's if one is given."""
+    """Simulate a scenario, with another seed if one is given."""
     import sims
 
     if seed is not None:
@@ -81,7 +84,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, samples_format: st
     from srt.cli.truth import NAME, write_truth
 
     if overwrite:
-        # An old truth beside new samples would be a lie, should the writing end in between.
+        # Interrupted writing must not leave an old truth beside new samples.
         with suppress(OSError):
             (folder / NAME).unlink(missing_ok=True)
     srt.write_recording(simulation.recording, folder, samples_format=samples_format, overwrite=overwrite)
@@ -89,7 +92,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, samples_format: st
 
 
 def summary(simulation: Simulation, folder: Path, samples_format: str) -> str:
-    """Say in a few lines what was simulated and where it is."""
+    """Text of a simulation: description, samples, sequences, files."""
     from srt.reports.text.calibration import wrap
 
     recording, scenario = simulation.recording, simulation.scenario

@@ -1,4 +1,4 @@
-"""The truth behind a simulated recording: written by ``srt simulate``, read by ``--truth``."""
+"""Truth of a simulated recording: ``srt simulate`` writes it, ``--truth`` reads it."""
 
 from __future__ import annotations
 

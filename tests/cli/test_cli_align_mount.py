@@ -131,7 +131,7 @@ def test_warnings_go_to_standard_error(folder, tmp_path, capfd):
         (["raw", "--calibration", "UNIT", "-o", "UNIT"], 2, "is the calibration itself"),
         (["raw", "--calibration", "UNIT", "--level-sigma-mrad", "0"], 2, "positive"),
         (["raw", "--calibration", "UNIT", "--axis-sigma-mrad", "nan"], 2, "positive"),
-        (["--calibration", "UNIT", "--level-sigma-mrad", "1"], 2, "name the RECORDING"),
+        (["--calibration", "UNIT", "--level-sigma-mrad", "1"], 2, "name their RECORDING"),
         (["--calibration", "FREE"], 2, "no table frame"),
         (["raw", "--calibration", "FAILED"], 2, "not_converged"),
     ],

@@ -245,6 +245,15 @@ def test_the_shortest_test_meets_all_targets_and_hardly_more(axes):
     assert shortest.bound < shortest.ratio
 
 
+def test_targets_that_one_short_sequence_each_would_meet():
+    file = file_of(WHITE)
+    wanted = np.full(27, math.nan)
+    wanted[[INDEX[name] for name in SHOWN_BY_ONE_AXIS]] = 1e-2
+    plan = make_plan(one_axis_stand(file), file.conditions(), wanted, limits=FEW)
+    assert plan.unmet == ()
+    assert plan.ratio < 0.5
+
+
 def test_targets_out_of_reach_name_the_limit():
     conditions, targets = file_of().conditions(), np.full(27, math.nan)
     targets[GROUP_SLICES["accel_scale"]] = 1e-8
