@@ -197,7 +197,7 @@ def test_drift_keeps_its_correlation_within_a_piece():
     assert low < np.mean((draws[:, 10] - draws[:, 0]) ** 2) / expected < high
 
 
-def test_quantisation_carries_its_remainder():
+def test_quantization_carries_its_remainder():
     quantum = 2.5e-6
     motion = constant_motion((1e-5, -3e-5, 0.2), (0, 0, 0), 5000, gap_after=2000)
     recording = read_out(motion, NONE, ImuModel(gyro_quantization=quantum), np.random.default_rng(8), kind="increment")
@@ -209,7 +209,7 @@ def test_quantisation_carries_its_remainder():
         assert np.ptp(error) > 0.9 * quantum
 
 
-def test_quantisation_error_of_a_sum_has_its_variance():
+def test_quantization_error_of_a_sum_has_its_variance():
     motion = constant_motion((1.23456, -2.34567, 0.98765), (0, 0, 0), 50)
     rng = np.random.default_rng(9)
     model = ImuModel(gyro_quantization=1e-3)
