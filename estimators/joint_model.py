@@ -366,6 +366,11 @@ class JointModel:
                 attitude[e], placed[e] = level(turn @ attitude[s] @ compensated.rotation[k], e), True
         return replace(state, attitude=attitude)
 
+    def placed(self, state: JointState) -> tuple[JointState, CompensatedData]:
+        """State with attitudes from the data, and the data compensated with it."""
+        compensated = self.compensate(state)
+        return self.initial_attitudes(state, compensated), compensated
+
     def moving_windows(self, state: JointState, compensated: CompensatedData) -> Mask:
         """Windows, assumed stationary so far, in which the unit moved, shape (W,)."""
         assert state.attitude is not None

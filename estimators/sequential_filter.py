@@ -98,6 +98,7 @@ class SequentialFilter(Solver):
     """
 
     name = "ekf"
+    error_source = "errors of the linearisation about its earlier estimates"
 
     def __init__(self, joint: JointModel, prior: Prior, form: str, free: Mask) -> None:
         windows = np.concatenate([joint.data.start, joint.data.end])
@@ -153,7 +154,7 @@ class SequentialFilter(Solver):
         self, joint: JointModel, state: JointState, number: int, previous: SequenceUpdate | None
     ) -> SequenceUpdate:
         """Update the estimate with a sequence, linearised once or until the correction is negligible."""
-        state = joint.initial_attitudes(state, joint.compensate(state))
+        state = joint.placed(state)[0]
         total: Array | float = 0.0
         for _ in range(_ITERATIONS[self.form]):
             system = linearise(joint, state, joint.compensate(state), self.free)
@@ -182,8 +183,7 @@ class SequentialFilter(Solver):
 
     def _compare_with_optimum(self, joint: JointModel, iteration: IterationState) -> None:
         """Set the status by the distance of the estimate from the optimum of all measurements and the prior."""
-        compensated = joint.compensate(iteration.state)
-        state = joint.initial_attitudes(iteration.state, compensated)
+        state, compensated = joint.placed(iteration.state)
         for _ in range(_ATTITUDE_PASSES):
             iteration.linearisation_point, iteration.compensated = state, compensated
             iteration.system = linearise(joint, state, compensated, self.free)
@@ -207,7 +207,7 @@ class SequentialFilter(Solver):
         else:
             iteration.message = (
                 f"The filter {self.form!r} ended {distance[worst]:.3g} sigma ({NAMES[worst]}) from the optimum of all "
-                "measurements: errors of the linearisation about its earlier estimates."
+                f"measurements: {self.error_source}."
             )
 
 

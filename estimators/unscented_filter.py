@@ -1,11 +1,11 @@
 """Unscented filter (filterpy) over the sequences of a recording, for comparison with the extended filters.
 
 The measurement function of a sequence compensates its data with a sigma point and returns the whitened residuals
-without the directions of the nuisance parameters. Sigma points are those of van der Merwe with α = 1e-3, β = 2, κ = 0,
-in units in which the prior is white. The filter is used as it is; loss of positive definiteness is reported.
+without the directions of the nuisance parameters. The bias instability enters linearly. Sigma points are those of
+van der Merwe with α = 1e-3, β = 2, κ = 0, in units in which the prior is white. The filter is used as it is; loss of
+positive definiteness is reported.
 
-Limits, besides those of :mod:`estimators.sequential_filter`: the bias instability is noise of each sequence, and not
-correlated between sequences; poses without their rotation are not used.
+Limit, besides those of :mod:`estimators.sequential_filter`: poses without their rotation are not used.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ class UnscentedFilter(SequentialFilter):
         Parameters that are estimated.
     """
 
+    error_source = "errors of the unscented transform, or rounding errors of its covariance"
+
     def __init__(self, joint: JointModel, prior: Prior, free: Mask) -> None:
         super().__init__(joint, prior, "unscented", free)
         self.filter: UnscentedKalmanFilter | None = None
@@ -63,23 +65,32 @@ class UnscentedFilter(SequentialFilter):
         if previous is None:
             self.origin = state
             self.root = prior_root(model.system, state, self.prior, model.columns)[0]
-            n = len(model.columns)
+            n = len(model.columns) + model.by_instability.shape[1]
             points = MerweScaledSigmaPoints(n, ALPHA, BETA, KAPPA)
             self.filter = UnscentedKalmanFilter(n, 1, 1.0, None, lambda x, _: x, points)
             self.filter.Q = np.zeros((n, n))
         assert self.filter is not None
-        ukf, L = self.filter, self.root
+        ukf, L, n = self.filter, self.root, len(model.columns)
         before = ukf.x.copy()
+        known: dict[bytes, Array] = {}  # most sigma points differ in the bias instability alone
+
+        def measurement(x: Array) -> Array:
+            key = x[:n].tobytes()
+            if key not in known:
+                known[key] = model.residual(model.at(self.origin, L @ x[:n]))
+            return np.asarray(known[key] + model.by_instability @ x[n:])
+
         ukf.predict()
-        ukf.update(np.zeros(len(model.noise)), R=model.noise, hx=lambda x: model.residual(model.at(self.origin, L @ x)))
+        m = len(model.by_instability)
+        ukf.update(np.zeros(m), R=np.eye(m), hx=measurement)
         E = model.system.parameter_map()[:, model.columns] @ L
-        covariance = E @ ukf.P @ E.T
+        covariance = E @ ukf.P[:n, :n] @ E.T
         if not np.all(np.diag(covariance) >= 0.0):
             raise np.linalg.LinAlgError("the covariance of the unscented filter lost positive definiteness")
         innovations = solve_triangular(np.linalg.cholesky(ukf.S), ukf.y, lower=True)
-        updated = model.at(self.origin, L @ ukf.x)
+        updated = model.at(self.origin, L @ ukf.x[:n])
         found = replace(updated, bias_deviation=state.bias_deviation, attitude=None)
-        return SequenceUpdate(found, ukf.x, L, E @ (ukf.x - before), covariance, innovations)
+        return SequenceUpdate(found, ukf.x, L, E @ (ukf.x - before)[:n], covariance, innovations)
 
 
 class SequenceModel:
@@ -107,8 +118,14 @@ class SequenceModel:
         self.columns = shared[shared < self.system.columns["instability"].start]
         self.rows = np.concatenate([rows.index.ravel() for rows in self.system.rows if np.all(rows.owner >= 0)])
         self.basis = self._complement(self.system)
-        by_instability = self.basis.T @ self.system.A[self.rows][:, self.system.columns["instability"]]
-        self.noise = np.eye(self.basis.shape[1]) + by_instability @ by_instability.T
+        # The bias instability is correlated between sequences: its states are those of the whole recording.
+        whole = linearise(joint, *joint.placed(replace(state, attitude=None)), free)
+        windows = [int(joint.data.start[k]), int(joint.data.end[k])]
+        rows = [whole.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")]
+        rows.append(whole.rows_of("turn").index[k])
+        affected = slice(0, sum(len(r) for r in rows))  # starts and edges, which follow, do not depend on it
+        effect = whole.A[np.concatenate(rows)][:, whole.columns["instability"]]
+        self.by_instability = self.basis[affected].T @ effect
 
     def at(self, origin: JointState, delta: Array) -> JointState:
         """State at a correction of the filter's columns from ``origin``, without attitudes.
@@ -133,8 +150,7 @@ class SequenceModel:
         return np.asarray(self.basis.T @ (Q @ (Q.T @ system.b[self.rows])))
 
     def _linearise(self, state: JointState) -> LinearSystem:
-        compensated = self.joint.compensate(state)
-        return linearise(self.joint, self.joint.initial_attitudes(state, compensated), compensated, self.free)
+        return linearise(self.joint, *self.joint.placed(state), self.free)
 
     def _complement(self, system: LinearSystem) -> Array:
         """Orthonormal basis of the residuals that nuisance parameters do not affect, shape (rows, m)."""

@@ -238,7 +238,8 @@ def test_an_estimate_outside_the_model_says_so(unit, estimator, start):
     assert calibration.status in ("outside_model", "not_converged")
     if calibration.status == "outside_model":
         assert not calibration.observed.any()
-        assert re.search(r"coplanar|left-handed|opposite handedness|not positive definite|singular", calibration.message)
+        causes = r"coplanar|left-handed|opposite handedness|not positive definite|singular"
+        assert re.search(causes, calibration.message)
 
 
 def test_outside_the_model_is_reached(unit, estimator):
