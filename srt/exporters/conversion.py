@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 _G_SENSITIVITY_WITHIN = 1e-12
-"""Largest g-sensitivity, relative to the largest rate, that counts as rounding."""
+"""Largest g-sensitivity, relative to the largest rate, that counts as rounding of zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,11 +82,14 @@ class ImportedCalibration:
         From the file's axes to MARS axes.
     absent : tuple of str
         Groups of errors that the format does not hold.
+    g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
+        Gyro g-sensitivity Γ in MARS axes, ω̃ = Mg ω + Γ f + b; it is not among the 27 errors.
     """
 
     errors: SensorErrors
     U: Array
     absent: tuple[str, ...]
+    g_sensitivity: Array
 
 
 def export(
@@ -210,8 +213,7 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
     Raises
     ------
     InputError
-        A format that does not hold enough, a file that cannot be read or was edited or truncated, or one with
-        g-sensitivity, which is not among the 27 errors.
+        A format that does not hold enough, or a file that cannot be read or was edited or truncated.
     """
     chosen = exporter(target)
     if not chosen.imports:
@@ -229,7 +231,7 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
         except UnicodeDecodeError:
             raise InputError(f"The file {place} is no text: name a {chosen.title}.") from None
     try:
-        gyro, accel = _forward(chosen, chosen.read(texts))
+        gyro, accel, g_sensitivity = _forward(chosen, chosen.read(texts))
         errors, U = to_mars(gyro, accel)
         reason = outside_model(errors)
         if reason is not None:
@@ -237,7 +239,7 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
     except SrtError as error:
         raise InputError(f"{path}, read as {chosen.title}: {error}") from None
     absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
-    return ImportedCalibration(errors, U, absent)
+    return ImportedCalibration(errors, U, absent, g_sensitivity @ U.T)
 
 
 def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
@@ -275,13 +277,17 @@ def _residuals(
     chosen: Exporter, fields: Fields, model: ExportModel, readings: Readings
 ) -> tuple[CorrectionDifference, ...]:
     calibration, C_FB = model.calibration, model.C_FB
+    sensitivity = model.g_sensitivity if chosen.g_sensitivity else np.zeros((3, 3))
 
     def ours(gyro: Array, accel: Array) -> tuple[Array, Array]:
+        if sensitivity.any():
+            gyro = gyro - calibration.apply(gyro, accel)[1] @ (sensitivity @ C_FB).T
         rate, force = calibration.apply(gyro, accel)
         return rate @ C_FB.T, force @ C_FB.T
 
     def linear(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        return model.gyro.correct(gyro), model.accel.correct(accel)
+        force = model.accel.correct(accel)
+        return model.gyro.correct(gyro - force @ sensitivity.T), force
 
     def theirs(gyro: Array, accel: Array) -> tuple[Array, Array]:
         return chosen.apply(fields, gyro, accel)
@@ -316,28 +322,30 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
 
 def _losses(chosen: Exporter, calibration: Calibration) -> tuple[str, ...]:
     asymmetry = () if chosen.asymmetry or not _asymmetric(calibration) else ("scale-factor asymmetry",)
-    following = ("g-sensitivity",) if KEY in calibration.diagnostics else ()
-    return (*asymmetry, *following, *chosen.losses, "covariance")
+    sensitivity = ("g-sensitivity",) if KEY in calibration.diagnostics and not chosen.g_sensitivity else ()
+    return (*asymmetry, *sensitivity, *chosen.losses, "covariance")
 
 
 def _asymmetric(calibration: Calibration) -> bool:
     return bool(calibration.errors.group("gyro_asymmetry").any() or calibration.errors.group("accel_asymmetry").any())
 
 
-def _forward(chosen: Exporter, fields: Fields) -> tuple[Triad, Triad]:
-    """Sensor model ``y = M v + b`` of a format: its correction is affine, so seven readings determine it."""
+def _forward(chosen: Exporter, fields: Fields) -> tuple[Triad, Triad, Array]:
+    """Sensor model ``ω̃ = Mg ω + Γ f + b``, ``f̃ = Ma f + b`` of a format and Γ, from its affine correction."""
     probes = np.vstack([np.zeros(3), np.eye(3)])
     zero = np.zeros((4, 3))
     rate, force = chosen.apply(fields, probes, probes)
     rate_of_gyro, _ = chosen.apply(fields, probes, zero)
     rate_of_accel = chosen.apply(fields, zero, probes)[0]
-    if np.abs(rate_of_accel[1:] - rate_of_accel[0]).max() > _G_SENSITIVITY_WITHIN * max(1.0, np.abs(rate).max()):
-        raise InputError(
-            "its gyros are g-sensitive, which is not among the 27 sensor errors: set the g-sensitivity to zero."
-        )
     linears = []
     for values in (rate_of_gyro, force):
         matrix = np.linalg.inv((values[1:] - values[0]).T)
         linears.append(LinearModel(matrix, -matrix @ values[0]))
-    gyro, accel = (Triad(linear.matrix, np.zeros(3), linear.bias) for linear in linears)
-    return gyro, accel
+    gyro, accel = linears
+    slope = (rate_of_accel[1:] - rate_of_accel[0]).T
+    sensitivity = np.zeros((3, 3))
+    if np.abs(slope).max() > _G_SENSITIVITY_WITHIN * max(1.0, np.abs(rate).max()):
+        # ∂ω/∂f̃ = −Mg⁻¹ Γ Ma⁻¹, and the bias found at f̃ = 0 includes Γ f(0) = −Γ Ma⁻¹ b_a
+        sensitivity = -gyro.matrix @ slope @ accel.matrix
+    bias = gyro.bias + sensitivity @ np.linalg.solve(accel.matrix, accel.bias)
+    return Triad(gyro.matrix, np.zeros(3), bias), Triad(accel.matrix, np.zeros(3), accel.bias), sensitivity

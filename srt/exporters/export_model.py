@@ -50,6 +50,10 @@ class FormatDescription(Protocol):
     def asymmetry(self) -> bool:
         """True if it holds scale-factor asymmetry."""
 
+    @property
+    def g_sensitivity(self) -> bool:
+        """True if it holds gyro g-sensitivity."""
+
 
 @dataclass(frozen=True, slots=True)
 class ExportSettings:
@@ -133,7 +137,7 @@ class ExportModel:
             for key in ("serial", "date", "data_sha256", "software")
         }
         lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
-        lost += ("g-sensitivity",) if KEY in self.calibration.diagnostics else ()
+        lost += ("g-sensitivity",) if KEY in self.calibration.diagnostics and not item.g_sensitivity else ()
         return [
             f"{item.title}; generated, do not edit.",
             f"unit {stated['serial']}, {stated['date']}, by {stated['software']}, "
@@ -144,6 +148,13 @@ class ExportModel:
             *(f"  [{', '.join(f'{value:.15g}' for value in row)}]" for row in self.C_FB.tolist()),
             *(f"not held: {loss}" for loss in (*lost, *item.losses, "covariance")),
         ]
+
+    @property
+    def g_sensitivity(self) -> Array:
+        """Gyro g-sensitivity Γ, rows gyros and columns axes of F, rad/s per m/s²; zero where not estimated."""
+        stated = self.calibration.diagnostics.get(KEY)
+        # ω̃ = Mg ω + Γ f + b, and f = C_FBᵀ f_F
+        return np.zeros((3, 3)) if stated is None else np.array(stated["matrix"], dtype=np.float64) @ self.C_FB.T
 
     @property
     def turn_mrad(self) -> Array:

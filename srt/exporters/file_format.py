@@ -71,6 +71,8 @@ class Exporter:
         ExportSettings that it takes; others are refused.
     asymmetry : bool
         True if it holds asymmetry.
+    g_sensitivity : bool
+        True if it holds gyro g-sensitivity.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Exporter:
     imports: bool = True
     options: frozenset[str] = frozenset()
     asymmetry: bool = False
+    g_sensitivity: bool = False
 
 
 def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:

@@ -4,8 +4,9 @@ Kalibr (model scale-misalignment; the flat file beside it, NAME-imu.yaml, is the
 
     a_m = M_a a_I + b_a        w_m = M_g C_gyro_i w_I + A C_gyro_i a_I + b_g
 
-with M_a, M_g lower-triangular. That defines the axes I: ``Ma = M_a C_IB``, ``Mg C_IBᵀ = M_g C_gyro_i``. There is no
-g-sensitivity here, so A = 0; there is no field for biases, which Kalibr's users estimate as they go.
+with M_a, M_g lower-triangular. That defines the axes I: ``Ma = M_a C_IB``, ``Mg C_IBᵀ = M_g C_gyro_i``. A is the gyro
+g-sensitivity Γ in these axes, ``A = Γ C_IBᵀ C_gyro_iᵀ``; there is no field for biases, which Kalibr's users estimate as
+they go.
 
 pyins: ``x_out = T x + b``, in any axes.
 """
@@ -71,7 +72,11 @@ def _write_kalibr(model: ExportModel) -> dict[str, str]:
             "model": _KALIBR_MODEL,
             # Lower-triangular but for rounding, as the axes were chosen so.
             "accelerometers": {"M": np.tril(model.accel.matrix).tolist()},
-            "gyroscopes": {"M": M_g.tolist(), "A": np.zeros((3, 3)).tolist(), "C_gyro_i": C_gyro_i.tolist()},
+            "gyroscopes": {
+                "M": M_g.tolist(),
+                "A": (model.g_sensitivity @ C_gyro_i.T).tolist(),
+                "C_gyro_i": C_gyro_i.tolist(),
+            },
         }
     }
     flat = {**named(model, NOISE_NAMES), "rostopic": model.settings.topic or DEFAULT_TOPIC}
@@ -121,6 +126,7 @@ KALIBR: Final = Exporter(
     read=_read_kalibr,
     apply=_apply_kalibr,
     biases=False,
+    g_sensitivity=True,
     options=OPTIONS,
 )
 

@@ -2,7 +2,7 @@
 
 OpenVINS: ``w_I = R_GYROtoIMU Dw (w_m − Tg a_I − b_g)``, ``a_I = R_ACCtoIMU Da (a_m − b_a)``; the file holds the
 inverses Tw, Ta and the rotations from I. Tw and Ta are triangular; the reader ignores the other entries.
-With both rotations free any axes will do. Were there g-sensitivity, Tg would be Kalibr's A times C_gyro_i, not A.
+With both rotations free any axes will do. Tg is the gyro g-sensitivity Γ in the axes I: Kalibr's A times C_gyro_i.
 
 imucal: ``acc = R_a⁻¹ K_a⁻¹ (U − b_a)``, ``gyr = R_g⁻¹ K_g⁻¹ (U − K_ga acc − b_g)``, K diagonal and the rows of R of
 unit length; m/s² and deg/s.
@@ -60,7 +60,7 @@ def _write_openvins(model: ExportModel) -> dict[str, str]:
             "R_IMUtoGYRO": to_gyro.tolist(),
             "Ta": Ta.tolist(),
             "R_IMUtoACC": to_accel.tolist(),
-            "Tg": np.zeros((3, 3)).tolist(),
+            "Tg": model.g_sensitivity.tolist(),
         }
     }
     return {"": to_yaml(document, "%YAML:1.0\n" + comment(model.heading(OPENVINS)))}
@@ -100,6 +100,7 @@ OPENVINS: Final = Exporter(
     read=_read_openvins,
     apply=_apply_openvins,
     biases=False,
+    g_sensitivity=True,
     options=OPTIONS,
 )
 
@@ -124,7 +125,7 @@ def _write_imucal(model: ExportModel) -> dict[str, str]:
         document[f"K_{letter}"] = np.diag(size).tolist()
         document[f"R_{letter}"] = (linear.matrix / size[:, None]).tolist()
         document[f"b_{letter}"] = (linear.bias / unit).tolist()
-    document |= {"K_ga": np.zeros((3, 3)).tolist(), "cal_type": "Ferraris", "_format_version": "2.0.0"}
+    document |= {"K_ga": (model.g_sensitivity / DEG).tolist(), "cal_type": "Ferraris", "_format_version": "2.0.0"}
     return {"": to_json(document)}
 
 
@@ -159,6 +160,7 @@ IMUCAL: Final = Exporter(
     losses=(),
     advice=("imucal takes and gives gyro readings in deg/s.",),
     frames=("mars", "table"),
+    g_sensitivity=True,
     write=_write_imucal,
     read=_read_imucal,
     apply=_apply_imucal,

@@ -510,12 +510,42 @@ def test_an_edited_file_is_refused(target, part, edit, fragment):
         exporters.exporter(target).read({**texts, part: edit(texts[part])})
 
 
-def test_g_sensitivity_has_no_place(tmp_path):
-    path = tmp_path / "unit.yaml"
-    save(export(calibrated(np.random.default_rng(15)), "openvins"), path)
-    path.write_text(rewritten("Tg", entry(0, 1, 1e-4))(path.read_text()))
-    with pytest.raises(srt.InputError, match="g-sensitive"):
-        load(path, "openvins")
+G_SENSITIVITY = np.array([[2e-4, -5e-5, 1e-4], [3e-5, -1e-4, 8e-5], [-6e-5, 4e-5, 1.5e-4]])
+HOLD_G_SENSITIVITY = tuple(name for name, item in exporters.exporters().items() if item.g_sensitivity)
+
+
+def g_sensitive(rng):
+    return calibrated(rng, diagnostics={"g_sensitivity": {"matrix": G_SENSITIVITY.tolist()}})
+
+
+@pytest.mark.parametrize("target", HOLD_G_SENSITIVITY)
+def test_g_sensitivity_is_written_and_read_back(target, tmp_path):
+    """Of ω̃ = Mg ω + Γ f + b the formula of the target leaves ω, and the file gives Γ back."""
+    rng = np.random.default_rng(16)
+    calibration, readings = g_sensitive(rng), motion(rng)
+    made = export(calibration, target, readings=readings)
+    _, force = calibration.apply(readings.gyro, readings.accel)
+    expected, _ = calibration.apply(readings.gyro - mm(G_SENSITIVITY, force), readings.accel)
+    found, _ = FORMULAS[target](made.texts, readings.gyro, readings.accel, biases_of(calibration))
+    np.testing.assert_allclose(found, mm(made.C_FB, expected), rtol=0, atol=EXACT)
+    assert "g-sensitivity" not in made.losses
+    assert made.residuals[-1].gyro_max < EXACT
+    again = load(save(made, tmp_path / f"unit{made.format.suffixes[0]}")[0], target)
+    np.testing.assert_allclose(again.g_sensitivity, G_SENSITIVITY, rtol=0, atol=1e-12)
+    size = [*range(*GROUP_SLICES["gyro_scale"].indices(N_PARAMETERS))]
+    np.testing.assert_allclose(again.errors.vector[size], calibration.errors.vector[size], rtol=0, atol=1e-12)
+    if made.format.biases:
+        np.testing.assert_allclose(again.errors.vector, calibration.errors.vector, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("target", [name for name in TARGETS if name not in HOLD_G_SENSITIVITY])
+def test_g_sensitivity_that_a_format_does_not_hold_is_a_loss(target):
+    assert "g-sensitivity" in export(g_sensitive(np.random.default_rng(17)), target).losses
+
+
+def test_a_format_without_g_sensitivity_reads_as_zero(tmp_path):
+    (path,) = save(export(calibrated(np.random.default_rng(15)), "openvins"), tmp_path / "unit.yaml")
+    np.testing.assert_array_equal(load(path, "openvins").g_sensitivity, np.zeros((3, 3)))
 
 
 def test_files_that_are_not_there_or_no_text(tmp_path):
