@@ -31,6 +31,7 @@ from scipy.special import chdtri
 
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix
+from srt.mount.pose_kinds import pose_kinds, require_both
 from srt.recording.atomic_file import atomic_write_text
 
 if TYPE_CHECKING:
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
 
 ANGLES: Final = ("roll", "pitch", "yaw")
 """Angles of B in M, ``C_mb = R_z(yaw) R_y(pitch) R_x(roll)``."""
-WITHIN_RAD: Final = math.radians(30.0)
-"""Largest angle from level, or from a right angle, of a pose, rad: the sensor axes are near those of the mount."""
 _UNLIKELY: Final = 1e-3
 """p-value of the residuals by noise and calibration, below which a warning is given."""
 _IMPOSSIBLE: Final = 1e-6
@@ -302,32 +301,6 @@ def mount_from_calibration(calibration: Calibration) -> MountAlignment:
         raise InputError("U of this calibration is no rotation: the file was edited; calibrate again.")
     provenance = {"serial": calibration.provenance.get("serial"), "estimator": calibration.estimator}
     return mount_from_rotation(rotation, {"fixture": sigma**2 * np.eye(3)}, method="play-back", provenance=provenance)
-
-
-def pose_kinds(force: Array) -> Array:
-    """Kind of each pose by the direction of gravity, shape (s,): 0 level, 1 nose down, -1 nose up, NaN neither.
-
-    Parameters
-    ----------
-    force : ndarray, shape (s, 3), m/s²
-        Compensated, in B.
-    """
-    down = -force / np.linalg.norm(force, axis=1, keepdims=True)
-    near = math.cos(WITHIN_RAD)
-    return np.select([down[:, 2] > near, down[:, 0] > near, down[:, 0] < -near], [0.0, 1.0, -1.0], np.nan)
-
-
-def require_both(kind: Array) -> None:
-    """Refuse poses that do not determine three angles. Raises DataError."""
-    for there, what, pose in (
-        (kind == 0.0, "level (z down)", "record the unit stationary on the levelled mount"),
-        (np.abs(kind) == 1.0, "pitched by about 90° (x down or up)", "record the mount pitched by 90°"),
-    ):
-        if not there.any():
-            raise DataError(
-                f"None of the {len(kind)} static poses is {what} within {math.degrees(WITHIN_RAD):.0f}° in sensor "
-                f"axes: {pose}, or correct the axes' names."
-            )
 
 
 def mount_from_rotation(C: Array, eta: Mapping[str, Array], **rest: Any) -> MountAlignment:

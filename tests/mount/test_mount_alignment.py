@@ -418,7 +418,8 @@ class TestRefusals:
 
     def test_clipped_readings(self):
         recording = recorded()
-        clipped = replace(recording, noise=replace(recording.noise, accel_range=0.9 * G))
+        accel = np.clip(recording.accel, -0.9 * G, 0.9 * G)
+        clipped = replace(recording, accel=accel, noise=replace(recording.noise, accel_range=0.9 * G))
         with pytest.raises(DataError, match=r"accel_z is at the limit"):
             mount_from_recording(clipped, calibrated())
 
