@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
-PROMISE_BELOW: Final = 0.05
+RELIABLE_BELOW: Final = 0.05
 """Standard deviation of every parameter (accelerometer bias in g) below which linearised ones are reliable."""
 PARAMETER_UNITS: Final = np.ones(N_PARAMETERS)
 """Units, SI, in which parameters of different kinds are compared: accelerometer bias in g, all others SI."""
 PARAMETER_UNITS[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 
 
-def judge_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bool, bool, str | None]:
+def compare_with_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bool, bool, str | None]:
     """Compare standard deviations with targets.
 
     Parameters
@@ -38,12 +38,12 @@ def judge_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bool, boo
     limiting : str or None
         Parameter with the largest ratio to its target; None without targets.
     """
-    promised = bool(np.all(sigma / PARAMETER_UNITS < PROMISE_BELOW))
+    reliable = bool(np.all(sigma / PARAMETER_UNITS < RELIABLE_BELOW))
     if not targets:
-        return promised, False, None
+        return reliable, False, None
     ratio = {name: float(sigma[INDEX[name]]) / wanted for name, wanted in targets.items()}
     worst = max(ratio, key=lambda name: ratio[name])
-    return promised, promised and ratio[worst] <= 1.0, worst
+    return reliable, reliable and ratio[worst] <= 1.0, worst
 
 
 def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]
     """
     met_after, limiting = None, None
     for name, row in zip(sequences, sigma, strict=True):
-        _, met, limiting = judge_targets(row, targets)
+        _, met, limiting = compare_with_targets(row, targets)
         if met and met_after is None:
             met_after = name
     short = None if limiting is None else float(sigma[-1, INDEX[limiting]]) / targets[limiting]

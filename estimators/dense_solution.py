@@ -61,8 +61,8 @@ def covariance_by_source(system: LinearSystem, solution: DenseSolution) -> dict[
     out: dict[str, Array] = {}
     for rows in system.rows:
         G = np.einsum("pn,rdn->rpd", P, system.A[rows.index])
-        for source, rest_rate_weights in rows.sources.items():
-            part = np.einsum("rpd,rde,rqe->pq", G, rest_rate_weights, G)
+        for source, share in rows.sources.items():
+            part = np.einsum("rpd,rde,rqe->pq", G, share, G)
             out[source] = out.get(source, 0.0) + part
     return out
 

@@ -254,7 +254,7 @@ def heading(keep: Array, key: int) -> Callable[[Any], Linearised]:
 
     def evaluate(values: Any) -> Linearised:
         now = values.atRot3(key).matrix()
-        turn = keep @ now.T
-        return np.array([0.5 * (turn[0, 1] - turn[1, 0])]), [now[2][None]]
+        rotation = keep @ now.T
+        return np.array([0.5 * (rotation[0, 1] - rotation[1, 0])]), [now[2][None]]
 
     return evaluate

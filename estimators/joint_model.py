@@ -362,8 +362,8 @@ class JointModel:
                 A = from_fixture(nominal) if nominal is not None else _any_level_attitude(down[s])
                 attitude[s], placed[s] = level(A, s), True
             if not placed[e]:
-                turn = rotation_matrix(-earth[s] * compensated.duration_s[k])
-                attitude[e], placed[e] = level(turn @ attitude[s] @ compensated.rotation[k], e), True
+                earth_rotation = rotation_matrix(-earth[s] * compensated.duration_s[k])
+                attitude[e], placed[e] = level(earth_rotation @ attitude[s] @ compensated.rotation[k], e), True
         return replace(state, attitude=attitude)
 
     def placed(self, state: JointState) -> tuple[JointState, CompensatedData]:
@@ -395,9 +395,9 @@ class JointModel:
             weights[np.arange(self.data.K), which] = T[which]
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
-    def instability_by_sequence(self, compensated: CompensatedData, draws: Array) -> Array:
+    def instability_by_sequence(self, compensated: CompensatedData, unknowns: Array) -> Array:
         """Bias instability of the raw gyros in each sequence's windows less its mean, shape (K, 3), rad/s."""
-        raw = np.linalg.solve(compensated.rate_slope, (compensated.instability.rate @ draws)[:, :, None])[:, :, 0]
+        raw = np.linalg.solve(compensated.rate_slope, (compensated.instability.rate @ unknowns)[:, :, None])[:, :, 0]
         own = self.rest_rate_weights @ raw
         return np.asarray(own - own.mean(axis=0))
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
-from estimators.accuracy_targets import judge_targets
+from estimators.accuracy_targets import compare_with_targets
 from estimators.dense_solution import solve
 from estimators.iteration import default_prior, iterate
 from estimators.joint_model import JointModel
@@ -171,7 +171,7 @@ class LiveFilter:
         if found is None or self.iteration.covariance is None:
             raise DataError(f"After {data.labels[-1].title} the filter cannot continue: {self.iteration.message}")
         sigma = np.sqrt(np.maximum(np.diag(self.iteration.covariance), 0.0))
-        promised, met, limiting = judge_targets(sigma, self.options.targets)
+        promised, met, limiting = compare_with_targets(sigma, self.options.targets)
         return LiveReport(
             data.ids[-1],
             data.occurrences[-1],
@@ -246,9 +246,9 @@ class CoarseFilter:
         for k, sequence in enumerate(data.catalogue):
             assert sequence is not None
             start, end = data.start[k], data.end[k]
-            legs = rotation_angles(stream, k, sequence, 0.5 * (rest[start] + rest[end]))
-            if legs is not None:
-                for rotation, axis, angle in zip(legs, sequence.axes, sequence.angles_rad, strict=True):
+            rotations = rotation_angles(stream, k, sequence, 0.5 * (rest[start] + rest[end]))
+            if rotations is not None:
+                for rotation, axis, angle in zip(rotations, sequence.axes, sequence.angles_rad, strict=True):
                     error = math.hypot(off, self.gyro_asymmetry) * abs(angle) + fixture.rotation_sigma_rad
                     self._take(rotation, _matrix_rows(axis * angle, 0), error)
             down = nominal[k][2]

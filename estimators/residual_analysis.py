@@ -141,15 +141,15 @@ def leave_one_out_estimates(
 def sequence_diagnostics(
     joint: JointModel, system: LinearSystem, solution: DenseSolution, against: SequenceOf[ConsistencyTest]
 ) -> tuple[SequenceDiagnostics, ...]:
-    """What the verdict has of every sequence, in time order; empty where the estimate's covariance is singular."""
+    """Consistency and leave-one-out estimate by sequence, in time order; empty if the covariance is singular."""
     data = joint.data
     try:
-        without = leave_one_out_estimates(joint, system, solution)
+        estimates = leave_one_out_estimates(joint, system, solution)
     except np.linalg.LinAlgError:
         return ()
     return tuple(
-        SequenceDiagnostics(data.ids[k], data.occurrences[k], contradiction, left)
-        for k, contradiction, left in zip(joint.order.tolist(), against, without, strict=True)
+        SequenceDiagnostics(data.ids[k], data.occurrences[k], test, estimate)
+        for k, test, estimate in zip(joint.order.tolist(), against, estimates, strict=True)
     )
 
 
@@ -209,5 +209,5 @@ def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, fl
         if source in rows.sources:
             known = known - present**2 * part
         parts.append(part)
-    turn, force, rate = np.sqrt(restricted_likelihood(system.b, system.A[:, system.active], known, tuple(parts)))
-    return float(turn), float(force), float(rate)
+    rotation, force, rate = np.sqrt(restricted_likelihood(system.b, system.A[:, system.active], known, tuple(parts)))
+    return float(rotation), float(force), float(rate)
