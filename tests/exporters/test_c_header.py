@@ -193,3 +193,57 @@ def test_says_what_it_is_and_is_the_same_every_time():
 def test_names_that_c_does_not_take_are_refused(name):
     with pytest.raises(srt.InputError, match="cannot begin names"):
         c99_header(calibrated(np.zeros(N_PARAMETERS)), name)
+
+
+STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-pedantic", "-Werror", "-ffp-contract=off", "-O2"]
+FORMS = [("g++", "-std=c++17"), (COMPILER, "-std=c99")]
+SINGLE_DRIVER = """
+#include "imu.h"
+#include <stdio.h>
+int main(void)
+{{
+    {real} y[6], v[6];
+    while (fread(y, sizeof y, 1, stdin) == 1) {{
+        imu_correct_gyro(y, v);
+        imu_correct_accel_increment(y + 3, {one}, v + 3);
+        fwrite(v, sizeof v, 1, stdout);
+    }}
+    return 0;
+}}
+"""
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+@pytest.mark.parametrize(("compiler", "standard"), FORMS, ids=["c++17", "c99"])
+def test_both_precisions_compile_without_warnings(tmp_path, compiler, standard, precision):
+    """In floats the code has no double, and its result is within the rounding of single precision."""
+    if compiler is None or shutil.which(compiler) is None:
+        pytest.skip("no such compiler here")
+    rng = np.random.default_rng(41)
+    calibration = calibrated(rng.uniform(-0.1, 0.1, N_PARAMETERS))
+    text = c99_header(calibration, precision=precision)
+    assert ("double" in text) == (precision == "double")
+    (tmp_path / "imu.h").write_text(text, encoding="ascii")
+    suffix = "f" if precision == "float" else ""
+    source = tmp_path / ("main.cpp" if compiler == "g++" else "main.c")
+    source.write_text(SINGLE_DRIVER.format(real=precision, one=f"1.0{suffix}"))
+    command = [compiler, standard, *STRICT, str(source), "-o", str(tmp_path / "main")]
+    built = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    y = samples(rng).astype(precision if precision == "double" else np.float32)
+    done = subprocess.run([str(tmp_path / "main")], input=y.tobytes(), check=True, capture_output=True)
+    found = np.frombuffer(done.stdout, dtype=y.dtype).reshape(len(y), 6)
+    w, f = calibration.apply(y[:, :3].astype(float), y[:, 3:].astype(float))
+    # Singular values of at least 0.6, so |M⁻¹| below 1.7. Bias, matrix, products and sums round once each, six roundings
+    # in all on values up to (|y| + 0.1) 1.7 √3; close to a border of octants both signs are right to the same order.
+    eps = 0.5 * float(np.finfo(y.dtype).eps)
+    for ours, theirs, part in ((w, found[:, :3], y[:, :3]), (f, found[:, 3:], y[:, 3:])):
+        bound = (
+            6.0 * eps * 1.7 * np.sqrt(3.0) * (np.linalg.norm(part, axis=1, keepdims=True) + 0.1 * np.sqrt(3.0)) * 1.7
+        )
+        assert np.all(np.abs(theirs - ours) <= bound)
+
+
+def test_an_unknown_precision_is_refused():
+    with pytest.raises(srt.InputError, match="one of double, float"):
+        c99_header(calibrated(np.zeros(N_PARAMETERS)), precision="half")
