@@ -317,7 +317,7 @@ def test_limits_grow_with_the_size_of_the_file(tmp_path):
 def test_without_limits_a_note_warns(tmp_path, monkeypatch):
     monkeypatch.setattr(child_process, "spawn", importlib.import_module("fuzz").InProcess)
     monkeypatch.setitem(sys.modules, "resource", None)
-    assert not child_process.impose(child_process.Limits(1 << 30, 10))
+    assert not child_process.impose(child_process.ProcessLimits(1 << 30, 10))
     ff.write_ulog(tmp_path / "a.ulg", [("sensor_combined", 0, ff.COMBINED, ff.combined(US, VALUES))])
     assert note(read(tmp_path / "a.ulg"), "does not limit the memory of a process")
 

@@ -111,7 +111,7 @@ def listed(names: Sequence[str], none: str = "none") -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Meaning:
+class ColumnMeaning:
     """Meaning of a column's name.
 
     Attributes
@@ -130,7 +130,7 @@ class Meaning:
 
 
 @dataclass(frozen=True, slots=True)
-class Assignment:
+class ColumnAssignment:
     """Columns of a table by channel.
 
     Attributes
@@ -149,7 +149,7 @@ class Assignment:
     notes: tuple[str, ...]
 
 
-def meaning_of(name: str) -> Meaning | None:
+def meaning_of(name: str) -> ColumnMeaning | None:
     """Find the meaning of a column's name; None for an unknown one.
 
     Parameters
@@ -159,7 +159,7 @@ def meaning_of(name: str) -> Meaning | None:
 
     Returns
     -------
-    Meaning or None
+    ColumnMeaning or None
     """
     brackets = _BRACKETS.search(name)
     unit = normal_unit(brackets.group(1)) if brackets else None
@@ -174,13 +174,13 @@ def meaning_of(name: str) -> Meaning | None:
         found = _meanings().get("".join(parts[: len(parts) - count]))
         if found is not None:
             stated = unit or (_SUFFIX_UNITS[ending] if count else None)
-            return Meaning(found[0], stated if _fits(found[0], stated) else None, found[1])
+            return ColumnMeaning(found[0], stated if _fits(found[0], stated) else None, found[1])
     return None
 
 
 def assign(
     path: Path, names: Sequence[str], width: int, wanted: Mapping[str, str | int], *, arrays: bool = False
-) -> Assignment:
+) -> ColumnAssignment:
     """Find the columns of all channels.
 
     Parameters
@@ -198,7 +198,7 @@ def assign(
 
     Returns
     -------
-    Assignment
+    ColumnAssignment
 
     Raises
     ------
@@ -236,7 +236,7 @@ def assign(
     used = {channel: meanings[i] for channel, i in columns.items() if names}
     stated = StatedUnits(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
     kinds = {meaning.kind for channel, meaning in used.items() if meaning is not None and channel not in NO_SENSOR}
-    return Assignment(columns, stated, "increment" if kinds == {"increment"} else None, tuple(notes))
+    return ColumnAssignment(columns, stated, "increment" if kinds == {"increment"} else None, tuple(notes))
 
 
 NO_SENSOR: Final = (TIME, TEMPERATURE)
@@ -306,7 +306,7 @@ def _fits(channel: str, unit: str | None) -> bool:
     return channel == TIME and unit in TIME_UNITS
 
 
-def _common_unit(path: Path, sensor: str, used: Mapping[str, Meaning | None]) -> str | None:
+def _common_unit(path: Path, sensor: str, used: Mapping[str, ColumnMeaning | None]) -> str | None:
     units = {m.unit if m is not None else None for name, m in used.items() if name.partition("_")[0] == sensor}
     if len(units) > 1:
         shown = ", ".join(sorted(str(unit or "none") for unit in units))

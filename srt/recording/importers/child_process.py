@@ -61,7 +61,7 @@ _LONGEST_ANSWER = 1 << 20
 """Bytes of the line of JSON in an answer; notes and units take a few hundred."""
 
 
-class Limits(NamedTuple):
+class ProcessLimits(NamedTuple):
     """Limits on a reader's process.
 
     Attributes
@@ -213,7 +213,7 @@ def answer(request: bytes, out: BinaryIO) -> None:
     path, shown = Path(asked["path"]), asked["shown"]
     module, _, function = asked["reader"].partition(":")
     reader = getattr(importlib.import_module(module), function)
-    limited = impose(Limits(*asked["limits"]))
+    limited = impose(ProcessLimits(*asked["limits"]))
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -237,16 +237,16 @@ def answer(request: bytes, out: BinaryIO) -> None:
     _send(out, header, [np.ascontiguousarray(values, dtype="<f8") for values in arrays.values()])
 
 
-def limits_for(path: Path) -> Limits:
+def limits_for(path: Path) -> ProcessLimits:
     """Limits for a file, or for a folder with all files in it, by their size."""
     files = path.iterdir() if path.is_dir() else [path]
     size = sum(file.stat().st_size for file in files if file.is_file())
-    return Limits(
+    return ProcessLimits(
         MEMORY_ALLOWANCE + MEMORY_FACTOR * size, TIME_ALLOWANCE_S + math.ceil(TIME_PER_MIB_S * size / (1 << 20))
     )
 
 
-def impose(limits: Limits) -> bool:
+def impose(limits: ProcessLimits) -> bool:
     """Limit memory, computing time and written files of this process; False where the platform cannot limit all."""
     try:
         import resource
@@ -303,7 +303,7 @@ def _received(stream: BinaryIO) -> ImportedSamples | None:
     return ImportedSamples(**{**header, "notes": tuple(header["notes"])})
 
 
-def _end_of_reader(path: Path, code: int, limits: Limits) -> str:
+def _end_of_reader(path: Path, code: int, limits: ProcessLimits) -> str:
     """Sentence about a child that ended without an answer."""
     if code == OUT_OF_MEMORY:
         found = f"takes more than {limits.memory >> 20} MiB of memory to read, more than its size explains"

@@ -12,7 +12,7 @@ from srt.model.table1 import AXES
 from srt.recording.import_options import ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si, seconds_of
 from srt.recording.importer_registry import Importer, head
-from srt.recording.importers.channels import Assignment, assign, listed, meaning_of, with_temperature
+from srt.recording.importers.channels import ColumnAssignment, assign, listed, meaning_of, with_temperature
 from srt.recording.importers.text_tables import TableLayout, find_layout, read_table
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 
@@ -127,7 +127,9 @@ def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
     return np.column_stack([table[name] for name in names]).astype(np.float64, copy=False)
 
 
-def _without_doubtful_time(found: Assignment, options: ImportOptions, stated: StatedUnits | None) -> Assignment:
+def _without_doubtful_time(
+    found: ColumnAssignment, options: ImportOptions, stated: StatedUnits | None
+) -> ColumnAssignment:
     """Ignore a column of time whose unit is not stated, if a rate is given."""
     if options.time_unit is not None or (stated or found.stated).time is not None:
         return found
