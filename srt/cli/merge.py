@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Final
 
-from srt.cli.messages import announce, show, warn
+from srt.cli.messages import announce, say, show, warn
 from srt.exceptions import DataError
 
 if TYPE_CHECKING:
@@ -14,6 +15,12 @@ if TYPE_CHECKING:
     from srt.cli.calibration_jobs import Display, Job
     from srt.estimation.options import Options
     from srt.result.calibration import Calibration
+
+
+_DIFFERENT_UNITS: Final = 10.0
+"""RMS of difference over sigma above which recordings are taken for those of different units.
+
+The biases of one unit may change by more from recording to recording, but not all of its 27 parameters."""
 
 
 def run_merging(
@@ -33,7 +40,7 @@ def run_merging(
     Returns
     -------
     int
-        Exit code 0; recordings that are left out become warnings.
+        Exit code 0; 1 if the recordings seem to be of different units. Recordings that are left out become warnings.
 
     Raises
     ------
@@ -82,6 +89,14 @@ def run_merging(
         show("\nNothing was written: -o FILE.json keeps the result.")
     if merged.held:
         warn(f"held, not observed: {held_summary(merged)}.")
+    repeated = merged.diagnostics["repeatability"]
+    ratio = math.sqrt(repeated["chi_square"] / max(repeated["degrees_of_freedom"], 1))
+    if ratio > _DIFFERENT_UNITS and not display.force:
+        say(
+            f"The recordings differ by {ratio:.3g} times their sigmas (RMS over all parameters): are they of one unit? "
+            "Merge recordings of one unit only, or add --force."
+        )
+        return DataError.exit_code
     return 0
 
 

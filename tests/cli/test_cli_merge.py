@@ -150,3 +150,18 @@ def test_wrong_usage_is_one_sentence(folders, arguments, fragment, capfd):
     assert fragment in err
     assert err.count("\n") == 1
     assert "Traceback" not in err
+
+
+def test_different_units_without_serials_are_not_merged_in_silence(calibrations, tmp_path, capfd):
+    rng = np.random.default_rng(3)
+    files = []
+    for n, calibration in enumerate(calibrations):
+        errors = srt.SensorErrors(calibration.errors.vector + n * 1e-3 * rng.standard_normal(27))
+        provenance = {**calibration.provenance, "serial": None}
+        file = tmp_path / f"unit-{n}.json"
+        replace(calibration, errors=errors, provenance=provenance).save(file)
+        files.append(str(file))
+    assert main(["calibrate", "--merge", *files, "-q"]) == 1
+    err = capfd.readouterr().err
+    assert "times their sigmas (RMS over all parameters): are they of one unit?" in err
+    assert main(["calibrate", "--merge", *files, "-q", "--force"]) == 0
