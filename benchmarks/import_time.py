@@ -1,8 +1,8 @@
-"""Time that importing the package takes beyond numpy and scipy: what a program pays that only loads and applies.
+"""Import time of the package without that of numpy and scipy.
 
 ``python benchmarks/import_time.py`` starts fresh interpreters with ``-X importtime`` and adds up the time of every
 module that neither belongs to numpy or scipy nor was imported by them. The measurement itself adds a few percent, and
-another program on the same core much more: beside the median stands the least.
+other programs on the same core add more: the minimum is printed beside the median.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 from statistics import median
 
 REPEATS = 15
+"""Fresh interpreters for each statement."""
 OTHERS = ("numpy", "scipy")
 STATEMENTS = {
     "import srt": "import srt",
@@ -24,7 +25,7 @@ LINE = re.compile(r"import time: +(\d+) \| +\d+ \| ( *)(\S+)")
 
 
 def spans(statement: str) -> tuple[float, float, int]:
-    """Time of our modules and of numpy's and scipy's, s, and how many are ours, in one fresh interpreter."""
+    """Import time of this package and of numpy and scipy, s, and the number of modules of this package."""
     bare, full = (
         subprocess.run(
             [sys.executable, "-X", "importtime", "-c", code], capture_output=True, text=True, check=True
@@ -34,7 +35,7 @@ def spans(statement: str) -> tuple[float, float, int]:
     start = {name for _, _, name in LINE.findall(bare)}
     own, theirs, count = 0.0, 0.0, 0
     importers: list[tuple[int, bool]] = []
-    # A module is printed after all that it imported: read backwards, its importer comes first.
+    # A module is printed after the modules that it imported: read backwards, its importer comes first.
     for microseconds, indent, name in reversed(LINE.findall(full)):
         depth = len(indent)
         while importers and importers[-1][0] >= depth:
@@ -49,8 +50,8 @@ def spans(statement: str) -> tuple[float, float, int]:
 
 
 def main() -> None:
-    spans("import srt, numpy, scipy")  # compiles and fills the cache of the disk
-    print(f"Python {sys.version.split()[0]}, {REPEATS} fresh interpreters each, ms: median (least)")
+    spans("import srt, numpy, scipy")  # compiles the modules and fills the disk cache
+    print(f"Python {sys.version.split()[0]}, {REPEATS} fresh interpreters each, ms: median (minimum)")
     print(f"{'':20}{'modules':>8}{'ours':>16}{'numpy, scipy':>18}")
     for title, statement in STATEMENTS.items():
         own, theirs, count = zip(*(spans(statement) for _ in range(REPEATS)), strict=True)

@@ -1,7 +1,7 @@
-"""Seconds and memory that inspecting a one-hour log at 1 kHz takes beyond reading it, against the 3 s promised.
+"""Time and memory of the inspection of a one-hour log at 1 kHz, without reading it; 3 s are allowed.
 
-``python benchmarks/inspection.py``; ``--still`` takes an hour at rest instead of one with turns, ``--profile`` shows
-where the time goes.
+``python benchmarks/inspection.py``; ``--still`` takes an hour at rest instead of one with rotations, ``--profile`` prints
+the time by function.
 """
 
 import os
@@ -29,11 +29,13 @@ from srt.sequences.recognition import recognise
 RATE_HZ = 1000.0
 DURATION_S = 3600.0
 ALLOWED_S = 3.0
+"""Time allowed for the inspection, s."""
 REPEATS = 3
+"""Runs of which the median is printed."""
 
 
 def with_turns() -> srt.Recording:
-    """Table 1 six times over, the moves between its sequences recorded, nothing labelled."""
+    """Recording of Table 1 six times, with the moves between the sequences, without labels."""
     scenario = sims.load_scenario("navigation-rlg")
     schedule = scenario.schedule.model_copy(update={"repeats": 6, "dwell_s": 10.8})
     recording = scenario.recording.model_copy(update={"sample_rate_hz": RATE_HZ})
@@ -41,7 +43,7 @@ def with_turns() -> srt.Recording:
 
 
 def still() -> srt.Recording:
-    """An hour on a shelf."""
+    """Recording of one hour at rest."""
     n = round(DURATION_S * RATE_HZ)
     rng = np.random.default_rng(1)
     imu = sims.load_scenario("industrial-mems").imu.noise.si()
@@ -51,12 +53,12 @@ def still() -> srt.Recording:
 
 
 def fresh(recording: srt.Recording) -> srt.Recording:
-    """Give the same recording with nothing worked out yet."""
+    """Copy of a recording without cached results."""
     return replace(recording)
 
 
 def timed(call: Callable[[srt.Recording], object], recording: srt.Recording) -> str:
-    """Median wall and processor time on a fresh recording each time."""
+    """Median wall time and processor time, each run on a fresh copy."""
     spans = []
     for _ in range(REPEATS):
         given = fresh(recording)
@@ -70,7 +72,7 @@ def timed(call: Callable[[srt.Recording], object], recording: srt.Recording) -> 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--still", action="store_true", help="an hour at rest")
-    parser.add_argument("--profile", action="store_true", help="where the time goes")
+    parser.add_argument("--profile", action="store_true", help="print the time by function")
     arguments = parser.parse_args()
     recording = still() if arguments.still else with_turns()
     n = len(recording.time)
@@ -84,13 +86,13 @@ def main() -> None:
     inspection = inspect(fresh(recording))
     first = time.perf_counter() - began
     read = timed(lambda r: (r.gyro.sum(axis=0), r.accel.sum(axis=0)), recording)
-    print(f"inspected and recognised: {timed(inspect, recording)}, {ALLOWED_S:g} s are allowed")
+    print(f"inspection with recognition: {timed(inspect, recording)}, {ALLOWED_S:g} s are allowed")
     print(f"  the first time, imports included: {first:.2f} s")
     if not arguments.still:
         print(f"  recognition alone {timed(recognise, recording)}")
     print(f"  diagnosis alone {timed(lambda r: diagnose(r, calibrating=False), recording)}")
-    print(f"  picture besides {timed(lambda r: inspection_figure(r, inspection), recording)}")
-    print(f"  summing all columns once {read}")
+    print(f"  figure {timed(lambda r: inspection_figure(r, inspection), recording)}")
+    print(f"  one sum over all columns {read}")
     print(f"  {inspection.summary}")
     given = fresh(recording)
     tracemalloc.start()

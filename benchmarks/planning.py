@@ -1,4 +1,4 @@
-"""What planning gains over Table 1, and whether simulated units agree.
+"""Gain of planned tests over Table 1, and agreement of simulated units with the prediction.
 
 ``python benchmarks/planning.py`` plans every shipped plan file and prints the worst sigma over target of the plan, of
 Table 1 in the same time (best order, best windows, same moves and waits), the bound, and the time in which a plan does
@@ -31,11 +31,11 @@ from srt.sensor_errors import NAMES
 
 console = Console(width=120)
 SEED = 41000
-"""Of the first simulated unit."""
+"""Seed of the first simulated unit."""
 
 
-def planned(file: PlanFile) -> tuple[Plan, Plan, float]:
-    """The plan, Table 1 in the same time, and how long planning took, s."""
+def make_plans(file: PlanFile) -> tuple[Plan, Plan, float]:
+    """Plan, Table 1 in the same time, and the duration of planning, s."""
     began = time.perf_counter()
     stand, conditions, targets = file.stand.kinematics(), file.conditions(), file.targets.sigma()
     plan = make_plan(stand, conditions, targets, total_s=file.plan.total_time_s, limits=file.plan.limits())
@@ -44,13 +44,13 @@ def planned(file: PlanFile) -> tuple[Plan, Plan, float]:
 
 
 def least_time(file: PlanFile, table_1: Plan) -> Plan:
-    """The shortest plan in which every target is met as well as by the worst of Table 1."""
+    """Shortest plan with the worst ratio of Table 1."""
     targets = file.targets.sigma() * table_1.ratio
     return make_plan(file.stand.kinematics(), file.conditions(), targets, limits=file.plan.limits())
 
 
-def observed(file: PlanFile, plan: Plan, estimator: str, units: int, title: str) -> np.ndarray:
-    """Rms error of simulated units, shape (27,), SI."""
+def observed_errors(file: PlanFile, plan: Plan, estimator: str, units: int, title: str) -> np.ndarray:
+    """RMS error of simulated units, shape (27,), SI."""
     squares = np.zeros(len(NAMES))
     scenario = file.scenario(plan)
     for k in track(range(units), title, console=Console(stderr=True), transient=True):
@@ -73,7 +73,7 @@ def compare(file: PlanFile, plan: Plan, table_1: Plan, estimator: str, units: in
     error = 1.0 / math.sqrt(2.0 * units)
     worst = []
     for title, one in (("plan", plan), ("Table 1", table_1)):
-        rms = observed(file, one, estimator, units, title)
+        rms = observed_errors(file, one, estimator, units, title)
         ratio = without_gravity(one) / rms
         worst.append(float((rms / targets)[counted].max()))
         k = int(np.nanargmax(np.where(counted, rms / targets, np.nan)))
@@ -97,7 +97,7 @@ def main() -> None:
     )
     for name in options.plans:
         file = load_plan_file(name)
-        plan, table_1, spent = planned(file)
+        plan, table_1, spent = make_plans(file)
         shortest = None if options.no_time else least_time(file, table_1)
         saved = "" if shortest is None else (
             f"{shortest.total_s:.0f} s, {100.0 * (1.0 - shortest.total_s / table_1.total_s):.0f} % less"
