@@ -112,7 +112,7 @@ def make(chosen: PlanFile, files: PlanFiles, *, table_1: bool, quiet: bool) -> i
     from srt.planning.plan_text import plan_text, table_1_text, unmet_targets_text
     from srt.planning.planner import make_plan, table_1_plan
     from srt.recording.atomic_file import atomic_write_text
-    from srt.reports.text.calibration import wrap
+    from srt.reports.text.tables import wrap
 
     task = chosen.stand.kinematics(), chosen.conditions(), chosen.targets.sigma()
     limits = chosen.plan.limits()

@@ -144,9 +144,10 @@ def c99_header(calibration: Calibration, name: str = "imu", *, precision: Litera
 
     Notes
     -----
-    Constants have 17 significant digits (9 for floats), which give back the same numbers. In double, with contraction
-    of products and sums off (-ffp-contract=off), results are those of :class:`srt.result.applier.Applier` to the last
-    bit on machines that compute in double. Readings that are not finite are not refused but come out as NaN or infinite.
+    Constants have 17 significant digits (9 for floats), which give back the same numbers. In double, with
+    contraction of products and sums off (-ffp-contract=off), results are those of
+    :class:`srt.result.applier.Applier` to the last bit on machines that compute in double. Readings that are not
+    finite are not refused but come out as NaN or infinite.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InputError(

@@ -234,8 +234,9 @@ def test_both_precisions_compile_without_warnings(tmp_path, compiler, standard, 
     done = subprocess.run([str(tmp_path / "main")], input=y.tobytes(), check=True, capture_output=True)
     found = np.frombuffer(done.stdout, dtype=y.dtype).reshape(len(y), 6)
     w, f = calibration.apply(y[:, :3].astype(float), y[:, 3:].astype(float))
-    # Singular values of at least 0.6, so |M⁻¹| below 1.7. Bias, matrix, products and sums round once each, six roundings
-    # in all on values up to (|y| + 0.1) 1.7 √3; close to a border of octants both signs are right to the same order.
+    # Singular values of at least 0.6, so |M⁻¹| below 1.7. Bias, matrix, products and sums round once each, six
+    # roundings in all on values up to (|y| + 0.1) 1.7 √3; close to a border of octants both signs are right to
+    # the same order.
     eps = 0.5 * float(np.finfo(y.dtype).eps)
     for ours, theirs, part in ((w, found[:, :3], y[:, :3]), (f, found[:, 3:], y[:, 3:])):
         bound = (

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from typing import TYPE_CHECKING, Final
 
 from srt.constants import DEG_PER_H
 from srt.reports.text.leave_one_out import verdict_text
-from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table
+from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
@@ -242,11 +241,6 @@ def residual_summary(calibration: Calibration) -> str:
 def held_summary(calibration: Calibration) -> str:
     """Fixed parameters by reason, one clause each; empty if none is fixed."""
     return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in _reasons(calibration).items())
-
-
-def wrap(text: str, indent: str = "") -> list[str]:
-    """Lines of a text within the width; the second and later ones are indented."""
-    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False)
 
 
 def _reasons(calibration: Calibration) -> dict[str, list[str]]:

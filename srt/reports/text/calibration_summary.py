@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from srt.reports.text.calibration import held_summary, parameter_table, report, wrap
+from srt.reports.text.calibration import held_summary, parameter_table, report
 from srt.reports.text.leave_one_out import overall
-from srt.reports.text.tables import WIDTH
+from srt.reports.text.tables import WIDTH, wrap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

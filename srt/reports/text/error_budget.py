@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srt.noise.accuracy_analysis import QUANTITIES
-from srt.reports.text.calibration import sources_table, wrap
-from srt.reports.text.tables import fixed, text_table
+from srt.reports.text.calibration import sources_table
+from srt.reports.text.tables import fixed, text_table, wrap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

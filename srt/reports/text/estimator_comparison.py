@@ -6,8 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from srt.comparison.estimate_difference import FALSE_ALARM
-from srt.reports.text.calibration import wrap
-from srt.reports.text.tables import decimals_for, fixed, text_table
+from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS
-from srt.reports.text.calibration import wrap
 from srt.reports.text.leave_one_out import probability
-from srt.reports.text.tables import decimals_for, fixed, text_table
+from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import DEG
-from srt.reports.text.calibration import wrap
-from srt.reports.text.tables import text_table
+from srt.reports.text.tables import text_table, wrap
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.noise.allan import CHANNELS, TERMS
-from srt.reports.text.calibration import wrap
-from srt.reports.text.tables import text_table
+from srt.reports.text.tables import text_table, wrap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

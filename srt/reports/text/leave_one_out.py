@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.estimation.leave_one_out import most_contradicted
-from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table
+from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
     verdict = calibration.verdict
     if not verdict:
         return ""
-    parts = ["Verdict\n" + "\n".join(_wrap(overall(verdict)))]
+    parts = ["Verdict\n" + "\n".join(wrap(overall(verdict)))]
     if verdict["sequences"]:
         parts.append(sequence_table(calibration, full=parameters))
     if parameters and verdict["parameters"]:
@@ -120,10 +119,10 @@ def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> l
     ]
     if innovations:
         notes.append(f"innovation: the same test, with the prediction from the {word}s before it alone (NIS).")
-    out = [line for note in notes for line in _wrap(note, " ")]
+    out = [line for note in notes for line in wrap(note, " ")]
     worst = most_contradicted(rows)
     if worst is not None:
-        out += _wrap(
+        out += wrap(
             f"{word.capitalize()} {_title(worst)} contradicts the others, p = {probability(worst['probability'])}.",
         )
     for key, words in (
@@ -133,7 +132,7 @@ def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> l
         found = [(_title(row), row[key]) for row in rows if row[key]]
         if found:
             shown = "; ".join(f"{title}: {_symbols(names)}" for title, names in found)
-            out += _wrap(f"{words} {shown}.", " ")
+            out += wrap(f"{words} {shown}.", " ")
     return out
 
 
@@ -172,7 +171,7 @@ def observability_table(verdict: Mapping[str, Any], word: str = "sequence") -> s
             f"Least observable combination: {terms}, each over its prior sigma; posterior sigma "
             f"{100.0 * weakest['sigma_over_prior']:.2g} % of the prior."
         )
-    return "\n".join([text_table(headers, rows, "lrlrlrl"), *(line for note in notes for line in _wrap(note, " "))])
+    return "\n".join([text_table(headers, rows, "lrlrlrl"), *(line for note in notes for line in wrap(note, " "))])
 
 
 def probability(p: float | None) -> str:
@@ -199,7 +198,3 @@ def _title(row: Mapping[str, Any]) -> str:
 
 def _symbols(names: Sequence[str]) -> str:
     return " ".join(SYMBOLS[INDEX[name]] for name in names)
-
-
-def _wrap(text: str, indent: str = "") -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False)

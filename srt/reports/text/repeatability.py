@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.reports.text.leave_one_out import probability
-from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table
+from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from srt.result.calibration import Calibration
 
@@ -32,7 +31,7 @@ def repeatability_text(calibration: Calibration) -> str:
     parts = [f"Recordings\n{_recordings(table)}", f"Values by recording\n{_values(table)}"]
     if table["degrees_of_freedom"]:
         parts.append(f"Repeatability\n{_scatter(table)}")
-        parts.append("\n".join(_wrap(line) for line in _groups(table)))
+        parts.append("\n".join(part for line in _groups(table) for part in wrap(line)))
     return "\n\n".join(parts)
 
 
@@ -110,7 +109,9 @@ def _scatter(table: Mapping[str, Any]) -> str:
         "p: probability that noise alone gives a larger chi2.",
         "farthest: the recording with the largest deviation from the mean, over the sigma of the deviation.",
     ]
-    return "\n".join([text_table(headers, rows, "llrrrrrl", gap=1), *(_wrap(note, " ") for note in notes)])
+    return "\n".join(
+        [text_table(headers, rows, "llrrrrrl", gap=1), *(line for note in notes for line in wrap(note, " "))]
+    )
 
 
 def _groups(table: Mapping[str, Any]) -> list[str]:
@@ -139,10 +140,3 @@ def _rounded(value: float, sigma: float, factor: float) -> tuple[str, str]:
     decimals = decimals_for(sigma * factor)
     places = min(decimals, max(_DIGITS - len(f"{abs(value * factor):.0f}"), 0))
     return fixed(value * factor, places), fixed(sigma * factor, decimals)
-
-
-def _wrap(text: str, indent: str = "") -> str:
-    lines: Sequence[str] = textwrap.wrap(
-        text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False
-    )
-    return "\n".join(lines)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -102,3 +103,8 @@ def text_table(
     top = [line([lines[i] for lines in heads]) for i in range(height)]
     rule = " " * indent + "-" * (sum(widths) + gap * (len(widths) - 1))
     return "\n".join([*top, rule, *("" if row is None else line(row) for row in rows)])
+
+
+def wrap(text: str, indent: str = "") -> list[str]:
+    """Lines of a text within the width; the second and later ones are indented."""
+    return textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + "  ", break_on_hyphens=False)
