@@ -1,7 +1,7 @@
 """Time and memory of the inspection of a one-hour log at 1 kHz, without reading it; 3 s are allowed.
 
-``python benchmarks/inspection.py``; ``--still`` takes an hour at rest instead of one with rotations, ``--profile`` prints
-the time by function.
+``python benchmarks/inspection.py``; ``--still`` takes an hour at rest instead of one with rotations, ``--profile``
+prints the time by function.
 """
 
 import os

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 NAME: Final = "truth.json"
 FORMAT: Final = "srt-truth"
 VERSION: Final = 1
+"""Version of the format."""
 
 
 def write_truth(document: dict[str, Any], path: Path) -> None:

@@ -14,6 +14,7 @@ from srt.exceptions import InputError
 
 INNER: Final = 0
 OUTER: Final = 1
+"""Positions of the axes in pairs of angles."""
 AXIS_NAMES: Final = ("inner", "outer")
 QUARTER_DEG: Final = 90
 """Angle between neighbouring static poses, deg."""

@@ -46,6 +46,7 @@ _SIZE_INCHES: Final = (12.0, 8.0)
 """Width and height of the figure."""
 _MINUTE_S: Final = 60.0
 _TURN_DEG: Final = 360.0
+"""Units of the axes of the figure: minutes in s, one turn in deg."""
 _MOST_IN_A_ROW: Final = 24
 """Largest count of sequences whose numbers fit on one line; with more, they alternate between two lines."""
 _COLOURS: Final = (BLUE, VERMILION)
