@@ -146,9 +146,19 @@ class EstimateDifference:
 
 
 def estimate_difference(
-    name: str, other: Calibration, reference_name: str, reference: Calibration, shared: Mask, count: int, pairs: int
+    name: str,
+    other: Calibration,
+    reference_name: str,
+    reference: Calibration,
+    *,
+    shared: Mask,
+    tests: int,
+    estimators: int,
 ) -> EstimateDifference:
-    """Compare two estimates, one of ``pairs`` with ``count`` parameters in all."""
+    """Difference of an estimate from the reference in the ``shared`` parameters.
+
+    ``tests`` counts the compared parameters of all ``estimators``, which share the false-alarm probability.
+    """
     scale = np.where(shared, np.fmax(other.sigma, reference.sigma), np.nan)
     difference = np.where(shared, other.errors.vector - reference.errors.vector, np.nan)
     excess = other.covariance - reference.covariance
@@ -162,10 +172,10 @@ def estimate_difference(
         expected_sigma=spread,
         normalised=difference / spread,
         sigma_ratio=np.where(shared, ratio_of(other.sigma, reference.sigma), np.nan),
-        limit=_limit(count),
+        limit=_limit(tests),
         chi_square=statistic,
         p_value=p_value,
-        least_p_value=0.5 * FALSE_ALARM / pairs,
+        least_p_value=0.5 * FALSE_ALARM / estimators,
     )
 
 

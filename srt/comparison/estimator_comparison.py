@@ -281,7 +281,7 @@ def compare(
         count = sum(int(mask.sum()) for mask in shared.values())
         for name, other in others.items():
             pairs[name] = estimate_difference(
-                name, other, chosen, calibrations[chosen], shared[name], count, len(others)
+                name, other, chosen, calibrations[chosen], shared=shared[name], tests=count, estimators=len(others)
             )
     return Comparison(
         calibrations=dict(calibrations),

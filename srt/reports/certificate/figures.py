@@ -13,9 +13,7 @@ import numpy as np
 from srt.constants import MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.model.table1 import AXES
 from srt.reports.certificate.tables import plain
-from srt.reports.figures.calibration import _convergence as draw_convergence
-from srt.reports.figures.calibration import _errors as draw_errors
-from srt.reports.figures.calibration import _values as draw_values
+from srt.reports.figures.calibration import draw_convergence, draw_errors, draw_values
 from srt.reports.figures.inspection import envelope
 from srt.reports.figures.style import (
     BLUE,

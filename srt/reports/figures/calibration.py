@@ -97,12 +97,12 @@ def calibration_figure(
         height_ratios=(1.0, 1.0),
     )
     for column, (unit, which) in enumerate(zip(units, members, strict=True)):
-        _values(grid[0, column], calibration, truth, which, unit)
-        _errors(grid[1, column], calibration, truth, which, unit)
+        draw_values(grid[0, column], calibration, truth, which, unit)
+        draw_errors(grid[1, column], calibration, truth, which, unit)
     grid[0, 0].set_ylabel("estimate", fontsize=MEDIUM)
     grid[1, 0].set_ylabel("estimate − truth, ±1σ" if truth is not None else "±1σ", fontsize=MEDIUM)
     convergence, residuals = course.subplots(1, 2, width_ratios=(1.0, 2.6))
-    _convergence(convergence, calibration)
+    draw_convergence(convergence, calibration)
     _residuals(residuals, calibration.residuals)
     return figure
 
@@ -111,7 +111,8 @@ def _scaled(which: Indices, vector: Array) -> Array:
     return np.asarray(vector[which] * np.array(DISPLAY_FACTORS)[which])
 
 
-def _values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+def draw_values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+    """Draw the values of some parameters with their sigmas."""
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
@@ -135,7 +136,8 @@ def _values(axes: Axes, calibration: Calibration, truth: SensorErrors | None, wh
     _separate_groups(axes, which)
 
 
-def _errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+def draw_errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None, which: Indices, unit: str) -> None:
+    """Draw the 1-sigma bars of some parameters, at estimate minus truth where that is known."""
     style(axes)
     at = np.arange(len(which))
     seen = calibration.observed[which]
@@ -172,7 +174,8 @@ def _header(figure: SubFigure, calibration: Calibration, truth: SensorErrors | N
     figure.legend(handles=handles, loc="center right", ncols=len(handles), fontsize=SMALL, frameon=False)
 
 
-def _convergence(axes: Axes, calibration: Calibration) -> None:
+def draw_convergence(axes: Axes, calibration: Calibration) -> None:
+    """Draw the largest correction of each iteration."""
     style(axes)
     axes.set_title("Largest correction of each iteration", fontsize=MEDIUM, color=INK, loc="left")
     steps = np.array(calibration.corrections)
