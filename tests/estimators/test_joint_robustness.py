@@ -255,7 +255,7 @@ def test_mars_turned_from_the_mount_is_noted_and_found(estimator):
     recording, _ = table(0, U=TURNED)
     calibration = srt.calibrate(recording, estimator)
     assert calibration.status == "converged"
-    assert any("turned by" in w and "mounting" in w for w in calibration.warnings)
+    assert any("rotated by" in w and "mounting" in w for w in calibration.warnings)
     away = 0.5 * np.linalg.norm(calibration.U @ TURNED.T - TURNED @ calibration.U.T) / np.sqrt(2.0)
     assert away < 3.5e-3 * np.sqrt(3.0)
     straight = srt.calibrate(table(0)[0], estimator)
