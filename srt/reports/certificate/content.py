@@ -14,10 +14,10 @@ from srt.reports.certificate.tables import CertificateCell, CertificateTable, pl
 from srt.reports.certificate.unit_description import (
     SERIAL_LENGTH,
     application_section,
-    facts,
     limitations,
     recordings_table,
     temperature,
+    unit_description,
 )
 from srt.reports.text.leave_one_out import overall, probability
 from srt.reports.text.tables import decimals_for, fixed
@@ -52,7 +52,7 @@ class Certificate:
         "passed", "failed", or empty without limits.
     summary : tuple of str
         Main results, in sentences.
-    facts : tuple of (str, str)
+    description : tuple of (str, str)
         Unit, date, site, data and software, as labels and texts.
     parameters : CertificateTable
     held : tuple of str
@@ -81,7 +81,7 @@ class Certificate:
     unit: str
     outcome: str
     summary: tuple[str, ...]
-    facts: tuple[tuple[str, str], ...]
+    description: tuple[tuple[str, str], ...]
     parameters: CertificateTable
     held: tuple[str, ...]
     residuals: CertificateTable | None
@@ -144,7 +144,7 @@ def make_certificate(
         plain(source.serial, SERIAL_LENGTH) or "no serial",
         outcome,
         tuple(_summary(calibration, limits, failed, change)),
-        tuple(facts(source, course, limits)),
+        tuple(unit_description(source, course, limits)),
         parameter_table(calibration, limits),
         tuple(_held(calibration)),
         residual_table(calibration),

@@ -71,7 +71,7 @@ def _write(certificate: Certificate, document: _Document) -> None:
         document.paragraph(certificate.outcome.capitalize(), size=12.0, style="B", colour=_COLOURS[certificate.outcome])
     document.paragraphs(certificate.summary)
     document.heading("The unit and its test")
-    document.definitions(certificate.facts)
+    document.definitions(certificate.description)
     if certificate.recordings is not None:
         document.titled_table(certificate.recordings)
     document.heading(certificate.parameters.title, needs=50.0)

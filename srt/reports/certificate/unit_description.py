@@ -27,7 +27,7 @@ SERIAL_LENGTH: Final = 200
 """Largest number of characters of a serial: longer ones are not serials."""
 
 
-def facts(
+def unit_description(
     source: CalibrationFile, course: RecordingHistory | None, limits: AcceptanceLimits | None
 ) -> Iterator[tuple[str, str]]:
     """Unit, date, site, data and software, as labels and texts.
