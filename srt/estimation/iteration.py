@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 CONVERGED_CORRECTION: Final = 1e-9
 """Correction, in units of ``_UNIT``, that counts as negligible; noise-free data reach it."""
+_CONVERGED_EARTH_RATE: Final = 1e-6
+"""Largest negligible change of the unknown Earth rate over its prior sigma: 5e-11 rad/s, below any noise."""
+
 CONVERGED_SIGMAS: Final = 0.01
 """Correction, in sigma of the parameter, that counts as negligible: it changes an error by 1e-4 in quadrature."""
 _UNIT: Final = np.ones(N_PARAMETERS)
@@ -66,6 +69,10 @@ class Solver(Protocol):
     def fixed(self) -> Mask:
         """Parameters that keep their initial value, shape (27,)."""
 
+    @property
+    def estimates_earth_rate(self) -> bool:
+        """True if the unknown part of the Earth rate is estimated with the sensor errors."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
@@ -93,6 +100,10 @@ class Solution:
         Bias of each sequence less the common one, as used.
     g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
         Γ as used, raw channels and axes of B; zero where it is not estimated.
+    earth_rate_draws : ndarray, shape (S,), or None
+        Estimate of the unknown part of the Earth rate, in units of its prior sigma.
+    earth_rate : ndarray, shape (K, 3, S), rad/s
+        That part per unit draw, in each B_Strt.
     """
 
     errors: SensorErrors
@@ -109,6 +120,8 @@ class Solution:
     wander: Array
     bias_by_sequence: Array
     g_sensitivity: Array
+    earth_rate_draws: Array | None
+    earth_rate: Array
 
 
 class _DivergenceError(Exception):
@@ -134,10 +147,13 @@ class Iteration:
         self.noise: tuple[Array | None, Array | None] = None, None
         self.offset, self.g_sensitivity = np.zeros((data.K, 3)), np.zeros((3, 3))
         self.wander = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
+        self.earth_rate_draws: Array | None = None
+        self._earth_rate = np.zeros((data.K, 3, 0))
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         if resume is not None:
             self.integrated, self.offset = resume.measurements.integrated, resume.bias_by_sequence
             self.wander, self.g_sensitivity = resume.wander, resume.g_sensitivity
+            self.earth_rate_draws, self._earth_rate = resume.earth_rate_draws, resume.earth_rate
         self.first = start if resume is None else resume.errors
         self.resumed = resume is not None
         self.before = () if resume is None else resume.corrections
@@ -168,6 +184,7 @@ class Iteration:
                 if weights is not None:
                     sigma = np.sqrt(np.maximum(np.diag(gain @ weights @ gain.T), 0.0))
                 errors, U, correction = self._correct(errors, measurements, gain)
+                settled = self._update_earth_rate(measurements, correction)
                 size = float(np.max(np.abs(correction) / _UNIT))
                 corrections.append(size)
                 if progress is not None:
@@ -176,7 +193,7 @@ class Iteration:
             except _DivergenceError as reason:
                 status, message = "outside_model", f"After iteration {i + 1} {reason}."
                 break
-            settled = self._update_offsets(measurements, sigma)
+            settled &= self._update_offsets(measurements, sigma)
             negligible = np.all(
                 np.abs(correction) <= np.maximum(CONVERGED_CORRECTION * _UNIT, CONVERGED_SIGMAS * sigma)
             )
@@ -201,14 +218,31 @@ class Iteration:
         return self._finish(final, errors, U, corrections, status, message)
 
     def _process(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:
-        return self.processor.process(
+        """Process the recorded data at an estimate, the unknown part of the Earth rate as the rates at rest show it."""
+        draws = self.earth_rate_draws
+        measurements = self.processor.process(
             errors,
             U=U,
             nominal_vertical=nominal,
             bias_offset=self.offset,
             g_sensitivity=self.g_sensitivity,
+            earth_rate_offset=None if draws is None else self._earth_rate @ draws,
             with_noise=with_noise,
         )
+        if not self.solver.estimates_earth_rate:
+            return measurements
+        return measurement_covariance.with_earth_rate_regression(
+            measurements, self.data, self._compensated(measurements), self._bias_gain(measurements), draws
+        )
+
+    def _update_earth_rate(self, measurements: SrtMeasurements, correction: Array) -> bool:
+        """Update the unknown part of the Earth rate; return True if the change is negligible."""
+        regression = measurements.earth_rate_regression
+        if regression is None:
+            return True
+        before = np.zeros(len(regression.draws)) if self.earth_rate_draws is None else self.earth_rate_draws
+        self._earth_rate, self.earth_rate_draws = regression.rate, regression.after_correction(correction)
+        return bool(np.all(np.abs(self.earth_rate_draws - before) <= _CONVERGED_EARTH_RATE))
 
     def _gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         try:
@@ -343,6 +377,8 @@ class Iteration:
             self.wander,
             self.offset,
             self.g_sensitivity,
+            self.earth_rate_draws,
+            self._earth_rate,
         )
 
 

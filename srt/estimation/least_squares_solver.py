@@ -60,6 +60,7 @@ class LeastSquaresSolver:
     """
 
     coefficients = None
+    estimates_earth_rate = True
 
     def __init__(self, requested: tuple[str, ...]) -> None:
         self.requested = np.array([n in requested for n in NAMES])

@@ -9,13 +9,14 @@ windows, one heading error for the whole recording.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation.earth_rate_regression import earth_rate_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.model import measurement_model as model
 
@@ -64,11 +65,14 @@ def project(measurements: SrtMeasurements, data: PreparedRecording, source: Dist
     phi = np.zeros((K, 3, S)) if source.phi is None else source.phi
     rest = np.zeros((3, S))
     if source.rate is not None:
-        rate, by_g_sensitivity = measurements.after_g_sensitivity(source.rate)
+        rate, by_regressions = measurements.after_g_sensitivity(source.rate)
+        if measurements.earth_rate_regression is not None:
+            rate, by_earth_rate = measurements.earth_rate_regression.after(rate, measurements.integrals.weight_s)
+            by_regressions = by_regressions + by_earth_rate
         rest = np.tensordot(measurements.pool, rate, 1)
         own = np.tensordot(measurements.share, rate, 1) - rest
         # The bias offset of a sequence is subtracted from the compensated rate.
-        phi = phi + by_g_sensitivity - _phi_per_rate(measurements) @ (bias_gain[:, None] * own)
+        phi = phi + by_regressions - _phi_per_rate(measurements) @ (bias_gain[:, None] * own)
     M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)
     z = np.zeros((2 * K + W + 3, S))
     horizontal = M @ phi
@@ -111,13 +115,17 @@ def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str,
     return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
-def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
-    """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
+def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """Noise variance of the compensated mean rate of every window, shape (W, 3), (rad/s)²."""
     D2 = np.linalg.inv(measurements.gyro.matrix) ** 2
     T = data.windows.duration_s
     raw = data.noise.gyro_white**2 / T[:, None] + 2.0 * (data.noise.gyro_edge / T[:, None]) ** 2
-    out: Array = D2 @ np.mean(measurements.share**2 @ raw, axis=0)
-    return out
+    return np.asarray(raw @ D2.T)
+
+
+def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
+    return np.asarray(np.mean(measurements.share**2 @ window_rate_variance(measurements, data), axis=0))
 
 
 def earth_rate_sigma(data: PreparedRecording) -> float:
@@ -204,6 +212,45 @@ def covariances(
         G = project(measurements, data, source, gain)
         out[name] = G @ G.T
     return out
+
+
+def with_earth_rate_regression(
+    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, bias_gain: Array, draws: Array | None
+) -> SrtMeasurements:
+    """Measurements whose Jacobian and covariance know that the unknown Earth rate follows from the rates at rest.
+
+    Without a heading its horizontal part is unknown, without a latitude all of it. Its effect is linear to first order
+    only: over a long recording the second order is many sigma of a navigation-grade unit. It is therefore estimated
+    from the rates of the windows and removed, as g-sensitivity is, before z is formed.
+
+    Parameters
+    ----------
+    measurements, data : SrtMeasurements, PreparedRecording
+    wander : ndarray, shape (3,), rad/s
+        1-sigma of the bias between sequences, compensated.
+    bias_gain : ndarray, shape (3,)
+        As of :func:`project`.
+    draws : ndarray, shape (S,), or None
+        Estimate that the data were processed with; the present one replaces it to first order.
+    """
+    n = unknown_earth_rate_components(data)
+    if not n:
+        return measurements
+    rate = _unknown_earth_rate(measurements, data)
+    seen = np.einsum("wab,was->wbs", measurements.window_attitude, rate[measurements.window_sequence])
+    regression = earth_rate_regression(rate, seen, np.sqrt(window_rate_variance(measurements, data) + wander**2), n)
+    phi = measurements.integrals.weight_s[:, None, None] * rate
+    on_z = project(measurements, data, Disturbance(phi=phi, rate=seen), bias_gain)
+    by_errors = regression.fit(model.rate_error_jacobian(measurements.rate, measurements.gyro))
+    used = np.zeros(rate.shape[2]) if draws is None else draws
+    present = regression.fit((measurements.rest_rate + seen @ used)[:, :, None])[:, 0]
+    return replace(
+        measurements,
+        z=measurements.z - on_z @ (present - used),
+        H=measurements.H - on_z @ by_errors,
+        rest_rate=measurements.rest_rate - seen @ (present - used),
+        earth_rate_regression=replace(regression, draws=present, by_errors=by_errors),
+    )
 
 
 def _own_draw(blocks: Array) -> Array:
@@ -322,15 +369,22 @@ def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> 
     return vertical
 
 
-def _unknown_earth_rate(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
-    """Unknown part of the Earth rate (no latitude or no heading), per unit draw in B_Strt, shape (K, 3, S), rad/s."""
+def unknown_earth_rate_components(data: PreparedRecording) -> int:
+    """Number of unknown components of the Earth rate: three without a latitude, two without a heading, else none."""
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
-        size, directions = EARTH_RATE_RAD_S / math.sqrt(3.0), 3
-    elif data.nominal is None or fixture is None or fixture.heading_rad is None:
-        size, directions = EARTH_RATE_RAD_S * math.cos(site.latitude_rad) / math.sqrt(2.0), 2
-    else:
+        return 3
+    return 2 if data.nominal is None or fixture is None or fixture.heading_rad is None else 0
+
+
+def _unknown_earth_rate(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """Unknown part of the Earth rate (no latitude or no heading), per unit draw in B_Strt, shape (K, 3, S), rad/s."""
+    site = data.recording.site
+    directions = unknown_earth_rate_components(data)
+    if not directions:
         return np.zeros((data.K, 3, 0))
+    share = 1.0 if site.latitude_rad is None else math.cos(site.latitude_rad)
+    size = EARTH_RATE_RAD_S * share / math.sqrt(directions)
     if data.nominal is not None:
         frames = measurements.U @ np.swapaxes(data.nominal, 1, 2)
         return np.asarray(size * frames[:, :, :directions])
@@ -343,7 +397,9 @@ def _unknown_earth_rate(measurements: SrtMeasurements, data: PreparedRecording) 
         if int(data.start[k]) in carried:
             chain, frame = carried[int(data.start[k])]
         else:
-            first = np.cross(down[k], np.eye(3)[np.argmin(np.abs(down[k]))])
+            # From the raw readings, so that the draws mean the same in all iterations.
+            least_vertical = int(np.argmin(np.abs(data.windows.accel_mean[data.start[k]])))
+            first = np.cross(down[k], np.eye(3)[least_vertical])
             first /= np.linalg.norm(first)
             chain, frame = chains, np.stack([first, np.cross(down[k], first), down[k]], axis=1)
             chains += 1

@@ -20,6 +20,7 @@ from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
+    from srt.estimation.earth_rate_regression import EarthRateRegression
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
     from srt.model.analytic_platform import GyroStream
@@ -75,6 +76,8 @@ class SrtMeasurements:
         True if the vertical was the nominal one.
     poses : PoseRegression, or None
         Regression of ``rest_rate`` on specific force; None where gyro g-sensitivity is not estimated.
+    earth_rate_regression : EarthRateRegression, or None
+        Estimate of the unknown Earth rate from ``rest_rate``; None where it is known or left unknown.
     """
 
     z: Array
@@ -97,6 +100,7 @@ class SrtMeasurements:
     integrated: Mask
     nominal_vertical: bool
     poses: PoseRegression | None = None
+    earth_rate_regression: EarthRateRegression | None = None
 
     @property
     def bias_by_sequence(self) -> Array:
@@ -194,6 +198,7 @@ class SrtProcessor:
         nominal_vertical: bool = False,
         bias_offset: Array | None = None,
         g_sensitivity: Array | None = None,
+        earth_rate_offset: Array | None = None,
         with_noise: bool = False,
     ) -> SrtMeasurements:
         """Compensate the recorded data with given errors and form the SRT measurements.
@@ -210,6 +215,8 @@ class SrtProcessor:
             Gyro bias of each sequence less the common one, rad/s.
         g_sensitivity : ndarray, shape (3, 3), rad/s per m/s², optional
             Γ (raw channels, axes of B), used where the options ask for it; default zero.
+        earth_rate_offset : ndarray, shape (K, 3), rad/s, optional
+            Estimate of the unknown part of the Earth rate in each B_Strt (no heading or latitude); default zero.
         with_noise : bool
             Compute the noise integrals too.
         """
@@ -225,6 +232,8 @@ class SrtProcessor:
         rate = gyro.compensate(gyro_mean)
         down = -force[data.start] / np.linalg.norm(force[data.start], axis=1, keepdims=True)
         earth_rate, nominal_down = self._earth_rate(U, down, nominal_vertical)
+        if earth_rate_offset is not None:
+            earth_rate = earth_rate + earth_rate_offset
         if nominal_vertical and nominal_down is not None:
             down = nominal_down
         integrals, attitude = integrate_attitude(
