@@ -1,7 +1,7 @@
-"""The documentation: what it shows runs and prints what it says, and what it names is there.
+"""The documentation: examples run and print the output shown, and every name in it exists.
 
 A comment before a block says what it is: ``<!-- example -->`` runs it, in the order of the page and in one folder,
-``<!-- output -->`` is what the block of Python before it prints, ``<!-- file: NAME -->`` and ``<!-- append: NAME -->``
+``<!-- output -->`` is the output of the Python block before it, ``<!-- file: NAME -->`` and ``<!-- append: NAME -->``
 write a file, ``<!-- example: FILE -->`` shows a part of a script that tests/project/test_examples.py runs.
 """
 
@@ -278,7 +278,7 @@ def test_the_page_of_signatures_is_what_the_derivation_gives(derivation):
 
 
 def test_the_page_of_errata_agrees_with_their_tests(derivation):
-    source = (ROOT / "tests" / "test_errata_papers.py").read_text(encoding="utf-8")
+    source = (ROOT / "tests" / "model" / "test_errata_papers.py").read_text(encoding="utf-8")
     named = re.findall(r"`(test_\w+)`", TEXTS["docs/theory/errata.md"])
     assert {name.split("_")[2] for name in named} == set("123456")
     assert all(f"def {name}(" in source for name in named)
