@@ -58,15 +58,6 @@ _GYRO_CAUSES = (
 _INCREMENTS = "the values look like increments per sample, declared as rates"
 _RATES = 'the values look like rates, declared as increments (key kind of recording.toml: "rate")'
 
-_IN_A_ROW: Final = 3
-"""Equal readings in a row at an extreme that no noise makes."""
-
-_IN_A_ROW_COARSE: Final = 50
-"""The same where the resolution is coarser than the noise, and most readings equal the one before."""
-
-_LONGER: Final = 2
-"""Longest row of equal readings at the extreme over the longest elsewhere, where the resolution is coarse."""
-
 _NO_NOISE: Final = 1e-7
 """Second difference of neighbouring readings over the largest reading, below which there is no noise: the Earth's rate
 in a turn of 1 rad/s makes 1e-8 at 100 Hz, a navigation unit's noise 1e-5."""
@@ -96,8 +87,12 @@ _LARGEST_COUNT: Final = 2 ** np.array([12, 14, 16, 18, 20, 24]) // 2
 _MEDIAN_OF_DIFFERENCES: Final = 0.954
 """Median of the absolute difference of two normal readings, in sigmas of one: 0.6745 √2."""
 
-_MOST_READINGS: Final = 200_000
-"""Readings that resolution and noise of a channel are taken from."""
+_STRETCHES: Final = 8
+_STRETCH: Final = 1000
+"""Number and length of the stretches of readings that resolution and noise are taken from."""
+
+_REPEATS: Final = 0.2
+"""Share of readings that equal the one before, above which the resolution is coarse: pulses, or a unit at rest."""
 
 SHORTEST_INTERVAL_S: Final = 5e-6
 LONGEST_INTERVAL_S: Final = 0.5
@@ -243,9 +238,9 @@ def check_turns(
 def clipping_levels(recording: Recording) -> ClippingLevels:
     """Find the readings at which channels are clipped, stated or seen.
 
-    Readings of a noisy channel never repeat at an extreme by chance. A value held in a row there, many more readings at
-    it than one step inside, or several at the full scale of a converter, is a limit, whatever range is stated. Coarse
-    and noise-free readings repeat everywhere: in them clipping shows only by the stated range.
+    Readings of a noisy channel never repeat at an extreme by chance. A value held for three readings there, many more
+    readings at it than one step inside, or several at the full scale of a converter, is a limit, whatever range is
+    stated. Coarse and noise-free readings repeat everywhere: in them clipping shows only by the stated range.
 
     Parameters
     ----------
@@ -271,54 +266,47 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
             if _RANGE_MARGIN * stated * per_sample <= peak <= beyond:
                 high[3 * s : 3 * s + 3] = _RANGE_MARGIN * stated * per_sample
                 low[3 * s : 3 * s + 3] = -_RANGE_MARGIN * stated * per_sample
-        for axis in range(3):
-            i = 3 * s + axis
-            bottom, top = _limits_seen(values, axis, least * per_sample)
-            low[i], high[i] = max(low[i], bottom), min(high[i], top)
+        triad = slice(3 * s, 3 * s + 3)
+        bottom, top = _limits_seen(values, least * per_sample)
+        low[triad], high[triad] = np.maximum(low[triad], bottom), np.minimum(high[triad], top)
     return ClippingLevels(low, high)
 
 
-def _limits_seen(triad: Array, axis: int, least: float) -> tuple[float, float]:
-    """Lowest and highest reading of a channel of a noisy triad where they are limits; infinite where they are not."""
-    channel = triad[:, axis]
-    inner = channel[(channel > channel.min()) & (channel < channel.max())][:_MOST_READINGS]
-    if len(inner) < 2:
-        return -np.inf, np.inf
-    scatter = float(np.median(np.abs(np.diff(inner)))) / _MEDIAN_OF_DIFFERENCES
-    step = float(smallest_step(inner[:, None])[0])
-    coarse = step > _NOISY * scatter
+def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
+    """Lowest and highest readings of the channels of a triad where they are limits; infinite where they are not."""
+    low, high = np.full(3, -np.inf), np.full(3, np.inf)
+    starts = np.linspace(0, max(len(triad) - _STRETCH, 0), _STRETCHES).astype(int)
+    some = np.concatenate([triad[a : a + _STRETCH] for a in starts.tolist()])
     # Without noise a turn at one rate repeats its extreme too, but then the other channels are smooth meanwhile.
-    others = np.delete(triad, axis, axis=1)
-    roughness = np.abs(others[2:] - 2.0 * others[1:-1] + others[:-2]).max(axis=1)
+    roughness = np.abs(triad[2:] - 2.0 * triad[1:-1] + triad[:-2])
     noisy = roughness > _NO_NOISE * float(np.abs(triad).max())
-    limits = []
-    for sign in (-1.0, 1.0):
-        extreme = float((sign * channel).max())
-        at = sign * channel == extreme
-        held = at[2:] & at[1:-1] & at[:-2]
-        alone = not held.any() or float(np.mean(noisy[held])) > _MOSTLY_NOISY
-        limited = extreme > least and alone and _is_limit(sign * channel, at, least, step, coarse=coarse)
-        limits.append(sign * (extreme if limited else np.inf))
-    return limits[0], limits[1]
+    for axis in range(3):
+        channel = triad[:, axis]
+        inner = (some[:, axis] > channel.min()) & (some[:, axis] < channel.max())
+        differences = np.abs(np.diff(some[:, axis]))[inner[1:] & inner[:-1]]
+        if not differences.size or np.mean(differences == 0.0) > _REPEATS:
+            continue
+        step = float(smallest_step(some[inner, axis][:, None])[0])
+        if step > _NOISY * float(np.median(differences)) / _MEDIAN_OF_DIFFERENCES:
+            continue
+        others = np.delete(noisy, axis, axis=1).any(axis=1)
+        for sign, limits in ((-1.0, low), (1.0, high)):
+            extreme = float((sign * channel).max())
+            if extreme > least and _is_limit(sign * channel, extreme, step, others):
+                limits[axis] = sign * extreme
+    return low, high
 
 
-def _is_limit(channel: Array, at: Mask, least: float, step: float, *, coarse: bool) -> bool:
-    """Tell whether readings stop at their largest value; of coarse ones, those beyond ``least`` are compared."""
-    row = _longest_row(at[1:] & at[:-1])
-    if coarse:
-        equal = channel[1:] == channel[:-1]
-        return row >= max(_IN_A_ROW_COARSE, _LONGER * _longest_row(equal & ~at[1:] & (channel[1:] > least)))
-    extreme = float(channel.max())
+def _is_limit(channel: Array, extreme: float, step: float, others_noisy: Mask) -> bool:
+    """Tell whether noisy readings stop at their largest value."""
+    at = channel == extreme
+    held = at[2:] & at[1:-1] & at[:-2]
+    if held.any():
+        return float(np.mean(others_noisy[held])) > _MOSTLY_NOISY
     count, inside = int(at.sum()), int(np.sum(np.abs(channel - (extreme - step)) < 0.5 * step))
     # Two's complement reaches one count farther down.
     full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
-    return row + 1 >= _IN_A_ROW or (count >= _PILE and count >= _PILE * inside) or (full_scale and count > 1)
-
-
-def _longest_row(mask: Mask) -> int:
-    """Number of steps of the longest row of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
-    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+    return (count >= _PILE and count >= _PILE * inside) or (full_scale and count > 1)
 
 
 def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | None = None) -> tuple[Clipping, ...]:

@@ -18,9 +18,9 @@ from srt.sequences.plausibility import clipped_samples, clipping_levels
 SEED = 20261122
 
 
-@pytest.fixture(scope="module", params=["tactical-fog", "navigation-rlg"])
-def fixture_recording(request):
-    return Case(request.param, 900).recording
+@pytest.fixture(scope="module")
+def fixture_recording():
+    return Case("tactical-fog", 900).recording
 
 
 @pytest.fixture(scope="module")
