@@ -289,7 +289,7 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
         step = float(smallest_step(some[inner, axis][:, None])[0])
         if step > _NOISY * float(np.median(differences)) / _MEDIAN_OF_DIFFERENCES:
             continue
-        others = np.delete(noisy, axis, axis=1).any(axis=1)
+        others = np.asarray(np.any(np.delete(noisy, axis, axis=1), axis=1))
         for sign, limits in ((-1.0, low), (1.0, high)):
             extreme = float((sign * channel).max())
             if extreme > least and _is_limit(sign * channel, extreme, step, others):
