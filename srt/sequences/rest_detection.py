@@ -244,6 +244,8 @@ def _keys(cells: Array) -> Counts:
 
 def _valley(activity: Array) -> float:
     """Threshold between two modes of the activity's logarithm (Otsu: greatest between-class variance)."""
+    if len(activity) < 2:
+        return 1.0  # one block has no two modes; a bench at rest stays below 1
     x = np.sort(np.log(np.maximum(activity, 1e-6)))
     n = np.arange(1, len(x))
     total = np.cumsum(x)

@@ -293,9 +293,11 @@ def find_windows(recording: Recording) -> Indices:
         found = split_at_jumps(recording, found, blocks.floor)
     windows = [w for w in found if w[1] - w[0] >= shortest / dt - 0.5]
     if len(windows) < 2:
+        gaps = recording.gaps.size
+        cut = f" The recording has {gaps} gaps, and each ends a window: log without gaps." if gaps else ""
         raise DataError(
             f"Only {len(windows)} stationary windows of at least {shortest:g} s were found in the recording; "
-            "stillness, turn, stillness is needed: let the unit rest between turns, or label the windows."
+            "stillness, turn, stillness is needed: let the unit rest between turns, or label the windows." + cut
         )
     return np.array(windows, dtype=np.intp)
 

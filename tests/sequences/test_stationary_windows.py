@@ -12,6 +12,8 @@ from srt.constants import DEG, DEG_PER_SQRT_H, MICRO_G
 from srt.sensor_errors import SensorErrors
 from srt.sequences.stationary_windows import find_turns, find_windows
 
+G = 9.80665
+
 UNITS = {
     "noise-free": ImuModel(),
     "navigation": accuracy_trials.GRADES["navigation"],
@@ -84,3 +86,24 @@ def test_a_bump_between_two_rests_in_one_pose_makes_no_turn():
     motion = free_motion(turns, site=accuracy_trials.SITE, dwell_s=4.0, peak_rate_rad_s=0.5, sample_rate_hz=100.0)
     recording = read_out(motion, SensorErrors(), UNITS["navigation"], rng)
     assert len(find_turns(recording)) == 2
+
+
+def test_a_recording_of_one_block_has_no_windows():
+    """Ten samples make one block, between whose activities there is no valley."""
+    rng = np.random.default_rng(5)
+    short = srt.Recording(
+        0.01 * np.arange(10), rng.normal(0.0, 1e-3, (10, 3)), rng.normal(0.0, 1e-2, (10, 3)) + G, srt.Site(G)
+    )
+    with pytest.raises(srt.DataError, match="Only 0 stationary windows"):
+        find_windows(short)
+
+
+def test_gaps_that_leave_no_window_are_named():
+    rng = np.random.default_rng(6)
+    time = 0.01 * np.arange(4000)
+    kept = np.arange(4000) % 50 < 45
+    rest = srt.Recording(
+        time[kept], rng.normal(0.0, 1e-3, (kept.sum(), 3)), rng.normal(0.0, 1e-2, (kept.sum(), 3)) + G, srt.Site(G)
+    )
+    with pytest.raises(srt.DataError, match="79 gaps, and each ends a window"):
+        find_windows(rest)
