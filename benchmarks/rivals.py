@@ -69,10 +69,10 @@ ESTIMATORS: dict[str, tuple[str, dict[str, Any]]] = {
     "least-squares": ("least-squares", {}),
     "ekf": ("ekf", {}),
     "graph": ("graph", {}),
-    "graph, asymmetry held": ("graph", {"hold": ASYMMETRIES}),
+    "graph, asymmetry fixed": ("graph", {"hold": ASYMMETRIES}),
 }
 """Our estimators and their options. The last one assumes no asymmetry, as imucal does."""
-HELD, IMUCAL, IMUCAL_SAME = "graph, asymmetry held", "imucal", "imucal, same samples"
+HELD, IMUCAL, IMUCAL_SAME = "graph, asymmetry fixed", "imucal", "imucal, same samples"
 METHODS = (*ESTIMATORS, IMUCAL, IMUCAL_SAME)
 ASYMMETRY_NOT_ESTIMATED = (HELD, IMUCAL, IMUCAL_SAME)
 POPULATIONS = {
@@ -225,7 +225,7 @@ class Study:
         return 1e3 * float(np.median(seconds))
 
     def not_converged(self) -> str:
-        """Results of our estimators with another status than converged; partial is what a held parameter makes."""
+        """Results of our estimators with another status than converged; fixed parameters make it partial."""
         total: Counter[str] = Counter()
         for some in self.outcomes.values():
             for outcome in some:
@@ -318,62 +318,62 @@ def markdown(study: Study) -> str:
 
 
 PAGE = """\
-# The rivals on the same simulated units
+# Comparison with another calibration method
 
-[imucal](https://pypi.org/project/imucal/) computes Ferraris' calibration: six faces at rest, full turns about three
-axes. It takes the fixture for the truth, so that the fixture's errors become the unit's; the rotation test does
-not.
+[imucal](https://pypi.org/project/imucal/) computes Ferraris' calibration: six stationary faces, and full turns about
+three axes. It takes the fixture as exact, so that the errors of the fixture become errors of the result. The rotation
+test does not.
 
-Rms error of imucal over ours, {units} units without asymmetry on each fixture (below 1, imucal is nearer the
-truth):
+Rms error of imucal over that of this package, {units} units without asymmetry on each fixture (below 1, imucal is
+more accurate):
 
 {ratios_0}
 
-The same for units with an asymmetry of 1e-3, which imucal does not know:
+The same for units with an asymmetry of 1e-3, which imucal does not model:
 
 {ratios_1}
 
 ## Set-up
 
 - **Units**: grade `{grade}` of `benchmarks/accuracy_trials.py` (gyros {gyro_noise:.4f} °/√h, accelerometers
-{accel_noise:.0f}
-  µg/√Hz, white noise alone), every error drawn with a sigma of 1e-3 (accelerometer biases 1 mg), gyro biases within
-  ±10 °/h; {rate:g} Hz. Each unit comes with and without its asymmetry, with the same noise.
-- **Fixture**: two axes, square to each other; errors of one sigma in levelling, north, mounting and every rotation
-  and start angle. A unit meets the same draw on all fixtures, larger or smaller, and the same levelling, north and
-  mounting in both tests; rotations are other ones and drawn anew. Latitude 45°, table x north, gravity known to
-  5e-6 m/s².
-- **Rotation test**: the 17 sequences once, {table_1_s:.0f} s recorded, windows of {dwell_s:g} s; default options,
-  so that asymmetries are estimated in both populations. "graph, asymmetry held" is told, as imucal is, that there
-  are none, where that is so.
-- **imucal**: six faces of {face_s:g} s and {turns} full turns about each axis, {ferraris_s:.0f} s with the half
-  turns between faces. It gets the gravity that the rotation test gets, every region to the sample, and the nominal
+  {accel_noise:.0f} µg/√Hz, white noise only), every error drawn with a sigma of 1e-3 (accelerometer biases 1 mg),
+  gyro biases within ±10 °/h; {rate:g} Hz. Each unit is simulated with and without its asymmetry, with the same noise.
+- **Fixture**: two axes, square to each other; 1-sigma errors in levelling, north, mounting and every rotation and
+  start angle. A unit has the same draw on all fixtures, scaled, and the same levelling, north and mounting in both
+  tests; the errors of the rotations are drawn separately. Latitude 45°, table x north, gravity known to 5e-6 m/s².
+- **Rotation test**: the 17 sequences once, {table_1_s:.0f} s recorded, windows of {dwell_s:g} s; default options, so
+  that asymmetries are estimated in both populations. "graph, asymmetry fixed" assumes no asymmetry, as imucal does,
+  for the units that have none.
+- **imucal**: six faces of {face_s:g} s and {turns} full turns about each axis, {ferraris_s:.0f} s with the half turns
+  between faces. It gets the same gravity as the rotation test, the exact samples of every region, and the nominal
   angle.
-- **imucal, same samples**: what of the 17 sequences fits its method: windows before and after sequences 7 to 12 as
-  faces (two windows of {dwell_s:g} s each), sequences 2, 1 and 3 as turns of 360°. Our estimators read these
-  samples too.
+- **imucal, same samples**: the part of the 17 sequences that suits its method: windows before and after sequences 7
+  to 12 as faces (two windows of {dwell_s:g} s each), sequences 2, 1 and 3 as turns of 360°. The estimators of this
+  package use these samples too.
 
-imucal's result has the fixture's axes. It is taken to MARS axes, in which the gyro matrix is symmetric, by its own
-polar decomposition (`benchmarks/ferraris.py`), so that a turn of the whole unit on the fixture costs it nothing. The
-rows of orthogonality depend on no frame. On a perfect fixture, without noise and on an Earth at rest, its result equals
-the truth to rounding (`tests/sims/test_rivals.py`).
+imucal's result has the fixture's axes. Its polar decomposition takes it to MARS axes, in which the gyro matrix is
+symmetric (`benchmarks/ferraris.py`), so that a rotation of the whole unit on the fixture does not count as an error.
+The orthogonality rows do not depend on the axes. On a perfect fixture, without noise and without Earth rate, its
+result equals the truth to rounding (`tests/sims/test_rivals.py`).
 
 ## Fairness
 
-- imucal is made for quick calibration of low-cost units, by hand or on a turntable; for such a unit a milliradian is
-  little. On a fixture that is what it takes it for it finds the truth.
-- Where a unit has no asymmetry, imucal may be nearer the truth than ours in accelerometer bias and scale. Level errors
-  are of second order there, it need not tell a bias from an asymmetry, and all its standing still goes into six faces.
-  "graph, asymmetry held" shows how much of that is knowing that there is no asymmetry.
-- Where a unit has one, imucal's gyro scales take it up whole, its accelerometer biases g times it.
-- imucal ignores the Earth's rate. Faces and turns are laid so that this hurts least: the outer axis points east,
-  faces come in pairs half a turn apart, those of z at two headings; 0.3 µrad are left on a perfect fixture. In the
-  samples of the 17 sequences the turn about z has the north component along it: 52 ppm of z scale.
-- imucal's guide turns each axis while it is vertical. This fixture can do so with z alone; x and y turn about the
-  horizontal outer axis. The method uses nothing but the angle.
-- {turns} turns, where one is usual, divide what an error of the turned angle does to a gyro scale.
-- Ours are limited by the unit's noise here, not by the fixture: ratios grow with a better unit and shrink with a
-  worse.
+- imucal is made for quick calibration of low-cost units, by hand or on a turntable. For such a unit 1 mrad is
+  negligible. With an exact fixture its result is correct.
+- For units without asymmetry, imucal may be more accurate in accelerometer bias and scale factor. Level errors have a
+  second-order effect there, it need not separate a bias from an asymmetry, and all its stationary time is in six
+  faces. "graph, asymmetry fixed" shows the part of this that follows from the assumption of no asymmetry.
+- For units with an asymmetry, imucal's gyro scale factors have an error equal to it, and its accelerometer biases g
+  times it.
+- imucal omits the Earth rate. The faces and turns are arranged to make its effect small: the outer axis points east,
+  faces come in pairs half a turn apart, those of z at two headings; an error of 0.3 µrad remains on a perfect
+  fixture. In the samples of the 17 sequences the turn about z has the north component of the Earth rate along it: 52
+  ppm of z scale factor.
+- imucal's guide turns each axis while it is vertical. This fixture can do so with z only; x and y turn about the
+  horizontal outer axis. The method uses only the angle.
+- {turns} turns instead of the usual one divide the effect of an angle error on a gyro scale factor by {turns}.
+- The accuracy of this package is limited by the unit's noise here, not by the fixture: the ratios are larger for a
+  better unit and smaller for a worse one.
 
 ## Units without asymmetry
 
@@ -395,7 +395,7 @@ Median time of one calibration on one core, samples in memory:
 |---|---:|
 {times}
 
-Results of ours with another status than converged (partial with asymmetries held): {not_converged}.
+Results of this package with another status than converged (partial with asymmetries fixed): {not_converged}.
 
 Versions: {versions}.
 
