@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import doctest
+import importlib
 import io
 import re
 import shlex
@@ -40,13 +41,17 @@ FENCE = re.compile(
 )
 COMMAND = re.compile(r"(?:`|^    |^\$ )srt ([a-z][a-z-]*)((?:\\\n|[^`\n])*)", re.M)
 LINK = re.compile(r"\[[^]\n]*\]\(([^)\s]+)\)")
+DOTTED = re.compile(r"\b(?:srt|sims|estimators)(?:\.(?!(?:md|html|toml|json|py)\b)[A-Za-z_]\w*)+")
+"""Dotted names of modules, classes and functions."""
+PATH = re.compile(r"(?<![\w/])(?:srt|sims|estimators|benchmarks|tests|examples|configs)/[\w./-]*\w")
+"""Paths of files and folders of the repository."""
 
-READERS_OWN = {"docs/exports.md", "docs/mount-alignment.md"}
-"""Pages whose Python speaks of files and values of the reader's own: run with those of a simulated unit."""
+READER_INPUT = {"docs/exports.md", "docs/mount-alignment.md"}
+"""Pages whose Python uses files and arrays of the reader: run with those of a simulated unit."""
 SLOW = {"docs/robustness.md"}
 """Pages whose Python takes a minute."""
 SLOW_EXAMPLES = {"docs/planning.md"}
-"""Pages whose examples take a quarter of one; tests/cli/test_cli_plan.py runs the same commands on less."""
+"""Pages whose examples take 15 s; tests/cli/test_cli_plan.py runs the same commands on smaller plans."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ def assert_prints(expected, printed):
 
 
 def run_console(block):
-    """Run the commands of a block, and compare what each prints on standard output with the lines after it."""
+    """Run the commands of a block, and compare the standard output of each with the lines after it."""
     for entry in re.split(r"^\$ ", block.text, flags=re.M)[1:]:
         command, expected = re.fullmatch(r"((?:[^\n]*\\\n)*[^\n]*\n)(.*)", entry, re.S).groups()
         program, *arguments = shlex.split(command.replace("\\\n", " "))
@@ -111,12 +116,12 @@ def python_of(page):
     return [b.text for b in blocks(page) if b.language == "python" and b.kind is None]
 
 
-def test_no_python_is_left_out():
-    assert {page for page in TEXTS if python_of(page)} == READERS_OWN | SLOW
+def test_every_python_block_is_run():
+    assert {page for page in TEXTS if python_of(page)} == READER_INPUT | SLOW
 
 
 @pytest.fixture(scope="session")
-def readers_unit():
+def calibrated_unit():
     """Give a recording of a simulated unit, and its calibration."""
     scenario = {
         "seed": 8,
@@ -130,10 +135,10 @@ def readers_unit():
     return recording, srt.calibrate(recording)
 
 
-@pytest.mark.parametrize("page", sorted(READERS_OWN))
-def test_python_runs_with_what_the_reader_has(page, readers_unit, tmp_path, monkeypatch):
+@pytest.mark.parametrize("page", sorted(READER_INPUT))
+def test_python_runs_with_a_simulated_unit(page, calibrated_unit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    recording, calibration = readers_unit
+    recording, calibration = calibrated_unit
     calibration.save("unit.json")
     mount_from_calibration(calibration).save("mount.json")
     assert main(["export", "unit.json", "--to", "kalibr", "-o", "imu.yaml", "-q"]) == 0
@@ -165,7 +170,7 @@ def anchors(text):
 
 
 @pytest.mark.parametrize("page", TEXTS)
-def test_links_lead_somewhere(page):
+def test_links_have_targets(page):
     for target in LINK.findall(re.sub(r"^```.*?^```$|`[^`\n]*`", "", TEXTS[page], flags=re.M | re.S)):
         if re.match(r"[a-z]+://", target):
             continue
@@ -176,8 +181,8 @@ def test_links_lead_somewhere(page):
             assert anchor in anchors(file.read_text(encoding="utf-8")), f"{page}: {target}"
 
 
-def test_every_page_has_its_place_in_the_site():
-    """A page that no table of contents names would make `make docs` fail; said here without building."""
+def test_every_page_is_in_a_table_of_contents():
+    """A page outside every table of contents makes `make docs` fail; found here without a build."""
     named = set()
     for page in PAGES:
         for toctree in re.findall(r"^```\{toctree\}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S):
@@ -196,6 +201,33 @@ def test_commands_and_options_that_are_named_exist(page):
         known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)} | {"--help"}
         unknown = set(re.findall(r"(?<!\S)--[a-z][a-z0-9-]*", rest)) - known
         assert not unknown, f"{page}: srt {name} {unknown}"
+
+
+def resolves(name):
+    """Import the longest module of a dotted name, and look up the attributes after it."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            value = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        return all((value := getattr(value, part, None)) is not None for part in parts[count:])
+    return False
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_modules_and_files_that_are_named_exist(page):
+    dotted = set(DOTTED.findall(TEXTS[page]))
+    assert not sorted(name for name in dotted if not resolves(name))
+    bases = (ROOT, (ROOT / page).parent)
+    assert not sorted(path for path in PATH.findall(TEXTS[page]) if not any((b / path).exists() for b in bases))
+
+
+def test_the_front_page_shows_the_figures_of_the_readme():
+    shown = [
+        re.findall(r"^Converged after.*?^```", TEXTS[page], re.M | re.S) for page in ("docs/index.md", "README.md")
+    ]
+    assert shown[0] == shown[1] != []
 
 
 def test_the_reference_holds_the_whole_library():
