@@ -30,7 +30,6 @@ def build_calibration(
     fixed: Mapping[str, str],
     *,
     warnings: tuple[str, ...] = (),
-    inflation: float = 1.0,
 ) -> Calibration:
     """Build the calibration of a solver result.
 
@@ -43,17 +42,15 @@ def build_calibration(
     fixed : mapping of str to str
         Parameters not observed, with the reason.
     warnings : tuple of str
-    inflation : float
-        Factor on all sigmas (least squares with residuals larger than the noise explains).
     """
     if result.status == "outside_model":
         fixed = dict.fromkeys(NAMES, "the iteration ended where the model does not hold")
     observed = np.array([name not in fixed for name in NAMES])
     mask = np.outer(observed, observed)
+    status, message, misfit_warnings, inflation = _status(result, fixed)
     total = sum(result.covariance.values()) if result.total is None else result.total
     covariance = np.where(mask, total, 0.0) * inflation**2
     covariance = 0.5 * (covariance + covariance.T)
-    status, message, misfit_warnings = _status(result, fixed, inflation)
     fixture = data.recording.fixture
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
     return Calibration(
@@ -84,12 +81,16 @@ def build_calibration(
     )
 
 
-def _status(result: SolverResult, fixed: Mapping[str, str], inflation: float) -> tuple[str, str, tuple[str, ...]]:
-    """Status and message of the calibration, and the warnings about residuals that the noise does not explain."""
+def _status(result: SolverResult, fixed: Mapping[str, str]) -> tuple[str, str, tuple[str, ...], float]:
+    """Status and message, warnings about residuals that the noise does not explain, and the factor on all sigmas.
+
+    The factor is the Birge ratio √(χ² / degrees of freedom) where the residuals are larger than the noise explains.
+    """
     status, message = result.status, result.message
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
-    misfit = inflation == 1.0 and status == "converged" and is_misfit(chi_square, freedom)
+    misfit = status == "converged" and is_misfit(chi_square, freedom)
     warnings: tuple[str, ...] = ()
+    inflation = 1.0
     if misfit and result.gross_misfit:
         status = "not_converged"
         message = (
@@ -98,16 +99,17 @@ def _status(result: SolverResult, fixed: Mapping[str, str], inflation: float) ->
             "or a unit that the sensor model does not describe."
         )
     elif misfit:
+        inflation = float(np.sqrt(chi_square / freedom))
         warnings = (
             f"The residuals are larger than the noise explains (chi-square {chi_square:.0f} for {freedom} degrees of "
-            f"freedom, p < 0.001). An error source is missing from the sigmas, which are too small by a factor of "
-            f"about {np.sqrt(chi_square / freedom):.2g} or more. Possible causes: bias instability, g-sensitivity, a "
-            "disturbed window.",
+            f"freedom, p < 0.001): an error source is missing from the noise model. All sigmas were multiplied by "
+            f"{inflation:.2g}. Possible causes: bias instability, g-sensitivity, a disturbed window; state "
+            "gyro_bias_instability_deg_per_h and accel_bias_instability_ug in [imu] if they are known.",
         )
     if status == "converged" and fixed:
         status = "partial"
         message = f"{message} Fixed, not observed: {', '.join(fixed)}."
-    return status, message, warnings
+    return status, message, warnings, inflation
 
 
 def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:

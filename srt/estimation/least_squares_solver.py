@@ -122,9 +122,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             f"{np.degrees(excess[0]):.2g}° and an unmodelled specific-force error of {excess[1]:.2g} m/s² per window "
             "(1-sigma) were estimated, and the sigmas include them.",
         )
-    inflation = _inflation(solution, solver.fixed)
     result = solver_result(data, options, solution, fixed, without_sequences)
-    return build_calibration("least-squares", data, options, result, fixed, warnings=warnings, inflation=inflation)
+    return build_calibration("least-squares", data, options, result, fixed, warnings=warnings)
 
 
 def _solve(
@@ -163,14 +162,6 @@ def _solve(
 
 def _misfit(solution: Solution, fixed: Mask) -> bool:
     return is_misfit(*chi_square(solution, fixed))
-
-
-def _inflation(solution: Solution, fixed: Mask) -> float:
-    """Birge ratio: factor on the sigmas if the residuals remain larger than the noise explains, else 1."""
-    if solution.status != "converged" or not _misfit(solution, fixed):
-        return 1.0
-    statistic, freedom = chi_square(solution, fixed)
-    return float(np.sqrt(statistic / freedom))
 
 
 def _excess(

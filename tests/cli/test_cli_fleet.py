@@ -109,7 +109,7 @@ def test_table_has_a_row_per_unit_and_fits(made):
     _, out, _, output = made
     assert "\x1b" not in out
     assert max(len(line) for line in out.splitlines() if str(output) not in line) <= 80
-    states, sizes = out.split("The largest error")[0], out.split("The largest error")[1].split("Outlying\n")[0]
+    states, sizes = out.split("Largest error")[0], out.split("Largest error")[1].split("Outlying\n")[0]
     rows = {line.split()[0]: line.split()[1:] for line in states.splitlines() if line.startswith(" unit-")}
     assert tuple(rows) == UNITS  # unit-10 comes last
     assert rows[BROKEN] == ["failed"]

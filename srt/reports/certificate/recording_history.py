@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.constants import DEG
+from srt.estimation.measurement_covariance import bias_gain, with_earth_rate_regression
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError, InputError, clipped
@@ -38,6 +39,8 @@ BY_PLAYBACK: Final = ("closed-form", "least-squares")
 _SHARE: Final = 0.5
 """Tolerance of a residual, over its change by one sigma of the parameters. The last correction, which is not
 re-processed, is a hundredth of a sigma; an edit that matters is more than a sigma."""
+_EARTH_RATE_PASSES: Final = 4
+"""Passes in which the unknown Earth rate becomes exact: its error falls by about 100 in each."""
 _ROUNDING: Final = 1e-8
 """Rounding tolerance, of g and of 1 mrad/s: below the resolution of any unit."""
 _USED: Final = ("average", "down", "window_attitude", "gyro_bias", "measured_vertical")
@@ -173,7 +176,26 @@ def _follows(calibration: Calibration, data: PreparedRecording, options: Options
         "g_sensitivity": _array((calibration.diagnostics.get("g_sensitivity") or {}).get("matrix"), (3, 3)),
     }
     whole = options.window_attitude == "integrated"
-    playback = SrtProcessor(data, options, np.full(W, whole)).process(calibration.errors, **how)
+
+    def processed(integrated: Mask) -> SrtMeasurements:
+        """SRT measurements at the values of the calibration, the unknown Earth rate included as least squares does."""
+        processor = SrtProcessor(data, options, integrated)
+        measurements = processor.process(calibration.errors, **how)
+        for _ in range(_EARTH_RATE_PASSES if calibration.estimator == "least-squares" else 0):
+            before = measurements.earth_rate_regression
+            if before is not None:
+                measurements = processor.process(
+                    calibration.errors, **how, earth_rate_offset=before.rate @ before.draws
+                )
+            by_sensor = np.sqrt(np.linalg.inv(measurements.gyro.matrix) ** 2 @ wander**2)
+            gain = bias_gain(measurements, data, options.gyro_bias, by_sensor)
+            draws = None if before is None else before.draws
+            measurements = with_earth_rate_regression(measurements, data, by_sensor, gain, draws)
+            if measurements.earth_rate_regression is None:
+                break
+        return measurements
+
+    playback = processed(np.full(W, whole))
     first = _within(calibration, playback, stated, data)
     # The iteration integrates the attitude over windows that moved, by estimates of the time: which ones they were is
     # not in the file. What hangs on it, a sequence's horizontal components, may fit with either of its windows so.
@@ -184,7 +206,7 @@ def _follows(calibration: Calibration, data: PreparedRecording, options: Options
     for integrated in (moved, np.ones(W, dtype=np.bool_), np.arange(W) % 2 == 0, np.arange(W) % 2 == 1):
         if whole or turns.all():
             break
-        again = SrtProcessor(data, options, integrated).process(calibration.errors, **how)
+        again = processed(integrated)
         turns |= _within(calibration, again, stated, data)[: 2 * K].reshape(K, 2).all(axis=1)
     # The rate at rest is not in the file; the closed form alone leaves nothing of it, if all windows are at rest.
     checked = calibration.estimator == "closed-form" and calibration.observed[GROUP_SLICES["gyro_bias"]].all()
