@@ -1,1 +1,1 @@
-"""Accuracy: Cramér-Rao bound, error budget, efficiency, and studies of many simulated units."""
+"""Accuracy: Cramér-Rao bound and error budget."""

@@ -1,1 +1,1 @@
-"""Faults injected into simulated recordings, and the study of how surely they are named."""
+"""Faults injected into simulated recordings."""
