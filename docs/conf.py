@@ -1,4 +1,4 @@
-"""The site of the documentation: `make docs` builds it into build/docs, with warnings as errors."""
+"""Configuration of the documentation site: `make docs` builds it into build/docs, with warnings as errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx_click"]
 exclude_patterns = ["derivations"]
 smartquotes = False  # would make one dash of the two of an option
 nitpicky = True
-nitpick_ignore = [  # named in docstrings, without a page of their own
+nitpick_ignore = [  # cross-references of docstrings to names that have no page
     ("py:data", "NAMES"),
     ("py:data", "STAGES"),
     ("py:data", "srt.diagnosis.faults.FAULTS"),
@@ -37,7 +37,7 @@ nitpick_ignore = [  # named in docstrings, without a page of their own
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 
-# Types stand in the docstrings, with shape and unit; the signatures show names and defaults alone.
+# The docstrings have the types, with shape and unit; the signatures show names and defaults only.
 autodoc_typehints = "none"
 autodoc_class_signature = "mixed"
 autodoc_member_order = "bysource"
@@ -57,11 +57,11 @@ html_show_sourcelink = False
 
 
 def _mathml(code: str, at: nodes.Element, *, block: bool) -> str:
-    # Browsers draw MathML by themselves: formulas need no script and no network.
+    # Browsers render MathML without a script or network access.
     try:
         return tex2mathml(code, as_block=block)
     except MathError as error:
-        getLogger(__name__).warning("this formula cannot be read: %s (%s)", code, error, location=at)
+        getLogger(__name__).warning("invalid formula: %s (%s)", code, error, location=at)
         return ""
 
 
@@ -77,18 +77,18 @@ def _block(translator: HTML5Translator, node: nodes.math_block) -> NoReturn:
 
 
 def _escaped(_: Sphinx, __: click.Context, lines: list[str]) -> None:
-    # The help of a command is plain text, in which 'lot-7/*' emphasises nothing.
+    # The help of a command is plain text: the asterisk of 'lot-7/*' is no markup.
     lines[:] = [line.replace("*", r"\*") for line in lines]
 
 
 def _titled(_: Sphinx, name: str, source: list[str]) -> None:
-    # srt robustness --markdown writes tables to put below a heading of one's own.
+    # srt robustness --markdown writes tables without a heading.
     if name.startswith("studies/"):
         source[0] = f"# Campaign {name.removeprefix('studies/')}\n\n{source[0]}"
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register what is above."""
+    """Connect the hooks and the renderer of formulas."""
     app.connect("source-read", _titled)
     app.connect("sphinx-click-process-description", _escaped)
     app.add_html_math_renderer("mathml", inline_renderers=(_inline, None), block_renderers=(_block, None))
