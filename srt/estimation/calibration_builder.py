@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.estimation.solver_result import SolverResult
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Mask
+    from srt.types import Array, Mask
 
 
 def build_calibration(
@@ -49,7 +49,9 @@ def build_calibration(
     mask = np.outer(observed, observed)
     status, message, misfit_warnings, inflation = _status(result, fixed)
     total = sum(result.covariance.values()) if result.total is None else result.total
-    covariance = np.where(mask, total, 0.0) * inflation**2
+    clock = clock_effect(data)
+    # The scale of time is common to all measurements: no residual shows it, and no inflation covers it.
+    covariance = np.where(mask, total * inflation**2 + np.outer(clock, clock), 0.0)
     covariance = 0.5 * (covariance + covariance.T)
     fixture = data.recording.fixture
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
@@ -64,7 +66,8 @@ def build_calibration(
         contributions={
             source: np.where(observed, np.sqrt(np.maximum(np.diag(P), 0.0)) * inflation, 0.0)
             for source, P in result.covariance.items()
-        },
+        }
+        | ({"clock": np.where(observed, np.abs(clock), 0.0)} if clock.any() else {}),
         U=None if data.nominal is None else result.U,
         U_sigma_rad=None if data.nominal is None or fixture is None else fixture.alignment_sigma_rad,
         residuals=result.residuals,
@@ -79,6 +82,21 @@ def build_calibration(
         verdict=verdict(result.sequences, covariance, observed, chi_square, freedom) if observed.any() else {},
         warnings=(*warnings, *misfit_warnings, *_warnings(data, result, observed)),
     )
+
+
+def clock_effect(data: PreparedRecording) -> Array:
+    """Effect of one sigma of the time base on the parameters, shape (27,), SI.
+
+    Time stretched by 1 + ε stretches the angles that rates add up to: ε of every gyro scale. Increments are angles, but
+    their velocities become specific force by the time: −ε of every accelerometer scale.
+    """
+    out = np.zeros(N_PARAMETERS)
+    sigma = data.recording.clock_sigma or 0.0
+    if data.recording.kind == "rate":
+        out[GROUP_SLICES["gyro_scale"]] = sigma
+    else:
+        out[GROUP_SLICES["accel_scale"]] = -sigma
+    return out
 
 
 def _status(result: SolverResult, fixed: Mapping[str, str]) -> tuple[str, str, tuple[str, ...], float]:

@@ -352,6 +352,7 @@ def _import_recording(
             source=source,
             data_sha256=_sha256(samples_path),
             temperature_c=main.get("temperature_c"),
+            clock_sigma=fields_of(main, RECORDING_KEYS).get("clock_sigma"),
         )
     except InputError as error:
         if str(toml.parent) in str(error):

@@ -311,6 +311,7 @@ def to_recording(
     source: str | None = None,
     data_sha256: str | None = None,
     temperature_c: float | None = None,
+    clock_sigma: float | None = None,
 ) -> Recording:
     """Make a recording of imported samples.
 
@@ -326,6 +327,8 @@ def to_recording(
     source, data_sha256 : str, optional
     temperature_c : float, optional
         Temperature of all samples, if the file has none.
+    clock_sigma : float, optional
+        1-sigma relative error of the time base.
 
     Returns
     -------
@@ -363,6 +366,7 @@ def to_recording(
         date or imported.date,
         source,
         data_sha256,
+        clock_sigma,
     )
     require_bounded(recording)
     return recording

@@ -286,6 +286,8 @@ class Recording:
     serial, date, source : str or None
     data_sha256 : str or None
         Hash of the samples file.
+    clock_sigma : float or None
+        1-sigma relative error of the time base, one for the whole recording; None: not stated.
 
     Raises
     ------
@@ -307,6 +309,7 @@ class Recording:
     date: str | None = None
     source: str | None = None
     data_sha256: str | None = None
+    clock_sigma: float | None = None
     _memo: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -151,6 +151,7 @@ RECORDING_KEYS: Final = (
     one_or_three("accel_lsb", "m/s² (or m/s) per count", zero=False),
     one_or_three("accel_offset_counts", "counts", zero=True),
     number("sample_rate_hz", "Hz", "sample_rate_hz", above=0.0),
+    number("clock_sigma_ppm", "ppm", "clock_sigma", factor=1e-6, low=0.0),
     text("serial", "serial"),
     text("date", "date"),
     number("temperature_c", "°C", low=-273.15, high=1000.0),

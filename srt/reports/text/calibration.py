@@ -27,6 +27,7 @@ SOURCE_LABELS: Final = {
     "accel_bias_instability": "acc. drift",
     "earth_rate_alignment": "Earth rate",
     "gravity": "gravity",
+    "clock": "time base",
     "prior": "prior",
     "held_values": "fixed values",
     "recordings": "recordings",
