@@ -1,6 +1,6 @@
 """Signatures of the 17 rotation sequences, exact, from eqs. 3-5 and 20-21 of Savage 2020.
 
-Starts at the printed equations and shares nothing with the package, so that both can be compared::
+The derivation starts from the printed equations and shares nothing with the package, so that both can be compared::
 
     φ_End   = Σ C_Bi { [κ_LinScal + κ_Asym sign β̇] u θ + [I sin θ + (1 − cos θ)(u×)] κ_Mis u }             eq. 3
     δa      = −g (λ_LinScal + λ_Mis + λ_Asym A_Sign) u_Dwn + λ_Bias,   A_Sign = −diag(u_Dwn)               eq. 4
@@ -9,7 +9,7 @@ Starts at the printed equations and shares nothing with the package, so that bot
     e(Δa_H) = g u_Dwn × { φ_Bias + T_Meas [I + F_Meas (C_End − I)] κ_Bias }                                eq. 21
 
 ``κ_ij = κ_ji = υ_ij / 2`` (eqs. 8-10) and ``λ_ij = μ_ij`` (eq. 11). The rate β̇ is a magnitude with the sign of θ.
-Run it to print the table::
+Run the script to print the table::
 
     python docs/derivations/signatures.py
 """
@@ -24,7 +24,7 @@ import sympy as sp
 AXES: Final = ("x", "y", "z")
 
 g, T_MEAS, F_MEAS, RATE = sp.symbols("g T_Meas F_Meas β̇", positive=True)
-"""Gravity, window length, response of the averaging to a unit ramp, magnitude of the turning rate."""
+"""Gravity, window length, response of the averaging to a unit ramp, magnitude of the rotation rate."""
 
 _SYMBOLS: Final = {
     "gyro_scale": ("x:κxx", "y:κyy", "z:κzz"),
@@ -67,7 +67,7 @@ TABLE_1: Final = {
 
 @dataclass(frozen=True)
 class Signature:
-    """What the sensor errors do to the measurements of one sequence.
+    """SRT measurements of one sequence as functions of the sensor errors.
 
     ``delta_a`` and ``bias`` hold the two horizontal components by axis of B_Strt; ``down`` holds "start" and "end".
     ``attitudes`` are the attitudes before each rotation, and after the last.
@@ -91,7 +91,7 @@ def unit(axis: str) -> sp.Matrix:
 
 
 def cross(v: sp.Matrix) -> sp.Matrix:
-    """(v×)."""
+    """Cross-product matrix (v×)."""
     return sp.Matrix([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
@@ -118,21 +118,21 @@ def turn(u: sp.Matrix, theta: sp.Expr) -> sp.Matrix:
 
 
 def attitude_error(u: sp.Matrix, theta: sp.Expr) -> sp.Matrix:
-    """The braces of eq. 3: error that one rotation adds, in the axes it starts from."""
+    """Attitude error of one rotation, in the axes at its start (braces of eq. 3)."""
     scale = (_diagonal("gyro_scale") + _diagonal("gyro_asymmetry") * sp.sign(theta)) * u * theta
     bracket = sp.eye(3) * sp.sin(theta) + (1 - sp.cos(theta)) * cross(u)
     return scale + bracket * (_gyro_misalignment() * u)
 
 
 def bias_error(u: sp.Matrix, theta: sp.Expr) -> sp.Matrix:
-    """One term of eq. 20, in the axes the rotation starts from."""
+    """Attitude error of one rotation by the gyro biases, in the axes at its start (a term of eq. 20)."""
     ux = cross(u)
     bracket = sp.eye(3) + (1 - sp.cos(theta)) / theta * ux + (1 - sp.sin(theta) / theta) * ux**2
     return bracket * (theta / (sp.sign(theta) * RATE)) * _vector("gyro_bias")
 
 
 def force_error(down: sp.Matrix) -> sp.Matrix:
-    """Eq. 4."""
+    """Specific-force error of a stationary unit, eq. 4."""
     sign = -sp.diag(*down)
     linear = _diagonal("accel_scale") + _accel_misalignment() + _diagonal("accel_asymmetry") * sign
     return -g * linear * down + _vector("accel_bias")
@@ -167,23 +167,23 @@ def signature(sequence: str) -> Signature:
 
 
 def signatures() -> dict[str, Signature]:
-    """All 17, by id, in the order of Table 1."""
+    """Signatures of the 17 sequences by id, in the order of Table 1."""
     return {name: signature(name) for name in TABLE_1}
 
 
 def coefficients(expression: sp.Expr) -> dict[str, sp.Expr]:
-    """Factor of every sensor error in an expression that is linear in them; those with factor 0 are left out."""
+    """Factor of every sensor error in an expression that is linear in them; zero factors are omitted."""
     factors = {name: sp.diff(expression, symbol) for name, symbol in PARAMETERS.items()}
     return {name: factor for name, factor in factors.items() if factor != 0}
 
 
 def outer_axis_in_body(inner: sp.Expr) -> sp.Matrix:
-    """Components in B of the outer axis, ``R_z(inner)ᵀ e_y``: what a rotation of the outer axis turns about."""
+    """Components in B of the outer axis, ``R_z(inner)ᵀ e_y``."""
     return turn(unit("z"), inner).T * unit("y")
 
 
 def executable(inner_deg: int, rotations: tuple[tuple[int, str], ...]) -> bool:
-    """Whether every rotation is one of the inner axis (IMU z) or about an IMU axis that lies on the outer axis."""
+    """True if every rotation is one of the inner axis (IMU z) or about an IMU axis along the outer axis."""
     inner = sp.pi * sp.Rational(inner_deg, 180)
     for degrees, axis in rotations:
         if axis == "z":
