@@ -142,7 +142,7 @@ class EstimateDifference:
         worst = differing[np.argsort(-np.abs(self.normalised[differing]), kind="stable")]
         named = listing([f"{NAMES[i]} by {abs(self.normalised[i]):.1f}" for i in worst])
         limit = f"(limit {self.limit:.1f})"
-        return f"{self.estimator} differs from {self.reference}: {named} expected sigmas {limit}"
+        return f"{self.estimator} differs from {self.reference}: {named} times the expected standard deviation {limit}"
 
 
 def estimate_difference(

@@ -177,8 +177,8 @@ class Comparison:
         assert worst.largest is not None
         return (
             f"{_listing([self.reference, *self.differences])} agree: largest difference "
-            f"{abs(worst.normalised[worst.largest]):.1f} expected sigmas ({NAMES[worst.largest]} of "
-            f"{worst.estimator}; limit {worst.limit:.1f})."
+            f"{abs(worst.normalised[worst.largest]):.1f} times its expected standard deviation "
+            f"({NAMES[worst.largest]} of {worst.estimator}; limit {worst.limit:.1f})."
         )
 
     def error_over_sigma(self, name: str) -> Array:

@@ -135,7 +135,8 @@ def test_a_planted_difference_is_found_and_named(pair, name, sign):
     assert after.normalised[INDEX[name]] == pytest.approx(sign * 6.0)
     assert [NAMES[i] for i in np.flatnonzero(after.differing)] == [name]
     assert not comparison.agree
-    assert f"closed-form differs from least-squares: {name} by 6.0 expected sigmas" in comparison.verdict
+    found = f"closed-form differs from least-squares: {name} by 6.0 times the expected standard deviation"
+    assert found in comparison.verdict
 
 
 def test_a_difference_of_all_together_is_found_though_none_alone_is_large(pair):
@@ -177,9 +178,8 @@ def test_agreement_is_a_sentence(pair):
     comparison = compare(pair | {"ekf": pair["least-squares"]})
     worst = max(abs(comparison.differences["closed-form"].normalised))
     assert comparison.verdict.startswith("ekf, closed-form and least-squares agree: largest difference ")
-    assert f"{worst:.1f} expected sigmas ({NAMES[comparison.differences['closed-form'].largest]} of closed-form; " in (
-        comparison.verdict
-    )
+    largest = NAMES[comparison.differences["closed-form"].largest]
+    assert f"{worst:.1f} times its expected standard deviation ({largest} of closed-form; " in comparison.verdict
     assert comparison.differences["closed-form"].efficiency == pytest.approx(
         np.sqrt(np.mean((pair["closed-form"].sigma / pair["least-squares"].sigma) ** 2))
     )

@@ -105,12 +105,12 @@ _OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"), (VERMILION, "<"), (BLUE
 
 
 def estimator_styles(names: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Colour and marker of every estimator; those of this package have the same in every figure.
+    """Colour and marker of every estimator; those of this package are the same in every figure.
 
     Parameters
     ----------
     names : iterable of str
-        Estimators, or labels of a campaign's; shapes tell the same as colours, once more.
+        Names of estimators. The marker distinguishes them where colours cannot be told apart.
     """
     names = list(names)
     others = [name for name in names if name not in _ESTIMATORS]

@@ -1,4 +1,4 @@
-"""Text of an error budget: predicted 1-sigma errors by source, and the paper's own analysis ([P] §9)."""
+"""Text of an error budget: predicted 1-sigma errors by source, and the paper's own analysis (Savage 2020, §9)."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ def _leg_lines(turn: ManoeuvreSummary) -> list[str]:
 def _findings(inspection: Inspection) -> Iterable[str]:
     findings = inspection.diagnosis.findings
     if not findings:
-        how = "a calibration shows" if inspection.calibrated else "can be seen without calibrating (--deep does)"
-        yield from wrap(f"No fault found, as far as {how}.")
+        how = "with a calibration." if inspection.calibrated else "without calibrating; --deep also calibrates."
+        yield from wrap(f"No fault found {how}")
     for finding in findings:
         yield from wrap(f"{_EFFECTS[finding.effect]}: {finding.sentence}")

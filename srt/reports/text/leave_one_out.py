@@ -63,8 +63,8 @@ def overall(verdict: Mapping[str, Any]) -> str:
     else:
         words = "The measurements agree within their noise"
     return (
-        f"{words}: chi-square {statistic:.4g} for {freedom} degrees of freedom (about 1 each is expected), "
-        f"p = {probability(chance)}."
+        f"{words}: chi-square {statistic:.4g} for {freedom} degrees of freedom "
+        f"(expected: about 1 per degree of freedom), p = {probability(chance)}."
     )
 
 
