@@ -45,15 +45,15 @@ _UNIT: Final = np.ones(N_PARAMETERS)
 _UNIT[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 """Units in which corrections are compared, SI: 1, 1 rad, 1 rad/s, and 1 g for accelerometer biases."""
 _MAX_STEP: Final = 0.7
-"""Largest correction of one iteration, in ``_UNIT``: beyond it the linear step gives a direction, but no length."""
+"""Largest correction of one iteration, in ``_UNIT``: a longer linear step is reliable in direction, not in length."""
 _NEAR: Final = 1e-3
 """Correction, in ``_UNIT``, below which the full covariance of the measurements is computed and used as weights."""
 _LEAST_SCATTER: Final = 0.1
-"""Share of the variance of biases between sequences that must remain beside g-sensitivity to be estimated at all."""
+"""Share of the bias variance between sequences that remains after the fit of g-sensitivity; below it, no estimate."""
 
 
 class Solver(Protocol):
-    """Linear solution for the corrections. The closed form and least squares differ in this alone."""
+    """Linear solution for the corrections. The closed form and least squares differ only in this solution."""
 
     def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         """Matrix G of the correction δ = G z, shape (27, n_z); rows of fixed parameters are zero.
@@ -63,7 +63,7 @@ class Solver(Protocol):
 
     @property
     def coefficients(self) -> Array | None:
-        """Inversion at zero error for the composed step ([P] eq. 13), shape (27, n_z); None without one."""
+        """Inversion at zero error for the composed step ([P] eq. 13), shape (27, n_z); None if the solver has none."""
 
     @property
     def fixed(self) -> Mask:
@@ -76,7 +76,7 @@ class Solver(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """SolverResult of the iteration.
+    """Result of the iteration.
 
     Attributes
     ----------
@@ -95,11 +95,11 @@ class Solution:
     integrated : tuple of int
         Windows that moved; their attitude was integrated.
     wander : ndarray, shape (3,), rad/s
-        1-sigma of a sequence's gyro bias about that of the test, as used, raw channels.
+        1-sigma of a sequence's gyro bias about the mean of the test, as used, before compensation (sensor axes).
     bias_by_sequence : ndarray, shape (K, 3), rad/s
         Bias of each sequence less the common one, as used.
     g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
-        Γ as used, raw channels and axes of B; zero where it is not estimated.
+        Γ as used (rows: gyro axes before compensation; columns: axes of B); zero if it is not estimated.
     earth_rate_draws : ndarray, shape (S,), or None
         Estimate of the unknown part of the Earth rate, in units of its prior sigma.
     earth_rate : ndarray, shape (K, 3, S), rad/s
@@ -211,14 +211,15 @@ class Iteration:
         else:
             message = (
                 f"Not converged after {len(corrections)} iterations: the last correction was "
-                f"{corrections[-1] if corrections else np.inf:.2e} (largest parameter, accelerometer bias in g)."
+                f"{corrections[-1] if corrections else np.inf:.2e} "
+                "(largest component: ratios, rad; accelerometer biases in g)."
             )
         if final is None:
             final = self._process(errors, U, nominal=not self.options.measured_vertical, with_noise=True)
         return self._finish(final, errors, U, corrections, status, message)
 
     def _process(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:
-        """Process the recorded data at an estimate, the unknown part of the Earth rate as the rates at rest show it."""
+        """Process the recorded data with given errors and the current estimate of the unknown Earth rate."""
         draws = self.earth_rate_draws
         measurements = self.processor.process(
             errors,
@@ -250,7 +251,7 @@ class Iteration:
         except (np.linalg.LinAlgError, ValueError):
             gain = np.full((N_PARAMETERS, len(measurements.z)), np.nan)
         if not np.all(np.isfinite(gain)):
-            raise _DivergenceError("the equations are singular (wrong label, or a sequence without rotation?)")
+            raise _DivergenceError("the equations could not be solved (wrong label, or a sequence without rotation?)")
         return gain
 
     def _correct(
@@ -302,7 +303,7 @@ class Iteration:
         return np.asarray(np.sqrt(np.linalg.inv(measurements.gyro.matrix) ** 2 @ self.wander**2))
 
     def _scatter(self, measurements: SrtMeasurements) -> Array:
-        """1-sigma of the bias between sequences from the scatter of their rest rates beyond noise, raw channels."""
+        """1-sigma of the bias between sequences, from the variation of their rest rates beyond noise (sensor axes)."""
         left = measurements.scatter_left()
         if len(measurements.share) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
@@ -357,8 +358,8 @@ class Iteration:
         covariance["held_values"] = gain @ by_fixed @ by_fixed.T @ gain.T
         total = total + by_fixed @ by_fixed.T
         if self.data.noise.gyro_flicker is None:
-            # The reported bias is that of the unit; the bias of this test is one draw of it. A stated bias instability
-            # includes this already: its part common to all windows is an error of the bias alone.
+            # The reported bias is the unit's; the bias during this test differs from it by one random draw. A stated
+            # bias instability includes this already: its part common to all windows is an error of the bias alone.
             bias = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
             covariance["gyro_bias_instability"][bias, bias] += self.wander**2
         left = np.eye(len(measurements.z)) - measurements.H @ gain

@@ -6,9 +6,9 @@ fixed and reported. If the residuals are larger than the sensor noise explains, 
 unmodelled specific-force error are estimated from them by restricted maximum likelihood and added to R; a misfit that
 remains multiplies all sigmas by ``√(chi-square / degrees of freedom)`` (Birge ratio).
 
-Leave-one-out removes the rows of a sequence from the information matrix. With the measurements split into u (the rows
-of horizontal and down components) and a pooled rate p, the information is that of u plus that of p given u, so that
-one inverse of R serves all sequences.
+Leave-one-out removes the rows of a sequence from the information matrix. The measurements z are split into u (the rows
+of horizontal and down components) and the pooled rate p. The information is ``I(u) + I(p | u)``, so the inverse of R
+is computed once, for u.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 
 _ROUNDS: Final = 3
-"""Largest number of re-estimations of fixed parameters, and of unmodelled errors."""
+"""Largest number of rounds that select anew which parameters are fixed, and that estimate the unmodelled errors."""
 
 
 class LeastSquaresSolver:
@@ -84,7 +84,7 @@ class LeastSquaresSolver:
             normal = normal + np.eye(len(free))
         weighted = solve_triangular(L, A[:, free], lower=True, trans="T").T * scale
         G = np.zeros((N_PARAMETERS, len(scale)))
-        # Equilibrated: each parameter in units of its conditional sigma.
+        # Each parameter in units of its conditional sigma, for the condition number.
         d = 1.0 / np.sqrt(np.diag(normal))
         G[free] = (self._prior[free] * d)[:, None] * cho_solve(
             cho_factor(normal * np.outer(d, d), lower=True), d[:, None] * weighted
@@ -182,13 +182,13 @@ def without_sequences(
     """Weighted least squares without each sequence (see the module docstring)."""
     measurements, n = solution.measurements, len(solution.measurements.z)
     estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
-    # The weights are those of the noise alone; fixed values were added to the covariance after the solution.
+    # The weights are R⁻¹ of the noise alone; the variance of fixed parameters was added after the solution.
     by_fixed = measurements.H * np.where(estimated, 0.0, fixed_sigma(data, options))
     noise = solution.measurement_covariance - by_fixed @ by_fixed.T
     sigma = np.sqrt(np.maximum(np.diag(solution.gain @ noise @ solution.gain.T), 0.0))
     unit = np.where(estimated, sigma, 0.0)
     back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
-    # The last pool leaves nothing out: it gives the estimate with all sequences.
+    # The last pool omits no sequence: it gives the estimate from all sequences.
     pools = np.concatenate([pooling_weights_without(data, solution, rows_by_sequence), measurements.pool[None]])
     gain = _bias_gain(data, options, solution)
     with_u, own = _pooled_noise(data, solution, gain, pools)
@@ -196,8 +196,8 @@ def without_sequences(
     H_pools = np.einsum("kw,wap->kap", pools, model.rate_error_jacobian(measurements.rate, measurements.gyro)) * unit
     z_pools = measurements.z[n - 3 :] + (pools - measurements.pool) @ rates
     pooled = np.concatenate([H_pools, z_pools[:, :, None]], axis=2)
-    # Subtracting whole biases instead of their differences from the pooled one changes no estimate and keeps the
-    # pooled rate in rows of its own.
+    # Each sequence's full bias is subtracted here, not its deviation from the pooled bias. The estimates are the same,
+    # and the pooled rate stays in separate rows.
     T = np.eye(n)[: n - 3]
     T[: 2 * data.K, n - 3 :] = -_offset_effect(data, solution, gain)
     R = T @ noise @ T.T
@@ -227,7 +227,7 @@ def _bias_gain(data: PreparedRecording, options: Options, solution: Solution) ->
 
 
 def _offset_effect(data: PreparedRecording, solution: Solution, gain: Array) -> Array:
-    """Effect of a pooled rate on the horizontal components through the biases less it, shape (2 K, 3)."""
+    """Effect of the pooled rate on the horizontal components via the bias deviations (own − pooled), shape (2 K, 3)."""
     measurements = solution.measurements
     per_rate = measurements.integrals.time @ measurements.gyro.matrix
     M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)
@@ -235,7 +235,7 @@ def _offset_effect(data: PreparedRecording, solution: Solution, gain: Array) -> 
 
 
 def _pooled_noise(data: PreparedRecording, solution: Solution, gain: Array, pools: Array) -> tuple[Array, Array]:
-    """Covariance of rates pooled in P ways with the measurements, shape (n_z, 3 P), and of each, shape (P, 3, 3)."""
+    """Cross-covariance of z with P pooled rates, (n_z, 3 P), and covariance of each pooled rate, (P, 3, 3)."""
     measurements = solution.measurements
     with_z = np.zeros((len(measurements.z), 3 * len(pools)))
     own = np.zeros((len(pools), 3, 3))

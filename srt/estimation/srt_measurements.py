@@ -1,8 +1,9 @@
-"""SRT measurements of the compensated data (Savage 2020 [P], eqs. 1-2) and their Jacobian.
+"""SRT measurements of the compensated data (Savage 2020 [P], eq. 1) and their Jacobian.
 
 The measurements of K sequences over W windows are one vector ``z = [Δa_H (2 per sequence), a_Down (W), ω_rest (3)]``:
 the change of horizontal specific force along two horizontal directions of B_Strt, the down part of every window, and
-the pooled gyro rate at rest less the Earth rate. With the true errors z is noise alone; fixture errors cancel.
+the pooled gyro rate at rest less the Earth rate. With the true errors, z is noise alone; fixture errors cancel. The
+attitudes are those of :mod:`srt.model.analytic_platform` ([P] eq. 2).
 """
 
 from __future__ import annotations
@@ -167,7 +168,7 @@ class SrtProcessor:
         for k, w in enumerate(data.end.tolist()):
             if self._sequence[w] < 0:
                 self._sequence[w], self._is_end[w] = k, True
-        # The mean rate of a window that moved is no rest rate. If all windows are integrated, none was found moving.
+        # The mean rate of a window that moved is not a rest rate. If the option integrates all windows, they all count.
         rested = duration if self.integrated.all() else np.where(self.integrated, 0.0, duration)
         self._pool = rested / rested.sum()
         self._share = np.zeros((data.K, W))
@@ -214,7 +215,7 @@ class SrtProcessor:
         bias_offset : ndarray, shape (K, 3), optional
             Gyro bias of each sequence less the common one, rad/s.
         g_sensitivity : ndarray, shape (3, 3), rad/s per m/s², optional
-            Γ (raw channels, axes of B), used where the options ask for it; default zero.
+            Γ (rows: gyro axes before compensation; columns: axes of B), used if the options select it; default zero.
         earth_rate_offset : ndarray, shape (K, 3), rad/s, optional
             Estimate of the unknown part of the Earth rate in each B_Strt (no heading or latitude); default zero.
         with_noise : bool
@@ -361,7 +362,7 @@ class SrtProcessor:
         B = np.concatenate(in_B).T @ np.concatenate(in_T)
         left, singular, right = np.linalg.svd(B)
         if singular[1] < _PARALLEL * singular[0]:
-            # Parallel verticals and no single-axis rotation leave the angle about the vertical open: take the last U's.
+            # Parallel verticals without a single-axis rotation leave the angle about the vertical unknown: U keeps it.
             left, _, right = np.linalg.svd(B + _PARALLEL * singular[0] * U)
         out: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
         return out
