@@ -199,6 +199,7 @@ class _AttitudeChain:
 
     def extend(self, phi: Array, first: int) -> Array:
         """Append the rotation vectors (3, m) of the samples from ``first`` on; return Ĉ at mid-interval, (3, 3, m)."""
+        # Ĉ relative to inertial space: the solution of [P] eq. 2 without its term of the Earth's rotation.
         chained = rotations.multiply(self._last, rotations.prefix_product(rotations.from_rotation_vector(phi)))
         self._last = chained[:, -1:]
         ended = np.flatnonzero((self._starts > first) & (self._starts <= first + phi.shape[1]))
@@ -259,8 +260,8 @@ class _ErrorSums:
         gyro : Triad
         """
         stream = self._stream
-        # The Earth's rotation is removed exactly from the attitudes, and from the integrals by its mean: it is less
-        # than 1e-3 rad in a sequence, and the mean leaves a tenth of that.
+        # The Earth's rotation ([P] eq. 2) is removed exactly from the attitudes, and from the integrals by its mean: it
+        # is less than 1e-3 rad in a sequence, and a tenth of that remains.
         elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
         C_end = rotations.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
         middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
@@ -313,7 +314,7 @@ def _integrands(theta: Array, dt: Array, velocity: Array | None) -> Array:
     V = np.empty((7 if velocity is None else 10, len(dt)))
     V[:3] = theta
     np.abs(theta, out=V[3:6])
-    V[6] = dt
+    V[6] = dt  # gyro bias, [P] eq. 21 with the weight F
     if velocity is not None:
         V[7:] = velocity
     return V

@@ -1,11 +1,11 @@
-"""Integrals over a rotation in which the attitude error is linear in the gyro errors.
+"""Integrals of a rotation in which the attitude error is linear in the gyro errors, gyro bias (eq. 21) included.
 
 With Ĉ the attitude (B to B_Strt) and δω̂ = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) the error of the compensated rate
 (D the inverse slope of the sensor model, identity for a calibrated IMU), the attitude error that acts on the change of
 the averaged acceleration is ``φ = ∫ F Ĉ δω̂ dt``. The weight F(t) is 1 in the rotation, and 0 in windows in which the
 attitude is held constant. In an integrated window it is the fraction of the averaging after t (end window) or before t
-(start window). φ is linear in four integrals. For an ideal rotation they have a closed form ([P] eqs. 3, 20-21; [P]:
-Savage 2020); for a recorded one :mod:`srt.model.analytic_platform` computes them with the attitude.
+(start window). φ is linear in four integrals. For an ideal rotation they have a closed form ([P]: Savage 2020,
+eqs. 3, 20-21); for a recorded one :mod:`srt.model.analytic_platform` computes them with the attitude.
 """
 
 from __future__ import annotations

@@ -97,7 +97,12 @@ class Triad:
         return v @ self.matrix.T + self.asymmetry * np.abs(v) + self.bias
 
     def compensate(self, reading: ArrayLike) -> Array:
-        """Invert :meth:`read` exactly, for readings of shape (..., 3)."""
+        """Invert :meth:`read` exactly, for readings of shape (..., 3).
+
+        Two faster inverses give the same values: of gyro streams (:mod:`srt.model.analytic_platform`; compared in
+        tests/model/test_sensor_model.py) and of applied calibrations (:mod:`srt.result.triad_inverse`; compared in
+        tests/result/test_apply.py).
+        """
         y = np.asarray(reading, dtype=np.float64) - self.bias
         if not self.asymmetry.any():
             return np.asarray(y @ np.linalg.inv(self.matrix).T)
