@@ -1,1 +1,1 @@
-"""Mount alignment ([P] §10): attitude of the sensor axes in the mount."""
+"""Mount alignment (Savage 2020, §10): attitude of the sensor axes in the mount."""

@@ -1,4 +1,4 @@
-"""Mount alignment ([P] §10) from a level and a pitched static pose, and its file.
+"""Mount alignment (Savage 2020, §10) from a level and a pitched static pose, and its file.
 
 Frames: B is MARS. M is the mount: z down when the mount is level, y along its lateral reference, x forward. ``C_bm``
 takes M- to B-components; an attitude output ``C_nb`` becomes that of the mount by ``C_nm = C_nb C_bm``.

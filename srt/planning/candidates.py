@@ -100,7 +100,7 @@ class Candidate:
         return self.down, self.rotations
 
     def catalogue_sequence(self) -> RotationSequence:
-        """Sequence in the form of Table 1 ([P])."""
+        """Sequence in the form of Table 1 (Savage 2020)."""
         inner, outer = (math.radians(a) for a in self.start_deg)
         rotations = tuple((axis, math.radians(turn)) for axis, turn in self.rotations)
         return RotationSequence(self.label, self.down, self.along_outer, inner, outer, rotations)

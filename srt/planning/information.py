@@ -1,4 +1,4 @@
-"""Fisher information of candidate sequences: the shared measurement model ([P] eqs. 3-5) for ideal rotations.
+"""Fisher information of candidate sequences: measurement model (Savage 2020, eqs. 3-5) for ideal rotations.
 
 A sequence has ten measurements: the change of horizontal specific force along two directions, the down component in
 both windows, and the mean angular rate in both windows. The unknowns are the 27 sensor errors, gravity and north.

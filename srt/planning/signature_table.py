@@ -1,4 +1,4 @@
-"""Signature of a sequence: coefficients of the sensor errors in its measured components ([P] Table 2)."""
+"""Signature of a sequence: coefficients of the sensor errors in its measured components (Savage 2020 [P], Table 2)."""
 
 from __future__ import annotations
 
