@@ -19,7 +19,6 @@ from srt.recording.samples import SAMPLES_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 AUTO: Final = "auto"
