@@ -160,6 +160,13 @@ def hand_turns(
     return turns
 
 
+START_DEG = (-91.0, 1.0, -91.0)
+"""Yaw, pitch and roll at the start of a hand-turned recording, deg."""
+
+NINETEEN_START_DEG = (-91.0, 89.0, 1.0)
+"""The same of the 19-position test: x vertical, y and z horizontal to a degree, so that the first turns are seen."""
+
+
 def nineteen_positions(rest_s: float = 20.0) -> tuple[list[Turn], float]:
     """Turns of the 19-position test (Xie Bo 2011, as PSINS' demonstration has it), and the first rest."""
     text = ["y+"] * 3 + ["y-"] * 3 + ["z+"] + ["x+"] * 3 + ["x-"] * 3 + ["z+"] * 2 + ["z-"] * 3
@@ -181,12 +188,14 @@ def windows(turns: list[Turn], first_rest_s: float) -> list[tuple[float, float]]
     return out
 
 
-def recording(turns, first_rest_s, errors, grade, rng, *, profile="raised-cosine", hz=100.0, labelled=False):
+def recording(
+    turns, first_rest_s, errors, grade, rng, *, profile="raised-cosine", hz=100.0, labelled=False, start_deg=START_DEG
+):
     """A free recording of which no noise is stated, unlabelled unless asked for."""
     import srt
 
     dt, latitude = 1.0 / hz, 34.0 * DEG
-    start = Rotation.from_euler("ZYX", [-91.0, 1.0, -91.0], degrees=True)
+    start = Rotation.from_euler("ZYX", start_deg, degrees=True)
     body = attitudes(turns, start, first_rest_s, dt, profile, rng)
     rate, force = true_samples(body, dt, latitude)
     gyro, accel = readings(rate, force, errors, grade, dt, rng)
