@@ -1,8 +1,8 @@
 """19-position test (Xie Bo 2011) without labels: rms errors, sigmas and time, beside figures of PSINS' Kalman filter.
 
 Recordings by ``benchmarks/foreign_motion.py``: 18 rotations of 90 degrees in 9 s with soft ends, rests of 20 s (60 s at
-first), 100 Hz, 0.001 °/√h and 10 µg/√Hz, heading unknown. The figures of PSINS are one draw of its own demonstration with
-the same noise, under Octave.
+first), 100 Hz, 0.001 °/√h and 10 µg/√Hz, heading unknown. PSINS' figures are one draw of its own demonstration with the
+same noise, under Octave.
 """
 
 from __future__ import annotations
