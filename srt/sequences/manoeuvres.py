@@ -1,4 +1,4 @@
-"""Manoeuvres between stationary windows: rotations about one axis each, faces down, angles against nominal ones."""
+"""Manoeuvres between stationary windows: their single-axis rotations (legs), and a check against the labels."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 MOVING: Final = 0.2
 """Share of the highest rate of a manoeuvre above which the unit moves."""
 _SMOOTH_S: Final = 0.05
-"""Averaging time of the rate whose largest axis names the rotation, s: longer than noise, shorter than a stop."""
+"""Averaging time, s, of the rate whose largest component gives the axis; shorter than a stop between rotations."""
 
 _SHORTEST: Final = 0.02
-"""Share of the duration of a manoeuvre below which a leg is a transient between two others."""
+"""Share of a manoeuvre's duration below which a leg is a transient between two others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +96,7 @@ def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeu
         else:
             bounds.append([int(moving[lo]), int(moving[hi - 1]) + 1])
             names.append(int(key[lo]))
-    # Every sample belongs to a leg: cut in the middle of what lies between two.
+    # Every sample belongs to a leg: the border is the middle of the gap between two legs.
     middles = [(bounds[i][1] + bounds[i + 1][0]) // 2 for i in range(len(bounds) - 1)]
     edges = np.array([0, *middles, b - a], dtype=np.intp)
     legs = np.add.reduceat(per_sample, edges[:-1], axis=0)
@@ -107,11 +107,11 @@ QUARTER: Final = 0.5 * np.pi
 """Quarter turn, rad."""
 
 LEGAL_SCALE: Final = (0.5, 1.6)
-"""Gyro reading over truth for which quarter turns are counted: scale errors of 30 %, with a margin as large."""
+"""Accepted ratio of gyro angle to quarter turns: scale-factor errors of 30 %, with a margin of the same size."""
 _UPRIGHT: Final = 0.75
-"""Cosine of the angle to the next axis, within which a face counts as down: 40° take in misalignment and bias."""
+"""Cosine of the largest angle between a face's axis and the vertical, 40°: a margin for misalignment and bias."""
 _PURE: Final = 0.75
-"""Share of a leg's angle on its largest axis, above which it is a rotation about that axis."""
+"""Share of a leg's angle about its largest axis, above which the leg is a rotation about that axis."""
 
 OFF: Final = 0.4
 """Largest distance of an angle from a whole number of quarter turns, in quarter turns."""
@@ -119,7 +119,7 @@ OFF: Final = 0.4
 
 @cache
 def quarter_turn(axis: int, count: int) -> Counts:
-    """Rotation by quarter turns about a body axis, turned to unturned components, shape (3, 3), whole numbers."""
+    """Rotation by quarter turns about a body axis, components after to before, shape (3, 3), integers."""
     c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
     out = np.eye(3, dtype=np.int64)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -137,7 +137,7 @@ def centred(force: Array, gravity: float) -> Array:
 
 
 def faces(force: Array, gravity: float) -> list[tuple[int, int] | None]:
-    """Body axis that is down, and its sign, for every window; None where no axis is near the vertical."""
+    """Body axis that is down, and its sign, for every window; None if no axis is near the vertical."""
     f = centred(force, gravity)
     axis = np.argmax(np.abs(f), axis=1)
     share = np.abs(f[np.arange(len(f)), axis]) / np.maximum(np.linalg.norm(f, axis=1), 1e-300)
@@ -153,7 +153,7 @@ def face_vector(face: tuple[int, int]) -> Counts:
 
 
 def leg_axis(leg: Array) -> tuple[int, float] | None:
-    """Sensor axis of a leg and its signed raw angle; None where no axis stands out."""
+    """Sensor axis of a leg and its signed raw angle; None if no axis dominates."""
     axis = int(np.argmax(np.abs(leg)))
     size = float(np.linalg.norm(leg))
     if size == 0.0 or abs(leg[axis]) < _PURE * size:
@@ -164,7 +164,7 @@ def leg_axis(leg: Array) -> tuple[int, float] | None:
 def scales(turns: Sequence[Manoeuvre], face: Sequence[tuple[int, int] | None]) -> Array:
     """Reading over truth of each gyro axis, from manoeuvres of one leg that change the face that is down, shape (3,).
 
-    The faces that are down before and after give the angle but for full circles, whatever the gyro reads.
+    The faces that are down before and after give the true angle up to full turns, independently of the gyro.
     """
     ratios: list[list[float]] = [[], [], []]
     for turn in turns:
@@ -185,7 +185,7 @@ def scales(turns: Sequence[Manoeuvre], face: Sequence[tuple[int, int] | None]) -
 
 
 def quarters(legs: Array, scale: Array) -> list[tuple[int, int]] | None:
-    """Axis and quarter turns of each leg; None where a leg is no whole number of quarter turns about one axis."""
+    """Axis and quarter turns of each leg; None if a leg is not a whole number of quarter turns about one axis."""
     out = []
     for leg in legs:
         found = leg_axis(leg)
@@ -201,7 +201,7 @@ def quarters(legs: Array, scale: Array) -> list[tuple[int, int]] | None:
 
 
 _SIGMAS: Final = 6.0
-"""Largest rotation error over its sigma before a label is doubted: about 1e-9 by chance."""
+"""Largest rotation error, in sigma, that is consistent with a label (false alarms: p = 1e-9)."""
 
 
 @cache

@@ -1,9 +1,8 @@
-"""Plausibility of readings: wrong units, clipped readings and interruptions, told from means and extremes.
+"""Plausibility of readings: wrong units, clipped readings and interruptions, from means and extremes.
 
-A unit may be wrong by half before it is calibrated, so only what no such unit could read is refused: a rest
-of 0.35 to 1.8 g and turns of 0.35 to 1.8 times the label are believed. A wrong unit is off by a factor of its
-own, mostly far beyond that, and the same in every window; one window off alone is a wrong label or a
-disturbance.
+An uncalibrated IMU may have errors of 50 %. Therefore a specific force at rest of 0.35 to 1.8 g, and rotations of 0.35
+to 1.8 times the label, are accepted. A wrong unit changes all windows by the same factor, mostly a much larger one. A
+deviation in one window only is a wrong label or a disturbance.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 LEGAL_RATIO: Final = (0.35, 1.8)
-"""Reading over truth of an uncalibrated unit: 50 % of scale factor, and 1 m/s² or its like of bias."""
+"""Accepted ratio of reading to truth for an uncalibrated IMU: 50 % scale-factor error, and a bias of about 0.1 g."""
 
-_MATCH = math.log(1.8)  # a unit is recognised through the errors of an uncalibrated sensor
-_COUNTS_ABOVE = 60.0  # no factor above a right angle in degrees is told for sure from counts
-_AS_GOOD = math.log(1.25)  # causes that lie so close to the best one are named with it
+_MATCH = math.log(1.8)  # largest distance of a ratio from a cause: the errors of an uncalibrated sensor
+_COUNTS_ABOVE = 60.0  # above it (degrees declared as radians: 57), raw counts are possible too
+_AS_GOOD = math.log(1.25)  # a second cause this close to the best one is named too
 
 _G = STANDARD_GRAVITY_M_S2
 _ACCEL_CAUSES = (
@@ -59,40 +58,40 @@ _INCREMENTS = "the values look like increments per sample, declared as rates"
 _RATES = 'the values look like rates, declared as increments (key kind of recording.toml: "rate")'
 
 _NO_NOISE: Final = 1e-7
-"""Second difference of neighbouring readings over the largest reading, below which there is no noise: the Earth's rate
-in a turn of 1 rad/s makes 1e-8 at 100 Hz, a navigation unit's noise 1e-5."""
+"""Ratio of the second difference of successive readings to the largest reading, below which readings are noise-free:
+the Earth rate in a rotation of 1 rad/s makes 1e-8 at 100 Hz, the noise of a navigation-grade unit 1e-5."""
 
 _MOSTLY_NOISY: Final = 0.5
-"""Share of the held readings during which another channel of the triad is noisy: clipping silences one alone."""
+"""Share of repeated extreme readings with noise in another channel of the triad, above which they are clipped."""
 
 _PILE: Final = 5
-"""Readings at an extreme, and their number over that of the readings one step inside, that no noise makes."""
+"""Number of readings at an extreme, and its ratio to the number one step inside, from which they are clipped."""
 
 _NOISY: Final = 0.5
-"""Step of the readings over their noise, below which equal readings are no matter of resolution."""
+"""Ratio of the resolution to the noise below which equal readings are not explained by the resolution."""
 
 _LEAST_GYRO_RAD_S: Final = 0.2
 _LEAST_ACCEL_M_S2: Final = 0.5 * _G
-"""Smallest ranges that are believed: an output held at zero (dead band) is another fault."""
+"""Smallest accepted range limits, rad/s and m/s²: an output fixed at zero (dead band) is another fault."""
 
 _RANGE_MARGIN: Final = 0.999
-"""Largest count over the round figure of the data sheet."""
+"""Ratio of the largest count to the rounded range of the data sheet."""
 
 _BEYOND: Final = 1.001
-"""Reading over the stated range, from which the range is stated wrongly: it did not stop the reading."""
+"""Ratio of a reading to the stated range above which the range is wrong, because it did not limit the reading."""
 
 _LARGEST_COUNT: Final = 2 ** np.array([12, 14, 16, 18, 20, 24]) // 2
 """Full scale of signed converters, counts."""
 
 _MEDIAN_OF_DIFFERENCES: Final = 0.954
-"""Median of the absolute difference of two normal readings, in sigmas of one: 0.6745 √2."""
+"""Median absolute difference of two readings with normal noise, in sigma of one reading: 0.6745 √2."""
 
 _STRETCHES: Final = 8
 _STRETCH: Final = 1000
-"""Number and length of the stretches of readings that resolution and noise are taken from."""
+"""Number of stretches of readings, and their length in samples, from which resolution and noise are estimated."""
 
 _REPEATS: Final = 0.2
-"""Share of readings that equal the one before, above which the resolution is coarse: pulses, or a unit at rest."""
+"""Share of readings equal to the one before, above which the resolution is coarse (pulses, or a unit at rest)."""
 
 SHORTEST_INTERVAL_S: Final = 5e-6
 LONGEST_INTERVAL_S: Final = 0.5
@@ -135,7 +134,7 @@ class Clipping:
 
 
 def check_interval(recording: Recording) -> None:
-    """Refuse a sampling interval that no strapdown IMU has, mostly a wrong time unit.
+    """Refuse an implausible sampling interval, which mostly means a wrong time unit.
 
     Parameters
     ----------
@@ -157,7 +156,7 @@ def check_interval(recording: Recording) -> None:
 def check_rest(
     mean_accel: ArrayLike, gravity: float, labels: Sequence[str], *, interval_s: float | None = None
 ) -> None:
-    """Refuse accelerometer means at rest that no unit could read.
+    """Refuse implausible accelerometer means at rest.
 
     Parameters
     ----------
@@ -199,7 +198,7 @@ def check_rest(
 def check_turns(
     angle_rad: ArrayLike, nominal_rad: ArrayLike, labels: Sequence[str], *, interval_s: float | None = None
 ) -> None:
-    """Refuse turns that no gyros could have read so.
+    """Refuse implausible gyro angles.
 
     Parameters
     ----------
@@ -236,11 +235,11 @@ def check_turns(
 
 
 def clipping_levels(recording: Recording) -> ClippingLevels:
-    """Find the readings at which channels are clipped, stated or seen.
+    """Find the readings at which channels are clipped, from the stated range and from the readings.
 
-    Readings of a noisy channel never repeat at an extreme by chance. A value held for three readings there, many more
-    readings at it than one step inside, or several at the full scale of a converter, is a limit, whatever range is
-    stated. Coarse and noise-free readings repeat everywhere: in them clipping shows only by the stated range.
+    A noisy channel does not repeat its extreme reading. Three equal readings in a row at the extreme, many more
+    readings there than one step inside, or several at the full scale of a converter are clipped, whatever range is
+    stated. Coarse or noise-free readings repeat at any value: clipping is then found by the stated range only.
 
     Parameters
     ----------
@@ -261,7 +260,7 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     for s, (values, stated, pulse, least) in enumerate(sensors):
         if stated is not None:
             peak = max(float(values.max()), -float(values.min()))
-            # Pulses carry over what is left of the sample before.
+            # A pulse output adds the remainder of the previous sample.
             beyond = (_BEYOND * stated + 2.0 * (pulse or 0.0) / dt) * per_sample
             if _RANGE_MARGIN * stated * per_sample <= peak <= beyond:
                 high[3 * s : 3 * s + 3] = _RANGE_MARGIN * stated * per_sample
@@ -273,11 +272,11 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
 
 
 def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
-    """Lowest and highest readings of the channels of a triad where they are limits; infinite where they are not."""
+    """Lowest and highest readings of the channels of a triad if they are range limits; otherwise infinite."""
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     starts = np.linspace(0, max(len(triad) - _STRETCH, 0), _STRETCHES).astype(int)
     some = np.concatenate([triad[a : a + _STRETCH] for a in starts.tolist()])
-    # Without noise a turn at one rate repeats its extreme too, but then the other channels are smooth meanwhile.
+    # A noise-free rotation at a constant rate also repeats its extreme, but then the other channels are smooth too.
     roughness = np.abs(triad[2:] - 2.0 * triad[1:-1] + triad[:-2])
     noisy = roughness > _NO_NOISE * float(np.abs(triad).max())
     for axis in range(3):
@@ -298,13 +297,13 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
 
 
 def _is_limit(channel: Array, extreme: float, step: float, others_noisy: Mask) -> bool:
-    """Tell whether noisy readings stop at their largest value."""
+    """Return True if noisy readings are clipped at their largest value."""
     at = channel == extreme
     held = at[2:] & at[1:-1] & at[:-2]
     if held.any():
         return float(np.mean(others_noisy[held])) > _MOSTLY_NOISY
     count, inside = int(at.sum()), int(np.sum(np.abs(channel - (extreme - step)) < 0.5 * step))
-    # Two's complement reaches one count farther down.
+    # Two's complement: the negative full scale is one count larger.
     full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
     return (count >= _PILE and count >= _PILE * inside) or (full_scale and count > 1)
 
@@ -368,7 +367,7 @@ def _illegal(ratio: Array) -> Indices:
 
 
 def _likely_cause(ratio: float, causes: tuple[tuple[float, str], ...], interval_s: float | None) -> str | None:
-    """Name the cause, or the two causes that explain a ratio about equally well."""
+    """Likely cause of a ratio, or the two causes that explain it about equally well."""
     if ratio <= 0.0:
         return None
     if interval_s is not None:

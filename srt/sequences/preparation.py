@@ -1,4 +1,4 @@
-"""Preparation of a recording: sequences, window means, rotation samples; unusable data is refused or voided."""
+"""Preparation of a recording: sequences, window means, rotation samples; unusable data is rejected."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class PreparedRecording:
     def earth_rate_base(self) -> Array:
         """Known part of the Earth's rate in fixture base axes, rad/s.
 
-        None of it is known without a latitude, the vertical part alone without a heading.
+        Zero without a latitude; only the vertical part without a heading.
         """
         site, fixture = self.recording.site, self.recording.fixture
         if site.latitude_rad is None:
@@ -149,15 +149,15 @@ class PreparedRecording:
         Parameters
         ----------
         integrated : ndarray of bool, shape (W,)
-            Windows over which the attitude is integrated instead of held.
+            Windows in which the attitude is integrated; it is constant in the others.
         with_force : bool
-            Give the specific force of all samples though no window is integrated.
+            Return the specific force of all samples even if no window is integrated.
 
         Returns
         -------
         stream : GyroStream
         force : ndarray, shape (3, n), or None
-            Raw specific force of the samples, m/s²; None if no window is integrated and it is not asked for.
+            Raw specific force of the samples, m/s²; None if no window is integrated and ``with_force`` is False.
         weights : ndarray, shape (n,), or None
             Averaging weight of each sample in its window, 0 outside the integrated windows; None if there are none.
         """
@@ -210,7 +210,7 @@ def prepare(
     voided: dict[str, str] | None = None,
     poses: Sequence[SequenceLabel] = (),
 ) -> PreparedRecording:
-    """Average the windows and set up the sequences; of ``poses`` the start windows alone.
+    """Average the windows and set up the sequences; ``poses`` contribute only their start windows.
 
     Raises
     ------
@@ -273,11 +273,11 @@ def _prepare(
 
 
 _CHUNKS: Final = 20
-"""Parts of a window whose mean rates are summed to its angle."""
+"""Number of parts of a window whose mean rates are summed to the angle."""
 
 _MOTION_RAD: Final = 5e-3
 _MOTION_SIGMAS: Final = 8.0
-"""Angle inside a window that is refused, rad, and over its noise; smaller ones are integrated."""
+"""Limits of the angle turned inside a window, rad and in sigma; above both the window is refused, else integrated."""
 
 
 def prepare_checked(
@@ -287,7 +287,7 @@ def prepare_checked(
     *,
     poses: tuple[SequenceLabel, ...] = (),
 ) -> PreparedRecording:
-    """Check a labelled recording and prepare it; of ``poses`` the start windows alone.
+    """Check a labelled recording and prepare it; ``poses`` contribute only their start windows.
 
     Sequences with a gap or clipped samples are voided; the result says so.
 
@@ -318,7 +318,7 @@ def _prepare_checked(
             whole.append(label)
     data = prepare(recording, whole, average, voided=voided, poses=poses)
     _check_overlap(data)
-    # Units before clipping: degrees taken for radians are beyond any range.
+    # Units are checked before clipping: degrees read as radians exceed any range.
     dt = recording.nominal_interval_s
     check_rest(data.windows.accel_mean, data.gravity, _window_titles(data), interval_s=dt)
     _check_turned(data)
@@ -329,7 +329,7 @@ def _prepare_checked(
         left = [s for s in whole if not clipped[s.title]]
         data = prepare(recording, left, average, voided=voided, poses=poses)
     if recording.sequences:
-        # Windows found by the segmentation are as still as the unit ever was; what moves in them is integrated.
+        # Windows that were detected contain no large motion; small motion in them is integrated.
         _check_stillness(data)
     return data
 
@@ -357,7 +357,7 @@ def _window_titles(data: PreparedRecording) -> list[str]:
 
 
 def _check_turned(data: PreparedRecording) -> None:
-    """Magnitudes of single-axis turns against their labels: units of the gyros, whatever their axes."""
+    """Check the magnitudes of single-axis rotations against their labels: wrong gyro units, for any axis mapping."""
     turned, nominal, titles = [], [], []
     recording = data.recording
     for k, label in enumerate(data.labels):
@@ -377,7 +377,7 @@ def _check_turned(data: PreparedRecording) -> None:
 
 
 def _check_stillness(data: PreparedRecording) -> None:
-    """Refuse a window in which the unit visibly turned; small drifts are integrated later instead of held."""
+    """Refuse a window in which the unit rotated; smaller drifts are integrated later."""
     recording, noise = data.recording, data.noise
     samples, T = data.windows.samples, data.windows.duration_s
     n = min(_CHUNKS, int(np.diff(samples, axis=1).min()))

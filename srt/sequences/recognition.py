@@ -1,9 +1,9 @@
 """Recognition of the sequences of Table 1 in an unlabelled recording, in any order, with repeats and moves between.
 
-Faces that are down at rest and quarter turns counted by the gyros give each turn as a word; the 17 sequences are words
-too, each with the attitude it starts from. Between two rests of one contiguous piece the attitude is carried along in
-right angles, so that a sequence whose turns fit but which started the other way round about the vertical is not taken.
-The most probable reading of a piece is found by dynamic programming over its rests.
+Each manoeuvre is described by the face that is down before it and by its quarter turns, counted by the gyros. The 17
+sequences are described in the same way, each with its start attitude. Within one contiguous piece of the recording the
+attitude is propagated by quarter turns. This excludes a sequence with the right turns that started at another heading.
+Dynamic programming over the stationary windows finds the most probable assignment of a piece.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ if TYPE_CHECKING:
 
 
 _JOIN: Final = 0.6
-"""Cost, in legs, of a jump of attitude inside a rest that nothing else shows."""
+"""Cost, in legs, of assuming an attitude jump inside a stationary window without other evidence."""
 _JOIN_OF_TWO: Final = 0.3
-"""The same in a rest as long as two dwells: on both sides of a sequence of one leg they cost less than it explains."""
+"""The same in a window as long as two dwells: a jump at each end of a one-leg sequence must cost less than one leg."""
 _ANGLE_SIGMA: Final = 0.05
-"""One sigma of a leg's angle about its nominal one, for the confidence: fixture and unit together, with room."""
+"""1-sigma of a leg's angle about the nominal one, rad, for the confidence: fixture and unit, with a margin."""
 _STEP: Final = 60.0
-"""Gain in chi-square by which a step of attitude in a rest is believed."""
+"""Decrease of chi-square above which an attitude jump in a stationary window is accepted."""
 _TWO_DWELLS: Final = 1.5
-"""Length of a rest over the usual one, from which it counts as two."""
+"""Ratio of a window's length to the median length, above which it counts as two dwells."""
 DOUBTFUL: Final = 0.5
-"""Confidence below which a sequence is warned of."""
+"""Confidence below which a sequence causes a warning."""
 _NEARLY_ALL: Final = 15
-"""Different sequences with which they are not doubted either."""
+"""Number of different recognised sequences from which other names of the axes are not tried."""
 _CLEARLY: Final = 1.2
-"""Times as many legs in sequences that another naming of the axes must explain."""
+"""Ratio of recognised legs by which another naming of the axes must exceed the given one."""
 _BY_CHANCE: Final = 1.0 / (np.pi / 2.0) / 36.0
-"""Density of an angle that only happens to lie near, in a pair of faces that only happen to fit."""
+"""Probability density, 1/rad, of an accidental match: uniform over a quarter turn, and 1/36 for the two faces."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class RecognisedManoeuvre:
     confidence : float
         Probability that it is that sequence, 0 to 1.
     reason : str
-        Why it is none, or what is odd about it.
+        Reason for which it is no sequence, or a remark on it.
     """
 
     start_window: int
@@ -133,7 +133,7 @@ class Recognition:
 
     @property
     def misnamed(self) -> str:
-        """Names that the axes must have, as "the gyro axes are read as x,-y,z"; empty if they are named so."""
+        """Axis names that match the sequences, as "the gyro axes are read as x,-y,z"; empty if those given match."""
         said = [
             f"the {sensor} axes are read as {mapping_text(P)}"
             for sensor, P in zip(("gyro", "accelerometer"), self.mapping, strict=True)
@@ -161,7 +161,7 @@ class Recognition:
         return f"{said}: {'; '.join(parts)}; least confidence {least:.2f}."
 
     def told_in(self, calibration: Calibration) -> Calibration:
-        """Give a calibration that says which sequences it took the recording for, and warns of doubtful ones."""
+        """Calibration with the recognised sequences in its diagnostics, and a warning for each doubtful one."""
         rows = [
             {
                 "sequence": label.id,
@@ -196,7 +196,7 @@ def recognise(recording: Recording) -> Recognition:
     Parameters
     ----------
     recording : Recording
-        Labels it may have are not looked at.
+        Its labels, if any, are ignored.
 
     Returns
     -------
@@ -234,12 +234,12 @@ def _recognise(recording: Recording) -> Recognition:
 
 
 def labelled(recording: Recording, labels: tuple[SequenceLabel, ...]) -> Recording:
-    """Give the recording with labels that were found in it, the same object at every call."""
+    """Recording with the labels that were found in it; the same object at every call."""
     return recording.memo(("labelled", labels), lambda: recording.with_sequences(labels))
 
 
 def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None]:
-    """Label a recording by what is recognised in it, if it has a fixture and no labels.
+    """Label a recording with its recognised sequences, if it has a fixture and no labels.
 
     Returns
     -------
@@ -304,10 +304,10 @@ def _result(recording: Recording, windows: Indices, turns: SequenceOf[Manoeuvre]
 def _parted_rests(
     recording: Recording, windows: Indices, turns: SequenceOf[Manoeuvre], best: SequenceReading
 ) -> dict[int, int]:
-    """Rests that are two, by window, with the first sample of the second: at hidden joins, and two dwells in one.
+    """Windows that contain two dwells, or an attitude jump; the value is the first sample of the second part.
 
-    A rest that ends one sequence and starts another is one pose for both, unless it is as long as two or the attitude
-    steps in it: an operator who starts anew from the attitude he ended in drives the fixture there again.
+    A window that ends one sequence and starts another is one pose for both, unless it is as long as two dwells or the
+    attitude jumps in it: the operator may have driven the fixture to the start attitude again.
     """
     length = windows[:, 1] - windows[:, 0]
     ends = {turns[m.last].end_window for m in best.matches}
@@ -325,14 +325,14 @@ def _parted_rests(
         if gain > _STEP:
             out[w] = at
         elif length[w] > _TWO_DWELLS * typical:
-            out[w] = (a + b) // 2  # where noise alone would choose the place, two dwells are taken as alike
+            out[w] = (a + b) // 2  # no jump shows where the second dwell begins: halves
         elif w in hidden:
             out[w] = at
     return out
 
 
 def _confidences(turns: SequenceOf[Manoeuvre], best: SequenceReading) -> list[float]:
-    """Probability of each match, from how far its legs lie from their nominal angles."""
+    """Probability of each match, from the deviations of its angles from the nominal ones."""
     out = []
     for m in best.matches:
         worst = 0.0

@@ -1,10 +1,11 @@
-"""Rest: means and scatter of short blocks of samples, and the blocks in which the unit is at rest.
+"""Rest detection: mean and variance of short blocks of samples, and the blocks in which the unit is at rest.
 
-Nothing here is an absolute threshold. The quietest blocks give the unit's noise. The rest rate (bias and Earth rate)
-is where the mean rates of quiet, steady blocks crowd together over the most different faces: a slow turn at an even
-rate is as quiet as rest and may last longer, but gravity moves meanwhile, or it turns about the vertical in one face.
-A block's *activity* is its distance from that rest, mean and scatter together. Its distribution has two modes, resting
-(on a bench, or in a hand that trembles) and turning; the valley between them decides.
+The thresholds are relative to the Earth rate and to the noise of the unit, which is estimated from the quietest
+blocks. The rest rate (bias and Earth rate) is the mean rate that most quiet, steady blocks share, counted over different faces. The faces matter
+because a slow rotation at a constant rate can be as quiet as rest, and last longer; but it changes the specific force,
+or it is about the vertical and has one face only. The *activity* of a block is its distance from the rest rate,
+combined with its standard deviation. The distribution of the activity has two modes, rest (on a bench, or in an
+unsteady hand) and rotation; the threshold lies between them.
 """
 
 from __future__ import annotations
@@ -26,37 +27,38 @@ if TYPE_CHECKING:
 
 
 BLOCK_S: Final = 0.1
-"""Length of a block, s: short beside a turn, long beside a sample."""
+"""Length of a block, s: much shorter than a rotation, much longer than a sample."""
 
 MIN_BLOCK_SAMPLES: Final = 8
-"""Samples of a block at least, so that its variance means something."""
+"""Smallest number of samples of a block; with fewer, its variance is too uncertain."""
 
 SPREAD: Final = 6.0
-"""Sigmas of a block mean within which it counts as the same."""
+"""Largest difference of block means that count as equal, in sigma of the difference."""
 _FALSE_ALARM: Final = 1e-4
-"""Probability of a resting block of normal noise to be called loud."""
+"""Probability that a block at rest with normal noise is classified as moving by its variance."""
 
 _LOUD: Final = 10.0
-"""Variance of a block over that of the unit's quiet ones, above which it moves. Real rests differ by a few (a hand
-near by, a table that hums); turns by hand are louder by hundreds, steady turns are told by their mean."""
+"""Ratio of a block's variance to that of the quiet blocks, above which the unit moves. Vibration of a table changes
+the variance at rest by a small factor; rotation by hand increases it some hundred times. Steady rotations are
+recognised by their mean rate."""
 _SHAKEN: Final = 400.0
-"""Variance of specific force over the quiet level, beyond which a block is a knock and no rest."""
+"""Ratio of the variance of specific force to its quiet level, above which the block contains a knock."""
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
-"""Samples from which the resolution of the readings is taken."""
+"""Number of samples from which the resolution of the readings is estimated."""
 
 _ROUNDING: Final = 1e-9
-"""Rounding error of a block mean over the largest reading."""
+"""Rounding error of a block mean, relative to the largest reading."""
 
 _EARTH_SPREAD: Final = 3.0 * EARTH_RATE_RAD_S
-"""Largest change of the rate at rest with the attitude, rad/s: the Earth's rate, with room for g-sensitivity."""
+"""Largest change of the rate at rest with attitude, rad/s: Earth rate, with a margin for g-sensitivity."""
 
 _FACE: Final = 0.5
-"""Cells of the direction of specific force, in units of its magnitude, that count as different faces."""
+"""Cell size of the unit vector of specific force; directions in different cells count as different faces."""
 _STEADY_BLOCKS: Final = 10
-"""Blocks (1 s) over which the specific force of a steady block stays the same."""
+"""Distance, in blocks (1 s), over which the specific force of a steady block does not change."""
 
 _CELL: Final = 4.0
-"""Cells in which mean rates are counted, in units of what a bench at rest may show."""
+"""Cell size in which mean rates are counted, in units of the largest deviation of the rate at rest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +75,7 @@ class Blocks:
     piece : ndarray of int, shape (B,)
         Contiguous piece of the recording that the block lies in.
     floor : ndarray, shape (6,)
-        Variance below which nothing is told from rest: that of the readings' resolution, and rounding.
+        Variance by resolution and rounding of the readings; smaller variances are not distinguished from rest.
     """
 
     first: Indices
@@ -131,7 +133,7 @@ def blocks_of(recording: Recording) -> Blocks:
 
 
 def resolution_floor(recording: Recording) -> Array:
-    """Variance of a sample, as a rate, that the resolution of the readings makes, shape (6,); never zero."""
+    """Variance of a sample, as a rate, due to the resolution of the readings, shape (6,); never zero."""
     factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     stride = max(1, len(recording.time) // _MAX_SAMPLES_FOR_RESOLUTION)
     step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)]) * factor
@@ -139,7 +141,7 @@ def resolution_floor(recording: Recording) -> Array:
 
 
 _BATCH: Final = 1 << 16
-"""Samples that are looked at together: they stay in the processor's cache."""
+"""Number of samples processed together; they fit into the processor's cache."""
 
 
 def _moments(table: Array, n: int, size: int) -> tuple[Array, Array]:
@@ -150,7 +152,7 @@ def _moments(table: Array, n: int, size: int) -> tuple[Array, Array]:
     for a in range(0, n, step):
         b = min(a + step, n)
         x = table[a * size : b * size].reshape(b - a, size, 3)
-        # One product of matrices for the means; deviations from a reading of the block itself lose no digits.
+        # One matrix product gives the means; deviations from one reading of the block avoid cancellation.
         x = x - x[:, :1]
         m = weights @ x
         np.multiply(x, x, out=x)
@@ -164,7 +166,7 @@ def find_rest(blocks: Blocks) -> Rest:
     n = blocks.size
     upper = max(_LOUD, float(chdtri(n - 1, _FALSE_ALARM)) / (n - 1))
     middle = float(chdtri(n - 1, 0.5)) / (n - 1)
-    # The quietest tenth is at rest if anything is; the loop then takes the level from all blocks that agree.
+    # The quietest tenth is assumed to be at rest; the loop estimates the level from all blocks consistent with it.
     level = np.maximum(np.quantile(blocks.variance, 0.1, axis=0), blocks.floor)
     quiet = np.all(blocks.variance <= upper * level, axis=1)
     for _ in range(5):
@@ -182,14 +184,14 @@ def find_rest(blocks: Blocks) -> Rest:
     rest = _rest_rate(blocks, candidates, level, radius)
     distance = np.sqrt((blocks.mean[:, :3] - rest) ** 2 + blocks.variance[:, :3])
     bench = np.sqrt((1.5 * radius) ** 2 + upper * level[:3])
-    # In units of what a bench at rest may show; below 1 everything is rest.
+    # Relative to the largest deviation of a unit at rest on a bench: below 1 the block is at rest.
     activity = np.max(distance / bench, axis=1)
     shaken = np.any(blocks.variance[:, 3:] > _SHAKEN * level[3:], axis=1)
     return Rest(np.asarray((activity <= max(1.0, _valley(activity))) & ~shaken), level)
 
 
 def _rest_rate(blocks: Blocks, candidates: Indices, level: Array, radius: Array) -> Array:
-    """Mean rate at rest, shape (3,): where steady blocks crowd, counted over the faces they were seen in."""
+    """Mean rate at rest, shape (3,): the rate that most steady blocks share, counted over different faces."""
     points = blocks.mean[candidates, :3] / radius
     force = blocks.mean[candidates, 3:]
     steady = _steady(blocks, level)[candidates]
@@ -199,12 +201,12 @@ def _rest_rate(blocks: Blocks, candidates: Indices, level: Array, radius: Array)
     unit = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
     faces = _keys(np.floor(unit / _FACE + 0.5))
     best, centre = -1.0, points[0]
-    # A crowd smaller than half a cell lies whole inside a cell of at least one of the eight grids.
+    # A cluster smaller than half a cell lies entirely in one cell of at least one of the eight grids.
     for offset in product((0.0, 0.5), repeat=3):
         cells = _keys(np.floor(points / _CELL + np.array(offset)))
         both, counts = np.unique(np.stack([cells, faces], axis=1), axis=0, return_counts=True)
         names, index = np.unique(both[:, 0], return_inverse=True)
-        # The square root makes ten seconds in each of six faces weigh more than a minute in one.
+        # With the square root, ten seconds in each of six faces weigh more than a minute in one face.
         score = np.bincount(index, weights=np.sqrt(counts))
         if score.max() > best:
             best = float(score.max())
@@ -219,9 +221,9 @@ def _rest_rate(blocks: Blocks, candidates: Indices, level: Array, radius: Array)
 
 
 def _steady(blocks: Blocks, level: Array) -> Mask:
-    """Blocks whose specific force a second before or after is the same within its noise, shape (B,).
+    """Blocks whose specific force equals, within its noise, that one second before or after, shape (B,).
 
-    Over a second even a slow turn moves gravity by more than the noise of a block.
+    Within a second, even a slow rotation changes the specific force by more than the noise of a block.
     """
     k = min(_STEADY_BLOCKS, len(blocks.mean) - 1)
     out = np.zeros(len(blocks.mean), dtype=np.bool_)
@@ -236,7 +238,7 @@ def _steady(blocks: Blocks, level: Array) -> Mask:
 
 
 def _keys(cells: Array) -> Counts:
-    """One whole number for each cell of a three-dimensional grid."""
+    """Integer key of each cell of a three-dimensional grid."""
     whole = np.clip(cells, -1e6, 1e6).astype(np.int64) + 1_000_000
     out: Counts = (whole[:, 0] * 2_000_001 + whole[:, 1]) * 2_000_001 + whole[:, 2]
     return out
@@ -245,7 +247,7 @@ def _keys(cells: Array) -> Counts:
 def _valley(activity: Array) -> float:
     """Threshold between two modes of the activity's logarithm (Otsu: greatest between-class variance)."""
     if len(activity) < 2:
-        return 1.0  # one block has no two modes; a bench at rest stays below 1
+        return 1.0  # one block has no two modes; at rest on a bench the activity is below 1
     x = np.sort(np.log(np.maximum(activity, 1e-6)))
     n = np.arange(1, len(x))
     total = np.cumsum(x)
@@ -256,10 +258,10 @@ def _valley(activity: Array) -> float:
 
 
 def still_runs(still: Mask, blocks: Blocks) -> list[tuple[int, int]]:
-    """Runs of still blocks (first, one past last), bridging single blocks that chance threw out."""
+    """Runs of still blocks (first, one past last), with single blocks bridged that were excluded by noise."""
     filled = still.copy()
     lone = ~still[1:-1] & still[:-2] & still[2:]
-    # A lone loud block between quiet ones is chance unless it moved the unit: then the force differs after it.
+    # A single loud block between quiet ones is noise, unless the specific force differs after it (the unit moved).
     scatter = np.sqrt(np.median(blocks.variance[still], axis=0)[3:] / blocks.size) if still.any() else np.ones(3)
     same = np.all(np.abs(blocks.mean[2:, 3:] - blocks.mean[:-2, 3:]) <= SPREAD * np.sqrt(2.0) * scatter, axis=1)
     filled[1:-1] |= lone & same

@@ -1,4 +1,4 @@
-"""Matching of manoeuvres with the sequences of Table 1: the most probable reading of a chain of quarter turns."""
+"""Matching of manoeuvres with the sequences of Table 1: the best assignment of a chain of quarter turns."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ _LONGEST: Final = max(len(word) for _, word in QUARTER_TURN_WORDS.values())
 """Legs of the longest sequence."""
 
 _SPLIT: Final = 0.05
-"""Cost, in legs, of a rest inside a sequence."""
+"""Cost, in legs, of a stationary window inside a sequence."""
 
 ENOUGH_TURNS: Final = 4
-"""Turns below which the axes are not doubted."""
+"""Smallest number of manoeuvres for which other names of the axes are tried."""
 
 _TRIED: Final = 4
-"""Namings of the axes that are matched in full, the most promising of 143."""
+"""Number of other namings of the axes that are matched in full: the most promising of 143."""
 
 
 def _mappings() -> list[tuple[Array, Array]]:
-    """Other ways to name the axes: of the accelerometers alone, of the gyros alone, of both.
+    """Alternative namings of the axes: of the accelerometers, of the gyros, or of both.
 
-    Both may differ by a sign: where the axes are left-handed, gyros follow either rule.
+    In the last case both signs of the gyros are tried, because left-handed axes occur with either sign rule.
     """
     eye = np.eye(3)
     signed = [
@@ -76,13 +76,13 @@ def _mappings() -> list[tuple[Array, Array]]:
 def promising_mappings(
     turns: SequenceOf[Manoeuvre], face: SequenceOf[tuple[int, int] | None]
 ) -> list[tuple[Array, Array]]:
-    """The few namings of the axes under which most single turns look like sequences of Table 1."""
+    """Namings of the axes under which most single manoeuvres equal a sequence of Table 1."""
     spelled = [(quarters(turn.legs, np.ones(3)), face[turn.start_window]) for turn in turns]
     read = [(word, down) for word, down in spelled if word is not None and down is not None]
     known = set(QUARTER_TURN_WORDS.values())
 
     def count(mapping: tuple[Array, Array]) -> int:
-        # Where each axis goes, and with which sign.
+        # New index and sign of each axis.
         (g_axis, g_sign), (a_axis, a_sign) = (
             (np.argmax(np.abs(P), axis=0).tolist(), P.sum(axis=0).astype(int).tolist()) for P in mapping
         )
@@ -101,7 +101,7 @@ def promising_mappings(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceMatch:
-    """A sequence read into turns ``first`` to ``last`` (inclusive), with the attitude of the piece it implies."""
+    """Sequence assigned to manoeuvres ``first`` to ``last`` (inclusive), and the piece's attitude that it implies."""
 
     name: str
     first: int
@@ -111,7 +111,7 @@ class SequenceMatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceReading:
-    """The best reading of all turns under one naming of the axes."""
+    """Best assignment of sequences to all manoeuvres under one naming of the axes."""
 
     matches: tuple[SequenceMatch, ...]
     joins: frozenset[int]
@@ -158,7 +158,7 @@ class SequenceReading:
 
 
 def _agrees(word: SequenceOf[tuple[int, int]], turn: Manoeuvre, face: SequenceOf[tuple[int, int] | None]) -> bool:
-    """True if quarter turns lead from the face before to the face after."""
+    """True if the quarter turns take the face that was down before to the face that is down after."""
     before, after = face[turn.start_window], face[turn.end_window]
     if before is None or after is None:
         return False
@@ -169,7 +169,7 @@ def _agrees(word: SequenceOf[tuple[int, int]], turn: Manoeuvre, face: SequenceOf
 
 
 def _merged(words: SequenceOf[Word]) -> Word:
-    """One word of several, turns about one axis in one sense put together."""
+    """Quarter turns of several manoeuvres in a row; successive turns about one axis in one sense are added."""
     out: list[tuple[int, int]] = []
     for word in words:
         for axis, count in word:
@@ -188,7 +188,7 @@ def _read_piece(
     begin: int,
     end: int,
 ) -> tuple[list[SequenceMatch], set[int]]:
-    """Best reading of the turns ``begin`` to ``end`` of one contiguous piece, and the rests with a hidden join."""
+    """Best assignment for manoeuvres ``begin`` to ``end`` of one contiguous piece; windows with a hidden join."""
     carried = [np.eye(3, dtype=np.int64)]
     for t in range(begin, end):
         word = words[t]
@@ -210,7 +210,7 @@ def _read_piece(
 def _best_path(
     options: SequenceOf[SequenceMatch], begin: int, end: int, join_cost: SequenceOf[float]
 ) -> tuple[list[SequenceMatch], set[int]]:
-    """Highest-scoring selection of matches that do not overlap, the piece's attitude changing as seldom as may be."""
+    """Best-scoring selection of matches that do not overlap; each jump of the piece's attitude has a cost."""
     states = sorted({m.attitude for m in options})
     if not states:
         return [], set()
@@ -218,7 +218,7 @@ def _best_path(
     starting: dict[int, list[SequenceMatch]] = {}
     for m in options:
         starting.setdefault(m.first, []).append(m)
-    # score[rest][attitude]: best so far, having reached this rest with the piece lying so.
+    # score[window][attitude]: best score up to this window with the piece in this attitude.
     score = np.full((end - begin + 1, len(states)), -np.inf)
     score[0] = 0.0
     came: dict[tuple[int, int], tuple[int, int, SequenceMatch | None]] = {}

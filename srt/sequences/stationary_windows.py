@@ -1,4 +1,4 @@
-"""Stationary windows of an unlabelled recording, to the sample; free manoeuvres between; jumps of attitude within."""
+"""Stationary windows of an unlabelled recording to the sample, attitude jumps in them, and manoeuvres between them."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ if TYPE_CHECKING:
 
 
 _LONGEST_SUM_S: Final = 2.0
-"""Longest sum of readings compared with rest, s: a turn of 30 s that starts from zero rate shows within it."""
+"""Longest sum of readings compared with rest, s; enough to detect the start of a rotation of 30 s from zero rate."""
 
 _SIGMAS: Final = 6.0
-"""Beyond which readings are motion: the 500,000 tests of a usual recording exceed it by chance about 0.001 times."""
+"""Limit of a sum of readings, in sigma, for motion: about 0.001 false alarms in the 500,000 tests of a recording."""
 
 _DOUBTFUL: Final = 2.5
-"""Sigmas of a single reading, next to motion, that are better left out."""
+"""Limit, in sigma, of a single gyro reading next to motion; a larger one is excluded from the window."""
 _CORE_BLOCKS: Final = 20
-"""Blocks (2 s) at either end of a run of still blocks that stand for rest there: the quietest of those near the end."""
+"""Length, in blocks (2 s), of the core: the quietest part near either end of a run of still blocks."""
 
 _SEARCH_BLOCKS: Final = 60
-"""Blocks (6 s) from the end of a run among which the core is looked for; slow turns look still for some seconds."""
+"""Distance, in blocks (6 s), from the end of a run within which the core lies: slow rotations start almost still."""
 
 _OUTWARD_BLOCKS: Final = 3
-"""Blocks beyond a run of still blocks that may hold its last still samples."""
+"""Distance, in blocks, beyond a run of still blocks up to which samples may still be at rest."""
 
 _FEW: Final = 8
-"""Samples below which a part of a window is dropped."""
+"""Smallest number of samples of a part of a window; shorter parts are dropped."""
 
 _CHUNK_S: Final = 0.5
-"""Length of the means between which a jump of attitude is looked for, s."""
+"""Averaging time of the means in which attitude jumps are searched, s."""
 
 _JUMP: Final = 60.0
-"""Smallest gain in chi-square (six channels, one of some forty places) by which a jump is believed."""
+"""Decrease of chi-square (six channels, the best of some forty places) above which a jump is accepted."""
 _ALONE: Final = 6.0
-"""Times the gain of any other place in the window."""
+"""Ratio of the gain at a jump to the largest gain elsewhere in the window."""
 _UNUSUAL: Final = 8.0
-"""Times what is usual away from the largest step of a window."""
+"""Ratio of the gain at a jump to the median, over all windows, of the gain away from the largest step."""
 _MOST_CHUNKS: Final = 10
-"""Means on either side of a jump that are compared."""
+"""Largest number of means on either side of a jump that are compared."""
 
 
 def to_the_sample(
@@ -57,11 +57,11 @@ def to_the_sample(
 ) -> list[tuple[int, int]]:
     """Stationary windows from runs of still blocks, each extended to the last sample that is still.
 
-    Still blocks are told by a threshold between rest and motion that may lie far above the unit's noise, so the ends of
-    a run may belong to a slow turn. Rest beside either end is therefore the quietest part of the run near it, the core.
-    From there outward, sums of 1, 2, 4 ... readings are compared with the core. What first exceeds its noise ends the
-    window, and as much again is left out: noise hides the beginning of a slow turn. What is left out is integrated
-    with the turn.
+    The threshold for still blocks may lie far above the noise of the unit, so that the ends of a run may belong to a
+    slow rotation. Therefore the quietest part of the run near either end (the core) represents rest. From the core
+    outward, sums of 1, 2, 4 ... readings are compared with it. The first sum beyond its noise ends the window, and as many
+    samples again are excluded, because noise hides the start of a slow rotation. Excluded samples belong to the
+    rotation.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def to_the_sample(
             min(int(pieces[piece]), int(blocks.first[last - 1]) + blocks.size + reach),
         )
         a, b = _extend(recording, cores, outer, rest.level)
-        if out and a < out[-1][1]:  # both reach into the blocks between them: each keeps its half
+        if out and a < out[-1][1]:  # both extend into the same blocks: each gets one half
             middle = (a + out[-1][1]) // 2
             out[-1], a = (out[-1][0], middle), middle
         out.append((a, b))
@@ -119,7 +119,7 @@ def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tupl
     window : (int, int)
         First sample and one past the last.
     floor : ndarray, shape (6,)
-        Variance of one sample, as a rate, that the resolution of the readings makes.
+        Variance of one sample, as a rate, due to the resolution of the readings.
     """
     inside = (window[1] - window[0]) // 4
     n = max(1, round(BLOCK_S * _CORE_BLOCKS / recording.nominal_interval_s))
@@ -139,7 +139,7 @@ def _extend(
 
 
 def _still_outward(recording: Recording, core: slice, outward: range, factor: float, least: Array) -> int:
-    """Number of samples next to a core that are at rest as it is."""
+    """Number of samples next to a core that are consistent with it."""
     if len(outward) == 0:
         return 0
     beside = np.concatenate([recording.gyro[core], recording.accel[core]], axis=1) * factor
@@ -152,9 +152,9 @@ def _still_outward(recording: Recording, core: slice, outward: range, factor: fl
     best, kept = len(index), len(index)
     n, tremor = 1, np.ones(6)
     while n <= min(len(index), max(1, round(_LONGEST_SUM_S / recording.nominal_interval_s))):
-        if 4 * n <= len(beside):  # a hand trembles: sums of its rest scatter by more than independent readings do
+        if 4 * n <= len(beside):  # tremor of a hand: sums vary more than those of independent readings
             tremor = np.maximum(tremor, np.mean((within[n:] - within[:-n]) ** 2, axis=0) / n)
-        # The mean of the core is uncertain itself.
+        # The factor (1 + n/N) is the uncertainty of the core's mean.
         limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)))
         beyond = np.any(np.abs(total[n:] - total[:-n]) > limit, axis=1)
         if beyond.any():
@@ -162,7 +162,7 @@ def _still_outward(recording: Recording, core: slice, outward: range, factor: fl
             if found < best:
                 best, kept = found, max(0, found - 2 * (n - 1))
         n *= 2
-    # The sample beside the motion may hold its first or last moment, too little to be told for sure.
+    # The sample next to the motion may contain its first or last moment, below the detection limit.
     while 0 < kept < len(index) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):
         kept -= 1
     return kept
@@ -177,14 +177,14 @@ def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], f
     windows : sequence of (int, int)
         First sample and one past the last.
     floor : ndarray, shape (6,)
-        Variance of one sample, as a rate, that the resolution of the readings makes.
+        Variance of one sample, as a rate, due to the resolution of the readings.
 
     Returns
     -------
     list of (int, int)
     """
     steps = {window: _largest_step(recording, *window, floor) for window in windows}
-    # A wandering bias steps a little in every window; a jump stands out of its own window and of all of them.
+    # Bias instability makes small steps in every window; a jump exceeds them in its window and in all others.
     usual = float(np.median([step.elsewhere for step in steps.values()])) if steps else 0.0
     out: list[tuple[int, int]] = []
     waiting = list(reversed(windows))
@@ -217,12 +217,12 @@ def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Step:
         return _Step()
     mean = _chunks(recording, a, size, count)
     steps = np.diff(mean, axis=0) ** 2
-    # Noise from neighbours, without the largest difference of a channel, which may be the jump itself.
+    # Noise from successive means; the largest difference of a channel is excluded, as it may be the jump.
     variance = (steps.sum(axis=0) - steps.max(axis=0)) / (2.0 * (count - 2))
-    # The sum of counts over a chunk is wrong by less than one, at either end.
+    # The sum of counts over a chunk has an error below one count at either end.
     variance = np.maximum(variance, 2.0 * floor / size**2)
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(mean, axis=0)])
-    # A bias that wanders as stated steps by this much between neighbouring means, however long they are: the Allan
+    # Variance of the step between successive means by the stated bias instability, for any averaging time: the Allan
     # variance of flicker noise is flat.
     stated = (recording.noise.gyro_bias_instability, recording.noise.accel_bias_instability)
     wander = 2.0 * np.repeat([figure or 0.0 for figure in stated], 3) ** 2
@@ -289,7 +289,7 @@ def find_windows(recording: Recording) -> Indices:
     dt = recording.nominal_interval_s
     found = to_the_sample(recording, blocks, rest, runs)
     if recording.fixture is not None:
-        # A hand wobbles as a bad join would; on a fixture only a join, or a bump, makes a step.
+        # Motion of a hand looks like a join; on a fixture only a join or a bump makes a step.
         found = split_at_jumps(recording, found, blocks.floor)
     windows = [w for w in found if w[1] - w[0] >= shortest / dt - 0.5]
     if len(windows) < 2:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 PROBABILITY: Final = 1e-3
 """Probability that a still window is classified as moving, by both tests together."""
 _PARTS: Final = 16
-"""Parts of a window from which its own noise is taken."""
+"""Number of parts of a window from which its own noise is estimated."""
 
 _MEDIAN_OF_SQUARE: Final = 0.4549
 """Median of chi-square with one degree of freedom."""
@@ -32,10 +32,10 @@ def moved_windows(
 ) -> Mask:
     """Test every window for motion: angle turned, and tilt.
 
-    A steady rate is no sign of motion by itself: a bias that changes from pose to pose (g-sensitivity, instability)
-    looks the same to the gyros. What turns steadily about a horizontal axis shows in the accelerometers, too; where
-    these change alone, it is their own drift. Nor is noise a motion: what fails is judged again by the noise that the
-    window itself shows from sample to sample.
+    A constant rate alone is not motion: a bias that changes with the pose (g-sensitivity, instability) gives the same
+    gyro readings. A rotation about a horizontal axis changes the accelerometer readings too; a change of these alone is
+    their own drift. A window that fails is tested again with the noise of its own samples, because larger noise is not
+    motion.
 
     Parameters
     ----------
@@ -93,10 +93,10 @@ def _fails(
 
 
 def _own_noise(data: PreparedRecording, which: Mask) -> Array:
-    """Noise that windows show themselves over what the noise model has, at least one, shape (2, W, 3).
+    """Ratio of a window's own noise to that of the noise model, at least one, shape (2, W, 3).
 
-    From second differences of the means of sixteen parts, which a steady drift does not move, by their median, which a
-    single step does not.
+    The noise is the median of the squared second differences of the means of sixteen parts: a constant drift does not
+    change the second differences, and a single step does not change their median.
     """
     recording, noise = data.recording, data.noise
     ratio = np.ones((2, len(which), 3))

@@ -1,7 +1,7 @@
-"""Stationary windows: averages taken once, and the weights of the two averaging algorithms.
+"""Averages of the stationary windows, computed once, and the weights of the two averaging algorithms.
 
-A window's mean is what later is compensated: compensating samples would rectify their noise through the asymmetry
-term. With held attitude these sums are all that the iterations need of the windows.
+Only means are compensated: compensation of single samples would rectify their noise through the asymmetry term. If the
+attitude is constant in the windows, the iterations need no other data of the windows than these means.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Windows:
     white_factor : ndarray, shape (W,), 1/s
         Variance of the accelerometer mean over squared random walk.
     edge_factor : ndarray, shape (W,), 1/s²
-        Variance of the accelerometer mean over the variance of one quantisation error.
+        Variance of the accelerometer mean over the variance of one quantization error.
     """
 
     samples: Indices
