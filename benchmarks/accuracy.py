@@ -29,7 +29,7 @@ def summary(title: str, trials: list[Trial], extra: str = "") -> None:
     states = {s: sum(t.status == s for t in trials) for s in {t.status for t in trials}}
     console.print(
         f"{title}: {len(trials)} draws, worst parameter {worst(trials):.2e}, {states}, "
-        f"play-backs {min(t.playbacks for t in trials)}-{max(t.playbacks for t in trials)}{extra}"
+        f"iterations {min(t.playbacks for t in trials)}-{max(t.playbacks for t in trials)}{extra}"
     )
 
 
@@ -72,7 +72,7 @@ def large(n: float, workers: int) -> None:
     counts = np.bincount([t.playbacks for t in trials])
     for playbacks in np.flatnonzero(counts):
         bar = "█" * max(1, round(60 * counts[playbacks] / counts.max()))
-        console.print(f"  {playbacks} play-backs {counts[playbacks]:5d} {bar}")
+        console.print(f"  {playbacks} iterations {counts[playbacks]:5d} {bar}")
 
 
 def _by_group(ratio: np.ndarray) -> list[str]:

@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
     table = Table(title=f"options against the default, {arguments.draws} draws each")
-    for column in ("option", "1 mrad", "10 mrad", "λii 10 mrad", "play-backs", *SHOWN, "NEES/27"):
+    for column in ("option", "1 mrad", "10 mrad", "λii 10 mrad", "iterations", *SHOWN, "NEES/27"):
         table.add_column(column)
     for choice in ALTERNATIVES:
         one, ten = (

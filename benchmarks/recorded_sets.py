@@ -153,7 +153,7 @@ def xsens(recording: srt.Recording, estimator: str, gyro_bias: str) -> None:
     )
     print(
         f"xsens_mti, {estimator}, latitude {XSENS_LATITUDE_DEG}° assumed, gyro bias {gyro_bias}: "
-        f"{result.status}, {len(result.corrections)} play-backs, {seconds:.2f} s"
+        f"{result.status}, {len(result.corrections)} iterations, {seconds:.2f} s"
     )
     for (name, published), values, sigmas in zip(IMU_TK.items(), found, sigma, strict=True):
         print(f"  {name}: {np.round(values, 2)} ± {np.round(sigmas, 2)}")

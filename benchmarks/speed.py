@@ -44,7 +44,7 @@ def table_1() -> None:
     read = timed(lambda: (recording.gyro.sum(), recording.accel.sum()))
     print(
         f"closed form, 17 sequences, {len(recording.time)} samples at 200 Hz: {whole * 1e3:.1f} ms "
-        f"({playbacks} play-backs), {whole / read:.0f} times summing the samples once"
+        f"({playbacks} iterations), {whole / read:.0f} times summing the samples once"
     )
 
 
@@ -72,7 +72,7 @@ def play_back() -> None:
     one = timed(lambda: integrate_attitude(stream, triad, earth))
     read = timed(lambda: (recording.gyro.sum(axis=0), recording.accel.sum(axis=0)))
     print(
-        f"one play-back with Jacobian: {one / n * 1e9:.0f} ns per integrated sample, "
+        f"one iteration with Jacobian: {one / n * 1e9:.0f} ns per integrated sample, "
         f"{one / read:.1f} times reading all columns once ({read / n * 1e9:.0f} ns)"
     )
 

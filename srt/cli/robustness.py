@@ -150,7 +150,7 @@ def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -
         check_target(output, overwrite=False)
         write_simulation(simulate(scenario), output, samples_format=scenario.recording.format, overwrite=False)
         show(f"Written: {output}; 'srt calibrate {output} --truth {output / 'truth.json'}' tries it again.")
-    rows = [("estimator", "outcome", "play-backs", "largest error / sigma", "message")]
+    rows = [("estimator", "outcome", "iterations", "largest error / sigma", "message")]
     for row in run_trial(campaign, task):
         largest = row.get("largest")
         shown = "" if largest is None else f"{largest:.3g}"

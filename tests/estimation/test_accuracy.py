@@ -86,7 +86,7 @@ def test_half_turns_off_by_thirty_degrees(count):
 
 @sized(20, 1000)
 def test_large_errors_converge_to_the_right_fixed_point(count):
-    """±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 °/s, ±1 m/s², fixture 5 mrad: all within 6 play-backs."""
+    """±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 °/s, ±1 m/s², fixture 5 mrad: all within 6 iterations."""
     trials = accuracy_trials.run(accuracy_trials.large_trial, range(count))
     assert {t.status for t in trials} == {"converged"}
     assert max(t.playbacks for t in trials) <= 6

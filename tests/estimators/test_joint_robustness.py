@@ -63,7 +63,7 @@ def large(seed):
 @sized(6, 200)
 @pytest.mark.parametrize("estimator", JOINT)
 def test_large_errors_reach_the_optimum_of_the_truth(estimator, count):
-    """In batch, every draw ends where an iteration from the true errors does, in the closed form's six play-backs."""
+    """In batch, every draw ends where an iteration from the true errors does, in the closed form's six iterations."""
     for seed in range(count):
         recording, truth = large(seed)
         found = srt.calibrate(recording, estimator)
@@ -97,7 +97,7 @@ def test_from_a_bad_start_a_failure_is_called_one(estimator, count):
     reached = sum(status == "converged" for _, status, _, _ in rows)
     print(f"\n{estimator} straight from no errors, ±50 %: {reached} of {count} reached the optimum")
     for row in rows[:20]:
-        print("  draw {}: {} after {} play-backs, {:.2g} of the tolerance away".format(*row))
+        print("  draw {}: {} after {} iterations, {:.2g} of the tolerance away".format(*row))
 
 
 def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mount(monkeypatch):
@@ -319,7 +319,7 @@ def lean(seed, non_orthogonality):
 def test_axes_not_square_do_no_harm(lean_mrad, count):
     """The inner axis leans from square, which no state describes.
 
-    Only the start attitude is misjudged, by at most the lean, and with it the Earth's rate in the play-back and in the
+    Only the start attitude is misjudged, by at most the lean, and with it the Earth's rate in the data processing and in the
     windows: 1 mrad of 7.3e-5 rad/s over a turn of 17 s is 1.2 µrad, a third of a sigma of the turn's own noise.
     """
     for seed in range(count):

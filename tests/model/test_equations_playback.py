@@ -1,4 +1,4 @@
-"""Eqs. 1-2 as the play-back evaluates them: the Earth's rate, the vertical, the rest rates, the orientation of MARS.
+"""Eqs. 1-2 as the data processing evaluates them: the Earth's rate, the vertical, the rest rates, the orientation of MARS.
 
 Derivatives are blind to what is a constant of the errors; here the values themselves are held against the truth.
 """
@@ -129,7 +129,7 @@ def test_down_of_the_paper_with_a_tilted_base():
 
 
 def test_orientation_of_mars_is_read_off_the_axes_and_verticals():
-    """A body turned by any U on the table: found from one play-back, without the Earth exactly."""
+    """A body turned by any U on the table: found from one iteration, without the Earth exactly."""
     U = sims.rotation([0.4, -0.3, 0.5])
     _, player = player_of(sims.read_out(motion_of(U=U, earth_rate=False), NONE))
     for guess in (U, np.eye(3)):

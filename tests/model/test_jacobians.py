@@ -1,4 +1,4 @@
-"""Every Jacobian of the model against differences of what it linearises: z by the play-back, φ by the attitude,
+"""Every Jacobian of the model against differences of what it linearises: z by the data processing, φ by the attitude,
 compensated values by the exact compensation; at no errors, at tiny and at large ones.
 """
 
