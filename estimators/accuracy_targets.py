@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 RELIABLE_BELOW: Final = 0.05
-"""Standard deviation of every parameter (accelerometer bias in g) below which linearised ones are reliable."""
+"""Linearised standard deviations are reliable if all of them (accelerometer bias in g) are below this."""
 PARAMETER_UNITS: Final = np.ones(N_PARAMETERS)
-"""Units, SI, in which parameters of different kinds are compared: accelerometer bias in g, all others SI."""
+"""SI value of the unit of each parameter in comparisons: accelerometer bias in g, all others in SI units."""
 PARAMETER_UNITS[GROUP_SLICES["accel_bias"]] = STANDARD_GRAVITY_M_S2
 
 
@@ -34,9 +34,9 @@ def compare_with_targets(sigma: Array, targets: Mapping[str, float]) -> tuple[bo
     Returns
     -------
     reliable, met : bool
-        Linearised standard deviations are reliable; all targets are met, too.
+        True if linearised standard deviations are reliable; true if they also meet all targets.
     limiting : str or None
-        Parameter with the largest ratio to its target; None without targets.
+        Parameter with the largest ratio of sigma to target; None without targets.
     """
     reliable = bool(np.all(sigma / PARAMETER_UNITS < RELIABLE_BELOW))
     if not targets:
@@ -61,8 +61,8 @@ def targets_met(sequences: list[str], sigma: Array, targets: Mapping[str, float]
     Returns
     -------
     dict
-        ``met_after``: id of that sequence, None if never; ``limiting``: parameter with the largest ratio to its target
-        at the end; ``shortfall``: that ratio.
+        ``met_after``: id of that sequence, None if the targets are never met; ``limiting``: parameter with the largest
+        ratio of final sigma to target; ``shortfall``: that ratio.
     """
     met_after, limiting = None, None
     for name, row in zip(sequences, sigma, strict=True):

@@ -1,8 +1,8 @@
 """Bias instability (flicker noise), as specified, in the joint model: unknowns of unit variance.
 
-Bias instability is correlated in time, so that one sequence tells of the next. Its effects on the mean rates, the mean
-specific forces and the rotations are one Gaussian vector y. With ``y = L u`` the unknowns u are independent and of unit
-variance. L is lower triangular in time: a sequence depends on the unknowns of earlier ones only, as a filter needs.
+Bias instability is correlated in time, also between sequences. Its effects on the mean rates, the mean specific forces
+and the rotations are one Gaussian vector y. With ``y = L u`` the unknowns u are independent and have unit variance. L
+is lower triangular in time: a sequence depends only on its own unknowns and on earlier ones, as a filter requires.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _REGULARISATION: Final = 1e-12
-"""Added to the variances of the normalised effects, all 1, as adjacent windows are almost fully correlated."""
+"""Term added to the normalised variances (1): the effects on adjacent windows are almost fully correlated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,11 +31,11 @@ class BiasInstability:
     Attributes
     ----------
     rate, force : ndarray, shape (W, 3, n)
-        On the compensated means of the windows, rad/s and m/s².
+        Effects on the compensated means of the windows, rad/s and m/s².
     rotation : ndarray, shape (K, 3, n)
-        On the attitude error of the rotations, rad.
+        Effects on the attitude errors of the rotations, rad.
     is_gyro : ndarray of bool, shape (n / 3,)
-        Sensor of every three unknowns.
+        True: three unknowns belong to the gyros; False: to the accelerometers.
     """
 
     rate: Array
@@ -63,11 +63,11 @@ def bias_instability(
     ----------
     data : PreparedRecording
     integrals : RotationIntegrals
-        Gathered with the parts of the time integral.
+        Integrals that include the parts of the time integral.
     slopes : (ndarray, ndarray), shape (W, 3, 3) each
-        Compensated rate and force of unit biases of the raw channels.
+        Derivatives of compensated rate and force with respect to biases of the raw gyros and accelerometers.
     owner : (ndarray, ndarray) of int, shape (W,) and (K,)
-        Rank in time of the sequence that a window or a rotation belongs to.
+        Rank in time of the sequence of each window and of each rotation.
     of_gyros : bool
         Include the bias instability of the gyros.
     """
@@ -99,7 +99,7 @@ def _root(effect: Array, rank: Indices) -> tuple[Array, Indices]:
     order = np.argsort(rank, kind="stable")
     Y = effect[order].reshape(-1, effect.shape[2])
     size = np.linalg.norm(Y, axis=1)
-    # A rotation without samples has no effect, and would make the covariance singular.
+    # A rotation without samples has zero effect: normalised by 1, it leaves the covariance regular.
     unit = Y / np.where(size > 0.0, size, 1.0)[:, None]
     L = np.linalg.cholesky(unit @ unit.T + _REGULARISATION * np.eye(len(Y))) * size[:, None]
     out = np.empty((len(order), 3, len(Y)))

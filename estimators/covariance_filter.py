@@ -1,7 +1,7 @@
 """Adapter of filterpy's Kalman filter in covariance form, for comparison with the square-root form.
 
-The covariance form is used as it is: filterpy's own prediction and Joseph update, the covariance made symmetric by
-nothing. Loss of positive definiteness is reported.
+The covariance form is unchanged: prediction and Joseph update are those of filterpy, and the covariance is not
+symmetrised. Loss of positive definiteness is reported.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 _SINGULAR: Final = 1e-13
-"""Smallest diagonal element of R, columns having norm 1, at which the columns count as independent."""
+"""Columns are scaled to norm 1. A smaller diagonal element of R marks linearly dependent columns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -
 
     Parameters
     ----------
-    system : System
+    system : LinearSystem
     weights : dict of (str, int) to float
         Weights by kind and number: "window" (force and rate), "turn", and "start" by window, in the order of the rows.
     """

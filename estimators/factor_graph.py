@@ -1,9 +1,16 @@
 """Factor graph of a joint model: variables, factors and priors.
 
-Variables: sensor errors ``x``, gyro bias of every sequence ``b`` joined by a random walk, levelling and north of the
-base ``f``, orientation of MARS on the table ``u``, gravity ``g``, the Earth's rate where it is unknown ``e``, the
-attitude of every stationary window ``a``, the quantization errors at window edges ``q``, and the bias instability
-``d``: one variable, as it is correlated over all windows.
+Variables:
+
+- ``x``: sensor errors;
+- ``b``: gyro bias of each sequence, a random walk;
+- ``f``: levelling and north of the fixture's base;
+- ``u``: orientation of MARS on the table;
+- ``g``: correction to gravity;
+- ``e``: unknown part of the Earth's rate in each level frame;
+- ``a``: attitude in each stationary window;
+- ``q``: quantization error at each window edge;
+- ``d``: bias instability, one variable, as its effects on all windows are correlated.
 """
 
 from __future__ import annotations
@@ -31,7 +38,7 @@ if TYPE_CHECKING:
 
 
 _HEADING_SIGMA: Final = 1e-8
-"""Standard deviation, rad, of a heading that is fixed: times the Earth's rate, far below any noise."""
+"""Standard deviation of a fixed heading, rad; its effect via the Earth's rate is far below any noise."""
 _FIXED_RATE: Final = 1e-6
 """Standard deviation of known components of the Earth's rate, relative to that of the unknown ones."""
 
@@ -43,7 +50,7 @@ class FactorGraph:
     ----------
     joint : JointModel
     state : JointState
-        State that the data were compensated with, attitudes included.
+        State, with its attitudes, that the data were compensated with.
     compensated : CompensatedData
     free : ndarray of bool, shape (27,)
         Sensor errors that are estimated.
@@ -73,7 +80,7 @@ class FactorGraph:
         self.values: Any = gtsam.Values()
         self.kinds: list[factors.FactorGroup] = []
         self.measured: list[tuple[str, int, int]] = []
-        """Kind, number and sequence of the measurement factors, which are the first in the graph."""
+        """Kind, number and sequence of each measurement factor. These factors are the first in the graph."""
         self._variables()
         self._windows()
         self._rotations()
@@ -82,7 +89,7 @@ class FactorGraph:
 
     @contextmanager
     def evaluated(self, values: Any) -> Iterator[None]:
-        """Context in which all factors are evaluated at given values, and valid at these only."""
+        """Context that evaluates all factors at given values; inside it, they are valid at these values only."""
         for kind in self.kinds:
             kind.prepare(values)
         try:
@@ -150,7 +157,7 @@ class FactorGraph:
         return [(int(D(0)), effect)] if self.compensated.instability.size else []
 
     def _windows(self) -> None:
-        """Add one factor for force and rate of each window, as a disturbance affects both."""
+        """Add one factor per window for force and rate together, as a disturbance affects both."""
         joint, compensated = self.joint, self.compensated
         T = joint.data.windows.duration_s
         force_noise, rate_noise = total(compensated.force_noise), total(compensated.rate_noise)
@@ -273,7 +280,7 @@ class FactorGraph:
             self._error_prior(prior)
 
     def _error_prior(self, prior: Prior) -> None:
-        """Add the prior of the sensor errors; a bias per sequence has the prior on the mean."""
+        """Add the prior of the sensor errors; with one gyro bias per sequence, the prior applies to their mean."""
         joint = self.joint
         away = self.state.errors.vector - prior.mean.vector
         unit = np.eye(N_PARAMETERS)

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 def gaussians(covariances: Array) -> list[Any]:
     """Noise models of covariances (n, d, d), each by the upper triangular square root of its information.
 
-    gtsam would invert a covariance (that of a start attitude spans eight decades), and takes a diagonal model with a
-    sigma below 1e-8 (gyro biases in rad/s) for a hard constraint. It reads the upper triangle of a root only.
+    gtsam would invert a covariance, which loses digits: that of a start attitude spans eight decades. It treats a
+    diagonal model with a sigma below 1e-8 (gyro biases in rad/s) as a hard constraint. It reads only the upper triangle
+    of a root.
     """
     roots = np.linalg.qr(whiten(covariances), mode="r")
     return [gtsam.noiseModel.Gaussian.SqrtInformation(root, False) for root in roots]
@@ -73,7 +74,7 @@ class ErrorFunction:
 class FactorGroup(ABC):
     """All factors of one kind, whose nonlinear parts are evaluated together.
 
-    gtsam evaluates one factor at a time, which is slow with a model for arrays. :meth:`prepare` evaluates all factors
+    gtsam evaluates one factor at a time, which is slow with array functions. :meth:`prepare` evaluates all factors
     before a linearisation; until :meth:`forget`, each call returns a stored result.
     """
 
@@ -90,7 +91,7 @@ class FactorGroup(ABC):
         """Residuals (n, d) of some factors, and the Jacobians of each with respect to :meth:`keys`."""
 
     def prepare(self, values: Any) -> None:
-        """Evaluate all factors; until :meth:`forget` they are valid at these values only."""
+        """Evaluate all factors at these values, and store the results until :meth:`forget`."""
         self._prepared = self.evaluate(values, self._rows)
 
     def forget(self) -> None:

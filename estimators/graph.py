@@ -1,8 +1,8 @@
 """Solver of the joint model by a batch factor graph (gtsam), and the estimator ``graph``.
 
-Factors: mean specific force and mean rate of every window, the rotation that the gyros measured between the windows of
-a sequence, and the attitude of the fixture at its start (:mod:`estimators.factor_graph`). Residuals and Jacobians are
-those of :mod:`srt.model.measurement_model`.
+Factors: mean specific force and mean rate of every window, the rotation between the windows of a sequence from the
+gyros, and the attitude of the fixture at the start of each sequence (:mod:`estimators.factor_graph`). Residuals and
+Jacobians are those of :mod:`srt.model.measurement_model`.
 """
 
 from __future__ import annotations
@@ -42,24 +42,24 @@ ROBUST: Final[dict[str, Callable[[float], Any]]] = {
     "huber": gtsam.noiseModel.mEstimator.Huber.Create,
     "cauchy": gtsam.noiseModel.mEstimator.Cauchy.Create,
 }
-"""Robust losses by their scale, the 95 % quantile of the norm of a sequence's whitened residuals.
+"""Robust losses by name. Scale: 95 % quantile of the norm of the whitened residuals of a sequence.
 
 With this scale Cauchy's loss of twelve components is 98 % efficient on data without outliers.
 """
 _OUTLIER_PROBABILITY: Final = 0.05
-"""Probability that the residuals of a good sequence exceed the scale of its loss."""
+"""Probability that the residuals of a sequence without outliers exceed the scale of its loss."""
 _SETTLED_WEIGHT: Final = 1e-3
-"""Largest change of a weight at which the weights have converged."""
+"""The weights have converged if none changes by more than this."""
 _STEPS: Final = {"squared": 8, "huber": 30, "cauchy": 30}
 """Largest number of relinearisations per iteration; reweighting converges linearly and needs more."""
 _NEAR: Final = 1e-5
 """Correction (SI units) below which the attitudes are relinearised without new compensation of the data."""
 _SETTLED_SIGMAS: Final = 1e-3
-"""Correction, in sigmas, at which the relinearisation has converged."""
+"""The relinearisation has converged if the correction, in sigmas, is below this."""
 _ATTITUDE_ROWS: Final = 6.0
-"""Degrees of freedom that the two attitudes of a sequence take."""
+"""Degrees of freedom used by the two attitudes of a sequence."""
 _LEAST_FREEDOM: Final = 3.0
-"""Degrees of freedom of a sequence whose end attitude is the start of another."""
+"""Degrees of freedom of a sequence if another one starts from its end attitude."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +80,7 @@ class GraphSolution:
 
 
 def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
-    """Linearise and solve by QR elimination, the variables ``last`` at the end, so that R holds their marginals."""
+    """Linearise and solve by QR elimination; ``last`` are eliminated last, so that R contains their marginals."""
     linear = graph.linearize(values)
     ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, last)
     net = linear.eliminateSequential(ordering, gtsam.EliminateQR)
@@ -110,7 +110,7 @@ class GraphSolver(Solver):
 
     def __init__(self, loss: str, prior: Prior | None) -> None:
         self.loss, self.prior = loss, prior
-        # Cauchy's loss has several minima; squares and Huber's have one, and lead to the right one.
+        # Cauchy's loss has several minima. Squares and Huber's loss have one, from which Cauchy's iteration starts.
         self.stages = {"squared": ["squared"], "huber": ["squared", "huber"], "cauchy": ["squared", "huber", "cauchy"]}[
             loss
         ]
@@ -147,7 +147,7 @@ class GraphSolver(Solver):
                 weights = sequence_weights(built, values, loss)
             far = loss == "squared" and np.abs(step).max(initial=0.0) > _NEAR
             settled = np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance)))
-            # The first weights were set without residuals.
+            # The first weights were set before any residuals were known.
             if far or ((i or loss == "squared") and settled and np.abs(weights - before).max() < _SETTLED_WEIGHT):
                 break
         assert solution is not None
@@ -164,11 +164,11 @@ class GraphSolver(Solver):
         return LinearSolution(state, system, delta, E @ delta, selection @ solution.covariance @ selection.T)
 
     def restart(self) -> None:
-        """Start with the first loss again."""
+        """Restart with the first loss."""
         self.calls = 0
 
     def weights(self) -> dict[tuple[str, int], float]:
-        """Weights by kind and number of measurement; empty for squares."""
+        """Weights by kind and number of measurement; empty without a robust loss."""
         return {} if self.loss == "squared" else {(kind, number): weight for kind, number, weight in self.measured}
 
     def diagnostics(self, joint: JointModel) -> dict[str, Any]:
@@ -192,8 +192,8 @@ class GraphSolver(Solver):
 def sequence_weights(built: FactorGraph, values: Any, loss: str) -> Array:
     """Weights of the sequences from a robust loss of the norm of their whitened residuals, shape (K,).
 
-    The loss is that of a sequence, not of its windows and rotation: a contradiction is a change of horizontal force,
-    which either window or the rotation can cause, and separate losses would distribute the residual.
+    One loss applies to all residuals of a sequence. A contradiction shows as a change of horizontal force, which either
+    window or the rotation can cause; separate losses would distribute the residual over them.
     """
     squares, rows = np.zeros(built.joint.data.K), np.zeros(built.joint.data.K)
     with built.evaluated(values):

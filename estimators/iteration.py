@@ -1,8 +1,8 @@
-"""Gauss-Newton iteration of the joint model, and the calibration made of its solution.
+"""Gauss-Newton iteration of the joint model, and the calibration from its solution.
 
-Each iteration re-processes (plays back, [P] §8) the recorded data. Kalman filter and factor graph differ in their
-:class:`~estimators.solver.Solver` alone: compensation, observability, convergence, goodness of fit and the result are
-the same.
+Each iteration re-processes (plays back, Savage 2020, §8) the recorded data. Kalman filter and factor graph differ only
+in their :class:`~estimators.solver.Solver`: compensation, observability, convergence, goodness of fit and the result
+are the same.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ if TYPE_CHECKING:
 
 
 _MAX_STEP: Final = 0.7
-"""Longest correction (dimensionless, rad, bias in g). Farther from the solution only its direction is meaningful."""
+"""Largest correction (dimensionless, rad, bias in g) per iteration. Only the direction of larger ones is meaningful."""
 _ROUNDS: Final = 6
-"""Largest number of repetitions of the iteration, after a change of the noise model or of the free parameters."""
+"""Maximum number of rounds; a change of the noise model or of the free parameters starts a new round."""
 _SCATTER_UPDATES: Final = 2
-"""Number of updates of the bias scatter: with more, a scatter close to the noise would alternate with zero."""
+"""Number of updates of the bias scatter. Further updates could alternate between zero and a small scatter."""
 _INDEPENDENT: Final = 1e-10
-"""Diagonal element of R, columns having norm 1, below which a column depends on those before it."""
+"""Columns are scaled to norm 1. A smaller diagonal element of R marks a linearly dependent column."""
 _ONE_FAULT: Final = 0.05
-"""Share of chi-square left without one sequence, below which that sequence explains the misfit.
+"""A sequence explains the misfit if the other sequences have a smaller share of chi-square than this.
 
-Not zero, as the linearisation about a gross fault is not exact.
+The threshold is not zero because the linearisation about a gross fault is not exact.
 """
 _NEAR: Final = 1e-2
-"""Largest correction (dimensionless, rad, bias in g) from which on the solution is close enough to assess the noise."""
+"""The noise is assessed once the correction (dimensionless, rad, bias in g) is below this."""
 _SAME_NOISE: Final = (0.1, 1e-6)
-"""Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that needs no new iteration."""
+"""Relative and absolute (rad, m/s², rad/s) change of the unmodelled error that is negligible."""
 
 
 def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> JointState:
@@ -113,7 +113,7 @@ def iterate(
         Parameters fixed on request.
     progress : callable, optional
     converged : (float, float)
-        Largest negligible correction, absolute and in sigmas.
+        Corrections below either limit are negligible: absolute, and in sigmas.
     max_step : float
         Longest step; longer ones are shortened to it.
     """
@@ -129,7 +129,7 @@ def iterate(
         if near and not observability_known and solver.prior is None:
             observability_known = True
             if not np.array_equal(observable_parameters(system, requested), iteration.free):
-                # Not everything is observable: with the wide prior, what stays as wide is fixed in the end.
+                # A wide prior is added. Parameters whose sigma remains near that of the prior are fixed at the end.
                 solver.prior = default_prior()
         solver.observability_pending = not observability_known
         correction = _correct(joint, solver, iteration, (state, system), max_step, progress)
@@ -146,7 +146,7 @@ def iterate(
         iteration.status = "not_converged"
         iteration.message = (
             f"Not converged after {len(corrections)} iterations: the last correction was {corrections[-1]:.2e} "
-            "(largest parameter, accelerometer bias in g)."
+            "(largest component: ratios, rad; accelerometer bias in g)."
         )
     return iteration
 
@@ -154,9 +154,9 @@ def iterate(
 def _compensate(
     joint: JointModel, state: JointState, scatter_updates: int | None
 ) -> tuple[JointState, CompensatedData]:
-    """Compensate the data; close to the solution also update the priors that depend on them.
+    """Compensate the data; close to the solution, also update the priors that are estimated from the data.
 
-    ``scatter_updates`` is the number of updates so far, None while far from the solution.
+    ``scatter_updates`` is the number of updates so far; None while the state is far from the solution.
     """
     compensated = joint.compensate(state)
     if state.attitude is None:
@@ -167,7 +167,7 @@ def _compensate(
         joint.update_mounting_prior(state)
     if scatter_updates < _SCATTER_UPDATES:
         joint.update_bias_scatter(state, compensated)
-        if not joint.bias_walks and state.bias_deviation.any():  # the scatter was that of one faulty sequence
+        if not joint.bias_walks and state.bias_deviation.any():  # a fault of one sequence caused the scatter
             state = replace(state, bias_deviation=np.zeros_like(state.bias_deviation))
             compensated = joint.compensate(state)
     return state, compensated
@@ -183,11 +183,11 @@ def _correct(
 ) -> Array | None:
     """Solve the linearised model and correct the state; None if there is no valid correction, with the status set."""
     state, system = linearisation
-    iteration.status = "outside_model"  # unless the caller finds otherwise after a valid correction
+    iteration.status = "outside_model"  # the caller overwrites this status after a valid correction
     try:
         solved = solver.solve(joint, system, state)
     except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises ValueError for numbers that are not finite
-        iteration.message = f"The equations are singular ({error})."
+        iteration.message = f"The equations cannot be solved ({error})."
         return None
     delta, correction = solved.delta, solved.correction
     if not np.all(np.isfinite(delta)) or not np.all(np.isfinite(solved.covariance)):
@@ -211,19 +211,19 @@ def _correct(
 
 
 def default_prior() -> Prior:
-    """Wide prior, practically without information: 1-sigma of a third of full scale, 1 % asymmetry."""
+    """Wide prior with negligible information: 1-sigma of a third of full scale, 1 % asymmetry."""
     return Prior.from_sigma(admission_sigma())
 
 
 def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
-    """Sensor errors that the data determine together with all other unknowns, shape (27,)."""
+    """Mask of the sensor errors that are observable if all other unknowns are estimated, too, shape (27,)."""
     A = system.A
     bias = system.columns["bias"]
     number = (bias.stop - bias.start) // 3
     mean = A[:, bias].reshape(len(A), number, 3).sum(axis=1)
     wanted = np.concatenate([A[:, system.columns["errors"]], mean], axis=1)
     others = system.active.copy()
-    others[: bias.start + 3] = False  # the mean and the deviations of all biases but one replace the biases
+    others[: bias.start + 3] = False  # biases are re-parametrised as their mean and K − 1 deviations
     B = A[:, others]
     Q, R = np.linalg.qr(B / np.maximum(np.linalg.norm(B, axis=0), 1e-300))
     Q = Q[:, np.abs(np.diag(R)) > _INDEPENDENT]  # dependent columns add rounding errors only
@@ -234,8 +234,8 @@ def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
 def run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibration:
     """Calibrate with a solver.
 
-    Linear algebra runs in one thread: matrices of a few hundred rows gain nothing from more, and on a busy machine
-    threads that wait for each other made it ten times slower.
+    Linear algebra runs in one thread: with matrices of a few hundred rows, more threads give no gain, and on a busy
+    machine they were ten times slower.
 
     Raises
     ------
@@ -260,7 +260,7 @@ def _run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibr
             break
         if iteration.status == "converged" and _add_unmodelled_noise(joint, solver, iteration):
             continue
-        # Motion in a window can keep the iteration from converging, so that this comes before the status.
+        # Motion in a window can prevent convergence. Therefore this check precedes that of the status.
         moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
         if moving_windows.any():
             diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
@@ -282,8 +282,8 @@ def _run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibr
 def _add_unmodelled_noise(joint: JointModel, solver: Solver, iteration: IterationState) -> bool:
     """Estimate unmodelled errors if the residuals of several sequences exceed their noise; True if the noise changed.
 
-    A misfit that one sequence explains is a fault of that sequence, which a warning names. A robust loss reduces the
-    weight of such a sequence instead.
+    If one sequence explains the misfit, that sequence is faulty: a warning names it, and no noise is added. A robust
+    loss reduces the weight of such a sequence; this function then changes nothing.
     """
     if solver.weights():
         return False
@@ -291,11 +291,11 @@ def _add_unmodelled_noise(joint: JointModel, solver: Solver, iteration: Iteratio
     solution = solve(system)
     residual = system.b + system.A @ solution.delta
     statistic, freedom = float(residual @ residual), len(residual) - int(system.active.sum())
-    # Noise that was added before is always estimated again: it may have become too large.
+    # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
     if not any(joint.unmodelled_sigma):
         if not is_misfit(statistic, freedom):
             return False
-        # Chi-square of all sequences is the sum of chi-square without one and what this one adds.
+        # chi² = chi² without sequence k + contribution of sequence k.
         without = [
             (statistic - row["chi_square"], freedom - row["degrees_of_freedom"])
             for row in deletion_table(joint, system, solution)

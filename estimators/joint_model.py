@@ -1,10 +1,10 @@
 """Joint model of a recording: unknowns, priors, measurements and their noise, shared by Kalman filter and factor graph.
 
-Unknowns besides the sensor errors: the bias instability as specified (without a specification, and where the rates at
-rest scatter, one gyro bias per sequence), levelling and north of the fixture's base, orientation U of MARS on the
-table, gravity, the Earth's rate where it is not known, and the attitude of every stationary window.
-Measurements: mean specific force and mean rate of every window, and the rotation that the gyros measured between the
-windows of a sequence. The equations are in :mod:`srt.model.measurement_model`.
+Unknowns besides the sensor errors: the bias instability as specified, levelling and north of the fixture's base,
+orientation U of MARS on the table, gravity, the unknown part of the Earth's rate, and the attitude of every stationary
+window. If no bias instability is specified and the rates at rest scatter, every sequence has its own gyro bias.
+Measurements: mean specific force and mean rate of every window, and the rotation between the windows of a sequence,
+integrated from the gyros. The equations are in :mod:`srt.model.measurement_model`.
 """
 
 from __future__ import annotations
@@ -46,20 +46,20 @@ if TYPE_CHECKING:
 
 
 _MOUNTING_LIMIT: Final = 5.0
-"""Rotation of MARS from its stated mounting, in sigmas of the fixture, above which the prior follows the data."""
+"""If MARS is rotated from its stated mounting by more sigmas of the fixture than this, the prior follows the data."""
 _UNCONSTRAINED_BIAS: Final = 1e-2
-"""Bias scatter between sequences, rad/s (about 2000 °/h), above any unit's: it leaves the biases independent."""
+"""Bias scatter between sequences, rad/s (about 2000 °/h): larger than that of any unit, so that biases are free."""
 _RELEVANT_EDGE_NOISE: Final = 1e-3
-"""Share of quantization in the variance of a rotation from which window edges become unknowns of their own."""
+"""Errors at window edges are estimated if quantization has a larger share of the variance of a rotation than this."""
 _MODELLED_SQUARENESS: Final = 1e-4
-"""Sigma of the angle between the axes that other unknowns already model, relative to that of the fixture's angles.
+"""Sigma of an axis non-orthogonality that base and mounting absorb, relative to that of the fixture's angles.
 
-Not zero, as the covariance of a start attitude must be regular.
+It is not zero because the covariance of a start attitude must be regular.
 """
 _LEAST_WALK: Final = 1e-3
 """Smallest step of the bias walk, as a share of the rate noise of a window: the walk's covariance must be regular."""
 _EQUAL: Final = 1e-6
-"""Largest residual, of 1, at which base and mounting reproduce a non-orthogonality of the fixture's axes."""
+"""Base and mounting absorb a non-orthogonality of 1 if the largest residual is below this."""
 
 
 class JointModel:
@@ -95,7 +95,7 @@ class JointModel:
         self.bias_scatter = {"auto": stated, "pooled": np.zeros(3), "per-sequence": np.full(3, _UNCONSTRAINED_BIAS)}[
             options.gyro_bias
         ]
-        # Flicker noise has no memory of distance here: the difference of neighbours has twice the variance.
+        # Flicker noise is taken as independent between neighbours: their difference has twice the variance.
         self.bias_step = self.bias_scatter * math.sqrt(2.0) / flicker_spread(data.windows.samples)
         self._lay_out()
         self.U_prior, self.U_note = self._mounting(start[1])
@@ -104,7 +104,7 @@ class JointModel:
         )
 
     def _lay_out(self) -> None:
-        """Assign windows and sequences to level frames, and windows to the sequence that measures them first."""
+        """Assign windows and sequences to level frames, and each window to the first sequence that uses it."""
         data = self.data
         W = len(data.windows.duration_s)
         self.order = np.argsort(data.rotation[:, 0], kind="stable")
@@ -160,18 +160,18 @@ class JointModel:
             self.U_prior, self.U_note = self._mounting(self.processor.process(state.errors, U=state.U).U)
 
     def _mounting(self, U: Array) -> tuple[Array, str]:
-        """Prior mean of U, and a warning: nominal, or U itself where MARS is clearly rotated from the mounting."""
+        """Prior mean of U (nominal, or the estimate if MARS is clearly rotated from the mounting), and a warning."""
         fixture = self.data.recording.fixture
         if fixture is None:
             return U, ""
         rotation = float(np.linalg.norm(rotation_vector(U[None])))
-        # U was found from the fixture's axes and verticals, and has their errors.
+        # U was estimated from the fixture's axes and verticals and has their errors.
         limit = _MOUNTING_LIMIT * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
         if rotation <= limit:
             return np.eye(3), ""
         return U, (
             f"The gyro axes are rotated by {rotation * 1e3:.3g} mrad from the stated mounting: the prior of the "
-            "mounting was centred on the orientation that the rotations show."
+            "mounting was centred on the orientation estimated from the rotations."
         )
 
     @property
@@ -190,9 +190,9 @@ class JointModel:
     def start_sigma(self) -> Array:
         """Standard deviation of inner angle, outer angle and axis non-orthogonality of a start, shape (3,), rad.
 
-        The non-orthogonality is one angle of the fixture, but no unknown of its own. Where base and mounting can
-        reproduce it at all starts they absorb it; otherwise every start has an independent one. Its variation
-        between starts is the axis wobble.
+        The non-orthogonality is one angle of the fixture, but it is not estimated. If base and mounting can reproduce
+        it at all starts, they absorb it; otherwise it is modelled as independent at every start. Its variation between
+        starts is the axis wobble.
         """
         fixture = self.data.recording.fixture
         rotation, wobble = (0.0, 0.0) if fixture is None else (fixture.rotation_sigma_rad, fixture.wobble)
@@ -221,7 +221,7 @@ class JointModel:
         """Standard deviation of the bias steps between sequences in time order, shape (K − 1, 3), rad/s."""
         least = _LEAST_WALK * self.data.noise.gyro_white / math.sqrt(float(self.data.windows.duration_s.max()))
         by_scatter = np.sqrt(self.walk_share)[:, None] * self.bias_scatter
-        # g-sensitivity and flicker noise differ from pose to pose by more than a random walk of that scatter.
+        # From pose to pose, g-sensitivity and flicker noise change by more than a random walk with that scatter.
         return np.asarray(np.maximum(np.maximum(by_scatter, self.bias_step), least))
 
     @property
@@ -272,9 +272,9 @@ class JointModel:
         )
 
     def _integrate(self, state: JointState, deviation: Array, force: Array) -> tuple[RotationIntegrals, Array, Array]:
-        """Integrals of the rotations, rotations against inertial space, and forces of the windows as integrated.
+        """Integrals of the rotations, rotations relative to inertial space, and mean specific forces of the windows.
 
-        A window in which the unit moved has the mean of its force in the frame of its rest, not of its samples.
+        The force of a window in which the unit moved is averaged in the attitude at rest, not in that of each sample.
         """
         data = self.data
         if not self.integrated.any():
@@ -298,13 +298,13 @@ class JointModel:
         return integrals, rotation, force
 
     def _edges_are_unknowns(self, duration_s: Array) -> bool:
-        """True if quantization at window edges matters: window and rotation then share it as an unknown."""
+        """True if quantization at window edges is relevant and estimated: window and rotation share this error."""
         noise = self.data.noise
         white = noise.gyro_white**2 * float(duration_s.min())
         return bool(np.any(2.0 * noise.gyro_edge**2 > _RELEVANT_EDGE_NOISE * white))
 
     def _force_noise(self, D: Array) -> dict[str, Array]:
-        """Covariance of the compensated specific forces by source, D being the slope of compensation."""
+        """Covariance of the compensated specific forces by source; D is the derivative of compensation."""
         noise, windows = self.data.noise, self.data.windows
         return {
             "accel_noise": _compensated_covariance(D, noise.accel_white**2 * windows.white_factor[:, None]),
@@ -315,7 +315,7 @@ class JointModel:
     def _rate_noise(self, D: Array, *, separate_edges: bool) -> dict[str, Array]:
         """Covariance of the compensated rates by source."""
         noise, T = self.data.noise, self.data.windows.duration_s[:, None]
-        # An edge that no rotation shares is noise of the window's rate alone; so are all edges that are no unknowns.
+        # An edge error that no rotation shares, or that is not estimated, is noise of the window's rate.
         own_edges = np.where(separate_edges, 2.0 - self.is_end.astype(float) - self.is_start, 2.0)[:, None]
         by_source = {
             "gyro_noise": _compensated_covariance(D, noise.gyro_white**2 / T),
@@ -323,12 +323,12 @@ class JointModel:
             "rest_excess": np.broadcast_to(self.unmodelled_sigma[2] ** 2 * np.eye(3), D.shape),
         }
         if self.integrated.any():
-            # In a window whose attitude is integrated the gyros measure motion: no weight, as 1 rad/s is no knowledge.
+            # In a window with integrated attitude the gyros measure motion: 1 rad/s gives the rate no weight.
             by_source["gyro_noise"][self.integrated] = np.eye(3)
         return by_source
 
     def _rotation_noise(self, integrals: RotationIntegrals, A: Array, *, separate_edges: bool) -> dict[str, Array]:
-        """Covariance of the rotations by source, A being the compensated angle of a unit edge error."""
+        """Covariance of the rotations by source; A is the compensated angle of a 1-sigma edge error."""
         assert integrals.noise is not None
         C = integrals.C_end
         edges = np.broadcast_to(A @ A.T, C.shape) + C @ (A @ A.T) @ np.swapaxes(C, 1, 2)
@@ -388,7 +388,7 @@ class JointModel:
 
     @cached_property
     def rest_rate_weights(self) -> Array:
-        """Weights of the windows in each sequence's own rest rate, shape (K, W)."""
+        """Weights of the windows in the mean rest rate of each sequence, shape (K, W)."""
         T = self.data.windows.duration_s
         weights = np.zeros((self.data.K, len(T)))
         for which in (self.data.start, self.data.end):
@@ -396,7 +396,7 @@ class JointModel:
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def instability_by_sequence(self, compensated: CompensatedData, unknowns: Array) -> Array:
-        """Bias instability of the raw gyros in each sequence's windows less its mean, shape (K, 3), rad/s."""
+        """Bias instability of the raw gyros in the windows of each sequence, minus its mean, shape (K, 3), rad/s."""
         raw = np.linalg.solve(compensated.rate_slope, (compensated.instability.rate @ unknowns)[:, :, None])[:, :, 0]
         own = self.rest_rate_weights @ raw
         return np.asarray(own - own.mean(axis=0))
@@ -425,19 +425,21 @@ def open_joint_model(recording: Recording, options: Options) -> JointModel:
     Raises
     ------
     DataError
-        As :func:`srt.sequences.preparation.prepare_checked`, and if no sequence has both its windows.
+        As :func:`srt.sequences.preparation.prepare_checked`, and if no sequence has both stationary windows.
     """
     labels = recording.sequences or find_turns(recording)
     whole = tuple(s for s in labels if not _end_is_missing(recording, s))
     poses = tuple(s for s in labels if s.id is not None and (s not in whole or _rotation_is_incomplete(recording, s)))
     if not whole:
-        raise DataError("No sequence of the recording has both its windows: record at least one rotation to its end.")
+        raise DataError(
+            "No sequence of the recording has both stationary windows: record at least one rotation to its end."
+        )
     data = prepare_checked(recording, whole, options.average, poses=poses if recording.fixture is not None else ())
     return JointModel(data, options, initial_estimate(data, options))
 
 
 def pose_nominal(label: SequenceLabel) -> Array:
-    """C_nom of a label's start."""
+    """Nominal start attitude C_nom of a label."""
     sequence = sequence_of_label(label)
     assert sequence is not None
     return nominal_attitude(sequence)
@@ -456,7 +458,7 @@ def _end_is_missing(recording: Recording, label: SequenceLabel) -> bool:
 
 
 def _nominal_start(sequence: RotationSequence | None) -> Array | None:
-    """C_nom of a sequence's start; None if the fixture cannot reach it, as IMU z would lie along the outer axis."""
+    """Nominal start attitude C_nom; None if it needs IMU z along the outer axis, which the fixture cannot do."""
     if sequence is None or sequence.along_outer[-1] == "z":
         return None
     return nominal_attitude(sequence)

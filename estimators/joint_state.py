@@ -22,7 +22,7 @@ class LevelFrame:
     unknown_sigma : ndarray, shape (3,), rad/s
         Standard deviation of the unknown part.
     fixture : bool
-        True for the frame of the fixture, whose heading L has; otherwise the first pose defines the heading.
+        True: L has the heading of the fixture; False: the first pose defines the heading of L.
     """
 
     earth_rate: Array
@@ -37,11 +37,11 @@ class JointState:
     Attributes
     ----------
     errors : SensorErrors
-        With the mean gyro bias of the recording.
+        Sensor errors; the gyro bias is its mean over the sequences.
     bias_deviation : ndarray, shape (K, 3), rad/s
-        Gyro bias of each sequence less the mean one, raw channels.
+        Gyro bias of each sequence minus the mean bias, before compensation with M⁻¹ (sensor axes).
     base, U : ndarray, shape (3, 3)
-        True to nominal fixture base; T to MARS components.
+        Rotation from true to nominal fixture base; rotation from T to MARS components.
     gravity : float
         Correction to the stated gravity, m/s².
     earth_rate : ndarray, shape (number of level frames, 3), rad/s
@@ -66,20 +66,21 @@ class CompensatedData:
     Attributes
     ----------
     force, rate : ndarray, shape (W, 3)
-        Compensated means of the windows, m/s² and rad/s; the rate without the bias deviation of its sequence.
+        Compensated means of the windows, m/s² and rad/s, the rate with the bias deviation of the sequence subtracted.
     force_jacobian, rate_jacobian : ndarray, shape (W, 3, 27)
-        Negative derivative of force and rate by the estimated errors.
+        Negative derivative of force and rate with respect to the 27 sensor errors.
     force_noise, rate_noise, rotation_noise : dict of str to ndarray, shape (W or K, 3, 3)
         Noise covariance by source.
     rate_slope : ndarray, shape (W, 3, 3)
-        Inverse slope of the gyros' sensor model at rest: raw to compensated bias.
+        Derivative of the compensated rate with respect to the raw rate at rest.
     rotation : ndarray, shape (K, 3, 3)
         Rotation between the windows against inertial space, B_End to B_Strt.
     rotation_jacobian : ndarray, shape (K, 3, 27)
-        Derivative of its attitude error.
+        Derivative of the rotation's attitude error with respect to the 27 sensor errors.
     duration_s : ndarray, shape (K,)
     edge_slope : ndarray, shape (3, 3), rad
-        Compensated angle of a unit error of the raw angle at a window edge; zero where edges are no unknowns.
+        Derivative of the compensated angle with respect to a normalised (1-sigma) error of the raw angle at a window
+        edge; zero if edge errors are not estimated.
     instability : BiasInstability
         Effect of the bias instability on all measurements.
     """

@@ -1,9 +1,9 @@
 """Kalman filter (filterpy) over the sequences of a linearised recording, and its use as a solver.
 
 State: sensor errors, gyro bias with a random walk between sequences, levelling and north of the base, orientation of
-MARS on the table, gravity, the Earth's rate where it is unknown, the end attitude from which the next sequence of a
+MARS on the table, gravity, the unknown part of the Earth's rate, the end attitude from which the next sequence of a
 free recording starts, and the bias instability up to the present sequence. Every iteration restarts from the prior and
-keeps the linearisation point alone; otherwise the data would count twice.
+keeps only the linearisation point; otherwise the data would count twice.
 
 The state is in units in which the prior is white. Forms of the filter: square-root
 (:mod:`estimators.square_root_filter`) or covariance (:mod:`estimators.covariance_filter`).
@@ -42,7 +42,7 @@ _PASSES: Final = 8
 _NEAR: Final = 1e-5
 """Correction (SI units) below which the attitudes are relinearised without new compensation of the data."""
 _SETTLED_SIGMAS: Final = 1e-3
-"""Correction, in sigmas, at which the relinearisation has converged."""
+"""The relinearisation has converged if the correction, in sigmas, is below this."""
 _POSE: Final = 3
 """Number of states of an end attitude."""
 _MEAN: Final = 3
@@ -56,8 +56,8 @@ class FilterRun:
     Attributes
     ----------
     delta : ndarray, shape (n,)
-        Correction of the columns of the system. Every bias has the correction of the mean; attitudes are those of the
-        last state.
+        Correction of the columns of the system. Every bias has the correction of the mean; attitudes are computed from
+        the final estimate.
     correction : ndarray, shape (27,)
         Correction of the reported parameters.
     covariance : ndarray, shape (27, 27)
@@ -125,7 +125,7 @@ def run_filter(
         if i and walk is not None:
             step = np.zeros((len(ekf.x), len(axes)))
             step[:n] = inverse[:, bias] * walk[i - 1][axes]
-            # The bias states are corrections of the deviation that a sequence was linearised about.
+            # The bias states are corrections to the bias deviation at which a sequence was linearised.
             shift = np.zeros(len(ekf.x))
             before, after = parts[i - 1].sequence, part.sequence
             change = state.bias_deviation[after] - state.bias_deviation[before]
@@ -159,7 +159,7 @@ def run_filter(
 
 
 def _all_columns(system: LinearSystem, parts: list[SequenceEquations], g: Array) -> Array:
-    """Correction of all columns from that of the shared ones: nuisance parameters of each sequence follow from it."""
+    """Correction of all columns: that of the shared ones is g, that of the nuisance parameters follows from g."""
     delta = np.zeros(system.A.shape[1])
     delta[global_columns(system)] = g
     previous = np.zeros(_POSE)
@@ -171,13 +171,13 @@ def _all_columns(system: LinearSystem, parts: list[SequenceEquations], g: Array)
 
 
 def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: Indices) -> tuple[Array, Array]:
-    """Cholesky factor of the prior covariance of the shared columns, and the prior mean less the state."""
+    """Cholesky factor of the prior covariance of the shared columns, and the prior mean minus the state."""
     n = system.A.shape[1]
     P, mean = np.zeros((n, n)), np.zeros(n)
     at = np.concatenate([system.of("errors"), system.of("bias")[:3]])
     P[np.ix_(at, at)] = prior.covariance
     mean[at] = prior.mean.vector - state.errors.vector
-    # The priors of fixture and site are whitened rows of the system, square on their own columns.
+    # The priors of fixture and site are whitened rows of the system; their blocks are square.
     for rows in system.rows:
         if rows.kind in {"base", "mounting", "gravity"} or rows.kind.startswith("earth_rate"):
             members = rows.index.ravel()
@@ -191,7 +191,8 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
 def _report_map(shared: Indices, axes: Indices, L: Array, bias: Indices | None) -> Array:
     """Matrix from the state to the reported parameters, shape (27, n + 6).
 
-    ``bias`` are the states of a constant gyro bias; None if it walks, and the mean over the sequences is reported.
+    ``bias`` are the states of a constant gyro bias; None for a random walk, of which the mean over the sequences is
+    reported.
     """
     E = np.zeros((N_PARAMETERS, len(shared) + _POSE + _MEAN))
     errors = np.flatnonzero(shared < N_ERRORS)
@@ -221,7 +222,7 @@ def _hand_on(ekf: SquareRootFilter | CovarianceFilter, part: SequenceEquations, 
 
 
 def _take_mean(ekf: SquareRootFilter | CovarianceFilter, bias: Array, axes: Indices, count: int, n: int) -> None:
-    """Update the mean of the biases of the sequences so far."""
+    """Update the mean gyro bias of the sequences processed so far."""
     F = np.eye(len(ekf.x))
     at = n + _POSE + axes
     F[at, at] = count / (count + 1.0)

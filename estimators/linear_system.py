@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 N_ERRORS: Final = GROUP_SLICES["gyro_bias"].start
-"""Number of sensor errors without the gyro bias, which can differ between sequences."""
+"""Number of sensor errors other than the gyro bias, which can differ between sequences."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class RowGroup:
     owner : ndarray of int, shape (n,)
         Sequence of each member; −1 for priors of the recording.
     sources : dict of str to ndarray, shape (n, d, d)
-        Share of every source of error in the unit covariance of the members.
+        Share of each source of error in the whitened (unit) covariance of each member.
     size : int
         Number of rows of a member, d.
     """
@@ -69,7 +69,7 @@ class LinearSystem:
     free : ndarray of bool, shape (27,)
         Sensor errors that are estimated.
     whitening : dict of str to ndarray, shape (n, d, d)
-        Matrices by kind of rows that whitened the residuals.
+        Whitening matrices of the residuals, by kind of rows.
     compensated : CompensatedData
         Compensated data that were linearised.
     """
@@ -102,7 +102,7 @@ class LinearSystem:
 
 
 def attitude_columns(system: LinearSystem) -> Mask:
-    """Mask of the columns of fixture, site and attitudes, which compensation does not depend on, shape (n,)."""
+    """Mask of the columns that do not affect compensation: fixture, site and attitudes, shape (n,)."""
     out = np.zeros(system.A.shape[1], dtype=np.bool_)
     for name in ("base", "mounting", "gravity", "earth_rate", "attitude"):
         out[system.columns[name]] = True

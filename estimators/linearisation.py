@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
     Block = tuple[str, Indices | int, Array]
-    """Name of columns, number within them of each member (−1: none), Jacobian (n or 1, d, width)."""
+    """Name of the columns, number of each member within them (−1: none), Jacobian (n or 1, d, width)."""
 
 _RECORDING = np.array([-1], dtype=np.intp)
 """Owner of rows that belong to no sequence."""
@@ -34,9 +34,9 @@ def linearise(
     ----------
     joint : JointModel
     state : JointState
-        With its attitudes.
+        State, with its attitudes.
     compensated : CompensatedData
-        Data compensated with it.
+        Data compensated with ``state``.
     free : ndarray of bool, shape (27,)
         Sensor errors to estimate; the others are fixed.
     prior : Prior, optional
@@ -59,14 +59,14 @@ def linearise(
 
 
 def edge_numbers(joint: JointModel, compensated: CompensatedData) -> Indices:
-    """Number of the unknown quantization error at both edges of every window, shape (W, 2); −1 where there is none."""
+    """Number of the unknown quantization error at both edges of every window, shape (W, 2); −1 if not estimated."""
     shared = np.stack([joint.is_end, joint.is_start], axis=1) & bool(compensated.edge_slope.any())
     numbers = np.cumsum(shared.ravel()).reshape(shared.shape) - 1
     return np.where(shared, numbers, -1)
 
 
 def fixed_headings(joint: JointModel) -> Indices:
-    """Windows whose heading is fixed: the first one of a free level frame; every start without fixture states."""
+    """Windows with a fixed heading: the first window of a free level frame; without fixture states, every start."""
     data, fixed = joint.data, []
     seen: set[int] = set()
     for k in joint.order.tolist():
@@ -116,7 +116,7 @@ def _active_columns(joint: JointModel, columns: dict[str, slice], free: Mask) ->
     active[bias] = np.tile(free[N_ERRORS:], (bias.stop - bias.start) // 3)
     active[columns["earth_rate"]] = np.concatenate([frame.unknown_sigma > 0.0 for frame in joint.level_frames])
     active[columns["base"]] = active[columns["mounting"]] = joint.fixture_states
-    # Gravity is estimated without a fixture, too.
+    # Gravity is also estimated without a fixture.
     active[columns["gravity"]] = joint.options.fixture_states
     active[columns["attitude"].start + 3 * fixed_headings(joint) + 2] = False
     return active
@@ -138,7 +138,7 @@ class _Builder:
         self.m = 0
 
     def add(self, kind: str, owner: Indices, residual: Array, noise: dict[str, Array], blocks: list[Block]) -> None:
-        """Add a group of rows: their sequences, residuals (n, d), covariances by source, blocks of Jacobians."""
+        """Add a group of rows with their sequences, residuals (n, d), covariances by source and blocks of Jacobians."""
         count, size = residual.shape
         if count == 0:
             return
@@ -302,7 +302,7 @@ class _Builder:
         self.add("edge", owner, zero, {"gyro_quantization": unit}, [("edge", np.arange(count), unit)])
 
     def add_prior(self, prior: Prior) -> None:
-        """Prior of the sensor errors, that of the gyro bias being a prior of its mean over the sequences."""
+        """Add the prior of the sensor errors; the prior of the gyro bias applies to its mean over the sequences."""
         difference = self.state.errors.vector - prior.mean.vector
         difference[N_ERRORS:] += self.state.bias_deviation.mean(axis=0)
         number = self.joint.data.K if self.joint.bias_walks else 1

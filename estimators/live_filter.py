@@ -1,9 +1,10 @@
 """Kalman filter during a test: an estimate after every sequence, from all sequences so far.
 
-With large sensor errors a filter linearised about its own first estimate diverges. Every new sequence therefore first
-updates a coarse, linear filter of the triads' matrices: summed raw angles of its rotations against the nominal ones,
-mean raw specific force of its poses against the nominal vertical, with the standard deviation of the fixture. All
-sequences so far are then processed again from the original prior, linearised about the coarse estimate.
+With large sensor errors, a filter linearised about its own first estimate diverges. Every new sequence therefore first
+updates a coarse, linear filter of the triads' matrices. Its measurements are the summed raw angles of the rotations
+(reference: nominal angles) and the mean raw specific force of the poses (reference: nominal vertical), with the
+standard deviation of the fixture. All sequences so far are then processed again from the original prior, linearised
+about the coarse estimate.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 
 _MAX_STEP: Final = 0.1
-"""Longest correction (dimensionless, rad, bias in g): short, as the prior alone constrains many parameters at first."""
+"""Largest correction per iteration (dimensionless, rad, bias in g); few parameters are observable at first."""
 _N: Final = 24
 """Unknowns of the coarse filter: gyro matrix (9), accelerometer matrix (9), accelerometer bias (3), gyro bias (3)."""
 
@@ -62,7 +63,7 @@ class LiveReport:
     errors : SensorErrors
     sigma : ndarray, shape (27,)
     nis : float
-        Normalised innovation squared of this sequence, given all those before it.
+        Normalised innovation squared of this sequence, given all earlier ones.
     freedom : int
     innovations : ndarray, shape (freedom,)
     promised : bool
@@ -70,7 +71,7 @@ class LiveReport:
     met : bool
         True if the sigmas are reliable and meet all targets.
     limiting : str or None
-        Parameter with the largest ratio to its target; None without targets.
+        Parameter with the largest ratio of sigma to target; None without targets.
     """
 
     sequence: str
@@ -104,12 +105,12 @@ class LiveReport:
 
 
 class LiveFilter:
-    """Kalman filter that is given one sequence after the other.
+    """Kalman filter to which sequences are added one by one.
 
     Parameters
     ----------
     options : Options
-        With the targets.
+        Options, including the targets.
 
     Raises
     ------
@@ -150,7 +151,7 @@ class LiveFilter:
         self.labels.append(label)
         so_far = tuple(self.labels)
         data = prepare_checked(recording.with_sequences(so_far), so_far, self.options.average)
-        # With few sequences the problem has several minima: the most likely one is used.
+        # With few sequences there are several minima: the most probable one is used.
         starts = (self.coarse.estimate(), initial_estimate(data, self.options))
         self.joint, self.solver, self.iteration = min((self._solve_from(data, start) for start in starts), key=_rank)
         return self._report(data)
@@ -209,7 +210,7 @@ class CoarseFilter:
     Parameters
     ----------
     prior : Prior
-        Its standard deviations are those of the matrix elements and biases.
+        Prior of the sensor errors; its standard deviations apply to the matrix elements and biases.
     """
 
     def __init__(self, prior: Prior) -> None:
@@ -279,7 +280,7 @@ class CoarseFilter:
 
 
 def _matrix_rows(v: Array, first: int) -> Array:
-    """Derivative of M v with respect to the elements of M, the first of which is state ``first``; shape (3, 24)."""
+    """Derivative of M v with respect to the states; elements of M start at state ``first``; shape (3, 24)."""
     H = np.zeros((3, _N))
     for row in range(3):
         H[row, first + 3 * row : first + 3 * row + 3] = v

@@ -1,4 +1,4 @@
-"""Measurements of each sequence for a filter, its nuisance parameters eliminated.
+"""Measurements of each sequence for a filter, after elimination of the nuisance parameters.
 
 An orthogonal transformation (QR) of the rows of a sequence concentrates its nuisance parameters, attitudes and edge
 errors, in the first rows. The other rows are white measurements of the filter's state. Where the next sequence starts
@@ -32,7 +32,7 @@ class SequenceEquations:
     b : ndarray, shape (m,)
     pose : tuple of ndarray, or None
         R (p, p), G (p, n), G_pose (p, 3), c (p) of the end attitude p' that the next sequence starts from:
-        ``0 = c + R p' + G g + G_pose p + noise``; None if it does not.
+        ``0 = c + R p' + G g + G_pose p + noise``; None if the next sequence does not start from it.
     pose_columns : ndarray of int, shape (p,)
         Columns of the end attitude in the system.
     pose_active : ndarray of bool, shape (3,)
@@ -65,9 +65,9 @@ class SequenceEquations:
 
 
 def global_columns(system: LinearSystem) -> Indices:
-    """Estimated columns that sequences share, in the order of the filter's state; of several biases the first.
+    """Estimated columns shared by all sequences, in the order of the filter's state; one gyro bias represents all.
 
-    Those of the bias instability are the last, in the order of the sequences that depend on them first.
+    The columns of the bias instability are the last, ordered by the first sequence that depends on each.
     """
     names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "instability")
     kept = [system.of(name)[:3] if name == "bias" else system.of(name) for name in names]
@@ -94,7 +94,7 @@ def eliminate_nuisances(joint: JointModel, system: LinearSystem) -> list[Sequenc
     carried = -1
     for i, k in enumerate(joint.order.tolist()):
         at = np.concatenate(rows_of[k])
-        # Edge errors enter with their priors; one that the next rotation shares is independent there.
+        # Each sequence adds the priors of its edge errors; an edge shared with the next rotation is independent there.
         used = system.A[np.ix_(at, system.of("edge"))].any(axis=0).reshape(-1, 3).any(axis=1)
         at = np.concatenate([at, edges[used].ravel()])
         A, b = system.A[at], system.b[at]

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 _KINDS: Final = ("force", "rate", "turn")
 _INDEPENDENT: Final = 1e-10
-"""Eigenvalue, of at most 1, below which a direction of the residuals is lost without the sequence."""
+"""Smallest eigenvalue (at most 1) of a residual direction that remains determined without the sequence."""
 _SMALLEST_LEVERAGE: Final = 0.05
-"""Sensitivity of a parameter, in its sigmas, to a direction above which the direction matters to the parameter."""
+"""Smallest effect of a residual direction on a parameter, in sigmas of the parameter, that is relevant."""
 _NO_RESIDUAL: Final = 1e-6
-"""Sigma of a residual, relative to its measurement, below which it is zero but for rounding errors."""
+"""Smallest sigma of a residual relative to that of its measurement; below it, the residual is a rounding error."""
 
 
 def residuals(joint: JointModel, system: LinearSystem, solution: DenseSolution) -> tuple[Residual, ...]:
@@ -57,7 +57,7 @@ def residuals(joint: JointModel, system: LinearSystem, solution: DenseSolution) 
 
 
 def _role(joint: JointModel, k: int, window: int) -> str:
-    """Role of a window in its sequence: start, end, or lone without its rotation."""
+    """Role of a window in its sequence: "start", "end", or "lone" for a pose whose rotation is not used."""
     if window == joint.data.start[k]:
         return "start"
     return "end" if window == joint.data.end[k] else "lone"
@@ -78,7 +78,7 @@ def contradictions(joint: JointModel, system: LinearSystem, solution: DenseSolut
         values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T)
         seen = values > LEAST_PREDICTED_SHARE
         statistic = float(np.sum((vectors[:, seen].T @ v) ** 2 / values[seen]))
-        # Some of them affect reported parameters: the other sequences cannot check these.
+        # The other sequences cannot check the reported parameters that depend on these directions.
         alone, effect, _ = np.linalg.svd(reported @ (H.T @ vectors[:, ~seen]), full_matrices=False)
         unchecked = alone[:, effect > _SMALLEST_LEVERAGE]
         out.append(ConsistencyTest(statistic, int(seen.sum()), unchecked.shape[1], participating(unchecked)))
@@ -111,7 +111,7 @@ def deletion_table(
 def leave_one_out_estimates(
     joint: JointModel, system: LinearSystem, solution: DenseSolution
 ) -> list[LeaveOneOutEstimate]:
-    """Estimates without each sequence, in time order; windows that other sequences share are kept."""
+    """Estimates with each sequence omitted, in time order; windows shared with other sequences are kept."""
     residual = system.b + system.A @ solution.delta
     root = system.A @ solution.root
     reported = system.parameter_map() @ solution.root
@@ -127,7 +127,7 @@ def leave_one_out_estimates(
         at = np.setdiff1d(owned[k], shared)
         H = root[at]
         effect = full @ (unit @ H.T)
-        # Woodbury identity in information form, as without the sequence the covariance need not exist.
+        # Woodbury identity in information form: without the sequence the covariance may not exist.
         values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T + H @ unit.T @ effect)
         there = values > _INDEPENDENT
         seen = effect @ vectors[:, there] / np.sqrt(values[there])
@@ -164,7 +164,7 @@ def _owned(system: LinearSystem) -> dict[int, Indices]:
 
 
 def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
-    """Rows of windows that two sequences share."""
+    """Rows of windows shared by two sequences."""
     data = joint.data
     uses = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))
     windows = np.flatnonzero(uses > 1)
@@ -172,7 +172,7 @@ def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
 
 
 def contradiction_warnings(table: SequenceOf[dict[str, Any]]) -> list[str]:
-    """Warning that names the sequence that contradicts the others most, if its p-value is small."""
+    """Warning about the sequence that is least consistent with the others, if its p-value is small."""
     worst = most_contradicted(table)
     if worst is None:
         return []

@@ -6,9 +6,9 @@ They start from the prior mean, process every sequence once in time order, and n
 - ``per-sequence``: the update of each sequence iterated (iterated extended filter);
 - ``unscented``: see :mod:`estimators.unscented_filter`.
 
-Limits: one level frame, windows that no other sequence uses, and one gyro bias. The estimate does not converge by
-iteration, so that it is compared with the optimum of all measurements, linearised about it. A difference beyond 1 sigma
-is reported.
+Limits: one level frame, no window shared by two sequences, and one gyro bias. There is no convergence criterion.
+Instead, the estimate is compared with the optimum of all measurements, linearised about the estimate; a difference of
+more than 1 sigma is reported.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 
 
 _ITERATIONS: Final = {"one-pass": 1, "per-sequence": 10}
-"""Largest number of linearisations of each sequence."""
+"""Maximum number of linearisations of each sequence."""
 _SETTLED_SIGMAS: Final = 1e-3
-"""Correction, in sigmas of the updated state, at which the iteration of a sequence has converged."""
+"""The iteration of a sequence has converged if the correction, in sigmas of the updated state, is below this."""
 _ATTITUDE_PASSES: Final = 3
 """Number of linearisations of the attitudes for the comparison with the optimum: the second is exact to 1e-9 rad."""
 _OPTIMUM_SIGMAS: Final = 1.0
@@ -62,14 +62,14 @@ class SequenceUpdate:
     ----------
     state : JointState
     x : ndarray, shape (n,)
-        Mean of the filter's states: zero for those that ``state`` holds.
+        Mean of the filter's states: zero for states that ``state`` includes.
     root : ndarray, shape (n, n)
-        Square root of their covariance.
+        Square root of the states' covariance.
     correction : ndarray, shape (27,)
         Correction of the reported parameters by this sequence.
     covariance : ndarray, shape (27, 27)
     innovations : ndarray
-        Normalised and decorrelated.
+        Innovations, normalised and decorrelated.
     """
 
     state: JointState
@@ -94,7 +94,7 @@ class SequentialFilter(Solver):
     Raises
     ------
     InputError
-        If the recording or the options need states that these filters do not have.
+        If the recording or the options require states that these filters do not model.
     """
 
     name = "ekf"
@@ -104,7 +104,7 @@ class SequentialFilter(Solver):
         windows = np.concatenate([joint.data.start, joint.data.end])
         if len(joint.level_frames) > 1 or len(np.unique(windows)) < len(windows) or joint.bias_walks:
             raise InputError(
-                f"The filter {form!r} needs labelled sequences on a fixture, with windows of their own and one gyro "
+                f"The filter {form!r} needs labelled sequences on a fixture, no shared windows and one gyro "
                 "bias: use filter='iterated'."
             )
         self.prior: Prior = prior
@@ -113,7 +113,7 @@ class SequentialFilter(Solver):
         self.optimum: dict[str, Any] = {}
 
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Not available: these filters choose their linearisation points."""
+        """Unavailable, as these filters choose their own linearisation points."""
         raise NotImplementedError
 
     def diagnostics(self, joint: JointModel) -> dict[str, Any]:
@@ -166,7 +166,7 @@ class SequentialFilter(Solver):
                 root[:n, :n], mean[:n] = prior_root(system, state, self.prior, columns[:n])
             else:
                 root, mean = previous.root, previous.x.copy()
-                mean[:n] -= total  # the predicted state, relative to the present linearisation point
+                mean[:n] -= total  # predicted state relative to the present linearisation point
             ekf = SquareRootFilter(mean, root)
             ekf.correct(-part.b, part.H)
             delta = np.zeros(system.A.shape[1])

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 
 _GROSS_RATIO: Final = 100.0
-"""Chi-square per degree of freedom above which a misfit is gross, if the residuals are large, too."""
+"""A misfit is gross if chi-square per degree of freedom exceeds this and the residuals exceed _GROSS_G."""
 _GROSS_G: Final = 0.01
-"""Root mean square of the residuals of specific force, in g, above which a misfit is gross: a wrong label gives 0.1."""
+"""Limit of the root mean square residual of specific force, in g; a wrong label gives 0.1 g."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ class FixedParameters:
     reasons : dict of str to str
         Reason by name of the parameter.
     sigma : ndarray, shape (27,)
-        Standard deviation of the fixed values; zero where not known, and for parameters that are estimated.
+        Standard deviation of the fixed values; zero if unknown, and zero for estimated parameters.
     """
 
     reasons: dict[str, str]
@@ -61,23 +61,23 @@ def make_calibration(
     fixed: FixedParameters,
     diagnostics: dict[str, Any],
 ) -> Calibration:
-    """Calibration from the solution that an iteration ended with."""
+    """Calibration from the final solution of an iteration."""
     data, reasons = joint.data, dict(fixed.reasons)
     warnings = [joint.U_note] if joint.U_note and joint.fixture_states else []
     if iteration.system is not None and iteration.covariance is not None:
         sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
         weak = ~iteration.free | (sigma > OBSERVED_BELOW * admission_sigma())
         for i in np.flatnonzero(weak):
-            reasons.setdefault(NAMES[i], "the sequences of this recording do not show it apart from the others")
+            reasons.setdefault(NAMES[i], "the sequences of this recording cannot separate it from other parameters")
     analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
     warnings += contradiction_warnings(analysis.table)
     if any(joint.unmodelled_sigma):
         rotation, force, rate = joint.unmodelled_sigma
         warnings.append(
-            f"Residuals are larger than the sensors' noise explains: {np.degrees(rotation):.2g}° per rotation, "
+            f"Residuals are larger than the sensor noise explains: errors of {np.degrees(rotation):.2g}° per rotation, "
             f"{force:.2g} m/s² and {rate:.2g} rad/s per pose were added, and the sigmas include them."
         )
-    # Parameters that are not observed keep the initial value, not the one that a prior and correlations gave them.
+    # Parameters that are not observable keep the initial value, not the one from a prior and correlations.
     identity = np.tile(np.eye(3), (data.K, 1, 1))
     not_observed = np.array([name in reasons for name in NAMES])
     result = SolverResult(
@@ -118,10 +118,10 @@ class SolutionAnalysis:
     chi_square, degrees_of_freedom : float, int
         Goodness of fit.
     gross_misfit : bool
-        True if the misfit is far beyond any noise, as from a wrong label.
+        True if the misfit is far larger than any noise, for example because of a wrong label.
     sequences : tuple of SequenceDiagnostics
     instability : ndarray, shape (K, 3), rad/s
-        Bias instability of the gyros by sequence, about its mean.
+        Bias instability of the gyros by sequence, minus its mean.
     """
 
     covariance: dict[str, Array]
@@ -138,7 +138,7 @@ class SolutionAnalysis:
 def analyse_solution(
     joint: JointModel, solver: Solver, iteration: IterationState, uncertain: Array
 ) -> SolutionAnalysis:
-    """Analyse the solution that an iteration ended with; ``uncertain`` is the sigma of the fixed values."""
+    """Analyse the final solution of an iteration; ``uncertain`` is the sigma of the fixed values."""
     nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
     if iteration.system is None or iteration.covariance is None or iteration.status == "outside_model":
         return SolutionAnalysis({"none": nothing}, nothing)
@@ -198,7 +198,7 @@ def with_prior(joint: JointModel, solver: Solver, iteration: IterationState) -> 
 
 
 def _fixed_values(system: LinearSystem, solution: DenseSolution, uncertain: Array, free: Mask) -> Array:
-    """Covariance of the estimated parameters from errors of the fixed values, their sigma being ``uncertain``."""
+    """Covariance of the estimated parameters due to errors of the fixed values with sigma ``uncertain``."""
     E = system.parameter_map()
     effect = system.A @ E.T * np.where(free, 0.0, uncertain)
     bias = system.columns["bias"]

@@ -21,7 +21,7 @@ class LinearSolution:
     Attributes
     ----------
     state : JointState
-        State that the correction applies to: that of the linearisation, or one with relinearised attitudes.
+        State that the correction applies to: the linearisation point, or one with relinearised attitudes.
     system : LinearSystem
         Linearised about ``state``.
     delta : ndarray, shape (n,)
@@ -47,7 +47,7 @@ class Solver(ABC):
     name : str
         Name of the estimator.
     prior : Prior or None
-        Prior of the sensor errors; with one, every parameter can be estimated.
+        Prior of the sensor errors; if given, every parameter can be estimated.
     observability_pending : bool
         True while the observable parameters are not determined. A solver without a prior then uses the wide default.
     """
@@ -66,7 +66,7 @@ class Solver(ABC):
         return {}
 
     def restart(self) -> None:  # noqa: B027 - optional
-        """Discard what was derived from earlier measurements, as these have changed."""
+        """Discard results derived from earlier measurements, as the measurements have changed."""
 
     @abstractmethod
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:

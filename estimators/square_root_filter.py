@@ -1,9 +1,10 @@
 """Adapter of filterpy's square-root Kalman filter to extended steps of varying size.
 
-A prior of a third of full scale against results of parts per million spans twelve decades of variance, a noise-free
-recording nineteen: more than the covariance form can represent (its sigmas were wrong by 1e-3, and an iteration that
-restarts from the prior did not converge). A square root needs half as many. :class:`filterpy.kalman`'s
-``SquareRootKalmanFilter`` predicts and updates by orthogonal triangularisation; this adapter sets its inputs.
+From a prior of a third of full scale to results of parts per million, the variance spans twelve decades, and nineteen
+with a noise-free recording. The covariance form cannot represent this range: its sigmas had relative errors of 1e-3,
+and an iteration that restarts from the prior did not converge. The square root spans half as many decades.
+:class:`filterpy.kalman`'s ``SquareRootKalmanFilter`` predicts and updates by orthogonal triangularisation; this
+adapter sets its inputs.
 """
 
 from __future__ import annotations
@@ -65,19 +66,19 @@ class SquareRootFilter(SquareRootKalmanFilter):  # type: ignore[misc]
     def propagate(self, F: Array, u: Array | float = 0.0, *, noise_root: Array | None = None) -> None:
         """Predict ``x = F x + u`` with the process noise ``noise_root noise_rootᵀ``, which may be singular."""
         self.F = F
-        # The setter of Q takes its Cholesky factor, which a singular Q does not have.
+        # The setter of Q computes a Cholesky factor, which does not exist for a singular Q.
         self._Q1_2 = np.zeros((self.dim_x, 0)) if noise_root is None else noise_root
         self.predict(u)
 
     def correct(self, z: Array, H: Array, *, noise_root: Array | None = None) -> None:
         """Update with the measurement ``z = H x + noise``, by default white with unit variance."""
         m, n = H.shape
-        # filterpy inverts the innovations' root with pinv, which loses digits where innovations are correlated. Along
-        # the principal axes U of the predicted measurement they are not.
+        # filterpy inverts the innovations' root with pinv, which loses digits if the innovations are correlated. They
+        # are uncorrelated along the principal axes U of the predicted measurement.
         U = np.linalg.svd(H @ self.root)[0]
         self.dim_z, self.H, self.M = m, U.T @ H, np.zeros((m + n, m + n))
         self.update(U.T @ z, U.T if noise_root is None else U.T @ noise_root)
-        # Back to the axes of the measurement; the triangularisation leaves the signs of the columns open.
+        # Back to the axes of the measurement. Triangularisation does not define the signs of the columns.
         root: Array = np.asarray(np.linalg.qr(np.asarray(U @ self.S1_2).T, mode="r")).T
         self.S1_2: Array = root * np.where(np.diag(root) < 0.0, -1.0, 1.0)
         self.SI1_2 = solve_triangular(self.S1_2, np.eye(m), lower=True)

@@ -2,10 +2,10 @@
 
 The measurement function of a sequence compensates its data with a sigma point and returns the whitened residuals
 without the directions of the nuisance parameters. The bias instability enters linearly. Sigma points are those of
-van der Merwe with α = 1e-3, β = 2, κ = 0, in units in which the prior is white. The filter is used as it is; loss of
-positive definiteness is reported.
+van der Merwe with α = 1e-3, β = 2, κ = 0, in units in which the prior is white. filterpy's filter is unchanged; loss
+of positive definiteness is reported.
 
-Limit, besides those of :mod:`estimators.sequential_filter`: poses without their rotation are not used.
+Limits: those of :mod:`estimators.sequential_filter`; in addition, poses whose rotation is incomplete are not used.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 ALPHA: Final = 1e-3
-"""Spread of the sigma points about the mean, relative to that of a Gaussian: small, as sigmas of 1/3 are nonlinear."""
+"""Relative spread of the sigma points about the mean: small, as the model is nonlinear over sigmas of 1/3."""
 BETA: Final = 2.0
 """Optimal value for a Gaussian distribution."""
 KAPPA: Final = 0.0
@@ -72,7 +72,7 @@ class UnscentedFilter(SequentialFilter):
         assert self.filter is not None
         ukf, L, n = self.filter, self.root, len(model.columns)
         before = ukf.x.copy()
-        known: dict[bytes, Array] = {}  # most sigma points differ in the bias instability alone
+        known: dict[bytes, Array] = {}  # most sigma points differ only in the bias instability
 
         def measurement(x: Array) -> Array:
             key = x[:n].tobytes()
@@ -101,7 +101,7 @@ class SequenceModel:
     joint : JointModel
         Model of the whole recording.
     state : JointState
-        Reference state, whose nuisance directions are removed from the residuals.
+        Reference state. The directions of its nuisance parameters are removed from the residuals.
     k : int
         Sequence.
     free : ndarray of bool, shape (27,)
@@ -118,12 +118,13 @@ class SequenceModel:
         self.columns = shared[shared < self.system.columns["instability"].start]
         self.rows = np.concatenate([rows.index.ravel() for rows in self.system.rows if np.all(rows.owner >= 0)])
         self.basis = self._complement(self.system)
-        # The bias instability is correlated between sequences: its states are those of the whole recording.
+        # The bias instability is correlated between sequences: its states come from the model of the whole recording.
         whole = linearise(joint, *joint.placed(replace(state, attitude=None)), free)
         windows = [int(joint.data.start[k]), int(joint.data.end[k])]
         rows = [whole.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")]
         rows.append(whole.rows_of("turn").index[k])
-        affected = slice(0, sum(len(r) for r in rows))  # starts and edges, which follow, do not depend on it
+        # The rows of starts and edges, which follow, do not depend on the bias instability.
+        affected = slice(0, sum(len(r) for r in rows))
         effect = whole.A[np.concatenate(rows)][:, whole.columns["instability"]]
         self.by_instability = self.basis[affected].T @ effect
 
@@ -133,7 +134,7 @@ class SequenceModel:
         Raises
         ------
         numpy.linalg.LinAlgError
-            If it is outside the sensor model.
+            If the state is outside the sensor model.
         """
         windows = len(self.joint.data.windows.duration_s)
         origin = replace(origin, bias_deviation=np.zeros((1, 3)), attitude=np.broadcast_to(np.eye(3), (windows, 3, 3)))
@@ -144,7 +145,7 @@ class SequenceModel:
         return state
 
     def residual(self, state: JointState) -> Array:
-        """Whitened residuals at a state: the part that no nuisance parameter explains, in the reference's basis."""
+        """Whitened residuals at a state without the nuisance directions, in the basis of the reference state."""
         system = self._linearise(state)
         Q = self._complement(system)
         return np.asarray(self.basis.T @ (Q @ (Q.T @ system.b[self.rows])))
