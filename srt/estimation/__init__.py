@@ -1,1 +1,1 @@
-"""Estimation without checks: initial estimates, iteration, solvers, leave-one-out, and the calibration made of it."""
+"""Estimation without checks: initial estimates, iteration, solvers, leave-one-out, and the resulting calibration."""

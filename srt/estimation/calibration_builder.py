@@ -50,7 +50,8 @@ def build_calibration(
     status, message, misfit_warnings, inflation = _status(result, fixed)
     total = sum(result.covariance.values()) if result.total is None else result.total
     clock = clock_effect(data)
-    # The scale of time is common to all measurements: no residual shows it, and no inflation covers it.
+    # An error of the time scale is common to all measurements: the residuals do not show it, so the Birge ratio does
+    # not include it.
     covariance = np.where(mask, total * inflation**2 + np.outer(clock, clock), 0.0)
     covariance = 0.5 * (covariance + covariance.T)
     fixture = data.recording.fixture

@@ -22,14 +22,14 @@ class EarthRateRegression:
     rate : ndarray, shape (K, 3, S), rad/s
         Unknown Earth rate per unit draw, in each B_Strt.
     on_rest_rate : ndarray, shape (W, 3, S), rad/s
-        The same as the windows see it.
+        The same in each window, in B.
     gain : ndarray, shape (S, W, 3), s/rad
     components : int
         Unknown components, 2 or 3, of each of the S / components independent Earth-fixed frames.
     draws : ndarray, shape (S,)
         The estimate.
     by_errors : ndarray, shape (S, 27)
-        Derivative of the estimate with respect to the errors left in the sensor errors.
+        Derivative of the estimate with respect to the remaining sensor errors.
     """
 
     rate: Array
@@ -51,7 +51,7 @@ class EarthRateRegression:
     def after_correction(self, correction: Array) -> Array:
         """Estimate after a correction of the sensor errors, shape (S,), no larger than the Earth rate itself.
 
-        With n components, a unit draw is 1/√n of it.
+        With n components, a unit draw is 1/√n of the Earth rate.
         """
         parts = (self.draws - self.by_errors @ correction).reshape(-1, self.components)
         size = np.maximum(np.linalg.norm(parts, axis=1, keepdims=True), 1e-300)
@@ -65,12 +65,12 @@ def earth_rate_regression(rate: Array, on_rest_rate: Array, sigma: Array, compon
     ----------
     rate, on_rest_rate : ndarray, shape (K, 3, S) and (W, 3, S), rad/s
     sigma : ndarray, shape (W, 3), rad/s
-        Of the rate of each window: noise and wandering bias.
+        1-sigma of the rate of each window: noise and bias variation.
     components : int
     """
     W, S = len(sigma), rate.shape[2]
     bias = np.broadcast_to(np.eye(3), (W, 3, 3))
-    # Biases in units of the smallest sigma, so that no column outweighs the others by rounding.
+    # Biases in units of the smallest sigma, for the condition number.
     A = np.concatenate([bias * sigma.min(), on_rest_rate], axis=2) / sigma[:, :, None]
     A = A.reshape(3 * W, 3 + S)
     prior = np.diag(np.concatenate([np.zeros(3), np.ones(S)]))

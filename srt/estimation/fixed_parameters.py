@@ -20,7 +20,8 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
     """1-sigma of every parameter's initial value, for the case that it is fixed, shape (27,), SI.
 
     Values given by the user, and asymmetries fixed on request, count as exact. An initial estimate from the fixture is
-    as accurate as the fixture (its accelerometer bias also absorbs the neglected asymmetry). Otherwise it is the prior.
+    as accurate as the fixture (its accelerometer bias also absorbs the neglected asymmetry). Otherwise the prior sigma
+    applies.
     """
     if isinstance(options.start, SensorErrors):
         return np.zeros(N_PARAMETERS)

@@ -1,7 +1,7 @@
 """Gyro g-sensitivity: a gyro bias proportional to specific force (Savage 2020 [P], §9.4).
 
-The sensor model gets one more term, ``ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias + Γ f + noise``, with f the specific force in B.
-At rest f and the Earth rate are known, so that every window w gives ``r_w = κ_Bias + Γ f_w`` for its rest rate.
+The sensor model gets one more term, ``ω̃ = Mg ω + κ_Asym ∘ |ω| + κ_Bias + Γ f + noise``, with f the specific force in
+B. At rest f and the Earth rate are known, so that every window w gives ``r_w = κ_Bias + Γ f_w`` for its rest rate.
 Weighted least squares, with the window durations as weights p, gives
 
     ``Γ = Σ_w r_w l_wᵀ``,    l_w = p_w S⁺ (f_w − f̄),    S = Σ_w p_w (f_w − f̄)(f_w − f̄)ᵀ,
@@ -14,7 +14,7 @@ noise enters as Γ times the velocity random walk, 1e-3 of the gyro noise.
 
 Γ f is subtracted from the raw samples first and updated in every iteration, like the biases of the sequences. An error
 of r_w propagates through Γ into every window and, by ``−∫ F (Ĉ D)_ab f_c dt``, into the attitude error of every
-rotation. Neglected: the noise of f_w, which acts times Γ.
+rotation. The noise of f_w, multiplied by Γ, is neglected.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def rate_disturbances(measurements: SrtMeasurements, data: PreparedRecording, wa
         With noise integrals.
     data : PreparedRecording
     wander : ndarray, shape (3,), rad/s
-        1-sigma of a sequence's gyro bias about that of the test, raw channels.
+        1-sigma of a sequence's gyro bias about the mean of the test (sensor axes).
     """
     sources = measurement_covariance.disturbances(measurements, data, wander).values()
     return np.concatenate([source.rate for source in sources if source.rate is not None], axis=2)

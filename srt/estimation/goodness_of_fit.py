@@ -17,7 +17,7 @@ MISFIT_PROBABILITY: Final = 1e-3
 _GROSS_RATIO: Final = 100.0
 """Chi-square per degree of freedom above which no noise figure can be the cause (sigmas ten times too small)."""
 _GROSS_G: Final = 0.01
-"""Rms of the horizontal residuals, in g, that a gross misfit has besides: 10 mrad, far beyond any attitude noise."""
+"""Smallest rms of the horizontal residuals, in g, of a gross misfit: 10 mrad, far beyond any attitude noise."""
 
 
 def chi_square(solution: Solution, fixed: Mask) -> tuple[float, int]:

@@ -5,16 +5,16 @@
 are linear in the matrices, so that linear least squares needs no initial value. Asymmetries are left out: over six
 faces |f| of all axes is collinear with the bias, and ± pairs of rotations cancel those of the gyros.
 
-*From gravity* (free rotations). Only |f| = g is known of a pose. It determines the accelerometer matrix up to a
+*From gravity* (free rotations). Each pose gives only |f| = g. This determines the accelerometer matrix up to a
 rotation; the symmetric matrix is taken, which is close to the truth if the sensor axes nearly coincide. A weak prior
 determines the rest.
 
 *In stages* (any recording, from zero errors). The specific force before and after a rotation is known. A scale-factor
 error of 50 % makes a full rotation look like half of one or like three halves, close to wrong minima; half a rotation
-looks like a quarter or three quarters, which still points towards the truth. So the shortest rotations are fitted
-first, and longer ones from the result. The residuals are all three components of the change of specific force, because
-at large angles the vertical one gives the sign. The weights are coarse (0.01 rad per rotation), with a prior of the
-size of the expected errors: an initial estimate needs no more.
+looks like a quarter or three quarters, which still leads to the right minimum. Therefore the shortest rotations are
+fitted first, and their result is the initial value for longer ones. The residuals are all three components of the
+change of specific force, because at large angles the vertical one gives the sign. The weights are approximate (0.01 rad
+per rotation), with a prior of the size of the expected errors; this is accurate enough for an initial estimate.
 """
 
 from __future__ import annotations
@@ -69,11 +69,11 @@ def initial_estimate(data: PreparedRecording, options: Options) -> tuple[SensorE
 
 
 _RIDGE: Final = 1e-6
-"""Weight of the prior (a perfect triad) against one pose or one radian: it determines only what the data do not."""
+"""Weight of the prior (a perfect triad) against one pose or one radian; it affects only what the data leave open."""
 _MOVING: Final = 0.2
 """Share of the highest rate of a sequence above which a sample belongs to a rotation."""
 _SHORTEST: Final = 0.02
-"""Share of a sequence's duration below which a rotation is taken for a disturbance."""
+"""Share of a sequence's duration below which a rotation counts as a disturbance."""
 
 
 def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[SensorErrors, Array]:
@@ -95,7 +95,7 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     Raises
     ------
     DataError
-        A left-handed gyro triad, or an accelerometer triad left-handed against it.
+        A left-handed gyro triad, or an accelerometer triad of the opposite handedness.
     """
     rest = data.windows.gyro_mean
     turned, angles = [], []
@@ -337,7 +337,7 @@ class _Stage:
         return np.asarray(found.x)
 
     def _evaluated(self, u: Array) -> tuple[Array, Array]:
-        """Residuals and their Jacobian at u; the last evaluation is kept, because scipy asks for the two in turn."""
+        """Residuals and their Jacobian at u; the last evaluation is stored, because scipy requests both separately."""
         if self._at is None or not np.array_equal(u, self._at):
             self._at, self._last = u.copy(), self._evaluate(u)
         return self._last

@@ -1,19 +1,20 @@
-"""Leave-one-out: consistency of every sequence with the others, and the estimate without it.
+"""Leave-one-out: consistency of every sequence with the others, and the estimate from the others alone.
 
-All is linear algebra at the solution, with measurements z, covariance R and Jacobian H; no estimation is repeated.
+The computation is linear algebra at the solution, with measurements z, covariance R and Jacobian H; no estimation is
+repeated.
 
 *Consistency test.* With ``M = R⁻¹ − R⁻¹ H (Hᵀ R⁻¹ H)⁻¹ Hᵀ R⁻¹``, chi-square of all residuals is ``zᵀ M z``. Without the
-rows D of a sequence it is smaller by ``(M z)_Dᵀ (M_DD)⁻¹ (M z)_D``: the squared difference of D from its prediction by
-the other sequences, in units of its sigma. Directions in which M_DD vanishes are determined by D alone.
+rows D of a sequence it is smaller by ``(M z)_Dᵀ (M_DD)⁻¹ (M z)_D``: the squared difference between D and its prediction
+by the other sequences, in units of sigma. Only D determines the directions in which M_DD vanishes.
 
-*Estimate without a sequence.* Its information N' and gradient g' give the change ``N'⁻¹ g'`` of every parameter and its
-variance. A parameter is *lost* if its sigma grows a hundredfold, or so much that an estimator would fix it; it then
-keeps its value and the others are estimated beside it.
+*Estimate without a sequence.* The information N' and gradient g' of the other sequences give the change ``N'⁻¹ g'`` of
+every parameter and its variance. A parameter is *lost* if its sigma grows a hundredfold, or so much that an estimator
+would fix it; it then keeps its value and the others are estimated beside it.
 
 The rows of a sequence are its two horizontal components and the down components of windows that no other sequence uses.
 Its windows also leave the pooled rest rate; where a sequence has a bias of its own, the remaining pooled rate changes
-that bias. The noise figures are those found with all sequences. So is the heading knowledge, although a gap in a chain
-of free rotations would reduce it.
+that bias. The noise figures are those found with all sequences. The known heading is also the same, although a gap in a
+chain of free rotations would reduce its accuracy.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ _LOST: Final = 100.0
 _INDEPENDENT: Final = 1e-10
 """Eigenvalue of the remaining information, over the largest, below which a direction is not determined."""
 LEAST_PREDICTED_SHARE: Final = 1.0 / _LOST**2
-"""Share of a measurement's variance in the residual, below which the others do not check it: their prediction is then
-less accurate than the measurement by a factor of 100."""
+"""Share of a measurement's variance in the residual, below which the others do not check this measurement: their
+prediction is then less accurate by a factor of 100."""
 
 _LEAST_COMPONENT: Final = 0.05
 """Component of a direction, over the largest, from which a parameter takes part in it."""
@@ -142,7 +143,7 @@ def consistency_tests(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -
     size = np.linalg.norm(X, axis=0)
     Q, triangle = np.linalg.qr(X / size)
     sigma = np.linalg.norm(solve_triangular(triangle, np.eye(len(size))), axis=1) / size
-    left = whitener - Q @ (Q.T @ whitener)  # M is its square: the projector is idempotent
+    left = whitener - Q @ (Q.T @ whitener)  # M is the square of this projector, which is idempotent
     Mz = left.T @ (left @ z)
     out: list[ConsistencyTest | None] = [None] * len(groups)
     # Groups of equal size share one call for the eigenvalues: single calls would be mostly overhead.
@@ -158,7 +159,7 @@ def consistency_tests(z: Array, H: Array, R: Array, groups: Sequence[Indices]) -
         for i, D, root, V, there, statistic in zip(which, at, own, vectors, seen, statistics, strict=True):
             determined = np.zeros(N_PARAMETERS, dtype=np.bool_)
             if not there.all():
-                # M E_D u = 0 says E_D u = H c: c is what this group alone shows.
+                # M E_D u = 0 means E_D u = H c: only this group determines the combination c.
                 c = solve_triangular(triangle, Q.T @ (whitener[:, D] @ root @ V[:, ~there])) / size[:, None]
                 determined[estimated] = participating(c / sigma[:, None])
             out[i] = ConsistencyTest(float(statistic), int(there.sum()), int((~there).sum()), determined)
@@ -190,7 +191,7 @@ def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask)
     size = 1.0 / np.sqrt(np.diag(full))
     variance = np.diag(np.linalg.inv(full * np.outer(size, size)))
     unit = size * np.sqrt(variance)  # 1-sigma of the full estimate
-    # A parameter determined by imperfections of the rotations alone may stay below the admission limit; it is lost too.
+    # Imperfect rotations alone may keep a parameter below the admission limit; it counts as lost too.
     limit = np.minimum(OBSERVED_BELOW * admission_sigma()[e] / unit, _LOST)
     N, g = rest * np.outer(unit, unit), gradient[e] * unit
     values, vectors = np.linalg.eigh(0.5 * (N + N.T))
@@ -204,7 +205,7 @@ def leave_one_out_estimate(information: Array, gradient: Array, estimated: Mask)
         share = 1.0 - 1.0 / np.maximum(np.diag(P), 1.0)
         change = P @ g
     if lost.any() or not there.all():
-        # The choice of the estimators: in their order of admission, then without parameters that stay weak.
+        # Selection as in the estimators: in order of admission, then without parameters that remain weak.
         free = _free_parameters(np.where(there, values, 0.0), vectors, limit, e)
         while free.any():
             P = np.linalg.inv(N[np.ix_(free, free)])
@@ -244,7 +245,7 @@ def leave_one_out_estimates(z: Array, H: Array, R: Array, groups: Sequence[Indic
 
 
 def _free_parameters(values: Array, vectors: Array, limit: Array, members: Indices) -> Mask:
-    """Mask of the parameters determined beside those admitted before them, asymmetries last."""
+    """Mask of the parameters that are determined, admitted one by one, asymmetries last."""
     left = (vectors * values) @ vectors.T
     free = np.zeros(len(members), dtype=np.bool_)
     for n in sorted(range(len(members)), key=lambda n: _RANK[members[n]]):

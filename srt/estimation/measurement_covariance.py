@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 _SCATTER_PROBABILITY: Final = 1e-3
-"""p-value of chi-square below which the scatter of the biases between sequences exceeds their noise."""
+"""p-value of chi-square below which the biases of the sequences differ by more than their noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +146,7 @@ def excess_variance(rates: Array, expected: Array) -> Array:
     rates : ndarray, shape (K, 3), rad/s
         Rest rate of each sequence.
     expected : ndarray, shape (3,), (rad/s)²
-        Variance by noise alone. An axis has no excess if noise explains its scatter (chi-square, p > 1e-3) with or
+        Variance by noise alone. An axis has no excess if noise explains its rates (chi-square, p > 1e-3) with or
         without the sequence that deviates most.
     """
     n = len(rates) - 1
@@ -175,7 +175,7 @@ def disturbances(
         Processed with ``with_noise=True``.
     data : PreparedRecording
     wander : ndarray, shape (3,), rad/s
-        One sigma of a sequence's gyro bias about the test's, raw channels, where no instability is stated.
+        1-sigma of a sequence's gyro bias about the mean of the test (sensor axes), if no instability is stated.
     excess : (float, float)
         Unmodelled errors, 1-sigma: rotation, rad; specific force per window, m/s².
     """
@@ -217,11 +217,12 @@ def covariances(
 def with_earth_rate_regression(
     measurements: SrtMeasurements, data: PreparedRecording, wander: Array, bias_gain: Array, draws: Array | None
 ) -> SrtMeasurements:
-    """Measurements whose Jacobian and covariance know that the unknown Earth rate follows from the rates at rest.
+    """Measurements with the unknown Earth rate estimated from the rates at rest and removed.
 
-    Without a heading its horizontal part is unknown, without a latitude all of it. Its effect is linear to first order
-    only: over a long recording the second order is many sigma of a navigation-grade unit. It is therefore estimated
-    from the rates of the windows and removed, as g-sensitivity is, before z is formed.
+    Without a heading, the horizontal part of the Earth rate is unknown; without a latitude, all three components are.
+    The effect on z is not linear: over a long recording the second order is many sigma of a navigation-grade unit. The
+    unknown part is therefore estimated from the rates of the windows and removed before z is formed, as g-sensitivity
+    is. The Jacobian and the covariance include this estimate.
 
     Parameters
     ----------
@@ -229,9 +230,9 @@ def with_earth_rate_regression(
     wander : ndarray, shape (3,), rad/s
         1-sigma of the bias between sequences, compensated.
     bias_gain : ndarray, shape (3,)
-        As of :func:`project`.
+        As in :func:`project`.
     draws : ndarray, shape (S,), or None
-        Estimate that the data were processed with; the present one replaces it to first order.
+        Estimate with which the data were processed; the new estimate replaces it to first order.
     """
     n = unknown_earth_rate_components(data)
     if not n:
@@ -273,7 +274,8 @@ def _gyro_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Distu
     for which in (data.start, data.end):
         for k, w in enumerate(which.tolist()):
             if measurements.integrated[w]:
-                # F is 1/2 on average over the window: this part of φ is the window mean, the rest is independent of it.
+                # F is 1/2 on average over the window: that part of φ is the window mean; the remainder is independent
+                # noise.
                 C = measurements.integrals.C_end[k] if which is data.end else np.eye(3)
                 A = C @ D
                 outer[k] -= 0.25 * T[w] * np.einsum("ab,cb->acb", A, A)
@@ -299,7 +301,7 @@ def _gyro_quantization(measurements: SrtMeasurements, data: PreparedRecording) -
 
 
 def _bias_instability(measurements: SrtMeasurements, data: PreparedRecording, wander: Array) -> Disturbance:
-    """Gyro bias instability as specified; otherwise independent biases of the sequences, as their scatter shows."""
+    """Gyro bias instability as specified; otherwise independent biases of the sequences, of 1-sigma ``wander``."""
     D = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
     if data.noise.gyro_flicker is not None:
         return gyro_drift(data, measurements.integrals, D)
@@ -316,7 +318,7 @@ def gyro_drift(data: PreparedRecording, integrals: RotationIntegrals, slope: Arr
     integrals : RotationIntegrals
         With the parts of the time integral.
     slope : ndarray, shape (3, 3) or (W, 3, 3)
-        Compensated rate of a unit bias of the raw channels.
+        Compensated rate per unit bias of the readings.
     """
     if data.noise.gyro_flicker is None or integrals.time_parts is None:
         raise ValueError("no bias instability is stated, or the measurements have no noise integrals")
@@ -333,7 +335,7 @@ def accel_drift(data: PreparedRecording, slope: Array) -> Disturbance:
     ----------
     data : PreparedRecording
     slope : ndarray, shape (W, 3, 3)
-        Compensated specific force of a unit bias of the raw channels.
+        Compensated specific force per unit bias of the readings.
     """
     force = (slope * data.noise.accel_flicker)[:, :, :, None] * data.window_drift[:, None, None, :]
     return Disturbance(force=force.reshape(*force.shape[:2], -1))
@@ -351,8 +353,8 @@ def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) ->
 def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (K, 3, S).
 
-    One draw per recording of base level x, y and north; one per sequence of its initial inner and outer angle. The
-    mounting is estimated in U. With a measured vertical only the rotation about it remains.
+    Base level x, y and north have one draw per recording, the initial inner and outer angle one per sequence. The
+    mounting error is estimated in U. With a measured vertical, only the rotation about the vertical remains.
     """
     fixture = data.recording.fixture
     if fixture is None or data.nominal is None:

@@ -21,7 +21,7 @@ _ADMISSION: Final = (
     + expand_names(["gyro_asymmetry"])
 )
 
-# A parameter counts as observed if the recording cuts its prior sigma to a third.
+# A parameter counts as observed if the recording reduces its sigma to a third of the prior sigma.
 OBSERVED_BELOW: Final = 1.0 / 3.0
 
 
@@ -46,7 +46,8 @@ def admit(A: Array, wanted: Mask) -> Mask:
     Returns
     -------
     ndarray of bool, shape (27,)
-        A parameter is admitted if its sigma, beside all admitted before it, is below a third of the prior sigma.
+        A parameter is admitted if its sigma, estimated jointly with those admitted before, is below a third of the
+        prior sigma.
     """
     admitted = np.zeros(N_PARAMETERS, dtype=np.bool_)
     basis: list[Array] = []
@@ -55,7 +56,7 @@ def admit(A: Array, wanted: Mask) -> Mask:
         if not wanted[j]:
             continue
         column = A[:, j].copy()
-        for _ in range(2):  # twice is enough (Parlett): once leaves rounding of nearly parallel columns
+        for _ in range(2):  # twice is enough (Parlett): after one pass, nearly parallel columns have rounding errors
             for q in basis:
                 column -= (q @ column) * q
         norm = float(np.linalg.norm(column))

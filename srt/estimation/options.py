@@ -120,14 +120,14 @@ class Options:
         Parameters
         ----------
         names : iterable of str
-            Options that must stand at their default.
+            Options that must have their default value.
         who : str
-            Name of the estimator, at the beginning of the message.
+            Name of the estimator, for the message.
 
         Raises
         ------
         InputError
-            For the first that does not.
+            For the first option with another value.
         """
         for f in fields(self):
             default = f.default_factory() if callable(f.default_factory) else f.default
@@ -148,7 +148,7 @@ class Options:
 
 
 def _targets(targets: object) -> dict[str, float]:
-    """Required 1-sigma of every parameter that a target names, itself or by its group."""
+    """Required 1-sigma of every parameter that a target names, by its own name or its group's."""
     if not isinstance(targets, Mapping):
         raise InputError(f"Option targets is {targets!r}; it must map names of parameters or groups to sigmas.")
     out: dict[str, float] = {}
@@ -161,7 +161,7 @@ def _targets(targets: object) -> dict[str, float]:
 
 
 def _iterable(value: object) -> Iterable[object]:
-    """Elements of a value; one element that is no name if it has none."""
+    """Elements of an iterable; for any other value one element that is not a name."""
     return value if isinstance(value, Iterable) else (None,)
 
 

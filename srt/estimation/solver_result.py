@@ -51,7 +51,7 @@ class SolverResult:
     integrated : tuple of int
         Windows whose attitude was integrated.
     wander : ndarray, shape (3,), rad/s
-        1-sigma of a sequence's gyro bias about that of the test, raw channels.
+        1-sigma of a sequence's gyro bias about the mean of the test (sensor axes).
     bias_by_sequence : ndarray, shape (K, 3), rad/s
     end_attitude : ndarray, shape (K, 3, 3)
         C_End of every sequence as the gyros measured it.
