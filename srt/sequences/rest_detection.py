@@ -1,11 +1,11 @@
 """Rest detection: mean and variance of short blocks of samples, and the blocks in which the unit is at rest.
 
 The thresholds are relative to the Earth rate and to the noise of the unit, which is estimated from the quietest
-blocks. The rest rate (bias and Earth rate) is the mean rate that most quiet, steady blocks share, counted over different faces. The faces matter
-because a slow rotation at a constant rate can be as quiet as rest, and last longer; but it changes the specific force,
-or it is about the vertical and has one face only. The *activity* of a block is its distance from the rest rate,
-combined with its standard deviation. The distribution of the activity has two modes, rest (on a bench, or in an
-unsteady hand) and rotation; the threshold lies between them.
+blocks. The rest rate (bias and Earth rate) is the mean rate that most quiet, steady blocks share, counted over
+different faces. The faces matter because a slow rotation at a constant rate can be as quiet as rest, and last longer;
+but it changes the specific force, or it is about the vertical and has one face only. The *activity* of a block is its
+distance from the rest rate, combined with its standard deviation. The distribution of the activity has two modes, rest
+(on a bench, or in an unsteady hand) and rotation; the threshold lies between them.
 """
 
 from __future__ import annotations

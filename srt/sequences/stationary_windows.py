@@ -59,8 +59,8 @@ def to_the_sample(
 
     The threshold for still blocks may lie far above the noise of the unit, so that the ends of a run may belong to a
     slow rotation. Therefore the quietest part of the run near either end (the core) represents rest. From the core
-    outward, sums of 1, 2, 4 ... readings are compared with it. The first sum beyond its noise ends the window, and as many
-    samples again are excluded, because noise hides the start of a slow rotation. Excluded samples belong to the
+    outward, sums of 1, 2, 4 ... readings are compared with it. The first sum beyond its noise ends the window, and as
+    many samples again are excluded, because noise hides the start of a slow rotation. Excluded samples belong to the
     rotation.
 
     Parameters
