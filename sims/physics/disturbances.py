@@ -1,6 +1,6 @@
 """Disturbances of a test on a bench, applied to a simulated run.
 
-Three kinds, by where they act; each function returns a new object and leaves its input alone::
+There are three kinds. Each function returns a new object and does not change its input::
 
     draw   = wrong_angle(draw, sequence, leg, error_rad)              # on the fixture, before the motion
     motion = tilt_step(motion, time_s, vector_rad)                    # on the true motion, before the read-out
@@ -8,8 +8,8 @@ Three kinds, by where they act; each function returns a new object and leaves it
     record = accel_bias_step(record, start_s, end_s, step_m_s2)
     record = noisier_window(record, (start_s, end_s), factor, gyro_noise, accel_noise, rng)
 
-A disturbance of the true motion is sensed by gyros and accelerometers alike; one of the samples is not, and comes
-after quantization and saturation. Spans of time hold the samples that a window with the same limits holds,
+Gyros and accelerometers sense a disturbance of the true motion consistently. A disturbance of the samples is applied
+after quantization and saturation. A time span contains the same samples as a window with the same limits,
 a + dt/2 < t <= b + dt/2 (:meth:`srt.recording.recording.Recording.window_indices`).
 """
 
@@ -40,47 +40,47 @@ Sensor = Literal["gyro", "accel"]
 
 
 def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike) -> TrueMotion:
-    """True motion with a slip in the mount: within one sample B rotates by v, and stays there to the end of the piece.
+    """True motion with a slip in the mount: within one sample B rotates by v, and remains so to the end of the piece.
 
-    The sample is the one whose interval begins at ``time_s`` or contains it; over it the body turns away from its
-    undisturbed attitude C by Exp(s v), s from 0 to 1, and from then on its attitude is C·Exp(v)::
+    The interval of this sample begins at ``time_s`` or contains it. During the sample the attitude is C·Exp(s v), where
+    C is the undisturbed attitude and s goes from 0 to 1; afterwards it is C·Exp(v)::
 
         rate            Exp(-s v)·ω + v/dt     in the sample
         specific force  Exp(-s v)·f
         any vector x    Exp(-v)·x              after it
 
-    The next piece begins undisturbed, as the mount is set right between sequences; with recorded moves there is one
-    piece only, and the slip stays to the end of the run. ``U`` and ``draw`` keep telling of the mount before the slip.
+    The next piece begins undisturbed, as if the mount were corrected between sequences. With recorded moves there is
+    only one piece, and the slip persists to the end of the run. ``U`` and ``draw`` describe the mount before the slip.
 
-    Exact but for two things. The sample of the step takes rate and force to be constant over it: where they change by
-    δ over the sample, their integrals are off by |v|·δ·dt/12. And of ∫|x| only |∫x| is known in the turned frame:
-    the excess of one over the other, which is zero unless a component changes sign within the sample, is kept, which
-    is wrong by up to 2|v|·∫|x| where there is such a change before or after.
+    There are two approximations. Rate and force are taken as constant during the sample of the step: if they change by
+    δ in it, their integrals have an error of |v|·δ·dt/12. In the rotated frame, only |∫x| is known of ∫|x|. The
+    difference ∫|x| − |∫x|, which is zero unless a component changes sign within the sample, is left unchanged; the
+    error is up to 2|v|·∫|x| in samples with a sign change in either frame.
 
     Parameters
     ----------
     motion : TrueMotion
     time_s : float
-        In a still window, in a turn, or anywhere else where samples are recorded.
+        Any time at which samples are recorded, in windows or turns.
     rotation_vector_rad : array_like, shape (3,), rad
-        v, in body axes; meant to be small. A later step is in the axes that an earlier one left, provided that they
-        are applied in that order.
+        v, small, in body axes. If several steps are applied in time order, a later one is in the axes after the
+        earlier ones.
 
     Returns
     -------
     TrueMotion
-        With changed ``angle``, ``angle_abs``, ``velocity``, ``velocity_abs``, and with the ``attitudes`` of those
-        windows that end after the step in its piece.
+        Motion with changed ``angle``, ``angle_abs``, ``velocity`` and ``velocity_abs``, and changed ``attitudes`` of
+        the windows that end after the step in the same piece.
 
     Raises
     ------
     InputError
-        A time outside the samples or in a gap between them; a vector of another shape or not finite.
+        If the time is outside the samples or in a gap, or the vector has another shape or is not finite.
     """
     vector = _vector("The rotation vector of a tilt step", rotation_vector_rad)
     step, stop = _sample_and_end_of_piece(motion, time_s)
     during, after = slice(step, step + 1), slice(step + 1, stop)
-    # Rows times Exp(v) are Exp(-v) times columns; in the step's own sample it is their mean over the sample.
+    # For rows, multiplication with Exp(v) is Exp(-v) for columns; during the step, the mean over the sample applies.
     nodes, weights = legendre.leggauss(12)
     part = np.multiply.outer(0.5 * (1.0 + nodes), vector)
     mean_turn = np.einsum("k,kij->ij", 0.5 * weights, rotation(part))
@@ -115,26 +115,26 @@ def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike)
 def lose_samples(
     recording: Recording, start_s: float, duration_s: float, sensors: Sequence[Sensor] = ("gyro",)
 ) -> Recording:
-    """Lose a run of samples, which the logger fills with a straight line between the neighbours.
+    """Replace consecutive samples by a straight line between their neighbours, as a logger fills lost samples.
 
     Parameters
     ----------
     recording : Recording
     start_s, duration_s : float
-        The run, s; a duration of zero loses nothing.
+        Span of the lost samples, s; with a duration of zero, no sample is lost.
     sensors : sequence of "gyro", "accel"
-        Which of them lose it; the time stamps stay.
+        Sensors that lose samples; the time stamps are unchanged.
 
     Returns
     -------
     Recording
-        Rates or increments, whichever it holds, are linear in time over the run.
+        Recording with readings (rates or increments) that are linear in time over the span.
 
     Raises
     ------
     InputError
-        A negative duration, a run outside the recording, one that holds no sample, or one without a neighbour on each
-        side in the same gapless piece; no sensor, or one that is neither "gyro" nor "accel".
+        If the duration is negative; if the span is outside the recording, contains no sample, or has no neighbour on
+        each side in the same gapless piece; or if ``sensors`` is empty or contains an unknown name.
     """
     if not sensors or any(name not in ("gyro", "accel") for name in sensors):
         raise InputError(f"The sensors that lose samples are {sensors!r}, but a sequence of 'gyro', 'accel' is needed.")
@@ -166,21 +166,21 @@ def lose_samples(
 
 
 def accel_bias_step(recording: Recording, start_s: float, end_s: float, step_m_s2: ArrayLike) -> Recording:
-    """Add a constant to the accelerometers for a time.
+    """Add a constant to the accelerometer readings of a time span.
 
     Parameters
     ----------
     recording : Recording
     start_s, end_s : float
-        Span, s; it may reach over gaps.
+        Time span, s; it may include gaps.
     step_m_s2 : array_like, shape (3,), m/s²
-        Added to the readings, in body axes; to increments, times the interval.
+        Constant in body axes; multiplied by the interval for increments.
 
     Raises
     ------
     InputError
-        A span that does not end after it starts, reaches outside the recording or holds no sample; a step of another
-        shape or not finite.
+        If the span does not end after it starts, exceeds the recording or contains no sample, or the step has another
+        shape or is not finite.
     """
     step = _vector("The step of the accelerometer bias", step_m_s2)
     rows = _rows(recording, "The span of the bias step", start_s, end_s)
@@ -197,26 +197,26 @@ def noisier_window(
     accel_noise: float,
     rng: np.random.Generator,
 ) -> Recording:
-    """Raise the white noise of a window to ``factor`` times the stated one, as a passing lorry or a fan does.
+    """Increase the white noise in a window to ``factor`` times the stated noise, as a passing lorry or a fan does.
 
     Parameters
     ----------
     recording : Recording
-        Whose samples hold the stated white noise already.
+        Recording with the stated white noise in its samples.
     window : (start_s, end_s)
-        s; it may reach over gaps.
+        Time span, s; it may include gaps.
     factor : float
-        At least 1; the noise added has √(factor² − 1) times the stated density.
+        At least 1; the added noise has √(factor² − 1) times the stated density.
     gyro_noise, accel_noise : float
-        The stated ones: angle random walk, rad/√s, and velocity random walk, m/s/√s; zero leaves a sensor alone.
+        Stated angular random walk, rad/√s, and velocity random walk, m/s/√s; with zero, a sensor is unchanged.
     rng : numpy.random.Generator
-        Gyro and accelerometer draw from children of their own.
+        Random generator; each triad uses its own spawned generator.
 
     Raises
     ------
     InputError
-        A window that does not end after it starts, reaches outside the recording or holds no sample; a factor below 1,
-        a noise below zero, or one that is not finite.
+        If the window does not end after it starts, exceeds the recording or contains no sample; or if the factor is
+        below 1 or a noise is negative or not finite.
     """
     if not (math.isfinite(factor) and factor >= 1.0):
         raise InputError(f"The noise of a window is raised by the factor {factor:g}, but at least 1 is expected.")
@@ -234,21 +234,21 @@ def noisier_window(
 
 
 def wrong_angle(draw: FixtureDraw, sequence: int, leg: int, error_rad: float) -> FixtureDraw:
-    """Fixture draw with an error of one rotation; like every rotation error it lasts until its sequence ends.
+    """Add an error to one rotation of a fixture draw; it persists until the sequence ends.
 
     Parameters
     ----------
     draw : FixtureDraw
-        With the errors of all rotations (:func:`sims.physics.fixture.draw_fixture` without sigmas draws zeros).
+        Draw with the errors of all rotations (without sigmas, :func:`sims.physics.fixture.draw_fixture` gives zeros).
     sequence, leg : int
-        Number of the sequence in the order of execution, and of its rotation, both from 0.
+        Number of the sequence in the order of execution, and number of the rotation in it, both from 0.
     error_rad : float
-        On top of the error drawn, positive in the sense of the fixture axis' angle, rad.
+        Error added to the drawn one, in the positive sense of the fixture angle, rad.
 
     Raises
     ------
     InputError
-        A draw without errors of rotations, an index out of range, an error that is not finite.
+        If the draw has no errors of rotations, an index is out of range, or the error is not finite.
     """
     if draw.legs is None:
         raise InputError(
@@ -269,20 +269,20 @@ def wrong_angle(draw: FixtureDraw, sequence: int, leg: int, error_rad: float) ->
 
 
 def _sample_and_end_of_piece(motion: TrueMotion, time_s: float) -> tuple[int, int]:
-    """Find the sample with time - interval <= time_s < time, and one past the last sample of its piece."""
+    """Find the sample with time - interval <= time_s < time, and the end (exclusive) of its gapless piece."""
     early = WINDOW_TOLERANCE * motion.interval
     first, last = float(motion.time[0]) - motion.interval, float(motion.time[-1])
     if not first - early <= time_s < last - early:
         raise InputError(
             f"The tilt step is at {time_s:g} s, but the samples run from {first:g} to {last:g} s: move it."
         )
-    # Rounding must not put a step at a sample's edge into the sample before.
+    # A step at the edge of a sample must not fall into the preceding sample because of rounding.
     sample = int(np.searchsorted(motion.time, time_s + early, side="right"))
     begins = float(motion.time[sample]) - motion.interval
     if time_s < begins - early:
         raise InputError(
             f"The tilt step is at {time_s:g} s, in a gap: samples end at {motion.time[sample - 1]:g} s "
-            f"and go on from {begins:g} s, so move it into a recorded piece."
+            f"and continue at {begins:g} s: move it into a recorded piece."
         )
     following = int(np.searchsorted(motion.piece_starts, sample, side="right"))
     stop = len(motion.time) if following == len(motion.piece_starts) else int(motion.piece_starts[following])
@@ -307,7 +307,7 @@ def _check_inside(recording: Recording, what: str, start_s: float, end_s: float)
 
 
 def _rows(recording: Recording, what: str, start_s: float, end_s: float) -> slice:
-    """Samples of a span that must lie in the recording and hold some."""
+    """Samples of a span, which must be within the recording and contain at least one sample."""
     if not start_s < end_s:
         raise InputError(f"{what} is [{start_s:g}, {end_s:g}] s, but it must end after it starts: correct its limits.")
     _check_inside(recording, what, start_s, end_s)
@@ -324,5 +324,5 @@ def _intervals(recording: Recording, rows: slice) -> Array:
 
 
 def _with_samples(recording: Recording, gyro: Array, accel: Array) -> Recording:
-    """Change the samples; they are no longer those of a file, so its hash goes."""
+    """Replace the samples and remove the hash of the file, as they are no longer those of the file."""
     return replace(recording, gyro=gyro, accel=accel, data_sha256=None)

@@ -1,4 +1,4 @@
-"""Geometry of the two-axis fixture, from the Earth to the IMU's sensitive axes, and its errors.
+"""Geometry and errors of the two-axis fixture, from the Earth to the sensitive axes of the IMU.
 
 Chain of frames (``C_ab`` takes b-components to a-components)::
 
@@ -6,8 +6,8 @@ Chain of frames (``C_ab`` takes b-components to a-components)::
     C_base,T   = R_y(outer) · R_x(ε) · R_z(inner) · Exp(mounting)
     C_T,B      = Uᵀ
 
-``ε`` is the non-orthogonality of the axes: the inner axis stands at 90° + ε to the outer one. ``U`` turns
-table-mounted components T into those of B, in which all sensor errors are stated.
+``ε`` is the non-orthogonality of the axes: the angle between inner and outer axis is 90° + ε. ``U`` transforms
+table-mounted components T into components in B. All sensor errors refer to B.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def rotation(vector: ArrayLike) -> Array:
-    """Matrix of a rotation vector: it takes components in the turned frame to those in the unturned one.
+    """Matrix of a rotation vector: it transforms components in the rotated frame to those in the original frame.
 
     Parameters
     ----------
@@ -64,18 +64,17 @@ class FixtureDraw:
     Attributes
     ----------
     base : ndarray, shape (3,), rad
-        Level about base x and y, and north: rotation vector of the true base from the nominal one.
+        Level errors about base x and y, and north error: rotation vector from the nominal to the true base.
     mounting : ndarray, shape (3,), rad
-        Rotation vector of the IMU's T frame from its nominal mounting.
+        Rotation vector from the nominal to the true mounting of frame T.
     non_orthogonality : float
         ε, rad.
     starts : ndarray, shape (s, 2), rad
-        Error of the (inner, outer) angle at the start of each sequence: the move there, one draw for each
-        axis.
+        Errors of the (inner, outer) angle at the start of each sequence, drawn independently for each axis.
     legs : tuple of ndarray, rad
-        For each sequence, the error of each executed rotation; it stays until the sequence ends.
+        Error of each rotation, by sequence; it persists until the sequence ends.
     wobble : ndarray, shape (s,), rad
-        Addition to ε in each sequence (axis wobble), from the move to its start on.
+        Addition to ε in each sequence (axis wobble), beginning with the move to its start.
     """
 
     base: Array = field(default_factory=lambda: np.zeros(3))
@@ -100,7 +99,7 @@ class FixtureDraw:
         return np.zeros(count) if self.legs is None else self.legs[sequence]
 
     def check_covers(self, sequences: Sequence[TurnSequence]) -> None:
-        """Raise InputError unless the draw has a start and all rotations for every sequence."""
+        """Raise InputError unless the draw has start errors and all rotation errors for every sequence."""
         wanted = [len(s.rotations) for s in sequences]
         if self.starts is not None and self.starts.shape != (len(wanted), 2):
             raise InputError(
@@ -130,14 +129,14 @@ def draw_fixture(
     rotation_sigma_rad: float = 0.0,
     wobble_sigma_rad: float = 0.0,
 ) -> FixtureDraw:
-    """Draw the errors of a fixture and of one run of these sequences, all normal with zero mean."""
+    """Draw the errors of a fixture and of one run of these sequences, from normal distributions with zero mean."""
     return FixtureDraw(
         base=rng.standard_normal(3) * [level_sigma_rad, level_sigma_rad, north_sigma_rad],
         mounting=rng.standard_normal(3) * mounting_sigma_rad,
         non_orthogonality=float(rng.standard_normal() * non_orthogonality_sigma_rad),
         starts=rng.standard_normal((len(sequences), 2)) * rotation_sigma_rad,
         legs=tuple(rng.standard_normal(len(s.rotations)) * rotation_sigma_rad for s in sequences),
-        # No draw without wobble, so that a seed gives the same fixture with and without it.
+        # Without wobble nothing is drawn, so that a seed gives the same other errors with and without wobble.
         wobble=rng.standard_normal(len(sequences)) * wobble_sigma_rad if wobble_sigma_rad else None,
     )
 
@@ -153,7 +152,7 @@ class FixtureGeometry:
     non_orthogonality : float
         ε, rad.
     body_from_inner : ndarray, shape (3, 3)
-        From the frame fixed to the inner axis to B: U · Exp(mounting)ᵀ.
+        Rotation from the frame fixed to the inner axis to B: U · Exp(mounting)ᵀ.
     """
 
     base_from_ned: Array
@@ -162,7 +161,7 @@ class FixtureGeometry:
 
     @classmethod
     def build(cls, heading_rad: float, draw: FixtureDraw, U: Array) -> FixtureGeometry:
-        """Combine heading, fixture errors and the turn U of B from T."""
+        """Combine heading, fixture errors and the rotation U from T to B."""
         ned_from_base = rotation([0.0, 0.0, heading_rad]) @ rotation(draw.base)
         return cls(ned_from_base.T, draw.non_orthogonality, U @ rotation(draw.mounting).T)
 
@@ -207,7 +206,7 @@ class FixtureGeometry:
         """Rate of B relative to the base in B-components, shape (..., 3), rad/s."""
         lean = self.non_orthogonality + np.asarray(wobble)
         ce, se = np.cos(lean), np.sin(lean)
-        # The outer axis is y of the outer frame; seen from the inner frame it turns with the inner angle.
+        # The outer axis is y of the outer frame; in the inner frame it rotates with the inner angle.
         x, y = np.sin(inner) * ce * outer_rate, np.cos(inner) * ce * outer_rate
         z = inner_rate - se * outer_rate
         m = self.body_from_inner
@@ -215,6 +214,6 @@ class FixtureGeometry:
 
     def attitude(self, inner: float, outer: float, wobble: float = 0.0) -> Array:
         """C_NED,B at the given fixture angles, shape (3, 3)."""
-        # Row k of to_body(I) is the base's axis k in B, so that the stack is C_base,B.
+        # Row k of to_body(I) is axis k of the base in B; the stacked rows are C_base,B.
         base_from_body = self.to_body(np.eye(3), np.array(inner), np.array(outer), wobble)
         return np.asarray(self.base_from_ned.T @ base_from_body)

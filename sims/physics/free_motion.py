@@ -61,7 +61,7 @@ def free_motion(
     durations_s: Array | None = None,
     rng: np.random.Generator | None = None,
 ) -> TrueMotion:
-    """Integrals of static poses with a turn between each two: one pose more than turns.
+    """Integrals of static poses and the turns between them; there is one pose more than turns.
 
     Parameters
     ----------
@@ -75,20 +75,20 @@ def free_motion(
     dwell_s : float
         Length of the window of every pose, s.
     settle_s : float
-        Rest between each turn and the following window, s.
+        Settling time between each turn and the following window, s.
     sample_rate_hz, earth_rate, start_time_s
         As in :func:`sims.physics.table_motion.run_schedule`.
     profile : str
-        Angle over time of every turn, see :mod:`sims.physics.turn_profiles`.
+        Profile of every turn, see :mod:`sims.physics.turn_profiles`.
     durations_s : ndarray, shape (m,), optional
         Duration of each turn, s, in place of ``peak_rate_rad_s``.
     rng : numpy.random.Generator, optional
-        Needed for the profile "recorded-hand".
+        Required for the profile "recorded-hand".
 
     Returns
     -------
     TrueMotion
-        Without labels and fixture; ``windows`` are the poses before and after each turn.
+        Motion without labels and fixture; ``windows`` are the poses before and after each turn.
     """
     vectors = np.asarray(turns, dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != 3 or len(vectors) == 0:
@@ -135,7 +135,7 @@ def free_motion(
 
 
 def _rest_episode(constants_b: Array, n_samples: int) -> Episode:
-    """Rest with constant Earth rate and specific force in B, of shape (2, 3), rad/s and m/s²."""
+    """Episode at rest with constant Earth rate (rad/s) and specific force (m/s²) in B, shape (2, 3)."""
 
     def evaluate(_: Indices, time: Array) -> Array:
         return np.broadcast_to(constants_b.ravel(), (*time.shape, 6))
@@ -146,14 +146,14 @@ def _rest_episode(constants_b: Array, n_samples: int) -> Episode:
 def _turn_episode(
     constants_b: Array, vector: Array, duration_s: float, n_samples: int, profile: TurnProfile
 ) -> Episode:
-    """One turn about a fixed axis and the rest after it.
+    """Episode of one turn about a fixed axis and the rest after it.
 
     Parameters
     ----------
     constants_b : ndarray, shape (2, 3)
         Earth rate (rad/s) and specific force (m/s²) in B before the turn.
     vector : ndarray, shape (3,), rad
-        Not zero.
+        Rotation vector, not zero.
     duration_s : float
     n_samples : int
     profile : TurnProfile

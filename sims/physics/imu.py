@@ -1,4 +1,4 @@
-"""Readings of an IMU with errors for a true motion.
+"""Simulated readings of an IMU with sensor errors, from a true motion.
 
 Per sample of length dt, with the true integrals of :class:`sims.physics.true_motion.TrueMotion` (all in B)::
 
@@ -6,15 +6,15 @@ Per sample of length dt, with the true integrals of :class:`sims.physics.true_mo
     accel = Ma ∫f dt + λasym ∘ ∫|f| dt + λbias dt           + drift dt + N √dt · white
 
 then, in the order of a real signal chain: saturation of the mean over the sample, pulse quantization of the
-running integral with the remainder carried, and rounding of the output word. Integrals are exact, so a
-recording at 50 Hz is the sum of the same recording at 1000 Hz. The matrices are built here from the 27
-numbers by name.
+running integral (the remainder is carried to the next sample), and rounding of the output word. Integrals are
+exact: without noise and rounding, each 50 Hz increment is the sum of 20 increments at 1000 Hz. Mg and Ma are
+built here from the 27 sensor errors, independently of :mod:`srt.model`.
 
-*Bias instability* is a flicker approximated by a sum of first-order Gauss-Markov processes, equal in
-variance, with correlation times a decade apart from 1 s to 1000 s. A flicker of coefficient B has the
-(one-sided) spectrum B²/(πf) and the Allan floor B √(2 ln 2 / π) = 0.664 B; processes with times spaced by
-the factor r give σ²/(f ln r) between their corner frequencies, hence σ² = B² ln r / π. The figure asked for
-is the Allan floor, which is what data sheets quote. Drift is held over a sample.
+*Bias instability* is flicker noise, approximated by a sum of first-order Gauss-Markov processes of equal
+variance, with correlation times a decade apart from 1 s to 1000 s. Flicker noise of coefficient B has the
+(one-sided) spectrum B²/(πf) and the Allan floor B √(2 ln 2 / π) = 0.664 B. Processes with times spaced by
+the factor r give σ²/(f ln r) between their corner frequencies, hence σ² = B² ln r / π. The parameters
+``*_bias_instability`` are the Allan floor, as in data sheets. Drift is constant within a sample.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 CORRELATION_TIMES_S: Final = (1.0, 10.0, 100.0, 1000.0)
 """Correlation times of the processes whose sum is the bias instability."""
 SMALLEST_SINGULAR_VALUE: Final = 0.15
-"""Smallest singular value of the matrix of a possible unit: below it a channel hardly senses its axis."""
+"""Smallest accepted singular value of Mg and Ma; below it two axes are nearly parallel."""
 ALLAN_FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)
-"""Allan deviation of a unit flicker at its floor, 0.664."""
+"""Allan deviation at the floor of flicker noise with coefficient B = 1: 0.664."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,9 +52,10 @@ class ImuModel:
     gyro_bias_instability, accel_bias_instability : float
         Allan floor, rad/s and m/s².
     gyro_quantization, accel_quantization : float
-        Pulse, rad and m/s.
+        Size of a pulse, rad and m/s.
     gyro_resolution, accel_resolution : float
-        Least significant bit of the output as a rate, rad/s and m/s²; rounded without a remainder.
+        Least significant bit of the output as a rate, rad/s and m/s²; the rounding error is not carried to the next
+        sample.
     gyro_range, accel_range : float
         Saturation, rad/s and m/s².
     gyro_g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
@@ -74,7 +75,7 @@ class ImuModel:
     gyro_g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def is_random(self) -> bool:
-        """True if a read-out needs random numbers."""
+        """True if the readings depend on random numbers."""
         return any(
             getattr(self, f"{sensor}_{what}") > 0.0
             for sensor in ("gyro", "accel")
@@ -82,7 +83,7 @@ class ImuModel:
         )
 
     def stated(self) -> ImuNoise:
-        """Noise figures as a recording states them; absent ones are not stated."""
+        """Noise figures in the form that a recording states them; zero and infinite figures are not stated."""
 
         def figure(value: float) -> float | None:
             return value if 0.0 < value < math.inf else None
@@ -122,7 +123,7 @@ def accel_matrix(errors: SensorErrors) -> Array:
 
 
 def is_imu(errors: SensorErrors) -> bool:
-    """True if the errors are those of a possible unit.
+    """True if an IMU with these errors is physically possible.
 
     Parameters
     ----------
@@ -131,8 +132,8 @@ def is_imu(errors: SensorErrors) -> bool:
     Returns
     -------
     bool
-        Mg is positive definite, as a symmetric matrix near to a rotation's is; Ma has a positive determinant (no axis
-        flipped, no left-handed triad); and no singular value of either is below :data:`SMALLEST_SINGULAR_VALUE`.
+        True if Mg is positive definite, as required for the MARS gauge; Ma has a positive determinant (no reversed
+        axis, no left-handed triad); and no singular value of either is below :data:`SMALLEST_SINGULAR_VALUE`.
     """
     Mg, Ma = gyro_matrix(errors), accel_matrix(errors)
     singular = min(np.linalg.svd(M, compute_uv=False)[-1] for M in (Mg, Ma))
@@ -146,7 +147,7 @@ def _by_axis(errors: SensorErrors, stem: str) -> Array:
 def exact_increments(
     motion: TrueMotion, errors: SensorErrors, g_sensitivity: Array | None = None
 ) -> tuple[Array, Array]:
-    """Noise-free increments of the reading model, each of shape (n, 3), rad and m/s."""
+    """Noise-free increments of gyros (rad) and accelerometers (m/s) by the sensor model, shape (n, 3) each."""
     dt = motion.interval
     gyro = (
         motion.angle @ gyro_matrix(errors).T
@@ -179,14 +180,14 @@ def read_out(
     ----------
     motion : TrueMotion
     errors : SensorErrors
-        In B.
+        Sensor errors in B.
     imu : ImuModel, optional
-        Noise, quantization, range, g-sensitivity; default none of them.
+        Noise, quantization, range, g-sensitivity; by default all absent.
     rng : numpy.random.Generator, optional
-        Needed when the model is random; gyro and accelerometer draw from children of their own.
+        Required if the model is random; each triad uses its own spawned generator.
     kind : "rate" or "increment"
     state_noise : bool
-        False: the recording keeps the noise figures to itself, so that a calibrator must estimate them.
+        False: the recording omits the noise figures, so that a calibration must estimate them.
     serial : str, optional
 
     Raises
@@ -254,7 +255,7 @@ class _Chain:
 
 
 def _pulses(increments: Array, quantum: float, piece_starts: Indices, rng: np.random.Generator) -> Array:
-    """Whole pulses of the running integral; each gapless piece begins with a random remainder."""
+    """Increments in whole pulses of the running integral; each gapless piece begins with a random remainder."""
     output = np.empty_like(increments)
     for piece in np.split(np.arange(len(increments)), piece_starts[1:]):
         remainder = rng.random((1, increments.shape[1]))
@@ -271,7 +272,7 @@ def drift(floor: float, motion: TrueMotion, rng: np.random.Generator) -> Array:
     floor : float
         Allan floor, in the unit of the result.
     motion : TrueMotion
-        Gives the sample times; across gaps the processes run on.
+        Motion with the sample times; the processes continue through gaps.
     rng : numpy.random.Generator
     """
     from scipy.signal import lfilter  # a heavy import that noise-free work does not need

@@ -1,8 +1,8 @@
-"""Integrals over sample intervals, exact to rounding, of a rate and a specific force analytic in time.
+"""Integrals of rate and specific force over sample intervals, exact to rounding, for motion analytic in time.
 
-Every sample interval is cut where the motion changes its formula (ramp corners) and integrated by
-Gauss-Legendre quadrature, stillness by one evaluation. The number of nodes follows from the fastest motion,
-such that the polynomial through the nodes is the integrand to rounding. Where a component changes sign, its
+Every sample interval is divided where the formula of the motion changes (ramp corners) and integrated by
+Gauss-Legendre quadrature; at rest, one evaluation suffices. The number of nodes follows from the bandwidth, so
+that the polynomial through the nodes equals the integrand to rounding. If a component changes sign, its
 absolute value is integrated from the same polynomial, between its roots.
 """
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 _MAX_PHASE = 0.5
-"""Half-interval times bandwidth above which an interval is subdivided."""
+"""Largest product of half interval and bandwidth, rad; larger intervals are subdivided."""
 
 _BLOCK = 2048
-"""Intervals that go through the quadrature at once: what they need stays in the processor's cache."""
+"""Number of intervals per quadrature call, chosen so that the data fit into the processor's cache."""
 
 _GRID = np.linspace(-1.0, 1.0, 33)
-"""Where the interpolating polynomial is scanned for changes of sign."""
+"""Grid on which the interpolating polynomial is searched for changes of sign."""
 
 
 class Integrals(NamedTuple):
@@ -42,13 +42,13 @@ class Integrals(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Episode:
-    """A run of consecutive samples whose motion is given in closed form.
+    """Consecutive samples of a motion in closed form.
 
     Attributes
     ----------
     n_samples : int
     breaks_s : ndarray, shape (m + 1,), s
-        Borders of the pieces in time since the start of the episode, from 0; the last at or beyond its end.
+        Borders of the pieces, as time since the start of the episode; the first is 0, the last at or after its end.
     moving : ndarray of bool, shape (m,)
         False: rate and specific force are constant over the piece.
     bandwidth_rad_s : float
@@ -57,7 +57,7 @@ class Episode:
         ``(piece, time) -> (k, n, 6)``: rate (rad/s) and specific force (m/s²) in B for pieces of shape (k,
         1) and times of shape (k, n).
     first_piece : int
-        Number of the first piece to ``evaluate``: episodes that share it are evaluated together.
+        Number of the first piece in ``evaluate``; episodes with the same function are evaluated together.
     """
 
     n_samples: int
@@ -107,7 +107,7 @@ def integrate(episodes: Sequence[Episode], interval_s: float) -> Integrals:
     cut = [_intervals(episode, interval_s) for episode in episodes]
     ends = np.cumsum([len(c.left) for c in cut])
     values = np.empty((int(ends[-1]), 12))
-    # Episodes of one motion at one bandwidth go through the quadrature together: it costs calls more than numbers.
+    # Episodes of one motion and bandwidth share a quadrature call, as its cost is mainly per call.
     groups: dict[tuple[object, float], list[int]] = {}
     for k, episode in enumerate(episodes):
         groups.setdefault((episode.evaluate, episode.bandwidth_rad_s), []).append(k)
@@ -117,14 +117,14 @@ def integrate(episodes: Sequence[Episode], interval_s: float) -> Integrals:
     starts = [c.first + end - len(c.left) for c, end in zip(cut, ends.tolist(), strict=True)]
     first = np.concatenate(starts)
     total = values[first]
-    # Few samples are cut, and what is cut off them follows in order.
+    # Only a few samples are divided; their parts follow in order.
     rest = np.setdiff1d(np.arange(len(values)), first, assume_unique=True)
     np.add.at(total, np.searchsorted(first, rest, side="right") - 1, values[rest])
     return Integrals(total[:, 0:3], total[:, 6:9], total[:, 3:6], total[:, 9:12])
 
 
 def _intervals(episode: Episode, interval_s: float) -> _Intervals:
-    """Cut the samples of an episode where the motion changes its formula."""
+    """Divide the samples of an episode where the formula of the motion changes."""
     edges = np.arange(episode.n_samples + 1) * interval_s
     inside = episode.breaks_s[(episode.breaks_s > 0.0) & (episode.breaks_s < edges[-1])]
     place = np.searchsorted(edges, inside)
@@ -132,7 +132,7 @@ def _intervals(episode: Episode, interval_s: float) -> _Intervals:
     points = np.insert(edges, place[new], inside[new])
     is_edge = np.insert(np.ones(len(edges), dtype=bool), place[new], False)
     width = np.diff(points)
-    # An interval between neighbouring edges is one whole sample: its width without the rounding of the edges.
+    # An interval between neighbouring edges is one whole sample; its exact width avoids the rounding of the edges.
     width[is_edge[:-1] & is_edge[1:]] = interval_s
     left = points[:-1]
     piece = np.searchsorted(episode.breaks_s, left + 0.5 * width, side="right") - 1
@@ -159,7 +159,7 @@ def _integrated(episodes: Sequence[Episode], cut: Sequence[_Intervals]) -> Array
 def _quadrature(episode: Episode, piece: Indices, left: Array, width: Array) -> Array:
     """Integrals of the six components and of their absolute values over moving intervals, shape (k, 12).
 
-    ``episode`` stands for all that share its motion and bandwidth.
+    ``episode`` is one of the episodes with this motion and bandwidth.
     """
     phase = 0.5 * episode.bandwidth_rad_s * float(width.max())
     parts = max(1, math.ceil(phase / _MAX_PHASE))
@@ -197,7 +197,7 @@ class _Basis(NamedTuple):
 
 @cache
 def _basis(count: int) -> _Basis:
-    """Legendre basis of that many Gauss nodes; each matrix multiplies rows from the right."""
+    """Legendre basis of n Gauss nodes; each matrix multiplies rows from the right."""
     nodes, weights = legendre.leggauss(count)
     norm = (2.0 * np.arange(count) + 1.0) / 2.0
     matrices = (
@@ -218,7 +218,7 @@ def _absolute_integral(samples: Array, basis: _Basis) -> Array:
     samples : ndarray, shape (p, n)
         Values at the nodes.
     basis : _Basis
-        Of n nodes.
+        Legendre basis of n nodes.
 
     Returns
     -------

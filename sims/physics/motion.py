@@ -1,16 +1,16 @@
 """Angles of the two fixture axes as analytic functions of time.
 
-Each leg turns one axis with a trapezoidal rate: a ramp of constant acceleration, a plateau at the peak
-rate, a ramp down; a leg too short for the peak has a triangular rate. Angles are therefore piecewise
-quadratic. After each leg the axis may ring::
+Each leg is a rotation about one axis with a trapezoidal rate: a ramp of constant acceleration, a plateau at
+the peak rate, and a ramp down. A leg that is too short for the peak rate has a triangular rate. Angles are
+therefore piecewise quadratic. After each leg the axis can oscillate (ring)::
 
     δ(t) = 4 A sin(2πft) (exp(−t/τ) − exp(−2t/τ))
 
-whose envelope peaks at ``A``; δ and its rate are zero where it starts, so that angle and rate stay
+The maximum of its envelope is ``A``. δ and its rate are zero at the start, so that angle and rate are
 continuous.
 
-Time is counted from the start of each episode, not of the recording: a double holds the time of day too
-coarsely for integrals exact to 1e-15 rad.
+Time is counted from the start of each episode, not of the recording: the resolution of a double for the
+time of day is too coarse for integrals exact to 1e-15 rad.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 NEGLIGIBLE_RAD = 1e-17
-"""A ringing whose envelope is below this is over: it is lost in the rounding of the angle."""
+"""A ringing ends when its envelope is below this, as the rounding error of the angle is larger."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class RateProfile:
     Raises
     ------
     InputError
-        If a figure is not a positive number (the amplitude may be zero).
+        If a value is not a positive number (the amplitude may be zero).
     """
 
     rate_rad_s: float = 1.0
@@ -88,7 +88,7 @@ class RateProfile:
 
 @dataclass(frozen=True, slots=True)
 class Ringing:
-    """A settling oscillation of one axis (0 inner, 1 outer) that began at ``start_s`` of an episode."""
+    """Settling oscillation of one axis (0 inner, 1 outer) that begins at ``start_s`` of an episode."""
 
     axis: int
     start_s: float
@@ -96,7 +96,7 @@ class Ringing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AngleProfile:
-    """Both fixture angles over one episode, which begins with a leg and ends in stillness.
+    """Both fixture angles over one episode, which begins with a leg and ends at rest.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class AngleProfile:
     end_rad : (float, float)
         Angles (inner, outer) at rest after the last leg, rad.
     legs_end_s : float
-        When the last leg ends, s.
+        End of the last leg, s.
     """
 
     breaks_s: Array
@@ -124,7 +124,7 @@ class AngleProfile:
 
     @property
     def bandwidth_rad_s(self) -> float:
-        """Highest angular frequency in functions of the attitude, rad/s: it sets the quadrature."""
+        """Highest angular frequency in functions of the attitude, rad/s; determines the number of quadrature nodes."""
         turning = self.profile.rate_rad_s + math.sqrt(self.profile.accel_rad_s2)
         if not self.ringings:
             return turning
@@ -158,7 +158,7 @@ class AngleProfile:
         angle: Array,
         rate: Array,
     ) -> None:
-        """Add one oscillation to angles and rates of shape (k, n, 2), in place."""
+        """Add one oscillation, in place, to angles and rates of shape (k, n, 2)."""
         border = self.breaks_s[piece[:, 0]]
         rows = (border >= ringing.start_s) & (border < ringing.start_s + self.profile.settling_life_s)
         t = time_s[rows] - ringing.start_s
@@ -171,7 +171,7 @@ class AngleProfile:
 
 
 class JoinedProfile:
-    """Profiles of many episodes with their pieces numbered through, so that all are evaluated in one call."""
+    """Profiles of many episodes with consecutive numbers of all pieces, so that one call evaluates all."""
 
     def __init__(self) -> None:
         self._profiles: list[AngleProfile] = []
@@ -179,7 +179,7 @@ class JoinedProfile:
         self._joined: tuple[Array, Array] | None = None
 
     def append(self, profile: AngleProfile) -> int:
-        """Add the profile of an episode, and give the number of its first piece."""
+        """Add the profile of an episode, and return the number of its first piece."""
         first = self._first[-1]
         self._profiles.append(profile)
         self._first.append(first + len(profile.moving))
@@ -206,7 +206,7 @@ class JoinedProfile:
 
 
 def _polynomial(since: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Both angles and rates, shape (k, n, 2), of quadratics (k, 1, 2, 3) at times (k, n) since the pieces' borders."""
+    """Angles and rates, shape (k, n, 2) each, of quadratics (k, 1, 2, 3) at times (k, n) since the pieces' borders."""
     t, c = since[..., np.newaxis], coefficients
     return c[..., 0] + t * (c[..., 1] + t * c[..., 2]), c[..., 1] + 2.0 * t * c[..., 2]
 
@@ -219,7 +219,7 @@ def angle_profile(
     leg_dwell_s: float = 0.0,
     ringings: tuple[Ringing, ...] = (),
 ) -> AngleProfile:
-    """Lay legs one after the other, from time 0, and stand still after the last.
+    """Concatenate legs from time 0, with rest after the last.
 
     Parameters
     ----------
@@ -229,9 +229,9 @@ def angle_profile(
         Axis 0 inner, 1 outer; one axis turns at a time.
     profile : RateProfile
     leg_dwell_s : float
-        Stillness between two legs, s.
+        Rest between two legs, s.
     ringings : tuple of Ringing
-        Oscillations that earlier episodes left behind; their start is negative.
+        Oscillations that continue from earlier episodes; their start times are negative.
     """
     angles = np.array(start_rad)
     breaks: list[float] = []
@@ -283,7 +283,7 @@ def angle_profile(
 
 
 def _split_at_ringings(profile: AngleProfile) -> AngleProfile:
-    """Add a border where each oscillation starts and ends; pieces in which one is alive are moving."""
+    """Add borders at the start and end of each oscillation; pieces with an oscillation are moving."""
     starts = np.array([r.start_s for r in profile.ringings])
     ends = starts + profile.profile.settling_life_s
     borders = np.unique(np.concatenate([profile.breaks_s, starts[starts > 0.0], ends[ends > 0.0]]))

@@ -2,11 +2,11 @@
 
 Chain of frames (``C_ab`` takes b-components to a-components)::
 
-    C_NED,M(0) = R_z(heading) · Exp(level)            the mount in its level pose
+    C_NED,M(0) = R_z(heading) · Exp(level)            mount in the level pose
     C_NED,M(θ) = Exp(θ p) · C_NED,M(0)                p: the axis, in NED
     C_M,B      = R_z(yaw) R_y(pitch) R_x(roll)        the sensor axes in the mount
 
-The axis p lies along the mount's y axis but for ``square`` (about down) and ``tilt`` (its far end below the horizon).
+The axis p is the mount's y axis, rotated by ``square`` (about down) and ``tilt`` (its y end below the horizon).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MountErrors:
     square : float
         Rotation of the axis about down from the mount's y axis, rad.
     pitch : ndarray, shape (s,), rad
-        Error of the fixture's angle in each pose, beyond ``level``; empty for none.
+        Error of the fixture's angle in each pose, in addition to ``level``; empty: no errors.
     """
 
     level: Array = field(default_factory=lambda: np.zeros(2))
@@ -66,9 +66,9 @@ def draw_mount_errors(
     axis_sigma_rad: float = 0.0,
     pitch_sigma_rad: float = 0.0,
 ) -> MountErrors:
-    """Draw the errors of a mount with poses at these angles, all normal with zero mean.
+    """Draw the errors of a mount with poses at these angles, from normal distributions with zero mean.
 
-    At the angle 0 a level sets the mount, and the angle has no error of its own.
+    At the angle 0 the mount is set with a level, and the error of the angle is zero.
     """
     level = rng.standard_normal(2) * level_sigma_rad
     tilt, square = (rng.standard_normal(2) * axis_sigma_rad).tolist()
@@ -77,7 +77,7 @@ def draw_mount_errors(
 
 
 def mount_matrix(angles_rad: ArrayLike) -> Array:
-    """C_bm of roll, pitch and yaw of the sensor axes in the mount, shape (3, 3)."""
+    """Matrix C_bm from roll, pitch and yaw of the sensor axes in the mount, shape (3, 3)."""
     roll, pitch, yaw = np.asarray(angles_rad, dtype=np.float64)
     x, y, z = np.eye(3)
     return np.asarray((rotation(yaw * z) @ rotation(pitch * y) @ rotation(roll * x)).T)
@@ -109,7 +109,7 @@ def simulate_mount(
     draw : MountErrors, optional
         Errors of the mount; default none.
     heading_rad : float
-        Of the mount's x axis, clockwise from north.
+        Heading of the mount's x axis, clockwise from north.
     dwell_s, settle_s, peak_rate_rad_s, sample_rate_hz, earth_rate
         As in :func:`sims.physics.free_motion.free_motion`.
     labelled : bool
@@ -118,12 +118,12 @@ def simulate_mount(
     Returns
     -------
     TrueMotion
-        Without a fixture; ``attitudes`` are C_NED,B of the poses before and after each rotation.
+        Motion without a fixture; ``attitudes`` are C_NED,B of the poses before and after each rotation.
 
     Raises
     ------
     InputError
-        Fewer than two poses, neighbours without a rotation between them, or errors of another number of poses.
+        If there are fewer than two poses, neighbouring angles are equal, or the number of pitch errors differs.
     """
     draw = draw or MountErrors()
     nominal = np.asarray(pitch_rad, dtype=np.float64)

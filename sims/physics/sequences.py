@@ -1,10 +1,10 @@
-"""Rotation sequences as the fixture executes them, and Table 1 of Savage 2020 written out for it.
+"""Rotation sequences of the fixture, and Table 1 of Savage 2020 in this form.
 
-A sequence is stated as the paper states it: which IMU axis points down, which lies along the outer axis,
-then rotations about IMU axes. The fixture has an inner axis along IMU z and an outer, horizontal axis along
-table y, so that a rotation about IMU z is one of the inner axis and every other rotation must be about an
-axis that lies along the outer one, in either direction. This table is the simulator's own copy: what checks
-the estimators must not read their data.
+A sequence is stated as in the paper: the IMU axis that points down, the IMU axis along the outer axis, then
+rotations about IMU axes. The inner axis of the fixture is along IMU z; the outer axis is horizontal, along
+table y. A rotation about IMU z is therefore a rotation of the inner axis. Every other rotation must be about
+an IMU axis along the outer axis, in either direction. This table is a separate copy for the simulator, as a
+check of the estimators must be independent of their data.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _QUARTER: Final = math.pi / 2.0
 
 
 def _axis_along(*components: int) -> str:
-    """Name the IMU axis, with its sign, that a vector of one component ±1 lies along."""
+    """Signed name of the IMU axis along a vector with one component ±1."""
     return next(("" if c > 0 else "-") + axis for axis, c in zip("xyz", components, strict=True) if c)
 
 
 def _start_quarters() -> dict[tuple[str, str], tuple[int, int]]:
-    """Quarter turns of the (inner, outer) axis by what they bring (down, along outer) from z down, y along outer."""
+    """Quarter turns of the (inner, outer) axis, by start attitude (down, along outer), from z down, y along outer."""
     cosine = (1, 0, -1, 0)  # of 0, 1, 2, 3 quarter turns; the sine is that of one quarter less
     starts = {}
     for inner, outer in product((0, 1, 2, -1), repeat=2):
@@ -49,20 +49,20 @@ class TurnSequence:
     Attributes
     ----------
     id : str or None
-        Name; one of Table 1, any other, or none.
+        Name from Table 1, another name, or None.
     down, along_outer : str
-        IMU axis that points down, and the one that points along the outer axis, at the start: "x", "y", "z" or, for
-        one that points the other way, "-x", "-y", "-z". The inner axis is IMU z, so that it is never along the outer.
+        IMU axis that points down, and IMU axis along the outer axis, at the start: "x", "y", "z", or "-x", "-y", "-z"
+        for the opposite direction. The inner axis is IMU z, which therefore is never along the outer axis.
     rotations : tuple of (axis, angle in degrees)
-        Executed one after the other; signed, of any size. The axis has no sign. After a rotation about z that is no
-        multiple of 90° no other IMU axis lies along the outer one.
+        Consecutive rotations; the angle has a sign and any size, the axis has no sign. After a rotation about z that
+        is not a multiple of 90°, no other IMU axis is along the outer axis.
     in_table_1 : bool
-        The sequence is the one of that name in Table 1.
+        True if the sequence is that of the same name in Table 1.
 
     Raises
     ------
     InputError
-        If the fixture cannot hold the start attitude or turn about the axis asked for.
+        If the fixture cannot reach the start attitude or rotate about a requested axis.
     """
 
     id: str | None
@@ -86,7 +86,7 @@ class TurnSequence:
         return inner * _QUARTER, outer * _QUARTER
 
     def fixture_legs(self) -> tuple[tuple[int, float], ...]:
-        """Executed rotations as (fixture axis, signed angle in rad)."""
+        """Rotations as (fixture axis, signed angle in rad)."""
         inner_deg = 90.0 * _START_QUARTERS[self.down, self.along_outer][0]
         legs = []
         for axis, angle_deg in self.rotations:
@@ -142,7 +142,7 @@ TABLE_1: Final = _table(
 
 
 def table_sequences(ids: tuple[str, ...]) -> tuple[TurnSequence, ...]:
-    """Look sequences of Table 1 up, in the order given. Raises InputError for an unknown id."""
+    """Sequences of Table 1 by id, in the given order; an unknown id raises InputError."""
     for name in ids:
         if name not in TABLE_1:
             raise InputError(f"There is no sequence {name!r} in Table 1: the ids are {', '.join(TABLE_1)}.")

@@ -1,7 +1,7 @@
 """Runs on the two-axis fixture: stationary window, rotations, settling, stationary window, move to the next start.
 
-Every rotation and every move begins on a sample edge, and so does every still window; rotations end when
-they end.
+Every rotation, every move and every stationary window begins on a sample edge. The end of a rotation is
+arbitrary.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ class Schedule:
     Attributes
     ----------
     sequences : tuple of TurnSequence
-        In the order of execution; may repeat.
+        Sequences in the order of execution; repetitions are allowed.
     profile : RateProfile
     dwell_s : float
-        Length of every still window, rounded to whole samples, s.
+        Length of every stationary window, rounded to whole samples, s.
     leg_dwell_s : float
-        Stillness between the rotations inside a sequence, s.
+        Rest between the rotations within a sequence, s.
     settle_s : float
-        Wait between the end of a rotation or move and the window that follows, s.
+        Settling time between the end of a rotation or move and the following window, s.
     moves : "recorded" or "skipped"
-        Moves to the start attitudes: in the recording, or gaps in its time.
+        Moves to the start attitudes: recorded, or replaced by gaps in time.
     pause_s : float
-        Stillness between the end of a sequence and the move to the next, s.
+        Rest between the end of a sequence and the next move, s.
     dwells_s : tuple of (start, end), or None
-        For each of the sequences the length of its start and of its end window, s, in place of ``dwell_s``.
+        Length of start and end window of each sequence, s, instead of ``dwell_s``.
 
     Raises
     ------
     InputError
-        No sequence, times that are not positive numbers, or not as many dwells as sequences.
+        If there is no sequence, a time is not a positive number, or the number of dwells differs.
     """
 
     sequences: tuple[TurnSequence, ...]
@@ -97,7 +97,7 @@ class Schedule:
 
 @dataclass(slots=True, eq=False)
 class _Run:
-    """The fixture while a schedule is executed: its geometry, its angles and what still rings."""
+    """Fixture during the execution of a schedule: geometry, angles and present oscillations."""
 
     geometry: FixtureGeometry
     constant_base: Array  # rows: Earth rate (rad/s) and specific force at rest (m/s²), base components
@@ -113,7 +113,7 @@ class _Run:
         return angle_profile(self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings)
 
     def execute(self, profile: AngleProfile, n_samples: int, *, record: bool) -> None:
-        """Run a profile for a number of samples and leave the fixture where it ends."""
+        """Run a profile for a number of samples; its end is the new state of the fixture."""
         if record:
             self.clock.record(self._episode(profile, n_samples))
         else:
@@ -159,37 +159,37 @@ def run_schedule(
     earth_rate: bool = True,
     start_time_s: float = 0.0,
 ) -> TrueMotion:
-    """Execute a schedule on a fixture and integrate what a faultless IMU on it would sense.
+    """Execute a schedule on a fixture, and integrate the rate and specific force of an ideal IMU on it.
 
     Parameters
     ----------
     schedule : Schedule
     site : Site
-        Latitude and gravity; the latitude may be None only without the Earth's rate.
+        Site; without the Earth's rate, its latitude may be None.
     sample_rate_hz : float
     heading_rad : float
-        Of the table x axis, clockwise from north; the draw's north error comes on top.
+        Heading of the table x axis, clockwise from north; the north error of the draw is added.
     fixture_draw : FixtureDraw, optional
-        Errors of the fixture and of the run; default none.
+        Errors of the fixture and of the run; default: no errors.
     U : ndarray, shape (3, 3), optional
         Rotation from table-mounted components T to B; default identity.
     stated_fixture : Fixture, optional
-        What recordings made from this motion say of the fixture; default the heading and 1 mrad.
+        Fixture as stated by recordings of this motion; default: the heading, and sigmas of 1 mrad.
     earth_rate : bool
-        False: the Earth stands still.
+        False: the Earth does not rotate.
     start_time_s : float
         Time at which the first sample's interval begins.
 
     Raises
     ------
     InputError
-        If the draw is for other sequences, U is no rotation, or the latitude is missing.
+        If the draw is for other sequences, U is not a rotation, or the latitude is missing.
     """
     draw = fixture_draw or FixtureDraw()
     draw.check_covers(schedule.sequences)
     if schedule.moves == "recorded" and draw.wobble is not None:
         raise InputError(
-            "Wobble changes between sequences, and how it does during a move is not simulated: leave the moves out "
+            "Wobble changes between sequences, and its change during a move is not simulated: leave the moves out "
             "of the recording, or the wobble."
         )
     geometry = FixtureGeometry.build(heading_rad, draw, check_rotation(U))
@@ -215,7 +215,7 @@ def run_schedule(
 
 
 def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[Window, Window], tuple[Array, Array]]:
-    """Run one sequence, the move to its start included; its two windows (s), and C_NED,B at the end of each."""
+    """Run one sequence with the move to its start; return both windows (s), and C_NED,B at the end of each."""
     schedule, clock = run.schedule, run.clock
     sequence = schedule.sequences[number]
     dwell, end_dwell = (max(1, round(length * clock.sample_rate_hz)) for length in schedule.window_lengths_s()[number])
@@ -240,7 +240,7 @@ def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[
 
 
 def _move(run: _Run, start: tuple[float, float], dwell: int) -> None:
-    """Go to a start attitude by the shorter way about each axis, settle, and stand for the start window."""
+    """Move to a start attitude by the smaller angle about each axis, settle, and rest for the start window."""
     schedule, clock = run.schedule, run.clock
     recorded = schedule.moves == "recorded"
     pause = clock.samples(schedule.pause_s)
@@ -257,7 +257,7 @@ def _move(run: _Run, start: tuple[float, float], dwell: int) -> None:
     else:
         run.execute(profile, moving, record=False)
         run.execute(run.profile([], 0.0), dwell, record=True)
-    # Full turns that the shorter way left out are no change of attitude.
+    # The omitted full turns do not change the attitude.
     run.angles = start
 
 
@@ -284,7 +284,7 @@ def table1_motion(
     stated_fixture: Fixture | None = None,
     earth_rate: bool = True,
 ) -> TrueMotion:
-    """Run sequences of Table 1 by id, in the order given; see :func:`run_schedule` and :class:`Schedule`."""
+    """Run sequences of Table 1, stated by their ids; see :func:`run_schedule` and :class:`Schedule`."""
     schedule = Schedule(
         table_sequences(tuple(sequences)),
         RateProfile(rate_rad_s, accel_rad_s2),
@@ -309,14 +309,16 @@ def constants_of_site(site: Site, *, earth_rate: bool) -> Array:
     if not earth_rate:
         rate = np.zeros(3)
     elif site.latitude_rad is None:
-        raise InputError("The site has no latitude, so the Earth's rate is unknown: state it, or switch the rate off.")
+        raise InputError(
+            "The site has no latitude, so the Earth's rate is unknown: state the latitude, or set earth_rate to False."
+        )
     else:
         rate = earth_rate_ned(site.latitude_rad)
     return np.stack([rate, [0.0, 0.0, -site.gravity_m_s2]])
 
 
 def check_rotation(U: Array | None) -> Array:
-    """Return U, the identity for None; InputError unless it is a proper rotation."""
+    """Return U, or the identity for None; raise InputError unless U is a proper rotation."""
     if U is None:
         return np.eye(3)
     matrix = np.array(U, dtype=np.float64)
@@ -326,7 +328,7 @@ def check_rotation(U: Array | None) -> Array:
 
 
 def check_sample_rate(sample_rate_hz: float) -> float:
-    """Return the rate; InputError unless it is a positive number."""
+    """Return the rate; raise InputError unless it is a positive number."""
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
         raise InputError(f"The sample rate is {sample_rate_hz!r} Hz: it must be a positive number.")
     return sample_rate_hz

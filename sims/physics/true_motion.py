@@ -1,8 +1,8 @@
-"""True integrals of a motion: the readings of an IMU without errors, for any number of read-outs.
+"""True integrals of a motion: the readings of an IMU without errors.
 
-One :class:`TrueMotion` serves any number of read-outs with other sensor errors and noise
-(:func:`sims.physics.imu.read_out`). Time stamps are the ends of the sample intervals, ``start + (k + 1) / rate``
-with k the sample's number on one common clock, which skips where samples were not recorded.
+One :class:`TrueMotion` can be read out (:func:`sims.physics.imu.read_out`) any number of times with different sensor
+errors and noise. Time stamps are the ends of the sample intervals, ``start + (k + 1) / rate``; k counts all sample
+intervals, including those not recorded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueMotion:
-    """Per-sample integrals of the true rate and specific force in B, and what is known of the run.
+    """Per-sample integrals of the true rate and specific force in B, with labels, site and fixture of the run.
 
     Attributes
     ----------
@@ -37,18 +37,18 @@ class TrueMotion:
     velocity, velocity_abs : ndarray, shape (n, 3), m/s
         ∫f dt and ∫|f| dt.
     windows : tuple of ((start, end), (start, end))
-        Times of the still windows before and after each turn, s; on sample edges.
+        Times of the still windows before and after each turn, s; their limits are sample edges.
     attitudes : ndarray, shape (w, 2, 3, 3)
         True C_NED,B at the end of each of these windows.
     labels : tuple of SequenceLabel
         Empty for a free recording.
     site : Site
     fixture : Fixture or None
-        As the recording will state it; None for a free recording.
+        Fixture that recordings state; None for a free recording.
     U : ndarray, shape (3, 3)
-        From table-mounted components T to B.
+        Rotation from table-mounted components T to B.
     draw : FixtureDraw or None
-        The fixture errors in force.
+        Fixture errors of this run.
     """
 
     time: Array
@@ -67,13 +67,13 @@ class TrueMotion:
     draw: FixtureDraw | None
 
     def stated_as(self, *, site: Site | None = None, fixture: Fixture | None = None) -> TrueMotion:
-        """Change what recordings made from this motion state of site or fixture."""
+        """Return a copy whose recordings declare another site or fixture."""
         return replace(self, site=site or self.site, fixture=fixture or self.fixture)
 
 
 @dataclass(slots=True)
 class Clock:
-    """Collects recorded episodes on a common sample clock.
+    """Sample clock, and the recorded episodes on it.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Clock:
     start_s : float
         Time at which the first sample's interval begins.
     now : int
-        Number of sample intervals gone by.
+        Number of sample intervals so far.
     """
 
     sample_rate_hz: float
@@ -92,7 +92,7 @@ class Clock:
 
     @classmethod
     def start(cls, sample_rate_hz: float, start_s: float) -> Clock:
-        """Start a clock with nothing recorded."""
+        """Start a clock without recorded episodes."""
         return cls(sample_rate_hz, start_s, 0, [], [])
 
     @property
@@ -101,7 +101,7 @@ class Clock:
         return 1.0 / self.sample_rate_hz
 
     def samples(self, duration_s: float) -> int:
-        """Whole samples that cover a duration, forgiving its rounding."""
+        """Number of whole samples that cover a duration, with a tolerance of 1e-6 sample."""
         return int(np.ceil(duration_s * self.sample_rate_hz - 1e-6))
 
     def at(self, sample: int) -> float:
@@ -115,7 +115,7 @@ class Clock:
         self.now += episode.n_samples
 
     def stack(self) -> tuple[Array, Indices, Integrals]:
-        """Time stamps, first sample of each gapless piece, and the integrals of everything recorded."""
+        """Time stamps, first sample of each gapless piece, and integrals of all recorded episodes."""
         numbers = np.concatenate(self.numbers)
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) > 1)
         time = np.asarray(self.start_s + (numbers + 1) / self.sample_rate_hz, dtype=np.float64)

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 ProfileName = Literal["quintic", "raised-cosine", "trapezoid", "constant-rate", "recorded-hand"]
 """Names of the profiles."""
 _RAMP: Final = 0.2
-"""Share of the duration that each ramp of the trapezoid takes."""
+"""Duration of each ramp of the trapezoid, as a share of the whole."""
 _FLUCTUATION_HZ: Final = (1.0, 3.0)
 """Band of the speed fluctuations of a hand, Hz."""
 _FLUCTUATION: Final = 0.15
-"""Amplitude of each of the two components of the fluctuation, over the mean rate."""
+"""Amplitude of each of the two components of the fluctuation, relative to the mean rate."""
 _TREMOR_HZ: Final = (8.0, 12.0)
 """Band of the physiological tremor of a hand, Hz."""
 _TREMOR_RAD_S: Final = 0.05
@@ -48,9 +48,9 @@ class TurnProfile:
     evaluate : callable
         ``(Θ, s) -> (θ, dθ/ds)`` for an angle Θ (rad) and an array s from 0 to 1.
     peak : float
-        Largest rate over the mean rate Θ/T.
+        Ratio of the largest rate to the mean rate Θ/T.
     bandwidth : float
-        Highest angular frequency of the profile times T, rad: it sets the quadrature.
+        Highest angular frequency of the profile times T, rad; it determines the number of quadrature nodes.
     borders : tuple of float
         Values of s at which the formula changes.
     """
@@ -81,7 +81,7 @@ def _constant_rate(total: float, s: Array) -> tuple[Array, Array]:
 
 
 _PROFILES: Final = {
-    # The quintic adds its own frequencies, some turns of phase over its duration, to those of the attitude.
+    # The quintic's bandwidth (12 rad) adds to that of the attitude.
     "quintic": TurnProfile(_quintic, 15.0 / 8.0, 12.0),
     "raised-cosine": TurnProfile(_raised_cosine, 0.5 * math.pi, math.pi),
     "trapezoid": TurnProfile(_trapezoid, 1.0 / (1.0 - _RAMP), 12.0, (_RAMP, 1.0 - _RAMP)),
@@ -90,12 +90,12 @@ _PROFILES: Final = {
 
 
 def peak_factor(name: ProfileName) -> float:
-    """Largest rate of a profile over its mean rate; of a hand without fluctuations and tremor.
+    """Ratio of largest to mean rate of a profile; for "recorded-hand", that of the quintic.
 
     Raises
     ------
     InputError
-        An unknown profile.
+        If the profile is unknown.
     """
     if name not in get_args(ProfileName):
         raise InputError(f"There is no turn profile {name!r}: the profiles are {', '.join(get_args(ProfileName))}.")
@@ -113,12 +113,12 @@ def turn_profile(
     total_rad, duration_s : float
         Angle and duration of the turn, positive.
     rng : numpy.random.Generator, optional
-        Needed for "recorded-hand".
+        Required for "recorded-hand".
 
     Raises
     ------
     InputError
-        An unknown profile, or a hand without a generator.
+        If the profile is unknown, or ``rng`` is missing for "recorded-hand".
     """
     peak_factor(name)
     if name != "recorded-hand":
@@ -127,7 +127,7 @@ def turn_profile(
         raise InputError("The profile 'recorded-hand' is random: pass a numpy.random.Generator.")
     frequency = 2.0 * math.pi * np.concatenate([rng.uniform(*_FLUCTUATION_HZ, 2), rng.uniform(*_TREMOR_HZ, 2)])
     phase = rng.uniform(0.0, 2.0 * math.pi, 4)
-    # Angle amplitudes over Θ of the rate amplitudes.
+    # Rate amplitudes converted to angle amplitudes, divided by Θ.
     rate = np.array([_FLUCTUATION * total_rad / duration_s] * 2 + [_TREMOR_RAD_S] * 2)
     size = rate / frequency / total_rad
     turns = frequency * duration_s  # phase over the whole turn, rad

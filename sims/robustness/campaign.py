@@ -40,12 +40,12 @@ if TYPE_CHECKING:
 
 Value = float | int | str | bool
 STARTS: Final = ("truth", "unguided")
-"""Starts for campaigns only: at the true errors, and at zero without the stages of the option "zero"."""
+"""Starts that only campaigns have: true errors, and zero without the stages of the option "zero"."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisDefinition:
-    """Quantity that a campaign may vary, stated as one number or word.
+    """Quantity that a campaign can vary, stated as one number or word.
 
     Attributes
     ----------
@@ -117,11 +117,11 @@ class CampaignTable(_TomlTable):
     trials: Annotated[int, Field(strict=True, ge=1)]
     """Trials of every point of the grid."""
     fixed_point: Flag = True
-    """Iterate from the true errors too, which detects wrong minima; without it the status is not verified."""
+    """True: also iterate from the true errors, to detect wrong minima; False: the status is not verified."""
 
 
 class RandomTable(_TomlTable):
-    """Distribution of a quantity that every trial draws."""
+    """Distribution from which every trial draws a quantity."""
 
     low: Finite | None = None
     high: Finite | None = None
@@ -130,7 +130,7 @@ class RandomTable(_TomlTable):
     choices: Annotated[tuple[Value, ...], Field(min_length=1)] | None = None
 
     def model_post_init(self, _context: object) -> None:
-        """Refuse a table without exactly one of bounds and choices."""
+        """Require either bounds or choices."""
         bounds = self.low is not None and self.high is not None
         if bounds == (self.choices is not None) or (self.low is None) != (self.high is None):
             raise ValueError("give either low and high, or choices")
@@ -187,7 +187,7 @@ class EstimatorChoice:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign, checked.
+    """Campaign after validation.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ class Campaign:
         Raises
         ------
         InputError
-            A value that no scenario may have.
+            If a value is not valid in a scenario.
         """
         seeds = np.random.SeedSequence(self.seed, spawn_key=(point, trial))
         rng = np.random.default_rng(seeds.spawn(1)[0])
@@ -354,7 +354,7 @@ def _estimator(table: dict[str, Any], name: str) -> EstimatorChoice:
 
 
 def _check_axis(key: str, campaign: Campaign, name: str) -> None:
-    """Refuse an axis that is no key of a scenario, and one that would have no effect."""
+    """Refuse an axis that is not a key of a scenario, or that would have no effect."""
     axis = AXES.get(key)
     if axis is None and "." not in key:
         raise InputError(
@@ -382,7 +382,7 @@ def _set(key: str, value: Value, tables: Mapping[str, Any]) -> dict[str, Any]:
         return _nested(key, value)
     if key == "grade":
         grade = library.read_toml(library.find("imu", str(value)))
-        # The grade changes name and noise only: the errors are those of the campaign.
+        # The grade changes only name and noise; the errors are those of the campaign.
         return {"imu": {k: grade[k] for k in ("name", "noise") if k in grade}}
     factor = axis.factor
     if axis.error:
@@ -405,7 +405,7 @@ def _nested(key: str, value: Value) -> dict[str, Any]:
 
 
 def _with_sequences(tables: dict[str, Any], values: Mapping[str, Value], rng: np.random.Generator) -> dict[str, Any]:
-    """Leave out and repeat sequences, as many as two axes say."""
+    """Omit and repeat as many sequences as two axes state."""
     missing, repeated = (int(values.get(key, 0)) for key in ("missing_sequences", "repeated_sequences"))
     if not missing and not repeated:
         return tables

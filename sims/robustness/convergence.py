@@ -1,4 +1,7 @@
-"""Convergence of a campaign: maps over two axes, and the largest region without a failure."""
+"""Convergence of a campaign: maps over two axes, and the largest region without a failure.
+
+Judged trials are trials with a physically possible IMU; only these enter the rates.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,14 @@ if TYPE_CHECKING:
 
 
 MAPS: Final = 6
-"""Largest number of maps, each of a pair of axes."""
+"""Maximum number of maps, one per pair of axes."""
 _CELLS: Final = 1_000_000
-"""Largest number of combinations of levels in the search for a region; the last axes are left out to keep it."""
+"""Maximum number of combinations of levels in the search for a region; the last axes are dropped to stay below it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConvergenceMap:
-    """Share of converged trials over one axis or two, averaged over all others.
+    """Share of converged trials over one or two axes, averaged over all others.
 
     Attributes
     ----------
@@ -43,22 +46,22 @@ class ConvergenceMap:
 
     @property
     def share(self) -> Array:
-        """Share of the judged trials; NaN without one."""
+        """Ratio of converged to judged trials; NaN if there are none."""
         return np.where(self.judged > 0, self.converged / np.maximum(self.judged, 1), np.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class AxisLimit:
-    """AxisLimit of a region along an axis of numbers.
+    """Limit of a region along a numeric axis.
 
     Attributes
     ----------
     axis : str
     value : float
     upward : bool
-        True: all values up to this one; False: from this one on.
+        True: the region contains values up to ``value``; False: values from ``value`` on.
     whole : bool
-        True if the region holds all values that were tried.
+        True if the region contains all tried values of the axis.
     """
 
     axis: str
@@ -69,15 +72,15 @@ class AxisLimit:
 
 @dataclass(frozen=True, slots=True)
 class ConvergenceRegion:
-    """Region where every trial of an estimator converged, over all levels of the axes of words.
+    """Region where every trial of an estimator converged, over all levels of the categorical axes.
 
     Attributes
     ----------
     estimator : str
     limits : tuple of AxisLimit
-        Limits that hold together. Empty if trials fail at the easy end of every axis, or without an axis of numbers.
+        Limits that apply jointly; empty if trials fail at the easy end of all axes or if no axis is numeric.
     trials, tried : int
-        Judged trials in the region, and in all.
+        Judged trials in the region; judged trials in total.
     """
 
     estimator: str
@@ -87,14 +90,14 @@ class ConvergenceRegion:
 
 
 def percent(share: float, digits: int = 0) -> str:
-    """Text of a share in percent, without the sign: "100" only for all and "0" only for none.
+    """Text of a share in percent, without the % sign; "100" means all and "0" means none, without rounding.
 
     Parameters
     ----------
     share : float
         0 to 1.
     digits : int
-        Digits after the point.
+        Digits after the decimal point.
     """
     value, step = 100.0 * share, 10.0**-digits
     if value not in (0.0, 100.0):
@@ -110,12 +113,12 @@ def convergence_map(trials: TrialTable, across: str | None = None, up: str | Non
     ----------
     trials : TrialTable
     across, up : str, optional
-        Default: the first two, those of the grid before the random ones.
+        Axes of the map; default: the first two (grid axes precede random ones).
 
     Raises
     ------
     InputError
-        If the campaign varies no such axis.
+        If the campaign does not vary an axis.
     """
     if across is None and up is None:
         across, up = axis_pairs(trials)[0]
@@ -136,7 +139,7 @@ def count_cells(codes: Sequence[Indices], shape: Sequence[int]) -> Counts:
 
 
 def axis_pairs(trials: TrialTable) -> Sequence[tuple[str | None, str | None]]:
-    """Pairs of axes for the maps: axes of the grid with several levels; with fewer than two of these, random axes too.
+    """Pairs of axes for the maps: grid axes with several levels, and random axes if there are fewer than two of these.
 
     Parameters
     ----------
@@ -145,7 +148,7 @@ def axis_pairs(trials: TrialTable) -> Sequence[tuple[str | None, str | None]]:
     Returns
     -------
     sequence of (str or None, str or None)
-        The first two axes first; at most :data:`MAPS`.
+        At most :data:`MAPS` pairs; the pair of the first two axes is the first.
     """
     names = [axis.name for axis in trials.axes if axis.on_grid and len(axis.labels) > 1]
     if len(names) < 2:
@@ -158,8 +161,8 @@ def axis_pairs(trials: TrialTable) -> Sequence[tuple[str | None, str | None]]:
 def convergence_regions(trials: TrialTable) -> tuple[ConvergenceRegion, ...]:
     """Largest region without a failure that begins at the easy end of every axis, by estimator.
 
-    The easy end of an axis is the one where fewer trials fail: small values of an error, or large ones of a time. The
-    region is the box of levels from there, without a failure, that holds most trials.
+    The easy end of an axis is the end with fewer failures: small values of an error, or large values of a time. The
+    region is the failure-free box starting at the easy ends that contains most trials.
 
     Parameters
     ----------
@@ -168,10 +171,10 @@ def convergence_regions(trials: TrialTable) -> tuple[ConvergenceRegion, ...]:
     Returns
     -------
     tuple of ConvergenceRegion
-        One for every estimator that has a judged trial.
+        One region for each estimator with judged trials.
     """
     axes = [axis for axis in trials.axes if axis.numeric and len(axis.labels) > 1]
-    # Axes of the grid are what a campaign studies; random axes count only without them.
+    # A campaign studies the grid axes; random axes are used only if there is no grid axis.
     axes = [axis for axis in axes if axis.on_grid] or axes
     while math.prod(len(axis.labels) for axis in axes) > _CELLS:
         axes = axes[:-1]
@@ -194,7 +197,7 @@ def _region(name: str, axes: Sequence[AxisLevels], rows: Indices, failed: Mask) 
     limits = _box(codes, [len(axis.labels) for axis in axes], signed, failed)
     if limits is None:
         return ConvergenceRegion(name, (), 0, len(rows))
-    # The bins of a random axis are coarse: each limit moves up to the last value before the first failure.
+    # The bins of a random axis are coarse: each limit is extended to the last value before the first failure.
     for i in range(len(axes)):
         others = np.delete(signed <= limits[:, None], i, axis=0).all(axis=0)
         first = signed[i, others & failed].min(initial=np.inf)
@@ -212,7 +215,7 @@ def _region(name: str, axes: Sequence[AxisLevels], rows: Indices, failed: Mask) 
 
 
 def _box(codes: Sequence[Indices], levels: Sequence[int], values: Array, failed: Mask) -> Array | None:
-    """Largest values in the box of levels, from the first ones, with most trials and no failure; None without one."""
+    """Largest values in the failure-free box from the first levels with most trials; None if no such box exists."""
     if not levels:
         return None
     tried, wrong = (count_cells([code[chosen] for code in codes], levels) for chosen in (failed | True, failed))
@@ -220,7 +223,7 @@ def _box(codes: Sequence[Indices], levels: Sequence[int], values: Array, failed:
         tried, wrong = tried.cumsum(axis=axis), wrong.cumsum(axis=axis)
     tried[wrong > 0] = 0
     if not tried.any():
-        # A single axis of distinct numbers may still have values before the first failure.
+        # A single numeric axis may still have values below the first failure within its first bin.
         return np.full(1, -np.inf) if len(levels) == 1 else None
     last = np.unravel_index(int(np.argmax(tried)), tried.shape)
     inside = np.all([code <= k for code, k in zip(codes, last, strict=True)], axis=0)

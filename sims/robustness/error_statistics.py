@@ -1,9 +1,9 @@
 """Errors of the converged trials, and their consistency with the reported sigmas.
 
-With r = error / sigma of a parameter in n units, a consistent sigma makes n·rms(r)² a chi-square of n degrees of
-freedom; rms(r) then lies within 1 ± 3.5/√(2n) in all but 5 of 10 000 cases. A campaign tests many parameters of several
-estimators. A sigma is called inconsistent beyond limits that all consistent sigmas together keep in 99 of 100
-campaigns: each test gets an equal part of the 1 % (Bonferroni), which holds for any correlation between the errors.
+Let r = error / sigma of a parameter in n units. If sigma is consistent, n·rms(r)² has a chi-square distribution with n
+degrees of freedom, and rms(r) is within 1 ± 3.5/√(2n) with a probability of 99.95 %. A campaign tests many parameters
+of several estimators. Sigmas outside the limits are called inconsistent; the limits give a 1 % family-wise false-alarm
+rate. Each test has an equal part of the 1 % (Bonferroni), which is valid for any correlation between the errors.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 CONFIDENCE: Final = 0.95
 """Confidence of the intervals of shares, two-sided."""
 FALSE_ALARM: Final = 0.01
-"""Probability that a campaign with consistent sigmas has one called inconsistent."""
+"""Probability that at least one sigma is called inconsistent although all are consistent."""
 BAND: Final = 3.5
-"""Half width of the band of one rms, in its standard errors."""
+"""Half width of the single-parameter band of an rms, in standard errors of the rms."""
 _TWO_SIDED_95: Final = 1.959964
 """Half width of the 95 % interval of a normal error, sigma."""
 
@@ -41,11 +41,11 @@ class Accuracy:
     Attributes
     ----------
     axis : AxisLevels or None
-        None for all trials together, one level.
+        Axis of the levels; None: one level with all trials.
     table : pandas.DataFrame
         Indexed by estimator, number of the level and group, all combinations. ``count``: errors, one per trial and
         estimated parameter of the group; ``rms`` and ``largest`` error in the display unit of the group;
-        ``rms_in_sigma`` and ``largest_in_sigma``: of error / sigma. NaN without an error.
+        ``rms_in_sigma`` and ``largest_in_sigma``: of error / sigma. NaN for an empty cell.
     shape : (int, int, int)
         Numbers of estimators, levels and groups.
     """
@@ -66,13 +66,13 @@ class SigmaConsistency:
     Attributes
     ----------
     parameters : pandas.DataFrame
-        By estimator and parameter. ``count``: trials; ``rms`` of error / sigma, 1 if consistent; ``half_width``: of the
-        band about 1 of one consistent parameter, 3.5/√(2n); ``low``, ``high``: limits that all tests keep together in
-        99 of 100 campaigns; ``too_small``, ``too_large``: the sigma, beyond these limits; ``coverage``: share of the
-        errors within their 95 % interval, and its own 95 % interval ``coverage_low`` to ``coverage_high``.
+        By estimator and parameter. ``count``: trials; ``rms`` of error / sigma, 1 if consistent; ``half_width``: half
+        width of the single-parameter band around 1, 3.5/√(2n); ``low``, ``high``: Bonferroni limits of ``rms``;
+        ``too_small``: sigma too small, rms > high; ``too_large``: sigma too large, rms < low; ``coverage``: share of
+        the errors within their 95 % interval; ``coverage_low``, ``coverage_high``: 95 % interval of that share.
     nees : pandas.DataFrame
-        By estimator. ``units``: trials; ``nees``: normalised estimation error squared over its degrees of freedom,
-        mean; its limits ``low`` and ``high``; ``inconsistent``: beyond these.
+        By estimator. ``units``: trials; ``nees``: mean NEES (normalised estimation error squared) per degree of
+        freedom; ``low``, ``high``: its limits; ``inconsistent``: NEES outside the limits.
     """
 
     parameters: pd.DataFrame
@@ -85,7 +85,7 @@ def share_interval(successes: ArrayLike, trials: ArrayLike, confidence: float = 
     Parameters
     ----------
     successes, trials : array_like of int
-        Equal shapes; without trials the interval is 0 to 1.
+        Numbers in equal shapes; without trials the interval is 0 to 1.
     confidence : float
         Two-sided.
 
@@ -95,14 +95,14 @@ def share_interval(successes: ArrayLike, trials: ArrayLike, confidence: float = 
     """
     k, n = np.asarray(successes, dtype=np.float64), np.asarray(trials, dtype=np.float64)
     tail = 0.5 * (1.0 - confidence)
-    # A beta distribution needs both parameters above 0: where one is not, the limit is 0 or 1.
+    # A beta distribution requires positive parameters; otherwise the limit is 0 or 1.
     low = np.where(k > 0, betaincinv(np.maximum(k, 1.0), np.maximum(n - k, 0.0) + 1.0, tail), 0.0)
     high = np.where(n > k, betaincinv(k + 1.0, np.maximum(n - k, 1.0), 1.0 - tail), 1.0)
     return low, high
 
 
 def accuracy(trials: TrialTable) -> tuple[Accuracy, ...]:
-    """Errors of the converged trials: all together first, then against every axis.
+    """Errors of the converged trials: first for all trials together, then by level of every axis.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _accuracy(trials: TrialTable, axis: AxisLevels | None, found: pd.DataFrame) 
 
 
 def sigma_consistency(trials: TrialTable) -> SigmaConsistency:
-    """Compare the sigmas of the converged trials with the errors.
+    """Compare the sigmas of the converged trials with the actual errors.
 
     Parameters
     ----------

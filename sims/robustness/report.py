@@ -1,7 +1,7 @@
 """Reports of a campaign: a self-contained HTML page, tables in Markdown, and rows for the command line.
 
-The page starts with the result in sentences, then shows figures with an explanation each, then all tables. Labels and
-messages come from files and are always escaped.
+The page starts with the result in sentences. Figures with explanations follow, then all tables. Labels and messages
+come from files and are always escaped.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _FORMAT: Final = "srt-robustness"
 _VERSION: Final = 1
 _ROWS: Final = 1000
-"""Rows of a part: about a megabyte, and some seconds of work."""
+"""Number of rows of a part: about a megabyte, written after some seconds of work."""
 _ORDER: Final = [("replicate", "ascending"), ("point", "ascending"), ("estimator", "ascending")]
 
 
@@ -55,7 +55,7 @@ def schema(campaign: Campaign) -> pa.Schema:
     Returns
     -------
     pyarrow.Schema
-        SI units; axes in the unit that their name says.
+        Columns in SI units; axes in the unit in their name.
     """
     columns = [("point", pa.int32()), ("replicate", pa.int32()), ("seed", pa.int64()), ("estimator", pa.string())]
     columns += [(axis, _axis_type(campaign, axis)) for axis in campaign.axes]
@@ -84,7 +84,7 @@ class ResultFolder:
     Parameters
     ----------
     folder : Path
-        Made if absent.
+        Folder; created if absent.
     campaign : Campaign
     fresh : bool
         Delete the results of an earlier run.
@@ -92,7 +92,7 @@ class ResultFolder:
     Raises
     ------
     InputError
-        A folder that cannot be written, is in use, or holds another campaign.
+        If the folder is not writable, is in use, or contains another campaign.
     """
 
     def __init__(self, folder: Path, campaign: Campaign, *, fresh: bool = False) -> None:
@@ -151,7 +151,7 @@ class ResultFolder:
             raise InputError(unwritable(self.folder, error)) from None
 
     def table(self) -> pa.Table:
-        """All rows so far, without trials beyond the campaign's number, sorted.
+        """All finished rows, sorted; trials above the campaign's number of trials are omitted.
 
         Returns
         -------

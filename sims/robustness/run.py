@@ -1,4 +1,4 @@
-"""Run of a campaign, from its start or from the results of an interrupted run, to its table."""
+"""Run of a campaign, from the start or resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ def run_campaign(
     fresh: bool = False,
     progress: Progress | None = None,
 ) -> pa.Table:
-    """Run the trials of a campaign that a folder does not hold yet.
+    """Run the trials of a campaign that are not yet in a folder.
 
     Parameters
     ----------
     campaign : Campaign
     folder : Path
-        Folder of the results; made if absent.
+        Folder of the results; created if absent.
     engine : Engine, optional
         Default: this process alone. The numbers do not depend on it.
     fresh : bool
         Delete earlier results in the folder.
     progress : callable, optional
-        Called with the numbers of finished and of all trials, first before any is run.
+        Called with the numbers of finished and of all trials, for the first time before the first trial.
 
     Returns
     -------
@@ -50,12 +50,12 @@ def run_campaign(
     Raises
     ------
     InputError
-        A folder of another campaign, one that cannot be written, or a scheduler that does not answer.
+        If the folder has results of another campaign or is not writable, or the scheduler does not answer.
     DataError
-        A worker that died; finished trials are kept.
+        If a worker process died; finished trials are kept.
     """
     with ResultFolder(folder, campaign, fresh=fresh) as store:
-        # Trials of an earlier, longer run of the same campaign may be there, too.
+        # The folder may also contain trials of an earlier, longer run of the same campaign.
         finished = sum(number < campaign.trials for _, number in store.done)
         if progress is not None:
             progress(finished, campaign.size)

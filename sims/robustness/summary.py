@@ -3,8 +3,8 @@
 Numbers only, from the table of the trials: :mod:`sims.robustness.report` writes them as text and
 :mod:`sims.robustness.figures` draws them.
 
-A rate refers to the trials whose drawn errors are those of a possible IMU. A trial counts as converged if its result is
-the one that is also reached from the true errors. Unverified results do not count as converged.
+Rates refer to judged trials, which are the trials with a physically possible IMU. A trial has converged if its result
+equals the result of an iteration from the true errors. Unverified results do not count as converged.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 
 FAILURES: Final = 20
-"""Largest number of failures listed for each estimator."""
+"""Maximum number of failures listed for each estimator."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Effort:
-    """Iterations of the converged trials, and CPU time of all judged trials; NaN where there is none.
+    """Iterations of the converged trials, and CPU time of all judged trials; NaN if there are none.
 
     Attributes
     ----------
@@ -62,23 +62,23 @@ class CampaignSummary:
     header : Header
     axes : tuple of AxisLevels
     units, impossible : int
-        Simulated units, and the ones among them with errors of no possible IMU.
+        Number of simulated units, and number of those that are no physically possible IMU.
     unverified : bool
-        True if no result was compared with the one that is reached from the true errors.
+        True if no result was compared with that from the true errors.
     outcomes : pandas.DataFrame
         By estimator: number of trials of every outcome, ``judged`` trials, and the 95 % interval ``low`` to ``high`` of
         the share that converged.
     points : pandas.DataFrame
-        The same by point of the grid and estimator.
+        As ``outcomes``, by point of the grid and estimator.
     settings : pandas.DataFrame
         By point: value of each axis of the grid, as text.
     maps : tuple of ConvergenceMap
         Map of the first two axes first.
     regions : tuple of ConvergenceRegion
     accuracy : tuple of Accuracy
-        All trials together, then one per axis.
+        First all trials together, then by level of each axis.
     consistency : SigmaConsistency or None
-        None without noise.
+        Consistency of the sigmas; None if the recordings have no noise.
     effort : Effort
     failures : pandas.DataFrame
         First failed trials of every estimator.
@@ -114,7 +114,7 @@ def summarise(table: pa.Table, header: Header) -> CampaignSummary:
     InputError
         A missing column, or an unknown outcome or estimator.
     DataError
-        A trial that is there twice.
+        If a trial occurs twice.
     """
     trials = read_trials(table, header)
     units, frame = trials.units, trials.frame
@@ -142,7 +142,7 @@ def summarise(table: pa.Table, header: Header) -> CampaignSummary:
 
 
 def _with_rates(counts: pd.DataFrame) -> pd.DataFrame:
-    """Numbers of outcomes with the judged trials and the 95 % interval of the share that converged."""
+    """Number of trials by outcome, number of judged trials, and 95 % interval of the share of converged ones."""
     counts = counts.fillna(0).astype(np.int64)
     judged = counts.sum(axis=1) - counts["no_imu"]
     low, high = share_interval(counts["converged"], judged)
@@ -170,7 +170,7 @@ def effort(trials: TrialTable) -> Effort:
     number = converged["playbacks"].dropna().astype(np.int64)
     bins = np.arange(number.min(), number.max() + 1) if len(number) else np.zeros(0, dtype=np.int64)
     histogram = pd.crosstab(converged["estimator"].astype(object), number)
-    # Every estimator has a row of the unit, and each says how long its one simulation took.
+    # The rows of all estimators repeat the duration of the one simulation of the unit.
     simulated = trials.units["simulate_s"]
     return Effort(
         table.reindex(list(trials.header.estimators)),

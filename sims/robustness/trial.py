@@ -39,7 +39,7 @@ OUTCOMES: Final = {
 _SUCCESS: Final = ("converged", "partial")
 _EXACT: Final = np.full(N_PARAMETERS, 1e-8)
 _EXACT[GROUP_SLICES["accel_bias"]] *= STANDARD_GRAVITY_M_S2
-"""Tolerance of equal results where sigmas are below rounding: 1e-8, for accelerometer bias 1e-8 g."""
+"""Tolerance of equal results if sigmas are below rounding errors: 1e-8; accelerometer bias: 1e-8 g."""
 _DISTANCE_SIGMAS: Final = 0.01
 """Tolerance of equal results, sigma."""
 

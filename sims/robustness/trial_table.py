@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 
 BINS: Final = 8
-"""Bins of the values of a random axis, with equal numbers of rows."""
+"""Number of bins of a random axis; each bin has an equal number of rows."""
 _MOST_LEVELS: Final = 12
-"""Largest number of distinct values of a random axis that are levels of their own."""
+"""Largest number of distinct values of a random axis for which each value is a level."""
 _COLUMNS: Final = ("point", "replicate", "seed", "estimator", "outcome", "message")
 _NUMBERS: Final = ("playbacks", "distance", "nees", "observed", "simulate_s", "calibrate_s")
 
@@ -77,15 +77,15 @@ class AxisLevels:
     name : str
         Name of the axis and of its column.
     on_grid : bool
-        False: drawn anew by every trial.
+        True: axis of the grid; False: every trial draws a value.
     labels : tuple of str
         One per level.
     positions : ndarray, shape (levels,)
-        Value of each level, or the middle of its bin; NaN throughout if the values are words.
+        Value of each level, or the middle of its bin; all NaN for a categorical axis.
     codes : ndarray of int, shape (rows,)
         Level of every row.
     values : ndarray, shape (rows,)
-        Value of every row; NaN throughout if the values are words.
+        Value of every row; all NaN for a categorical axis.
     """
 
     name: str
@@ -128,23 +128,23 @@ class TrialTable:
 
     @property
     def judged(self) -> Mask:
-        """Rows whose drawn errors are those of a possible IMU, shape (rows,)."""
+        """Mask of the rows with a physically possible IMU, shape (rows,)."""
         return np.asarray(self.frame["outcome"] != "no_imu")
 
     @property
     def converged(self) -> Mask:
-        """Rows that converged to the right result, shape (rows,)."""
+        """Mask of the rows that converged to the right result, shape (rows,)."""
         return np.asarray(self.frame["outcome"] == "converged")
 
     @property
     def units(self) -> pd.DataFrame:
-        """One row of every simulated unit, which has one for each estimator."""
+        """One row per simulated unit; the table has one per unit and estimator."""
         return self.frame.drop_duplicates(["point", "replicate"])
 
     def errors(self, name: str) -> pd.DataFrame:
         """Error and sigma of one parameter in the converged rows that estimate it, SI; the index is the row.
 
-        One parameter at a time: the columns of all of them would be gigabytes of a large campaign.
+        The function reads one parameter at a time, as all columns of a large campaign are gigabytes.
         """
         names = [f"{stem}_{name}" for stem in ("error", "sigma")]
         columns = {
@@ -155,7 +155,7 @@ class TrialTable:
         return found[self.converged & np.isfinite(found["error"]) & np.isfinite(found["sigma"])]
 
     def axis(self, name: str) -> AxisLevels:
-        """Axis of a name.
+        """Axis with a given name.
 
         Raises
         ------
@@ -183,7 +183,7 @@ def read_trials(table: pa.Table, header: Header) -> TrialTable:
     InputError
         A missing column, or an unknown outcome or estimator.
     DataError
-        A trial that is there twice.
+        If a trial occurs twice.
     """
     wanted = [*_COLUMNS, *_NUMBERS, *header.grid, *header.random]
     parameters = [f"{stem}_{name}" for stem in ("error", "sigma") for name in NAMES]
@@ -223,13 +223,13 @@ def label(value: object) -> str:
 
 
 def factorized(column: pd.Series) -> tuple[Indices, list[Any]]:
-    """Position of every row's value in the list of the values that occur, and that list; None is an absent value."""
+    """Position of every row's value in the list of distinct values, and that list; None stands for an absent value."""
     codes, found = pd.factorize(column.astype(object), use_na_sentinel=False)
     return codes, [None if pd.isna(value) else value for value in found]
 
 
 def _grid_axis(column: pd.Series, stated: Sequence[Any]) -> AxisLevels:
-    """Levels as the campaign lists them, tried or not; other values come last."""
+    """Levels in the order of the campaign file, including untried ones; other values are last."""
     codes, found = factorized(column)
     levels = list(dict.fromkeys(stated))
     if found and all(isinstance(value, str) for value in found):
@@ -241,7 +241,7 @@ def _grid_axis(column: pd.Series, stated: Sequence[Any]) -> AxisLevels:
 
 
 def _random_axis(column: pd.Series) -> AxisLevels:
-    """Levels as drawn if they are few or words; else bins with equal numbers of rows."""
+    """Distinct values if they are few or categorical; otherwise bins with equal numbers of rows."""
     codes, found = factorized(column)
     if len(found) <= _MOST_LEVELS or not _are_numbers(found):
         levels = sorted(found, key=lambda value: (str(type(value)), 0 if value is None else value))
