@@ -103,7 +103,7 @@ def plan_merging(recordings: Sequence[Path], output: Path | None, plot: Path | N
         One recording alone, the same one twice, or a path that cannot be written.
     """
     if len(recordings) < 2:
-        raise InputError(f"--merge needs two recordings of a unit at least, and there is only {recordings[0]}.")
+        raise InputError(f"--merge needs at least two recordings of a unit, and there is only {recordings[0]}.")
     files = [path if path.suffix == ".json" else recording_folder(path) for path in recordings]
     resolved = [path.resolve() for path in files]
     twice = next((str(path) for n, path in enumerate(files) if resolved[n] in resolved[:n]), None)

@@ -2,12 +2,12 @@
 
 Two estimates x and x_opt of the same parameters from the same data share most of their noise, so the root sum of
 squares of their sigmas says nothing about their difference d = x − x_opt. If x_opt is efficient, d is uncorrelated with
-it (else a mixture of the two would beat it), and::
+x_opt (otherwise a combination of both would have a smaller variance), and::
 
     cov(d) = P − P_opt
 
-(Hausman 1978, Econometrica 46, 1251). Every parameter is tested by the diagonal of that matrix, all of them together by
-its inverse. Where P is the smaller of the two the roles are exchanged: the absolute value is taken.
+(Hausman 1978, Econometrica 46, 1251). The diagonal of that matrix tests every parameter; its inverse tests all of them
+together. Where P is smaller than P_opt, the roles are exchanged: the absolute value is used.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ joint tests."""
 EXPECTED_SIGMA_FLOOR: Final = 0.05
 """Floor of an expected sigma, as a fraction of the larger sigma of the two estimates. The expected difference of two
 efficient estimators is zero; they still differ by their stopping rules (0.01 sigma), by terms of second order and by
-the treatment of shared noise. Below a twentieth of sigma that is immaterial."""
+the treatment of shared noise. Differences below a twentieth of sigma do not matter."""
 
 CLEARLY_SMALLER: Final = 0.95
 """Ratio of variances below which the reference is not the efficient estimate of a parameter."""
@@ -64,7 +64,7 @@ class EstimateDifference:
     limit : float
         Limit of a normalised difference, by :data:`FALSE_ALARM`.
     chi_square, p_value : float
-        Of all differences together, with as many degrees of freedom as parameters are compared. The floor on the
+        Chi-square of all differences, with one degree of freedom per compared parameter. The floor on the
         expected sigma can only raise the p-value.
     least_p_value : float
         Limit of the p-value, by :data:`FALSE_ALARM`.
@@ -106,7 +106,7 @@ class EstimateDifference:
 
     @property
     def smaller_sigma(self) -> tuple[str, ...]:
-        """Parameters of which the reference is not the efficient estimate: its variance is clearly the larger."""
+        """Parameters for which the reference is not efficient: its variance is significantly larger."""
         return _names(self.compared & (self.sigma_ratio**2 < CLEARLY_SMALLER))
 
     def as_dict(self) -> dict[str, Any]:
@@ -128,7 +128,7 @@ class EstimateDifference:
         }
 
     def sentence(self) -> str:
-        """Clause on the agreement of the two, without a full stop."""
+        """Clause on the agreement of the two estimates, without a full stop."""
         if not self.compared.any():
             return f"{self.estimator} and {self.reference} observed no parameter in common"
         if self.agrees:
@@ -195,7 +195,8 @@ def _joint(difference: Array, covariance: Array) -> tuple[float, float]:
     ----------
     difference : ndarray, shape (n,)
     covariance : ndarray, shape (n, n)
-        Expected; of its eigenvalues the size counts, floored: where the two estimates are one, both are rounding.
+        Expected covariance. The magnitude of its eigenvalues is used, with a floor: if the two estimates are equal,
+        both consist of rounding.
     """
     if not difference.size:
         return 0.0, 1.0
@@ -212,7 +213,7 @@ def listing(names: Sequence[str]) -> str:
 
 
 def finite(values: Array) -> list[float | None]:
-    """Numbers, and None for what JSON cannot hold."""
+    """Numbers, and None for values that JSON does not have."""
     return [value if math.isfinite(value) else None for value in values.tolist()]
 
 

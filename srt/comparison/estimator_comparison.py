@@ -106,7 +106,7 @@ def run_estimators(
     calibrations: dict[str, Calibration] = {}
     seconds: dict[str, float] = {}
     failures: dict[str, str] = {}
-    found = {name: find_estimator(name) for name in names}  # imported before any clock starts
+    found = {name: find_estimator(name) for name in names}  # imported before the run times are measured
     for name, estimator in found.items():
         started = perf_counter()
         try:
@@ -193,7 +193,7 @@ class Comparison:
         return float(np.sqrt(np.mean(seen**2))) if seen.size else math.nan
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON form: SI, in the order of the parameters; None for what there is not, and no NaN."""
+        """The JSON form: SI, in the order of the parameters; None for absent values, and no NaN."""
         first = next(iter(self.calibrations.values()), None)
         kept = ("data_sha256", "serial", "date", "software", "options")
         return {
@@ -249,7 +249,7 @@ def compare(
     calibrations : mapping of str to Calibration
         By any names; they appear in that order.
     reference : str, optional
-        Which one is taken as efficient. Default: graph, ekf, least-squares, closed-form, others in their order; the
+        Estimate that is taken as efficient. Default: graph, ekf, least-squares, closed-form, others in their order; the
         first that is usable.
     seconds : mapping of str to float, optional
         Run time of each.
@@ -324,12 +324,12 @@ def _notes(
     for name, calibration in calibrations.items():
         if calibration.status not in USABLE:
             status = calibration.status.replace("_", " ")
-            yield f"{name} is not compared, its status being {status}: {calibration.message}"
+            yield f"{name} is not compared, because its status is {status}: {calibration.message}"
     for name, pair in differences.items():
         if pair.smaller_sigma:
             yield (
-                f"{name} states a smaller sigma than {pair.reference} for {listing(pair.smaller_sigma)}: there "
-                f"{pair.reference} is not the efficient one, or has enlarged its sigmas for its residuals."
+                f"{name} reports a smaller sigma than {pair.reference} for {listing(pair.smaller_sigma)}: "
+                f"{pair.reference} is not efficient for them, or its residuals have enlarged its sigmas."
             )
     usable = [name for name in calibrations if name in differences or name == chosen]
     alone: dict[tuple[str, ...], list[str]] = {}

@@ -1,6 +1,6 @@
 """Calibration of a fleet: every unit alone, on any number of processes, with a test for outliers among the units.
 
-A unit that fails has no calibration in the result, and stops no other.
+A unit that fails has no calibration in the result; the others are calibrated all the same.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class FleetUnit:
         Its path.
     serial : str or None
     status : str
-        Of the calibration, or "failed".
+        Status of the calibration, or "failed".
     message : str
         One sentence.
     exit_code : int
@@ -94,7 +94,7 @@ class Fleet:
     ----------
     units : tuple of FleetUnit
     outliers : FleetOutliers
-        One row per unit; NaN for those that are not sound.
+        One row per unit; NaN for units without a converged calibration.
     """
 
     units: tuple[FleetUnit, ...]
@@ -213,7 +213,7 @@ def calibrate_fleet(
     force : bool
         Calibrate in spite of faults.
     finished : callable, optional
-        Called with every unit as it is done, in no particular order. What it raises ends the run.
+        Called with every finished unit, in no particular order. An exception of the function ends the run.
 
     Returns
     -------
@@ -269,7 +269,7 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
         result = calibrate(recording, task.estimator, options=task.options, force=task.force)
     except SrtError as error:
         return task.number, unit(serial, FAILED, str(error), error.exit_code)
-    except Exception as error:  # one unit must not stop the rest
+    except Exception as error:  # one unit must not stop the others
         text = " ".join(str(error).split())
         return task.number, unit(
             serial,
@@ -283,7 +283,7 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
 
 
 def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int, FleetUnit]]:
-    """Run all tasks. If a worker dies, run the unfinished tasks again one by one, so that one unit harms no other."""
+    """Run all tasks. If a worker dies, run the unfinished tasks one by one, so that one unit cannot stop the others."""
     if engine is None:
         yield from map(calibrate_unit, tasks)
         return

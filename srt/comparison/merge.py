@@ -37,7 +37,7 @@ def merge_calibrations(
     Parameters
     ----------
     calibrations : sequence of Calibration
-        Two at least. Those that did not converge are left out, and the result says so.
+        At least two. Those that did not converge are left out, and the result says so.
     names : sequence of str, optional
         Names of the recordings in the result; default their numbers.
     between : bool
@@ -131,7 +131,7 @@ def _merged(
 def _recording_diagnostics(
     stack: StackedEstimates, within: Array, total: Array, titles: Sequence[str], estimate_: Array
 ) -> tuple[SequenceDiagnostics, ...]:
-    """Leave-one-out test of every recording, and the merged values without it."""
+    """Leave-one-out test of every recording, and the merged values from the others."""
     if len(titles) < 2:
         return ()
     groups = [stack.rows(r) for r in range(len(titles))]
@@ -152,19 +152,20 @@ def _padded(values: Array, at: Indices) -> Array:
 
 
 def _check(calibrations: Sequence[Calibration], titles: Sequence[str]) -> None:
-    """Refuse all but several recordings of one unit with data of their own."""
+    """Refuse calibrations that are not of several independent recordings of one unit."""
     if len(calibrations) < 2:
-        raise InputError(f"Merging needs two recordings of a unit at least, and there is {len(calibrations)}.")
+        raise InputError(f"Merging needs at least two recordings of a unit (given: {len(calibrations)}).")
     if len(set(titles)) != len(calibrations):
-        raise InputError(f"The recordings to merge need a name each: {', '.join(titles)}.")
+        raise InputError(f"Each of the recordings to merge needs its own name: {', '.join(titles)}.")
     serials = {t: c.provenance.get("serial") for t, c in zip(titles, calibrations, strict=True)}
     first = next((t for t in titles if serials[t] is not None), titles[0])
     for title, c in zip(titles, calibrations, strict=True):
         if c.estimator == ESTIMATOR:
-            raise InputError(f"{title} is merged already: merge the recordings that it is made of.")
+            raise InputError(f"{title} is already merged: merge its recordings instead.")
         if (c.provenance.get("options") or {}).get("prior") is not None:
             raise InputError(
-                f"{title} was calibrated with a prior, which would count with every recording: calibrate it without."
+                f"{title} was calibrated with a prior, which would count once per recording: "
+                "calibrate it without a prior."
             )
         if serials[title] not in (None, serials[first]):
             raise InputError(
@@ -188,14 +189,14 @@ def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | Non
     left, _, right = np.linalg.svd(np.einsum("r,rab->ab", 1.0 / variance, turns))
     mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     away = np.sum(rotation_vector(mean.T @ turns) ** 2, axis=1)
-    # Every recording has its levelling in U, beside its mounting.
+    # U includes the levelling of each recording, in addition to the mounting.
     p_value = float(chdtrc(3 * (len(found) - 1), np.sum(away / (2.0 * variance)))) if len(found) > 1 else 1.0
     if p_value < UNLIKELY:
         return (
             None,
             None,
             (
-                "The recordings disagree on how the unit sat on the table (U, by up to "
+                "The recordings disagree on the mounting of the unit on the table (U, by up to "
                 f"{1e3 * float(np.sqrt(away.max())):.3g} mrad from their mean): the merged calibration has none."
             ),
         )
@@ -203,7 +204,7 @@ def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | Non
 
 
 def _shared(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Values that all have in common; None for those that differ."""
+    """Values that are equal in all; None for those that differ."""
     keys = dict.fromkeys(key for table in tables for key in table)
     return {k: tables[0].get(k) if all(t.get(k) == tables[0].get(k) for t in tables) else None for k in keys}
 

@@ -8,8 +8,8 @@ can be compared whatever the mounting::
 e_r is the error of one recording. c_r is common to recordings: gravity where the same value was stated, and parameters
 fixed because no recording observed them; averaging does not reduce it. b_r is the variation between recordings, such as
 the bias from turn-on to turn-on: one variance per group of parameters, by restricted maximum likelihood
-(:mod:`srt.noise.variance_components`). From few recordings that variance is uncertain itself: from n of them, for a
-group of three parameters, to √(2 / 3(n − 1)) of it, 58 % from three.
+(:mod:`srt.noise.variance_components`). From few recordings, that variance is uncertain: for a group of three parameters
+and n recordings, its relative 1-sigma is √(2 / 3(n − 1)), 58 % from three.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class StackedEstimates:
 
 
 def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
-    """StackedEstimates the observed parameters of calibrations, with the covariance of all of them.
+    """Stack the observed parameters of calibrations, with the covariance of all of them.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
     for c, at in zip(calibrations, observed, strict=True):
         exact = at[np.diag(c.covariance)[at] <= 0.0]
         if len(exact):
-            raise InputError(f"The sigma of {NAMES[exact[0]]} is zero in one calibration, and cannot be weighed.")
+            raise InputError(f"The sigma of {NAMES[exact[0]]} is zero in one calibration: no weight can be computed.")
     common: dict[str, Array] = {}
     own = [c.covariance[np.ix_(at, at)] for c, at in zip(calibrations, observed, strict=True)]
     for source, effects in (("gravity", _gravity(calibrations)), ("held_values", _held_values(calibrations))):
@@ -110,7 +110,7 @@ def stack_estimates(calibrations: Sequence[Calibration]) -> StackedEstimates:
 
 
 def _gravity(calibrations: Sequence[Calibration]) -> list[Array]:
-    """Effect of gravity's error on every calibration, a column for each gravity that is stated, shape (27, m) each."""
+    """Effect of the error of gravity on every calibration, one column per stated gravity, shape (27, m) each."""
     stated = [c.site.get("gravity_m_s2") for c in calibrations]
     columns = list(dict.fromkeys(stated))
     out = []
@@ -120,7 +120,7 @@ def _gravity(calibrations: Sequence[Calibration]) -> list[Array]:
         if effect is not None:
             root[:, columns.index(gravity)] = effect
         elif "gravity" in c.contributions:
-            # Files of before say only how large it is: it goes into the three scales alike.
+            # Older files give only its size: the effect is the same for the three scale factors.
             scale = GROUP_SLICES["accel_scale"]
             root[scale, columns.index(gravity)] = c.contributions["gravity"][scale]
         out.append(root)
@@ -153,7 +153,7 @@ def between_sigma(stack: StackedEstimates) -> Array:
         left = stack.y - X @ estimate(stack.y, X, R)[0]
         found = restricted_likelihood(left, X, R, tuple(stack.between(g) for g in groups))
         sizes[groups] = np.sqrt(found)
-        # What the likelihood puts at a millionth of the variance that is there anyway is nothing.
+        # A variance below a millionth of the other variance is rounding of the likelihood: zero.
         for g in groups:
             least = _LEAST_VARIANCE * np.diag(R)[GROUP_OF[stack.parameter] == g].min()
             sizes[g] = sizes[g] if sizes[g] ** 2 > least else 0.0
@@ -168,7 +168,7 @@ def estimate(y: Array, X: Array, R: Array) -> tuple[Array, Array, float]:
     weights @ y : ndarray, shape (p,)
     weights : ndarray, shape (p, n)
     statistic : float
-        Weighted square sum of what is left.
+        Weighted square sum of the residuals.
 
     Raises
     ------

@@ -2,26 +2,26 @@
 
 For one parameter, ``y_i = m + s u_i + e_i`` are the values of n units: m and s are the median and scatter of the
 fleet, u_i is standard normal, and e_i the error of the calibration of the unit, of known sigma ``σ_i``. Unit i is
-compared with all others, so that an outlier does not widen the scatter that it is tested by:
+compared with all others, so that an outlier does not widen the scatter that enters its own test:
 
-*Scatter*, without a middle: ``S = d / (√2 q)``, where d is the K-th smallest difference between two of the others,
-``K = h (h − 1) / 2`` counts the pairs among h good units, and q is the quantile of ``|N(0, 1)|`` that belongs to K
-(with h half of the units this is Qn of Rousseeuw and Croux, 1993). h leaves out a quarter of the others, one at
-least: so many more outlying units do no harm. Half, as in Qn, would cost small fleets all their power. S holds the
-measurement errors, and is never taken for less than the least σ of all units, ``σ_0``.
+*Scatter*, independent of the median: ``S = d / (√2 q)``, where d is the K-th smallest difference between two of the
+others, ``K = h (h − 1) / 2`` counts the pairs among h good units, and q is the quantile of ``|N(0, 1)|`` that belongs
+to K (with h half of the units this is Qn of Rousseeuw and Croux, 1993). h excludes a quarter of the others, at least
+one: so many outlying units have no influence. With half of the units, as in Qn, the test would have no power in small
+fleets. S includes the measurement errors; its lower limit is the smallest σ of all units, ``σ_0``.
 
-*Middle*: the median, of variance ``v = (π / 2) S² / (n − 1)``.
+*Centre*: the median, of variance ``v = (π / 2) S² / (n − 1)``.
 
 *Test*: ``z_i = (y_i − m) / √(S² + σ_i² − σ_0² + v)``, flagged beyond a limit.
 
-The limit holds the expected number of false flags in a whole table of 27 parameters at 0.01, so the probability of
-any is at most 1 %, whatever the correlation of the parameters (Bonferroni). It is the solution c of ``27 n T(n, c) =
+The limit keeps the expected number of false flags in a table of 27 parameters at 0.01, so the probability of any flag
+is at most 1 %, for any correlation of the parameters (Bonferroni). It is the solution c of ``27 n T(n, c) =
 0.01``, with T the probability that the z of one sound unit exceeds c in size where all σ are equal,
-:func:`tail_probability`: a σ that all share then acts as scatter between the units, and T does not depend on it.
-Unequal σ are the same with ``s² + σ_0²`` for s², and the rest, ``σ_i² − σ_0²``, for σ_i²: errors beyond the common
-ones widen S for all, and the own ones stand in the denominator in full. That flags less than stated, never more
+:func:`tail_probability`: a common σ acts as scatter between the units, and T does not depend on it. For unequal σ,
+``s² + σ_0²`` replaces s², and ``σ_i² − σ_0²`` replaces σ_i²: errors beyond the common ones widen S for all units, and
+the unit's own ones are in the denominator in full. The false-alarm rate is then below the stated one, never above
 (tests/comparison/test_fleet.py). Subtracting the σ of each pair from its difference would estimate s itself, but with
-unequal σ a few chance agreements make that estimate vanish: it flagged sound units in most fleets.
+unequal σ a few accidental agreements make that estimate vanish: it flagged good units in most fleets.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ FALSE_ALARMS: Final = 0.01
 """Expected number of false flags in a table of 27 parameters; it bounds the probability of one."""
 
 MINIMUM_UNITS: Final = 6
-"""Smallest number of units of a test. Among five units the limit would be 96 sigma, which flags nothing of use."""
+"""Smallest number of units of a test. With five units the limit would be 96 sigma, which is of no use."""
 
 _LIMITS: Final = (
     {6: 26.698, 7: 14.904, 8: 10.906, 9: 10.601, 10: 8.849, 11: 7.827, 12: 7.223, 13: 7.173, 14: 6.760, 15: 6.479}
     | {16: 6.240, 17: 6.206, 18: 6.055, 19: 5.922, 20: 5.803, 23: 5.597, 27: 5.410, 33: 5.257, 40: 5.128, 50: 5.042}
     | {70: 4.951, 100: 4.907, 200: 4.917}
 )
-"""Limits by number of units, from 6 million draws up to ten units, and 600 million over the square of their number."""
+"""Limits by number of units, from 6 million draws for up to ten units, and 600 million / n² draws for n units."""
 
 _SCATTER_FROM: Final = 3
-"""Smallest number of units with a scatter."""
+"""Smallest number of units for which a scatter is defined."""
 _CHUNK: Final = 2_000_000
 """Numbers in one work array, 16 MB."""
 
@@ -68,14 +68,14 @@ class FleetOutliers:
     Attributes
     ----------
     median, scatter : ndarray, shape (27,), SI
-        Of all units; the scatter is one sigma, the units' own errors included.
+        Over all units; the scatter is a 1-sigma value and includes the units' own errors.
     limit : ndarray, shape (27,)
         Size of z beyond which a value is outlying; NaN with fewer than :data:`MINIMUM_UNITS` units.
     others_median, others_scatter : ndarray, shape (n, 27), SI
-        Of all units but the tested one.
+        Over all units except the tested one.
     z : ndarray, shape (n, 27)
-        Value less the others' median, over the root of squares of the others' scatter, what the unit's own sigma has
-        beyond the least one, and the sigma of the median.
+        Value less the others' median, over the root sum of squares of the others' scatter, the excess of the unit's
+        own sigma over the smallest one, and the sigma of the median.
     """
 
     median: Array
@@ -122,7 +122,7 @@ def find_outliers(values: ArrayLike, sigmas: ArrayLike) -> FleetOutliers:
     n, p = y.shape
     median, scatter, limit = (np.full(p, np.nan) for _ in range(3))
     others = np.full((3, n, p), np.nan)
-    # Columns with the same units go together; mostly that is all of them.
+    # Columns with values of the same units are processed together; mostly these are all columns.
     patterns, kind = np.unique(known, axis=1, return_inverse=True)
     for number, pattern in enumerate(patterns.T):
         rows, columns = np.flatnonzero(pattern), np.flatnonzero(kind.reshape(-1) == number)
@@ -175,7 +175,7 @@ def critical_value(units: int) -> float:
     Notes
     -----
     Solved at the knots of a table by :func:`tail_probability`; between them, its ratio to the limit of a fleet with
-    known middle and scatter is interpolated over 1/n, and goes to 1.
+    known centre and scatter is interpolated over 1/n, and tends to 1.
     """
     knots = np.array(list(_LIMITS), dtype=np.float64)
     ratios = np.array(list(_LIMITS.values())) / _normal_limit(knots)
@@ -184,7 +184,7 @@ def critical_value(units: int) -> float:
 
 
 def tail_probability(units: int, limits: ArrayLike, rng: np.random.Generator, draws: int) -> Array:
-    """Probability that the z of one unit of a sound fleet exceeds a limit in size, where all sigmas are equal.
+    """Probability that the |z| of one unit exceeds a limit in a fleet without outliers, if all sigmas are equal.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def tail_probability(units: int, limits: ArrayLike, rng: np.random.Generator, dr
     limits : array_like
     rng : numpy.random.Generator
     draws : int
-        Of the other units. The unit itself is not drawn: given the others it is normal.
+        Number of draws of the other units. The unit itself is not drawn: given the others, its value is normal.
 
     Returns
     -------
@@ -241,14 +241,14 @@ def _without_each(y: Array) -> tuple[Array, Array]:
     by_size = np.argsort(pairs, axis=1)
     place = np.empty_like(by_size)
     np.put_along_axis(place, by_size, np.broadcast_to(np.arange(pairs.shape[1]), pairs.shape), axis=1)
-    # Leaving out a unit's pairs moves the one of that rank up by the number of them that stand before it: its j-th pair
-    # (from 0) has "place − j" pairs of others before it.
+    # Without the pairs of a unit, the pair of that rank is farther up by the number of removed pairs before it: the
+    # j-th pair of the unit (from 0) has "place − j" pairs of others before it.
     i, j = np.triu_indices(n, 1)
     own = np.array([np.flatnonzero((i == unit) | (j == unit)) for unit in range(n)])
     before = np.sort(place[:, own], axis=2) - np.arange(n - 1) <= rank
     at = np.take_along_axis(by_size, rank + before.sum(axis=2), axis=1)
     scatter = np.take_along_axis(pairs, at, axis=1) / (math.sqrt(2.0) * quantile)
-    # So it is with the one or two in the middle: leaving out a unit moves those behind it.
+    # The same holds for the median: without a unit, the values after it move up by one.
     order = np.argsort(y, axis=1)
     middle = np.empty((b, n))
     halves = (np.take_along_axis(y, order[:, k + (np.arange(n) <= k)], axis=1) for k in ((n - 2) // 2, (n - 1) // 2))

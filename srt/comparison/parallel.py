@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     R = TypeVar("R")
 
 _AHEAD: Final = 4
-"""Tasks submitted ahead for each worker: enough that none waits, few enough that memory stays constant."""
+"""Number of tasks submitted ahead for each worker: no worker waits, and the memory stays constant."""
 _CONNECT_S: Final = 10.0
 """Time allowed for the connection to a Dask scheduler, s."""
 
@@ -64,7 +64,7 @@ class Engine:
         Yields
         ------
         object
-            What the function returned for a task.
+            Return value of the function for a task.
 
         Raises
         ------

@@ -120,7 +120,7 @@ def _agreement(stack: StackedEstimates, rows: Indices) -> tuple[float, int, Arra
     R = stack.covariance[np.ix_(rows, rows)]
     mean, weights, statistic = estimate(stack.y[rows], X, R)
     left = stack.y[rows] - X @ mean
-    # Of the best linear estimate what is left has the covariance R − X P Xᵀ.
+    # The residuals of the best linear estimate have the covariance R − X P Xᵀ.
     variance = np.diag(R - X @ weights @ R @ weights.T @ X.T)
     there = variance > 1e-12 * np.diag(R)
     normalised = np.where(there, left / np.sqrt(np.where(there, variance, 1.0)), 0.0)

@@ -134,8 +134,8 @@ def test_files(recording, calibrations, tmp_path, capfd):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["figure.svg", "result.json"]
     out, err = capfd.readouterr()
     assert f"Written: {result}, {figure}" in out
-    # The closed form is not the efficient one of the two: said, but no reason to fail.
-    assert "closed-form is not the efficient one" in err
+    # The closed form is not efficient: a note, but no reason to fail.
+    assert "closed-form is not efficient for them" in err
 
 
 def test_four_estimators_fit_120_columns(recording, calibrations, results, capfd):

@@ -134,7 +134,7 @@ def test_different_units_are_refused(folders, calibrations, tmp_path, capfd):
 @pytest.mark.parametrize(
     ("arguments", "fragment"),
     [
-        (["{0}"], "two recordings of a unit at least"),
+        (["{0}"], "at least two recordings of a unit"),
         (["{0}", "{0}/recording.toml"], "is named twice"),
         (["{0}", "{1}", "-o", "{0}"], "The merged calibration cannot be written"),
         (["{0}", "{1}", "-o", "{0}/samples.npz"], "ends in .json"),

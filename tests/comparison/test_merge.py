@@ -319,7 +319,7 @@ def test_the_table_frame_is_kept_where_all_agree():
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     other = merge_calibrations([calibrations[0], replace(calibrations[1], U=turn)])
     assert other.U is None
-    assert any("disagree on how the unit sat" in w for w in other.warnings)
+    assert any("disagree on the mounting of the unit" in w for w in other.warnings)
     none = merge_calibrations([calibrations[0], replace(calibrations[1], U=None, U_sigma_rad=None)])
     assert none.U is None
     assert [row["U"] is None for row in none.diagnostics["repeatability"]["recordings"]] == [False, True]
@@ -373,7 +373,7 @@ def pair(**changes):
     [
         (pair()[:1], "two recordings"),
         (pair(provenance={"serial": "SN-2"}), "different units: 1 has the serial SN-1, 2 has SN-2"),
-        (pair(estimator="merged"), "merged already"),
+        (pair(estimator="merged"), "already merged"),
         (pair(provenance={"options": {"prior": {"mean": {}}}}), "with a prior"),
         (pair(covariance=np.zeros((N_PARAMETERS, N_PARAMETERS))), "sigma of gyro_scale_x is zero"),
         (pair(covariance=np.ones((N_PARAMETERS, N_PARAMETERS)) - 2.0 * np.eye(N_PARAMETERS, k=1)), "not positive"),
@@ -389,7 +389,7 @@ def test_the_same_samples_do_not_count_twice():
     twice = [replace(c, provenance={"data_sha256": "a" * 64}) for c in (first, second)]
     with pytest.raises(srt.InputError, match="a and b hold the same samples"):
         merge_calibrations(twice, ["a", "b"])
-    with pytest.raises(srt.InputError, match="a name each"):
+    with pytest.raises(srt.InputError, match="needs its own name"):
         merge_calibrations([first, second], ["a", "a"])
 
 
