@@ -57,7 +57,7 @@ def certificate(
     made = assemble(calibration_file, recording_path, limits, against)
     write(made, page, document)
     if made.change is not None and made.change.names:
-        warn(f"{calibration_file}: changed by more than chance explains: {', '.join(made.change.names)}.")
+        warn(f"{calibration_file}: changed significantly: {', '.join(made.change.names)}.")
     if not quiet:
         for sentence in made.summary:
             show(sentence)

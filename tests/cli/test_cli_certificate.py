@@ -67,7 +67,7 @@ def test_page_and_pdf_with_everything(lab, tmp_path, capfd):
     out, err = capfd.readouterr()
     warning, failure = err.splitlines()
     assert warning.startswith("srt: warning: ")
-    assert "changed by more than chance explains" in warning
+    assert "changed significantly: " in warning
     assert "are not met by gyro_scale_x, gyro_scale_y, gyro_scale_z." in failure
     assert "3 of 6 limited parameters failed" in out
     page, document = (tmp_path / "out" / "deep" / f"new-certificate.{suffix}" for suffix in ("html", "pdf"))

@@ -611,7 +611,7 @@ def test_a_merged_calibration(recordings, calibrations, saved, plain_page):
     read = Reader(plain_page(make_certificate(merged, course=course)))
     rows = next(t for t in read.tables if "SHA-256 of the samples" in t[0])[1:]
     assert [row[3] for row in rows] == [recording.data_sha256 for recording in recordings]
-    assert "holds no residuals" in read.text
+    assert "contains no residuals" in read.text
     with pytest.raises(srt.InputError, match="same samples"):
         changes_since(merged, saved(calibrations[0]))
 

@@ -1,4 +1,4 @@
-"""Certificates: what a calibration found of one unit, for the person who gets the unit with it, as HTML and as PDF."""
+"""Certificates: the calibration of one unit, for the user of the unit, as HTML and as PDF."""
 
 from srt.reports.certificate.acceptance_limits import AcceptanceLimits, load_acceptance_limits
 from srt.reports.certificate.calibration_file import CalibrationFile, load_calibration_file

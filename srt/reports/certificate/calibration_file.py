@@ -80,7 +80,7 @@ def load_calibration_file(path: Path) -> CalibrationFile:
     Raises
     ------
     InputError
-        What :func:`srt.load_calibration` raises, parts that are missing or of a wrong type, and parts that contradict
+        As :func:`srt.load_calibration` raises it; parts that are missing or of a wrong type, and parts that contradict
         each other.
     """
     try:

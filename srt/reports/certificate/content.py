@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration, Residual
 
 _DIGITS: Final = 7
-"""Largest number of significant digits of a value: a noise-free sigma would ask for more."""
+"""Largest number of significant digits of a value; the sigma of noise-free data would require more."""
 _SOLVED: Final = 1e-3
-"""Fraction of sigma below which a residual was solved for exactly."""
+"""Fraction of sigma below which a component is solved exactly."""
 _STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
 
 
@@ -282,7 +282,7 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
                 CertificateCell(probability(row["probability"]) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
-    note = "left over: residuals that are not solved for exactly; about 1 sigma each is expected." + (
+    note = "left over: components that are not solved exactly; a residual of about 1 sigma is expected for each." + (
         " chi-square: against the prediction from all other sequences; p: probability of a larger one by noise."
         * bool(judged)
     )
@@ -309,10 +309,9 @@ def _summary(
     if change is not None:
         names = change.names
         yield (
-            f"Since {plain(change.old.name)}, {len(names)} parameters changed by more than chance explains: "
-            f"{_symbols(names)}."
+            f"Since {plain(change.old.name)}, {len(names)} parameters changed significantly: {_symbols(names)}."
             if names
-            else f"Since {plain(change.old.name)}, no parameter changed by more than chance explains."
+            else f"Since {plain(change.old.name)}, no parameter changed significantly."
         )
 
 
@@ -333,11 +332,11 @@ def _residual_notes(calibration: Calibration) -> Iterator[str]:
     left = _left(known)
     if left:
         rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
-        yield f"Root mean square of all {len(left)} residuals left over: {rms:.2f} sigma."
+        yield f"Root mean square of the {len(left)} residuals that are not solved exactly: {rms:.2f} sigma."
     elif known:
-        yield f"All {len(known)} residuals are solved for exactly."
+        yield f"All {len(known)} components are solved exactly."
     elif not calibration.residuals:
-        yield "The calibration holds no residuals of its own."
+        yield "The calibration file contains no residuals."
 
 
 def _left(residuals: Iterable[Residual]) -> list[Residual]:
@@ -362,7 +361,7 @@ def _value(i: int, value: float, sigma: float) -> tuple[str, float]:
     """Text of a parameter in its display unit, rounded to two digits of its sigma, and its SI value."""
     factor = DISPLAY_FACTORS[i]
     decimals = 2 if math.isnan(sigma) else decimals_for(sigma * factor)
-    # A noise-free sigma would ask for too many digits of the value.
+    # The sigma of noise-free data would require too many digits of the value.
     places = decimals if value == sigma else min(decimals, max(_DIGITS - len(f"{abs(value * factor):.0f}"), 0))
     return fixed(value * factor, places), value
 

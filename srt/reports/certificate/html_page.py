@@ -62,7 +62,7 @@ def html_page(certificate: Certificate) -> str:
     Returns
     -------
     str
-        It asks for nothing from elsewhere, and runs no scripts.
+        HTML text that loads no other files and runs no scripts.
 
     Raises
     ------

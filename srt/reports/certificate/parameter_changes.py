@@ -32,7 +32,7 @@ class ParameterChanges:
     limit : float
         Limit of the absolute change over sigma.
     on_trust : bool
-        True if a serial is missing, so that one unit is assumed.
+        True if a serial is missing; both are then assumed to be of one unit.
     """
 
     old: CalibrationFile
@@ -67,8 +67,8 @@ def changes_since(new: CalibrationFile, old: CalibrationFile) -> ParameterChange
     Raises
     ------
     InputError
-        Another unit, an old calibration that did not converge, samples that both rest on, or nothing that both
-        measured.
+        Another unit, an old calibration that did not converge, the same samples, or no parameter
+        measured in both.
     """
     if None not in (new.serial, old.serial) and new.serial != old.serial:
         raise InputError(
@@ -81,7 +81,7 @@ def changes_since(new: CalibrationFile, old: CalibrationFile) -> ParameterChange
         )
     if set(new.hashes) & set(old.hashes):
         raise InputError(
-            f"{new.name} and {old.name} rest on the same samples, so that nothing can have changed between them: give "
+            f"{new.name} and {old.name} were computed from the same samples, so that they cannot show a change: give "
             "an earlier calibration, or compare estimators by 'srt compare'."
         )
     difference = new.calibration.errors.vector - old.calibration.errors.vector

@@ -56,8 +56,8 @@ class RecordingHistory:
     Attributes
     ----------
     time, down : ndarray, shapes (m,) and (m, 3)
-        Time, s, and the direction of down in IMU axes as the gyros carry it through each sequence from its start; NaN
-        between sequences.
+        Time, s, and the direction of down in IMU axes as the gyros propagate it through each sequence from its start;
+        NaN between sequences.
     samples, force : ndarray, shapes (n,) and (n, 3)
         Time, s, and corrected specific force, m/s².
     breaks : ndarray of int
@@ -158,7 +158,7 @@ def _options(calibration: Calibration, name: str) -> Options:
     try:
         return Options(**{key: given[key] for key in _USED if key in given})
     except (InputError, TypeError):
-        raise InputError(f"{name} states options that there are not; it was edited: calibrate again.") from None
+        raise InputError(f"{name} states unknown options: it was edited; calibrate again.") from None
 
 
 def _follows(calibration: Calibration, data: PreparedRecording, options: Options) -> bool:
@@ -197,8 +197,8 @@ def _follows(calibration: Calibration, data: PreparedRecording, options: Options
 
     playback = processed(np.full(W, whole))
     first = _within(calibration, playback, stated, data)
-    # The iteration integrates the attitude over windows that moved, by estimates of the time: which ones they were is
-    # not in the file. What hangs on it, a sequence's horizontal components, may fit with either of its windows so.
+    # The iteration integrates the attitude over windows that moved; the file does not name these windows. The
+    # horizontal components of a sequence depend on the choice, and may match with either window integrated.
     left = playback.rest_rate - playback.pool @ playback.rest_rate
     compensated = np.sqrt(np.linalg.inv(playback.gyro.matrix) ** 2 @ wander**2)
     moved = moved_windows(data, playback.gyro, playback.accel, left, compensated)
@@ -208,7 +208,7 @@ def _follows(calibration: Calibration, data: PreparedRecording, options: Options
             break
         again = processed(integrated)
         turns |= _within(calibration, again, stated, data)[: 2 * K].reshape(K, 2).all(axis=1)
-    # The rate at rest is not in the file; the closed form alone leaves nothing of it, if all windows are at rest.
+    # The file has no rate at rest; its residual is zero for the closed form only, if all windows are at rest.
     checked = calibration.estimator == "closed-form" and calibration.observed[GROUP_SLICES["gyro_bias"]].all()
     rates = first[-3:].all() or moved.any() or not checked
     return bool(turns.all() and first[2 * K : -3].all() and rates)

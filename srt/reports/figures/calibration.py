@@ -74,7 +74,7 @@ def calibration_figure(
     truth : SensorErrors, optional
         Marked beside the values; the error bars then stand at estimate minus truth.
     title : str, optional
-        Of the recording.
+        Title of the recording.
 
     Returns
     -------

@@ -56,7 +56,7 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     ----------
     comparison : Comparison
     title : str, optional
-        Of the recording.
+        Title of the recording.
 
     Returns
     -------

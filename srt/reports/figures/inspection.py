@@ -76,9 +76,9 @@ def inspection_figure(recording: Recording, inspection: Inspection, *, title: st
     ----------
     recording : Recording
     inspection : Inspection
-        Of this recording.
+        Inspection of this recording.
     title : str, optional
-        Of the recording.
+        Title of the recording.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """Common style of the figures: classes of matplotlib, colours, sizes of letters, frames.
 
-Modules that draw take from here what they need of matplotlib. Its global state (pyplot, rcParams) is left alone.
+Modules that draw import the classes of matplotlib from here. Its global state (pyplot, rcParams) is unchanged.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ __all__ = [
     "symbol",
 ]
 
-# Okabe and Ito's colours: told apart with any colour vision; shapes tell the same once more.
+# Okabe and Ito's colours, which all types of colour vision distinguish; the markers differ too.
 BLUE: Final = "#0072B2"
 VERMILION: Final = "#D55E00"
 GREEN: Final = "#009E73"

@@ -38,9 +38,9 @@ SOURCE_LABELS: Final = {
 _LARGEST: Final = 3
 """Number of sources of error in the short table."""
 _DIGITS: Final = 7
-"""Largest number of significant digits of a value: a noise-free sigma would ask for more."""
+"""Largest number of significant digits of a value; the sigma of noise-free data would require more."""
 _SOLVED: Final = 1e-3
-"""Fraction of sigma below which a residual was solved for exactly: solvers stop at 1e-2 sigma or less."""
+"""Fraction of sigma below which a component is solved exactly: solvers stop at 1e-2 sigma or less."""
 
 
 def report(
@@ -57,7 +57,7 @@ def report(
     ----------
     calibration : Calibration
     title : str
-        Of the recording.
+        Title of the recording.
     truth : SensorErrors, optional
         Adds columns of the truth, the error, and the error over sigma.
     budget : bool
@@ -105,7 +105,7 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
         value, sigma = float(values[i]) * factor, float(sigmas[i]) * factor
         held = name in calibration.held
         decimals = 2 if held else decimals_for(sigma)
-        # A noise-free sigma asks for more digits of the value than a line has room for; its error keeps them.
+        # The sigma of noise-free data requires more digits of the value than fit in a line; the error column has them.
         places = min(decimals, max(_DIGITS - len(f"{abs(value):.0f}"), 0))
         row = [
             SYMBOLS[i],
@@ -182,7 +182,7 @@ def sources_table(sources: Mapping[str, Array], total: Array | None, parameters:
     sources : mapping of str to ndarray, shape (27,)
         SI.
     total : ndarray, shape (27,), or None
-        Shown before the sources; it sets the decimals, without it the largest source does.
+        Shown before the sources. It determines the number of decimals; if None, the largest source does.
     parameters : sequence of int
         Rows.
 
@@ -225,7 +225,7 @@ def residual_summary(calibration: Calibration) -> str:
     known = [r for r in calibration.residuals if r.sigma > 0.0]
     left = [r for r in known if abs(r.value) > _SOLVED * r.sigma]
     if not left:
-        return f"Residuals: all {len(known)} components are solved for exactly." if known else ""
+        return f"Residuals: all {len(known)} components are solved exactly." if known else ""
     rms = math.sqrt(sum((r.value / r.sigma) ** 2 for r in left) / len(left))
     worst = max(left, key=lambda r: abs(r.value / r.sigma))
     again = f" (occurrence {worst.occurrence})" if worst.occurrence > 1 else ""
@@ -235,7 +235,7 @@ def residual_summary(calibration: Calibration) -> str:
     )
     solved = len(known) - len(left)
     if solved:
-        text += f" {solved} more are solved for exactly; the errors of those solutions add to these."
+        text += f" {solved} more are solved exactly; errors of the parameters that they determine appear in the others."
     return text
 
 
@@ -290,9 +290,10 @@ def _notes(calibration: Calibration) -> Iterable[str]:
         met = targets["met_after"]
         name, short = targets["limiting"], targets["shortfall"]
         yield from wrap(
-            f"All targets are met after sequence {met}; {name} is nearest to its own, at {short:.2g} of it."
+            f"All targets are met after sequence {met}; {name} is nearest to its target: "
+            f"{short:.2g} of the required sigma."
             if met is not None
-            else f"The targets are not met: {name} has {short:.2g} times the sigma wanted."
+            else f"The targets are not met: the sigma of {name} is {short:.2g} times the required one."
         )
     yield from wrap(residual_summary(calibration))
     for sentence in calibration.warnings:

@@ -127,9 +127,9 @@ def _legend(comparison: Comparison) -> Iterable[str]:
     if pair is None:
         return []
     return wrap(
-        f"Last columns: estimate less {pair.reference}, over the spread expected of that difference; beyond "
-        f"{pair.limit:.1f} it is marked *. All limits together are exceeded by chance in {FALSE_ALARM:.0%} of "
-        "recordings."
+        f"Last columns: estimate less {pair.reference}, over the expected standard deviation of that difference; "
+        f"beyond {pair.limit:.1f} it is marked *. The false-alarm probability of all limits together is "
+        f"{FALSE_ALARM:.0%} per recording."
     )
 
 

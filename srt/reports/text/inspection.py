@@ -33,7 +33,7 @@ def inspection_report(inspection: Inspection, *, title: str) -> str:
     ----------
     inspection : Inspection
     title : str
-        Of the recording.
+        Title of the recording.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def inspection_report(inspection: Inspection, *, title: str) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Text of a number with so many digits, without an exponent where that is readable."""
+    """Text of a number with the given number of digits, without an exponent if that is readable."""
     text = f"{value:#.{digits}g}"
     if "e" in text:
         text = f"{value:.0f}" if abs(value) >= 1.0 else f"{value:.{digits - 1}e}"
@@ -84,7 +84,8 @@ def _overview(inspection: Inspection) -> Iterable[str]:
         t = inspection.temperature
         text = f"{t.first_c:.1f} °C, stated"
         if t.recorded:
-            text = f"{t.first_c:.1f} °C at first, {t.last_c:.1f} °C at last, {t.lowest_c:.1f} to {t.highest_c:.1f} °C"
+            text = f"{t.first_c:.1f} °C at the start, {t.last_c:.1f} °C at the end"
+            text += f", {t.lowest_c:.1f} to {t.highest_c:.1f} °C"
         yield from _line("Temperature", text)
     yield from _line("Stillness", _stillness(inspection))
     yield from _line("Recognised" if inspection.turns else "Turns", inspection.summary)
@@ -101,7 +102,7 @@ def _gaps(inspection: Inspection) -> str:
     if not stamps.gaps:
         return "none"
     longest = f"{stamps.longest_gap_s:.3g} s before {stamps.longest_gap_at_s:.6g} s"
-    return f"{stamps.gaps}, the longest {longest}; {stamps.missing_s:.4g} s are missing in all"
+    return f"{stamps.gaps}, the longest {longest}; {stamps.missing_s:.4g} s are missing in total"
 
 
 def _stillness(inspection: Inspection) -> str:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
 
 _DIGITS: Final = 7
-"""Largest number of significant digits of a value: a noise-free sigma would ask for more."""
+"""Largest number of significant digits of a value; the sigma of noise-free data would require more."""
 
 
 def repeatability_text(calibration: Calibration) -> str:
