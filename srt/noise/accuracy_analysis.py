@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 _PULSE: Final = math.sqrt(1.0 / 6.0)
-"""Rms of the difference of two pulse counter errors, each even within one pulse: √(2/12) (§9.1)."""
+"""Rms of the difference of two pulse counter errors, each uniform within one pulse: √(2/12) ([P] §9.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Quantity:
     sensitivity : float
         ±H / g, the component over g for a unit of the quantity (Table 2).
     unit : str
-        Of a millionth: ppm, µrad or µg.
+        Unit of 1e-6: ppm, µrad or µg.
     """
 
     symbol: str

@@ -8,8 +8,8 @@ variance of averages over τ is modelled as the sum of::
     B²        bias instability: the flat part, which data sheets quote
     K² τ/3    rate random walk: random walk of the bias
 
-The terms are fitted by maximum likelihood for chi-square variates. A term is kept only if the fit is significantly
-worse without it. Bias instability is identified only where the curve becomes flat; otherwise its lowest point is an
+The terms are fitted by maximum likelihood for chi-square variates. A term is kept only if its removal makes the fit
+significantly worse. Bias instability is identified only where the curve becomes flat; otherwise its lowest point is an
 upper limit.
 """
 
@@ -35,24 +35,24 @@ if TYPE_CHECKING:
 CHANNELS: Final = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 SHORTEST_WINDOW_S: Final = 30.0
-"""Shortest stationary window, s; a shorter one shows no more than :mod:`srt.noise.noise_model` finds."""
+"""Shortest stationary window, s; shorter ones give no more than the fit of :mod:`srt.noise.noise_model`."""
 
 _MOST_SAMPLES: Final = 1 << 17
 """Largest number of samples per channel for the deviations; longer channels are averaged in blocks first."""
 _FINE_OCTAVES: Final = 3
-"""Octaves beyond the block that still use single samples, because strongly overlapping averages tell more."""
+"""Octaves beyond the block that still use single samples: strongly overlapping averages have more information."""
 _LENGTHS: Final = 5
-"""Averages that a window must hold; with fewer the degrees of freedom are not known."""
+"""Smallest number of averages in a window; with fewer, the degrees of freedom are not known."""
 _KNOCK: Final = 10.0
-"""Deviation of a reading, in sigma, that noise does not reach in an hour: a knock."""
+"""Deviation of a reading, in sigma, above which it is a knock; noise does not reach it in an hour."""
 _RINGING_S: Final = 0.1
 """Time before and after a knock that is excluded, s."""
 _PROBE: Final = 4096
-"""Samples from which the sigma of a window's readings is estimated."""
+"""Number of samples from which the sigma of a window's readings is estimated."""
 _SIDE_BY_SIDE: Final = 64
-"""Rows compared at once for the extremes of a table."""
+"""Number of rows that are compared together for the extremes of a table."""
 _ROUNDING: Final = 1e-15
-"""Deviation over the reading, below which it is rounding of the last bit."""
+"""Ratio of a deviation to the reading below which it is rounding of the last bit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +130,7 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
         If allantools is not installed.
     """
     dt = recording.nominal_interval_s
-    # A window found block by block may lack a sample or two.
+    # A window that was detected in blocks may be shorter by one or two samples.
     shortest = SHORTEST_WINDOW_S / dt - 2.0
     longest = float((windows[:, 1] - windows[:, 0]).max(initial=0)) * dt
     candidates = [(a, b) for a, b in windows.tolist() if b - a >= shortest]
@@ -139,8 +139,8 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
     if len(long) == 0:
         longest = max(((b - a) * dt for a, b in pieces), default=longest)
         raise DataError(
-            f"The longest stillness lasts {longest:.3g} s, but an Allan deviation needs {SHORTEST_WINDOW_S:g} s or "
-            "more: let the unit rest for some minutes to see its bias instability."
+            f"The longest stationary window lasts {longest:.3g} s, but an Allan deviation needs {SHORTEST_WINDOW_S:g} "
+            "s or more: let the unit rest for some minutes to see its bias instability."
         )
     allantools = _allantools()
     octaves, variances, counts, steps = _pooled(allantools, recording, long)
@@ -187,7 +187,7 @@ def _undisturbed(recording: Recording, a: int, b: int) -> list[tuple[int, int]]:
         probe = part[:: max(1, (b - a) // _PROBE)]
         middle = np.median(probe, axis=0)
         spread = 1.4826 * np.median(np.abs(probe - middle), axis=0)
-        # Of coarse readings more than half may be equal.
+        # More than half of coarse readings may be equal.
         spread = np.where(spread > 0.0, spread, np.maximum(probe.std(axis=0), _ROUNDING * np.abs(middle)))
         low, high = _extremes(part)
         beyond = np.maximum(high - middle, middle - low) > _KNOCK * spread
@@ -368,15 +368,15 @@ TERMS: Final = (
 """Noise terms; the keys are those of the section [imu] of ``recording.toml``."""
 
 PULSES, RANDOM_WALK, FLAT = 0, 1, 2
-"""Places in :data:`TERMS`."""
+"""Indices in :data:`TERMS`."""
 
 _SHARED: Final = 0.5
 """Share of the degrees of freedom that a fit may count: those of all octaves add up to twice the number of samples,
 because neighbouring octaves contain the same noise."""
 _MODEL_DOUBT: Final = 0.03
-"""Relative 1-sigma of the four-slope model itself: no sensor follows it more closely, however long the recording."""
+"""Relative 1-sigma of the four-slope model itself: the model is not more accurate, however long the recording."""
 _PULSE_DOUBT: Final = 0.5
-"""Relative 1-sigma of the quantization term: the quantization error of a slow input is no white sequence."""
+"""Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
 _DROP: Final = 9.55
 """Loss of 2 ln(likelihood) up to which a term is left out: false-alarm probability 1e-3."""
 _PASSES: Final = 60
@@ -430,7 +430,7 @@ def fit_terms(design: Array, variance: Array, freedom: Array) -> tuple[Array, Ar
             break
         trials = [_likeliest(design, variance, freedom, np.delete(kept, i)) for i in leaving]
         best = int(np.argmin([trial[1] for trial in trials]))
-        # Always compared with the loss of all terms, so that small losses do not accumulate.
+        # The comparison is always with the fit of all terms, so that small losses do not accumulate.
         if trials[best][1] - loss > _DROP:
             break
         solution = trials[best][0]

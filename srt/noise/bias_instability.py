@@ -6,8 +6,8 @@ spectrum of the sum agrees with flicker noise to a few per cent between the fast
 such processes have a covariance in closed form. They are strongly correlated: components slower than the test are equal
 in all windows, and neighbouring windows differ by √2 B, however long they are.
 
-Components slower than the test are not distinguishable from the bias. The processes therefore end there: their sum has
-zero mean, and the constant beside it is the bias of the unit.
+Components slower than the test are not distinguishable from the bias. Slower processes are therefore omitted: the sum
+has zero mean, and the constant part is the bias of the unit.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SLOWEST_S: Final = 1000.0
 _ROUNDING: Final = 1e-12
 """Relative increase of the variances that keeps the Cholesky factor real in spite of rounding."""
 _NO_TIME_S: Final = 1e-9
-"""Length below which an interval counts as a point, and an overlap as none, s."""
+"""Length, s, below which an interval counts as a point, and an overlap as zero."""
 
 
 def correlation_times(span_s: float) -> tuple[float, ...]:

@@ -26,7 +26,7 @@ GYRO_FLOOR: Final = 1e-10
 ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
 """Lower limit of an estimated velocity random walk, m/s²·√s (1e-9 g·√s)."""
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
-"""Samples from which the resolution of a column is taken."""
+"""Number of samples from which the resolution of a column is estimated."""
 _QUANTIZATION_DOUBT: Final = 0.5
 """Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
 _POOL_ABOVE: Final = 0.2
@@ -37,7 +37,7 @@ _LEAST_SHARE: Final = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseModel:
-    """Noise of the raw channels.
+    """Noise of the readings, before compensation.
 
     Attributes
     ----------
@@ -46,8 +46,8 @@ class NoiseModel:
     gyro_edge, accel_edge : ndarray, shape (3,)
         1-sigma error of one reading of the integral (angle, velocity), rad and m/s.
     gyro_wander : ndarray, shape (3,), rad/s, or None
-        1-sigma of the bias of one sequence about that of the test; None if no bias instability is stated: it is then
-        estimated from the scatter of the windows.
+        1-sigma of the bias of one sequence about the mean of the test; None if no bias instability is stated. The
+        estimator then takes it from the rest rates of the sequences.
     accel_wander : ndarray, shape (3,), m/s²
         The same for the accelerometer bias of one window.
     gyro_flicker : ndarray, shape (3,), rad/s, or None
@@ -128,7 +128,7 @@ def flicker_spread(windows: Indices) -> float:
 
     The bias instability B_A of data sheets is the floor of the Allan deviation. Flicker noise with that floor,
     ``S(f) = B_A² / (4 ln 2 f)`` (two-sided), has the variance ``B_A² ln(T / T_w) / (2 ln 2)`` between the frequencies
-    1/T and 1/T_w: the scatter of averages over T_w within a test of length T.
+    1/T and 1/T_w: the variance of averages over T_w within a test of length T.
     """
     lengths = windows[:, 1] - windows[:, 0]
     ratio = (int(windows[:, 1].max()) - int(windows[:, 0].min())) / float(np.median(lengths))
@@ -198,7 +198,7 @@ def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:
     still = np.concatenate([table[a:b:stride] for a, b in windows.tolist()])
     step = smallest_step(still)
     constant = np.all(still == still[0], axis=0)
-    if constant.any():  # constant at rest: the step is taken from the motion
+    if constant.any():  # readings constant at rest: the step is estimated during motion
         step = np.where(constant, smallest_step(table[:: max(1, len(table) // _MAX_SAMPLES_FOR_RESOLUTION)]), step)
     return step if recording.kind == "rate" else step / recording.nominal_interval_s
 

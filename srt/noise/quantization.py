@@ -1,4 +1,4 @@
-"""Quantization step of readings that also carry noise far below it, as those of a corrected recording do."""
+"""Quantization step of readings whose noise is far below it, as in a corrected recording."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
 
 
 _GAP: Final = 20.0
-"""Ratio of two successive sizes of differences that separates steps from noise."""
+"""Ratio of two successive sorted differences that separates noise from steps."""
 _FEWEST_SMALL: Final = 10
-"""Differences below the gap at least: of normal noise 1e-13 of the stretches show such a gap."""
+"""Smallest number of differences below the gap; normal noise has such a gap with a probability of 1e-13."""
 _FEWEST_LARGE: Final = 3
-"""Differences above the gap at least: a spike makes two."""
+"""Smallest number of differences above the gap; a spike makes two."""
 
 
 def quantization_step(readings: Array) -> Array:
     """Step between readings, by column.
 
-    Compensation mixes the steps of three axes and rounds, so that the smallest difference of corrected readings is no
-    step: the steps are the differences above a wide gap in the sizes of all.
+    Compensation mixes the steps of three axes and rounds, so that the smallest difference of corrected readings is not
+    a step. Sorted by size, the differences have a wide gap; those above it are steps.
 
     Parameters
     ----------
