@@ -211,8 +211,8 @@ def write_recording(
     Raises
     ------
     InputError
-        A folder with files in it, an unknown format, a path that cannot be written. The folder then has the recording
-        that it had before, complete, and no file in part.
+        A folder with files in it, an unknown format, a path that cannot be written. The folder then has
+        the same complete recording as before, and no incomplete file.
     MissingExtraError
         If the format needs a package that is not installed.
     """

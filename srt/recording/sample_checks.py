@@ -20,7 +20,7 @@ def as_samples(name: str, given: object, dimensions: int) -> Array:
     Parameters
     ----------
     name : str
-        What messages call it.
+        Name in messages.
     given : array_like, shape (n,) or (n, 3)
     dimensions : int
         1 or 2.

@@ -2,7 +2,7 @@
 
 A gyro scale factor is an integral over time, so the difference of two rounded stamps as an interval would turn the
 rounding into scale-factor noise. Stamps that lie on a straight line to within their rounding therefore give *one*
-interval, the slope of that line. Stamps with more scatter give an interval each.
+interval, the slope of that line. Other stamps give one interval per sample.
 
 A *gap* is an interruption of the recording; its index is that of the first sample of the next contiguous piece. All
 pieces have the same slope; each has its own start.

@@ -133,7 +133,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
             f"(found: {there}): log the IMU (LOG_BITMASK), or the raw IMU (GYR, ACC)."
         )
     topic = wanted or complete[0]
-    notes = ["ArduPilot has applied its own calibration: the errors found here are the residuals of it."]
+    notes = ["ArduPilot has applied its own calibration: a calibration of this log finds the remaining errors."]
     if len(complete) > 1 and wanted is None:
         notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
     instance = choose_instance(path, topic, list(log.instances(TOPICS[topic][0][0])), options.instance, notes)
@@ -259,7 +259,7 @@ def _sniff(path: Path) -> bool:
 ARDUPILOT: Final = Importer(
     "ardupilot",
     "ArduPilot log (.bin or .log)",
-    (),  # .bin and .log are what many others call their files, too
+    (),  # many other programs use the suffixes .bin and .log
     "formats",
     _sniff,
     in_child(f"{__name__}:{read_log.__name__}", "pymavlink", "An ArduPilot log"),

@@ -244,7 +244,7 @@ NO_SENSOR: Final = (TIME, TEMPERATURE)
 
 
 def with_temperature(notes: tuple[str, ...], columns: Mapping[str, object]) -> tuple[str, ...]:
-    """Add a note on the unit of the temperature, if there is a column of it."""
+    """Add a note on the unit of the temperature, if a column has the temperature."""
     return (*notes, "Temperature is assumed to be in °C.") if TEMPERATURE in columns else notes
 
 

@@ -164,7 +164,7 @@ def _pair_table(path: Path, layout: TableLayout) -> dict[str, NDArray[Any]]:
 
 
 def _pair_time_unit(layout: TableLayout) -> str | None:
-    """Unit of time in the header; None without one."""
+    """Unit of time in the header; None if the header states none."""
     meanings = (meaning_of(name) for name in layout.header)
     return next((m.unit for m in meanings if m is not None and m.channel == TIME and m.unit is not None), None)
 

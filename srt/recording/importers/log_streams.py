@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SI_UNITS: Final = ("rad/s", "m/s^2")
 
 LATE_LIMIT_S: Final = 1.0
-"""Delay of samples on the way that is put right, s; a clock that goes back further was set."""
+"""Largest delay of samples that is corrected by sorting, s; a clock that goes back by more was set."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +163,7 @@ def join(gyro: Stream, accel: Stream, notes: list[str]) -> Stream:
         raise InputError(f"{empty.name} holds no samples: choose another sensor.")
     if gyro.name != accel.name:
         notes.append(f"Gyros from {gyro.name}, accelerometers from {accel.name}.")
-    # Counted from one stamp as integers, so that seconds lose nothing however large the clock's reading is.
+    # Counted from one stamp as integers, so that the conversion to seconds is exact for any clock reading.
     zero = gyro.stamps[0]
     seconds = [(stream.stamps - zero) / stream.per_second for stream in (gyro, accel)]
     kept, values = join_streams(seconds[0], seconds[1], accel.values, notes)
