@@ -165,7 +165,7 @@ def check_rest(
     gravity : float
         m/s².
     labels : sequence of str
-        What messages call each window.
+        Name of each window in messages.
     interval_s : float, optional
         Sampling interval, with which increments taken for rates (or back) are recognised.
 
@@ -207,7 +207,7 @@ def check_turns(
     nominal_rad : array_like, shape (k,), rad
         Signed angle that its label states.
     labels : sequence of str
-        What messages call each turn.
+        Name of each rotation in messages.
     interval_s : float, optional
         Sampling interval, with which increments taken for rates (or back) are recognised.
 

@@ -99,9 +99,9 @@ class Recognition:
     turns : tuple of RecognisedManoeuvre
         In time order; those of one sequence carry its id.
     labels : tuple of SequenceLabel
-        Of the sequences, in time order.
+        Labels of the sequences, in time order.
     confidence : tuple of float
-        Of each label.
+        Confidence of each label.
     scale : ndarray, shape (3,)
         Raw reading over truth of each gyro axis, as counted by right angles.
     mapping : tuple of ndarray, shape (3, 3)
