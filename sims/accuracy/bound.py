@@ -8,15 +8,16 @@ output, about the given sensor errors and a fixture without errors.
 the gyros integrate from the end of the first to the start of the second, as a small rotation vector in B at its start.
 
 *Unknowns*: the 27 sensor errors, without a prior; base, mounting and non-orthogonality of the fixture, gravity, and the
-start angles of each sequence, with the sigmas that the simulator draws from; the attitude in each end window, of which
-nothing is known but what the gyros measured; where the gyro bias walks, its step from each sequence to the next.
+start angles of each sequence, with the sigmas of the simulator; the attitude in each end window, without a prior; and,
+if the gyro bias is a random walk, its step between sequences.
 
 *Noise*: white noise N gives a mean over T the variance N²/T. Each reading of the running integral is rounded to a pulse
-independently, sigma quantum/√12: a mean carries the errors at its window's edges, the rotation those at the two edges
+independently, sigma quantum/√12. A mean has the errors at the edges of its window, the rotation those at the two edges
 that it shares with the windows.
 
-Not in the bound: bias instability, g-sensitivity, saturation, rounding of the output word, an unknown latitude, and
-what pulses add within a turn (up to 5 % of their variance at 200 Hz and 1 rad/s). Each could only raise it.
+Not included: bias instability, g-sensitivity, saturation, rounding of the output word, an unknown latitude, and the
+effect of pulses within a turn (up to 5 % of their variance at 200 Hz and 1 rad/s). Each of these can only increase the
+bound.
 """
 
 from __future__ import annotations
@@ -53,9 +54,9 @@ FIXTURE_SIGMAS = tuple(
 )
 """Keys of ``fixture_sigma``: the keyword arguments of :func:`sims.physics.fixture.draw_fixture`."""
 
-# Of the unknowns in Linearisation.fixture.
+# Columns of Linearisation.fixture.
 _MOUNTING, _SKEW, _GRAVITY, _STARTS = slice(3, 6), 6, 7, slice(8, 10)
-# A pose reads the same however it was reached, so that poses are run through fast, with windows of one sample.
+# The readings in a pose do not depend on the motion before it: moves are fast, windows have one sample.
 _POSE_RATE_HZ, _POSE_PROFILE = 10.0, RateProfile(20.0, 200.0)
 # What is rounding: a derivative, over the largest of its measurement; a singular value, columns equilibrated, over the
 # largest; the share of a sensor error in a direction of which nothing is known.
@@ -69,14 +70,15 @@ class Bound:
     Attributes
     ----------
     covariance : ndarray, shape (27, 27), SI
-        In the order of :data:`srt.sensor_errors.NAMES`. A gyro bias that walks is its mean over the sequences.
+        In the order of :data:`srt.sensor_errors.NAMES`. For a gyro bias that walks, the
+        parameter is its mean over the sequences.
     """
 
     covariance: Array
 
     @property
     def sigma(self) -> Array:
-        """One sigma of each sensor error, shape (27,), SI."""
+        """Standard deviation of each sensor error, shape (27,), SI."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def __getitem__(self, name: str) -> float:
@@ -108,7 +110,7 @@ def bayesian_bound(
     fixture_sigma : mapping
         By the keys :data:`FIXTURE_SIGMAS`, rad. Absent or zero: known exactly. North may be infinite: unknown.
     errors : SensorErrors, optional
-        Where the bound is evaluated; default none.
+        Sensor errors at which the bound is evaluated; default: zero.
     heading_rad, U, sample_rate_hz, earth_rate
         See :func:`sims.physics.table_motion.run_schedule`; 100 Hz or more.
     gyro_bias_walk_rad_s : float
@@ -133,7 +135,7 @@ def scenario_bound(scenario: Scenario, errors: SensorErrors | None = None) -> Bo
     if scenario.schedule is None or scenario.fixture is None:
         raise InputError("The scenario is a free recording, but the bound is of a run on the fixture: describe one.")
     sigma = scenario.fixture.draw_sizes()
-    # A random turn of B from its mount is one more error of the mounting.
+    # A random rotation of B relative to its mount adds to the mounting error.
     sigma["mounting_sigma_rad"] = math.hypot(sigma["mounting_sigma_rad"], 1e-3 * scenario.imu.frame_turn_sigma_mrad)
     if not scenario.fixture.state_heading:
         sigma["north_sigma_rad"] = math.inf
@@ -188,7 +190,7 @@ class Linearisation:
         level, north, mounting, skew, start, wobble = (float(fixture_sigma.get(name, 0.0)) for name in FIXTURE_SIGMAS)
         prior = [level, level, north, mounting, mounting, mounting, skew, gravity_sigma_m_s2]
         count = len(self.errors)
-        # The bias of each sequence by the steps between them, less its mean: that stays among the 27.
+        # Bias of each sequence from the steps, minus its mean over the sequences, which is one of the 27 parameters.
         walked = np.tri(count, count - 1, -1)
         walked -= walked.mean(axis=0)
         bias = self.errors[:, :, GROUP_SLICES["gyro_bias"]]
@@ -201,7 +203,7 @@ class Linearisation:
         common, own = np.linalg.solve(root, common), np.linalg.solve(root, own)
         known = np.diag(1.0 / sigma[sigma > 0.0])
         scale = np.linalg.norm(np.vstack([*common, known]), axis=0)
-        # Of a sequence there counts what its own unknowns cannot explain; its start is known in its sigmas.
+        # Projection of the measurements that removes the sequence's own unknowns; its start has a prior.
         own = np.concatenate([own, np.tile(np.eye(3, 6, 3), (count, 1, 1))], axis=1)
         unexplained = np.linalg.qr(own, mode="complete").Q[:, :15, 6:].transpose(0, 2, 1)
         return Bound(_covariance(np.vstack([*(unexplained @ common), known]), scale))
@@ -219,7 +221,7 @@ def linearise(
 ) -> Linearisation:
     """Derivatives of the measurements about a faultless fixture, by central differences of half width ``step`` (SI).
 
-    ``where`` is handed to :func:`sims.physics.table_motion.run_schedule`; for the rest see :func:`bayesian_bound`.
+    ``where`` is passed to :func:`sims.physics.table_motion.run_schedule`; other parameters: :func:`bayesian_bound`.
     """
     for triad in ("gyro", "accel"):
         if not (getattr(imu, f"{triad}_noise") > 0.0 or getattr(imu, f"{triad}_quantization") > 0.0):
@@ -230,7 +232,7 @@ def linearise(
     poses = Schedule(schedule.sequences, _POSE_PROFILE, dwell_s=1.0 / _POSE_RATE_HZ, pause_s=0.0)
 
     def pose_run(unknowns: Array) -> TrueMotion:
-        # Sequences know nothing of each other: one run perturbs the start angles of all.
+        # Sequences are independent: one run perturbs the start angles of all.
         starts = np.tile(unknowns[_STARTS], (len(poses.sequences), 1))
         draw = FixtureDraw(unknowns[:3], unknowns[_MOUNTING], float(unknowns[_SKEW]), starts)
         there = replace(site, gravity_m_s2=site.gravity_m_s2 + float(unknowns[_GRAVITY]))
@@ -241,15 +243,15 @@ def linearise(
     edges = np.searchsorted(motion.time, turning + 0.5 * motion.interval, side="right")
     turns = [_in_turn(motion, slice(start, stop), about, step) for start, stop in edges]
     by_errors_in_turn, spread, first, last = (np.array(column) for column in zip(*turns, strict=True))
-    # Each attitude is against NED, which turns with the Earth from the one to the other.
+    # Attitudes are relative to NED, which rotates with the Earth between the two windows.
     earth = constants_of_site(site, earth_rate=where.get("earth_rate", True))[0] * np.diff(turning)
     turn = motion.attitudes[:, 0].transpose(0, 2, 1) @ rotation(earth) @ motion.attitudes[:, 1]
 
-    # The end attitude is an unknown of its own: gravity is seen there, the fixture is not.
+    # The end attitude is an unknown: readings there depend on gravity, but not on the fixture errors.
     by_attitude = by_unknowns[:, 1, :, _MOUNTING] @ np.linalg.inv(turned[:, 1, :, _MOUNTING])
     by_unknowns[:, 1, :, np.arange(10) != _GRAVITY] = 0.0
     by_errors = np.concatenate([by_errors[:, 0], by_errors[:, 1], by_errors_in_turn], axis=1)
-    # An axis at right angles to gravity senses cos 90° of it, which is 6e-17.
+    # An axis perpendicular to gravity has cos 90° = 6e-17 instead of 0 because of rounding.
     by_errors[np.abs(by_errors) < _NO_DERIVATIVE * np.abs(by_errors).max(axis=2, keepdims=True)] = 0.0
     return Linearisation(
         by_errors,
@@ -342,7 +344,7 @@ def _covariance(rows: Array, scale: Array) -> Array:
     scale[scale == 0.0] = 1.0
     _, singular, directions = np.linalg.svd(np.linalg.qr(rows / scale, mode="r"))
     rank = int(np.sum(singular > _SINGULAR * singular[0]))
-    # A fixture error that nothing sees does no harm, unless a sensor error looks like it.
+    # An unobservable fixture error is harmless unless it cannot be separated from a sensor error.
     blind = np.abs(directions[rank:, :N_PARAMETERS]).max(axis=0, initial=0.0)
     if blind.max() > _NO_SHARE:
         names = ", ".join(name for name, share in zip(NAMES, blind, strict=True) if share > 0.01 * blind.max())

@@ -1,9 +1,9 @@
-"""Accuracy budget of a scenario: the predicted sigma of every parameter, by source.
+"""Accuracy budget of a scenario: predicted sigma of every parameter by source.
 
-The covariance of the estimator on a recording of the scenario gives noise, quantization, bias instability, alignment
-times the Earth's rate, and gravity. Unmodelled effects are simulated alone, without noise: g-sensitivity one element at
-a time, and the fixture's errors by draws, minus the part that the alignment explains. Some effects are reported and not
-counted: those that the first iteration removes, and the effect of the gyro bias if it were not measured.
+The covariance of the estimator on a recording of the scenario gives the parts of noise, quantization, bias instability,
+alignment times the Earth's rate, and gravity. Unmodelled effects are simulated separately, without noise: g-sensitivity
+one element at a time, and the fixture's errors by draws, minus the part that the alignment explains. Some effects are
+reported but not counted: those that the first iteration removes, and that of an unmeasured gyro bias.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NOT_COUNTED: Final = {
     "second_order_before_iteration": "products of errors, fixture's and unit's, before it",
     "gyro_bias_if_not_measured": "the unit's gyro bias, were it not measured in the windows",
 }
-"""Effects that are reported and not part of the total, with their description."""
+"""Effects that are reported but not included in the total, with their descriptions."""
 _PERFECT: Final = {
     f"{name}_sigma_mrad": 0.0 for name in ("level", "north", "mounting", "non_orthogonality", "rotation", "wobble")
 }
@@ -63,19 +63,19 @@ class Budget:
 
     @property
     def total(self) -> Array:
-        """One sigma of every parameter, all sources together, shape (27,), SI."""
+        """Standard deviation of every parameter from all sources, shape (27,), SI."""
         return np.asarray(np.sqrt(np.sum([s**2 for s in self.sources.values()], axis=0)))
 
     @property
     def limiting(self) -> tuple[str | None, ...]:
-        """Largest source of every parameter; None where it is not estimated."""
+        """Largest source of every parameter; None for parameters that are not estimated."""
         names, sizes = list(self.sources), np.array(list(self.sources.values()))
         largest = np.argmax(np.nan_to_num(sizes), axis=0)
         seen = np.isfinite(self.total)
         return tuple(names[k] if known else None for k, known in zip(largest.tolist(), seen.tolist(), strict=True))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, ready for JSON: SI units, null where a parameter is not estimated."""
+        """JSON values in SI units; null for parameters that are not estimated."""
 
         def plain(values: Array) -> dict[str, float | None]:
             return {n: None if np.isnan(v) else float(v) for n, v in zip(NAMES, values, strict=True)}
@@ -152,7 +152,7 @@ class _Counted:
 
 
 class _Rig:
-    """Recordings of a scenario: with all its noise, and without any on a fixture of which less is wrong."""
+    """Recordings of a scenario: with all noise; and without noise, on a fixture with fewer errors."""
 
     def __init__(self, scenario: Scenario, draws: int) -> None:
         self.scenario, self.draws = scenario, draws
@@ -169,20 +169,20 @@ class _Rig:
         imu = scenario.imu.model_copy(update={"noise": noise})
         self.insensitive = simulate(whole.model_copy(update={"imu": imu})).recording
         self._still_earth = scenario.site.model_copy(update={"earth_rate": False, "state_latitude": False})
-        # The gravity of the site is that of the recording: its uncertainty is a source of its own.
+        # The true gravity is the stated one: its uncertainty is a separate source.
         self.still = simulate(self._quiet.model_copy(update={"fixture": perfect}))
 
     def sensed(self, simulation: Simulation, imu: ImuModel | None = None) -> Recording:
-        """Noise-free readings that state the scenario's noise."""
+        """Noise-free recording that states the noise of the scenario."""
         recording = read_out(simulation.motion, simulation.truth, imu, kind=self.scenario.recording.kind)
         return replace(recording, noise=self.model.stated(), site=simulation.recording.site)
 
     def fixtures(self, *, earth: bool) -> list[Simulation]:
-        """The unit on fixtures drawn anew; without ``earth`` on one that stands still, and is said to."""
+        """The unit on newly drawn fixtures; without ``earth``, the Earth does not rotate and no latitude is stated."""
         site = self.scenario.site if earth else self._still_earth
         out = []
         for k in range(self.draws):
-            # The unit is the scenario's own; only the fixture is another one.
+            # The unit is that of the scenario; only the fixture is drawn again.
             drawn = self._quiet.model_copy(update={"seed": self.scenario.seed + 1 + k, "site": site})
             values = self.still.truth.as_dict()
             errors = self.scenario.errors.model_copy(update={"draw": "none", "values": values})
@@ -190,7 +190,7 @@ class _Rig:
         return out
 
     def standing(self) -> Simulation:
-        """The unit on a perfect fixture on an Earth that stands still."""
+        """The unit on a perfect fixture on an Earth that does not rotate."""
         return simulate(self.still.scenario.model_copy(update={"site": self._still_earth}))
 
 
@@ -203,8 +203,8 @@ def _budget(estimator: str, rig: _Rig, calibrate: _Counted) -> Budget:
         return np.where(seen, values, np.nan)
 
     contributions = dict(noisy.contributions)
-    # A bias that changes with the pose makes the estimator take each sequence's own, which lets more noise in; but the
-    # scatter that it sees is no bias instability, and g-sensitivity has a row of its own.
+    # With a bias that changes with the pose, the estimator uses one bias per sequence, which adds noise. That scatter
+    # is not bias instability, and g-sensitivity has a separate row.
     drifting = calibrate(rig.insensitive, estimator).contributions
     contributions |= {name: sizes for name, sizes in drifting.items() if name == "gyro_bias_instability"}
     sources = {name: shown(sizes) for name, sizes in contributions.items() if np.any(sizes > 0.0)}
@@ -230,7 +230,7 @@ def _budget(estimator: str, rig: _Rig, calibrate: _Counted) -> Budget:
     sources[FIXTURE] = shown(np.sqrt(np.maximum(after / rig.draws - explained, 0.0)))
     first = calibrate(rig.sensed(rig.still), "closed-form", **once).errors.vector
     alone = calibrate(rig.sensed(rig.standing()), "closed-form", **once).errors.vector
-    # Held at zero; how well the iteration then ends is no matter.
+    # The gyro bias is fixed at zero; the final status of this iteration is irrelevant.
     held = {"hold": ("gyro_bias",), "start": SensorErrors(), "max_playbacks": 20}
     unmeasured = calibrate(rig.sensed(rig.still), estimator, **held).errors.vector
     return Budget(

@@ -1,4 +1,4 @@
-"""Picture of a budget: how much of the variance of every parameter comes from each source."""
+"""Figure of a budget: share of each source in the variance of every parameter."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 _COLOURS: Final = (BLUE, SKY, PURPLE, VERMILION, ORANGE, GREEN, GREY, INK)
 _HATCHES: Final = ("", "//", "..")
-"""Tell sources apart once the colours are used up."""
+"""Hatches that distinguish sources if there are more sources than colours."""
 
 
 def budget_figure(found: Budget, *, title: str = "") -> Figure:
-    """Stacked bars: shares of the variance of every parameter, its sigma beside the bar.
+    """Draw stacked bars of the variance shares of every parameter, with its sigma beside the bar.
 
     Parameters
     ----------

@@ -32,9 +32,9 @@ _IDS: Final = tuple(TABLE_1)
 
 @injection("labels_shifted", 2.0, "s")
 def labels_shifted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Labels written by another clock than the samples, which is off by ``severity``; the moves are recorded.
+    """Labels from another clock than that of the samples, with a difference of ``severity``; the moves are recorded.
 
-    No label can lie outside the samples: at the ends of the recording windows are cut.
+    Labels cannot be outside the samples: windows are cut at the ends of the recording.
     """
     recording = case.changed(schedule={"moves": "recorded"}).recording
     shift = float(rng.choice([-1.0, 1.0])) * severity
@@ -54,7 +54,7 @@ def labels_shifted(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("labels_exchanged", 2.0, "sequences")
 def labels_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Some sequences change places in the run, but the list that labels it is the planned one."""
+    """Some sequences are executed in another order, but labelled in the planned order."""
     count = max(2, round(severity))
     places = rng.choice(len(_IDS), count, replace=False)
     order = list(_IDS)
@@ -65,7 +65,7 @@ def labels_exchanged(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @injection("wrong_direction", 1.0, "sequences")
 def wrong_direction(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Every turn of a sequence is made the other way round."""
+    """All turns of a sequence are executed in the opposite direction."""
     turned = rng.choice(_IDS, max(1, round(severity)), replace=False).tolist()
     custom = [
         {
@@ -82,7 +82,7 @@ def wrong_direction(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 @injection("wrong_angle", 2.0, "°")
 def wrong_angle(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One turn of one sequence ends at a stop that is out of place, or a tooth too far."""
+    """One turn of one sequence has a wrong angle, because a stop is misplaced or the index is one tooth too far."""
     run = case.simulation
     assert run.fixture_draw is not None
     number = int(rng.integers(len(_IDS)))
@@ -107,14 +107,14 @@ def wrong_angle(case: Case, severity: float, rng: np.random.Generator) -> Record
 
 @injection("sequence_missing", 1.0, "sequences")
 def sequence_missing(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Sequences are forgotten."""
+    """Sequences are not executed."""
     left_out = rng.choice(_IDS, max(1, round(severity)), replace=False).tolist()
     return case.changed(schedule={"sequences": tuple(name for name in _IDS if name not in left_out)}).recording
 
 
 @injection("sequence_repeated", 1.0, "sequences")
 def sequence_repeated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Sequences are run once more, at once or at the end of the day."""
+    """Sequences are repeated, immediately or at the end of the test."""
     order = list(_IDS)
     for name in rng.choice(_IDS, max(1, round(severity)), replace=False).tolist():
         order.insert(order.index(name) if rng.random() < 0.5 else len(order), name)
@@ -123,7 +123,7 @@ def sequence_repeated(case: Case, severity: float, rng: np.random.Generator) -> 
 
 @injection("window_short", 0.2, "of the planned length")
 def window_short(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The turn is begun too early, or the recording stopped too soon: one stillness is only a part as long."""
+    """One stationary window is too short: the turn begins too early, or the recording stops too early."""
     recording = case.recording
     number, at_end = int(rng.integers(len(_IDS))), bool(rng.integers(2))
     label = recording.sequences[number]
@@ -144,7 +144,7 @@ def window_short(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 
 def _labelled(recording: Recording, ids: tuple[str, ...]) -> Recording:
-    """The same windows by the names of a list."""
+    """The same windows, labelled with the names of a list."""
     return recording.with_sequences(
         tuple(
             replace(label, id=name, down=None, along_outer=None, rotations=())
@@ -158,7 +158,7 @@ def _labelled(recording: Recording, ids: tuple[str, ...]) -> Recording:
 
 @injection("unsettled", 0.5, "mrad")
 def unsettled(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A soft fixture rings after every turn and is given 0.2 s to settle."""
+    """A soft fixture oscillates after every turn; the settling time is only 0.2 s."""
     ringing = {
         "settling_amplitude_mrad": severity,
         "settling_frequency_hz": float(rng.uniform(4.0, 12.0)),
@@ -169,7 +169,7 @@ def unsettled(case: Case, severity: float, rng: np.random.Generator) -> Recordin
 
 @injection("bump", 1.0, "mrad")
 def bump(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Somebody knocks against the unit, which slips in its clamp within 0.1 to 0.3 s."""
+    """A knock makes the unit slip in its clamp within 0.1 to 0.3 s."""
     motion = case.simulation.motion
     (a, b), _ = _window(motion, rng)
     duration = float(rng.uniform(0.1, 0.3))
@@ -184,7 +184,7 @@ def bump(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     "µrad/s",
 )
 def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A loose clamp gives way to gravity: the unit tilts at a steady rate as long as one window lasts."""
+    """With a loose clamp, the unit tilts under gravity at constant rate during one window."""
     motion = case.simulation.motion
     (a, b), force = _window(motion, rng)
     axis = np.cross(force, rng.standard_normal(3))
@@ -209,10 +209,10 @@ def _window(motion: TrueMotion, rng: np.random.Generator) -> tuple[tuple[float, 
 
 
 def _slip(motion: TrueMotion, start_s: float, duration_s: float, vector: Array, *, steady: bool = False) -> TrueMotion:
-    """True motion with a slip: B rotates by a vector within a time, smoothly or at constant rate, and stays there.
+    """True motion with a slip: B rotates by a vector within a time, smoothly or at constant rate, and remains so.
 
-    Its undisturbed attitude C becomes C·Exp(s v), s from 0 to 1: to the rate comes v·ds/dt, vectors turn by Exp(-s v).
-    It lasts to the end of the gapless piece, as the unit is clamped anew between sequences.
+    The undisturbed attitude C becomes C·Exp(s v), s from 0 to 1: v·ds/dt is added to the rate, and vectors are rotated
+    by Exp(-s v). The slip persists to the end of the gapless piece, as the unit is clamped again between sequences.
     """
     dt = motion.interval
     first = int(np.searchsorted(motion.time, start_s + 0.5 * dt))
@@ -239,7 +239,7 @@ def _slip(motion: TrueMotion, start_s: float, duration_s: float, vector: Array, 
 
 @injection("sensor_time_offset", 5.0, "ms")
 def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The accelerometers are read or filtered later than the gyros, or earlier, but get the same stamps."""
+    """The accelerometers are sampled or filtered later or earlier than the gyros, but have the same time stamps."""
     motion = case.simulation.motion
     late = float(rng.choice([-1.0, 1.0])) * severity * 1e-3
 
@@ -251,7 +251,7 @@ def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) ->
             for axis in range(3):
                 sums = np.concatenate([[0.0], np.cumsum(increments[piece, axis])])
                 out[piece, axis] = np.diff(np.interp(at, edges, sums))
-            # At rest before and after: what lies outside the piece was like its ends.
+            # The unit is at rest before and after: readings outside the piece equal those at its ends.
             outside = np.diff(at) < (1.0 - 1e-9) * motion.interval
             ends = np.where(np.arange(len(piece)) < len(piece) // 2, piece[0], piece[-1])
             out[piece[outside]] = increments[ends[outside]]
@@ -263,11 +263,11 @@ def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) ->
 
 @injection("samples_lost", 0.05, "s")
 def samples_lost(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The logger drops samples in a turn and counts its stamps on as if nothing were missing.
+    """The logger drops samples in a turn and continues its time stamps without a gap.
 
-    The stamps of the rest of the sequence come early, and its end window is labelled by them. The turn is one about a
-    horizontal axis: about the vertical the loss leaves no trace in the specific force, and cannot be told from a turn
-    by another angle.
+    The time stamps of the rest of the sequence are too early, and so is the label of its end window. The turn is about
+    a horizontal axis: about the vertical, the loss does not affect the specific force and is equivalent to a turn by
+    another angle.
     """
     run = case.simulation
     recording, dt = run.recording, run.motion.interval
@@ -297,7 +297,7 @@ def samples_lost(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 
 def _read(case: Case, motion: TrueMotion, rng: np.random.Generator) -> Recording:
-    """Read another motion out with the unit of a case."""
+    """Read out another motion with the unit of a case."""
     run = case.simulation
     stated: dict[str, Any] = {name: getattr(run.scenario.recording, name) for name in ("kind", "state_noise", "serial")}
     recording = read_out(motion, run.truth, run.imu, rng, **stated)

@@ -1,4 +1,4 @@
-"""Injection of faults into simulated recordings, one at a time and at a stated severity, to test the diagnosis.
+"""Injection of single faults of a stated severity into simulated recordings, to test the diagnosis.
 
 Each injection models what happens on a bench, independent of the checks that detect it. Injections register in the
 modules ``sims.faults.logger``, ``sims.faults.execution`` and ``sims.faults.site_and_drift``.
@@ -36,7 +36,7 @@ class Case:
     grade : str
     seed : int
     changes : mapping
-        Keys of the scenario's sections that differ from the standard test, as ``{"schedule": {"dwell_s": 5.0}}``.
+        Changes of the scenario relative to the standard test, by section: ``{"schedule": {"dwell_s": 5.0}}``.
     """
 
     grade: str
@@ -45,7 +45,7 @@ class Case:
 
     @cached_property
     def scenario(self) -> Scenario:
-        """Labelled, 100 Hz, dwells of 10 s, 1 rad/s, increments for the grades that deliver them."""
+        """Scenario with labels, 100 Hz, dwells of 10 s and 1 rad/s; increments for grades that output increments."""
         increments = self.grade in ("navigation-rlg", "tactical-fog")
         values: dict[str, dict[str, Any]] = {
             "imu": {"from": self.grade},
@@ -69,7 +69,7 @@ class Case:
         return self.simulation.recording
 
     def changed(self, **sections: Mapping[str, Any]) -> Case:
-        """Case of the same unit in another test."""
+        """Case with the same unit in another test."""
         merged = {name: dict(keys) for name, keys in self.changes.items()}
         for name, keys in sections.items():
             merged[name] = {**merged.get(name, {}), **keys}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 _EDGE: Final = 5
-"""Samples at both ends of a sequence without a disturbance."""
+"""Number of undisturbed samples at both ends of a sequence."""
 
 
 # --- helpers ---------------------------------------------------------------------------------------------------------
@@ -49,7 +49,7 @@ def _with(recording: Recording, sensor: str, values: Array) -> Recording:
 
 
 def _restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
-    """Samples and labels by another clock."""
+    """Recording with samples and labels on another clock."""
 
     def moved(label: SequenceLabel) -> SequenceLabel:
         first, second = clock(np.array(label.start_static_s)), clock(np.array(label.end_static_s))
@@ -68,7 +68,7 @@ def _restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recordi
 
 @injection("not_finite", 1.0, "samples")
 def not_finite(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Readings that a parser could not read become NaN, or a division by zero made them infinite."""
+    """Readings are NaN, as a parser could not read them, or infinite, because of a division by zero."""
     recording = case.recording
     sensor = str(rng.choice(["gyro", "accel"]))
     values = getattr(recording, sensor).copy()
@@ -88,7 +88,7 @@ def time_backwards(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("time_repeats", 1.0, "samples")
 def time_repeats(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Samples that follow get the stamp of the one before."""
+    """Consecutive samples have the same time stamp."""
     recording = case.recording
     time = recording.time.copy()
     rows = _somewhere(recording, rng, max(1, round(severity)))
@@ -98,7 +98,7 @@ def time_repeats(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 @injection("rate_contradicts_stamps", 2.0, "times")
 def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A sample rate is stated that is ``severity`` times the logged one, or the logged one so many times it."""
+    """The stated sample rate is wrong by the factor ``severity`` or its inverse."""
     recording = case.recording
     return replace(recording, sample_rate_hz=severity ** rng.choice([-1.0, 1.0]) / recording.nominal_interval_s)
 
@@ -108,14 +108,14 @@ def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generato
 
 @injection("time_unit", 1e3, "times")
 def time_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Stamps in a unit ``severity`` times smaller or larger than declared; labels were read off the same clock."""
+    """The unit of the time stamps is ``severity`` times smaller or larger than declared; labels have the same clock."""
     factor = severity ** float(rng.choice([-1.0, 1.0]))
     return _restamped(case.recording, lambda time: factor * time)
 
 
 @injection("stamp_jitter", 0.1, "intervals (rms)")
 def stamp_jitter(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The host stamps every sample when it comes to it."""
+    """The host time-stamps samples with random errors."""
     recording = case.recording
     late = np.clip(severity * rng.standard_normal(len(recording.time)), -0.49, 0.49)
     return replace(recording, time=recording.time + recording.nominal_interval_s * late)
@@ -123,7 +123,7 @@ def stamp_jitter(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 @injection("gap_in_sequence", 0.2, "s")
 def gap_in_sequence(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A run of samples is missing, stamps and all."""
+    """Consecutive samples are missing, including their time stamps."""
     recording = case.recording
     keep = np.ones(len(recording.time), dtype=bool)
     keep[_somewhere(recording, rng, _samples(recording, severity))] = False
@@ -136,7 +136,7 @@ def gap_in_sequence(case: Case, severity: float, rng: np.random.Generator) -> Re
 def _dead(sensor: str) -> None:
     @injection(f"{sensor}_channel_dead", 1.0, "columns")
     def dead(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        """Columns hold zero, or the last value before a plug came loose, throughout."""
+        """Columns are constant: zero, or the last value before a disconnection."""
         recording = case.recording
         values = getattr(recording, sensor).copy()
         for axis in rng.choice(3, max(1, min(3, round(severity))), replace=False):
@@ -160,7 +160,7 @@ def columns_repeat(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("sensors_exchanged", 1.0, "")
 def sensors_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """Gyro columns are read as accelerometers and the other way round."""
+    """Gyro and accelerometer columns are exchanged."""
     recording = case.recording
     return replace(recording, gyro=recording.accel, accel=recording.gyro)
 
@@ -168,7 +168,7 @@ def sensors_exchanged(case: Case, severity: float, rng: np.random.Generator) -> 
 def _stuck(fault: str, sensors: tuple[str, ...], severity: float | dict[str, float]) -> None:
     @injection(fault, severity, "s")
     def stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        """Readings hold their last value for a time, and go on as if nothing had been."""
+        """Readings repeat their last value for a time, and then continue normally."""
         recording = case.recording
         rows = _somewhere(recording, rng, _samples(recording, severity))
         for sensor in sensors:
@@ -179,7 +179,7 @@ def _stuck(fault: str, sensors: tuple[str, ...], severity: float | dict[str, flo
 
 
 _stuck("samples_stuck", ("gyro", "accel"), 0.5)
-# Laser gyros send so few pulses at rest, and so even ones in a turn, that their readings repeat by nature.
+# Laser gyros output few pulses at rest and regular ones in a turn: equal consecutive readings are normal.
 _stuck("gyro_stuck", ("gyro",), dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=True)))
 _stuck("accel_stuck", ("accel",), 0.5)
 
@@ -208,7 +208,7 @@ def gyro_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("spikes", 0.05, "of the range")
 def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One to three readings of a channel are hit by a transmission error of a share ``severity`` of its range."""
+    """One to three readings of a channel have a transmission error of ``severity`` times its range."""
     recording, imu = case.recording, case.simulation.imu
     sensor = str(rng.choice(["gyro", "accel"]))
     limit = imu.gyro_range if sensor == "gyro" else imu.accel_range
@@ -234,7 +234,7 @@ def gyro_clipped(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 @injection("accel_clipped", 1.5, "times")
 def accel_clipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The bench is knocked: half a sine of 60 ms along one axis, to ``severity`` times the accelerometers' range."""
+    """Shock: half a sine of 60 ms along one axis, with a peak of ``severity`` times the accelerometers' range."""
     simulation = case.simulation
     motion, limit = simulation.motion, simulation.imu.accel_range
     rows = _somewhere(case.recording, rng, _samples(case.recording, 0.06))

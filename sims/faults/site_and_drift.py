@@ -38,7 +38,7 @@ _NO_NORTH = (
 
 @injection("gravity", 0.025, "m/s²")
 def gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Gravity of another place, or with a digit mistyped."""
+    """Gravity of another place, or with a wrong digit."""
     site = case.recording.site
     stated = site.gravity_m_s2 + severity * _sign(rng)
     return replace(case.recording, site=replace(site, gravity_m_s2=stated))
@@ -48,7 +48,7 @@ def gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     "earth_rate_absent", 1.0, "", unseen={"consumer-mems": _NO_LATITUDE.replace("whatever the latitude", "by latitude")}
 )
 def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """The unit zeroes its gyros in every stationary window, and keeps that zero until the next one."""
+    """The unit sets its gyro readings to zero in every stationary window, and keeps this offset until the next one."""
     recording = case.recording
     gyro = recording.gyro.copy()
     spans = [span for s in recording.sequences for span in (s.start_static_s, s.end_static_s)]
@@ -65,7 +65,7 @@ def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> 
     unseen={"consumer-mems": _NO_LATITUDE},
 )
 def latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The latitude of another place, with the gravity that tables have for that one."""
+    """Latitude of another place, with the tabulated gravity of that place."""
     true = case.scenario.site.latitude_deg
     stated = true + severity * _sign(rng)
     if abs(stated) > 90.0:
@@ -84,7 +84,7 @@ def latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording
     unseen={"consumer-mems": _NO_NORTH},
 )
 def north(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The heading by a compass, or of the wrong axis of the table."""
+    """Heading from a magnetic compass, or of the wrong axis of the table."""
     fixture = case.recording.fixture
     assert fixture is not None
     assert fixture.heading_rad is not None
@@ -93,7 +93,7 @@ def north(case: Case, severity: float, rng: np.random.Generator) -> Recording:
 
 
 def _temperatures(case: Case, start_c: float, rise_c: float, rng: np.random.Generator) -> Array:
-    """A sensor on the board, which nears its final temperature; a sixteenth of a degree, as such sensors have it."""
+    """Temperature of the board, which approaches its final value; resolution 1/16 °C."""
     time = case.recording.time - case.recording.time[0]
     slowness = rng.uniform(0.3, 1.5) * time[-1]
     shape = np.expm1(-time / slowness) / np.expm1(-time[-1] / slowness)
@@ -104,7 +104,7 @@ def _temperatures(case: Case, start_c: float, rise_c: float, rng: np.random.Gene
 
 @injection("temperature_unit", 45.0, "°C, in K or °F")
 def temperature_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The temperature of a unit of so many °C in another unit."""
+    """Temperature in K or °F instead of °C."""
     celsius = _temperatures(case, severity, rng.uniform(-1.0, 1.0), rng)
     other = (celsius + 273.15, 1.8 * celsius + 32.0)[int(rng.integers(2))]
     return replace(case.recording, temperature=other)
@@ -112,7 +112,7 @@ def temperature_unit(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @injection("temperature_drift", 6.0, "°C")
 def temperature_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A unit that warms up, or cools down after a chamber."""
+    """The unit warms up, or cools down after a temperature chamber."""
     start = rng.uniform(15.0, 40.0)
     return replace(case.recording, temperature=_temperatures(case, start, severity * _sign(rng), rng))
 
@@ -123,7 +123,7 @@ def temperature_drift(case: Case, severity: float, rng: np.random.Generator) -> 
     "°/h",
 )
 def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One gyro's bias runs in after switching on, evenly or ever more slowly."""
+    """The bias of one gyro drifts after switch-on, linearly or with a decreasing rate."""
     motion = case.simulation.motion
     time = motion.time - motion.time[0]
     share = time / time[-1]
@@ -141,13 +141,13 @@ def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Re
     "times",
 )
 def gyro_noise(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Worn gyros, noisier than their data sheet, or the figure of a worse unit stated."""
+    """The gyros are noisier than stated, or the stated noise is that of a worse unit."""
     return _noise(case, "gyro_noise", severity, rng)
 
 
 @injection("accel_noise", 2.0, "times")
 def accel_noise(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Accelerometers noisier than their data sheet, or the figure of worse ones stated."""
+    """The accelerometers are noisier than stated, or the stated noise is that of worse ones."""
     return _noise(case, "accel_noise", severity, rng)
 
 
@@ -166,14 +166,14 @@ def _noise(case: Case, name: str, factor: float, rng: np.random.Generator) -> Re
     options=Options(asymmetry=False),
 )
 def asymmetry_omitted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One gyro with an asymmetry that is large for its grade, the others without."""
+    """One gyro has an asymmetry that is large for its grade; the others have none."""
     values = dict.fromkeys(("gyro_asymmetry_x", "gyro_asymmetry_y", "gyro_asymmetry_z"), 0.0)
     values[f"gyro_asymmetry_{'xyz'[int(rng.integers(3))]}"] = 1e-6 * severity * _sign(rng)
     return case.changed(errors={"values": values}).recording
 
 
 def _again(case: Case, motion: TrueMotion, imu: ImuModel, rng: np.random.Generator) -> Recording:
-    """Read the run out once more, with other noise; what is stated of it stays."""
+    """Read out the run again with other noise; the stated noise is unchanged."""
     again = read_out(motion, case.simulation.truth, imu, rng, kind=case.recording.kind)
     return replace(case.recording, gyro=again.gyro, accel=again.accel)
 

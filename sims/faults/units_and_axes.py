@@ -26,12 +26,12 @@ def _with(recording: Recording, sensor: str, values: Array) -> Recording:
 
 
 def _as_rates(case: Case) -> Recording:
-    """The unit read in rates, whatever its grade delivers: some units belong to rates alone."""
+    """Recording of rates for any grade, as some units apply only to rates."""
     return case.recording if case.recording.kind == "rate" else case.changed(recording={"kind": "rate"}).recording
 
 
 def _at_rate(case: Case, rate_hz: float) -> Recording:
-    """The unit sampled at another rate."""
+    """Recording with another sample rate."""
     sampled = round(1.0 / case.recording.nominal_interval_s, 6)
     return case.recording if rate_hz == sampled else case.changed(recording={"sample_rate_hz": rate_hz}).recording
 
@@ -41,7 +41,7 @@ def _at_rate(case: Case, rate_hz: float) -> Recording:
 
 @injection("increments_as_rates", 100.0, "Hz")
 def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """A unit that delivers increments at a rate ``severity`` is declared to deliver rates."""
+    """Increments, output at the sample rate ``severity``, are declared as rates."""
     recording = _at_rate(case, severity)
     per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
     return replace(recording, kind="rate", gyro=recording.gyro * per_sample, accel=recording.accel * per_sample)
@@ -49,14 +49,14 @@ def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -
 
 @injection("rates_as_increments", 100.0, "Hz")
 def rates_as_increments(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """A unit that delivers rates, ``severity`` times a second, is declared to deliver increments."""
+    """Rates, output at the sample rate ``severity``, are declared as increments."""
     recording = _at_rate(case, severity)
     per_sample = 1.0 if recording.kind == "rate" else recording.nominal_interval_s
     return replace(recording, kind="increment", gyro=recording.gyro / per_sample, accel=recording.accel / per_sample)
 
 
 def _wrong_unit(fault: str, sensor: str, factors: tuple[float, ...], *, rates: bool) -> None:
-    """Readings in a unit that is not the declared one; ``rates`` where one of the two is a unit of rates alone."""
+    """Readings in another unit than declared; ``rates`` is True if one of the two units applies only to rates."""
 
     @injection(fault, 1.0, "")
     def wrong_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
@@ -100,7 +100,7 @@ _counts(
 
 
 def _wrong_count(fault: str, sensor: str) -> None:
-    """State the count value of another measuring range."""
+    """Declare the count value of another measuring range."""
 
     @injection(fault, 2.0, "times")
     def wrong_count(case: Case, severity: float, rng: np.random.Generator) -> Recording:
@@ -114,7 +114,7 @@ _wrong_count("accel_lsb", "accel")
 
 @injection("sample_rate", dict(zip(GRADES, (1.1, 1.1, 1.1, 1.4), strict=True)), "times")
 def sample_rate(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Stamps and labels are counted from samples, at a rate that is ``severity`` times the true one or the inverse."""
+    """Time stamps and labels follow from a sample rate that is wrong by the factor ``severity`` or its inverse."""
     recording = case.recording
     factor = severity ** float(rng.choice([-1.0, 1.0]))
     labels = tuple(
@@ -145,7 +145,7 @@ def _swap(rng: np.random.Generator) -> Array:
 
 
 def _any(rng: np.random.Generator, handed: float) -> Array:
-    """Axes renamed at random, right-handed (1) or left-handed (-1), never as they were."""
+    """Random axis names, right-handed (1) or left-handed (-1), other than the true ones."""
     while True:
         axes: Array = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)[:, np.newaxis]
         simple = np.array_equal(axes, np.eye(3))
@@ -163,45 +163,45 @@ def _renamed(recording: Recording, gyro: Array | None, accel: Array | None) -> R
 
 @injection("gyro_sign_convention", 1.0, "")
 def gyro_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """Rates of the world against the unit in place of the unit against the world."""
+    """Rates of the world relative to the unit instead of those of the unit relative to the world."""
     return _renamed(case.recording, -np.eye(3), None)
 
 
 @injection("accel_sign_convention", 1.0, "")
 def accel_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """Gravity in place of specific force."""
+    """Gravity instead of specific force."""
     return _renamed(case.recording, None, -np.eye(3))
 
 
 @injection("gyro_axis_flipped", 1.0, "")
 def gyro_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """One gyro is built in upside down."""
+    """One gyro has a reversed sign, as it is mounted upside down."""
     return _renamed(case.recording, _flip(rng), None)
 
 
 @injection("accel_axis_flipped", 1.0, "")
 def accel_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """One accelerometer is built in upside down."""
+    """One accelerometer has a reversed sign, as it is mounted upside down."""
     return _renamed(case.recording, None, _flip(rng))
 
 
 @injection("gyro_axes_swapped", 1.0, "")
 def gyro_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """Two gyro columns change places."""
+    """Two gyro columns are exchanged."""
     return _renamed(case.recording, _swap(rng), None)
 
 
 @injection("accel_axes_swapped", 1.0, "")
 def accel_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """Two accelerometer columns change places."""
+    """Two accelerometer columns are exchanged."""
     return _renamed(case.recording, None, _swap(rng))
 
 
 @injection("left_handed", 1.0, "")
 def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """Both sensors in a left-handed frame; turns by the right or by the left hand.
+    """Both triads in a left-handed frame; rotations by the right-hand or the left-hand rule.
 
-    Both reversed along all axes, with turns by the left hand, is gravity in place of specific force.
+    Reversing all axes of both triads, with the left-hand rule, is equivalent to gravity instead of specific force.
     """
     axes = _any(rng, -1.0)
     by_left_hand = rng.random() < 0.5 and not np.array_equal(axes, -np.eye(3))
@@ -210,13 +210,13 @@ def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Record
 
 @injection("frame_turned", 1.0, "")
 def frame_turned(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """The unit is mounted with other axes up and forward than the sequences have it."""
+    """The unit is mounted in another orientation than the sequences assume."""
     axes = _any(rng, 1.0)
     return _renamed(case.recording, axes, axes)
 
 
 @injection("frames_disagree", 1.0, "")
 def frames_disagree(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
-    """Gyro and accelerometer chips sit on the board turned against each other by right angles."""
+    """Gyro and accelerometer chips are rotated relative to each other by multiples of 90°."""
     axes = _any(rng, 1.0)
     return _renamed(case.recording, axes, None) if rng.random() < 0.5 else _renamed(case.recording, None, axes)

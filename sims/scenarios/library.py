@@ -81,7 +81,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
-    """Lay one table over another, table by table; neither is changed."""
+    """Merge one table into another, recursively; neither is changed."""
     merged = dict(base)
     for key, value in top.items():
         below = merged.get(key)
@@ -90,7 +90,7 @@ def overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
 
 
 def resolved(tables: dict[str, Any], *, name: str, near: Path | None = None) -> dict[str, Any]:
-    """Lay the sections of a scenario over the files that their ``from`` names.
+    """Merge the sections of a scenario into the files named by their ``from``.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def resolved(tables: dict[str, Any], *, name: str, near: Path | None = None) -> 
     Raises
     ------
     InputError
-        A ``from`` that is no text, or names no file.
+        If ``from`` is not text, or the file does not exist.
     """
     out = dict(tables)
     for section in ("imu", "fixture", "site"):

@@ -60,18 +60,18 @@ class AxisConfig(TomlTable):
     """Freedom of one axis of the fixture."""
 
     travel_deg: tuple[Finite, Finite] | None = None
-    """Limits of the angle; absent: slip rings."""
+    """Limits of the angle; if absent, slip rings allow any angle."""
     turns: Flag = True
-    """False: set by hand between sequences, to one of ``positions_deg``."""
+    """False: the axis is set by hand between sequences, to one of ``positions_deg``."""
     positions_deg: tuple[Finite, ...] = (0.0,)
     set_s: NonNegative = 0.0
-    """Time to set it by hand."""
+    """Time to set the axis by hand."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         given = self.model_fields_set
         if self.turns and given & {"positions_deg", "set_s"}:
-            raise ValueError("positions_deg and set_s are of an axis that is set by hand: add turns = false")
+            raise ValueError("positions_deg and set_s are for an axis that is set by hand: add turns = false")
         if not self.turns and self.travel_deg is not None:
             raise ValueError("an axis with turns = false has no travel_deg: give its positions_deg")
         return self
@@ -108,7 +108,7 @@ class StandConfig(TomlTable):
 
 
 class TargetsConfig(TomlTable):
-    """Sigma wanted, by group; absent: none."""
+    """Target sigma by group; an absent key means no target."""
 
     gyro_scale_ppm: Positive | None = None
     gyro_asymmetry_ppm: Positive | None = None
@@ -119,7 +119,7 @@ class TargetsConfig(TomlTable):
     accel_misalignment_urad: Positive | None = None
     gyro_bias_deg_per_h: Positive | None = None
     parameters: Mapping[str, Positive] = Field(default_factory=dict)
-    """Single parameters by name, SI; they go before their group."""
+    """Target sigma of single parameters by name, SI; it precedes that of the group."""
 
     @model_validator(mode="after")
     def _known_names(self) -> Self:
@@ -129,11 +129,11 @@ class TargetsConfig(TomlTable):
                 hint = f"write {near[0]!r}" if near else f"the names are those of a calibration, as {NAMES[0]!r}"
                 raise ValueError(f"there is no sensor error named {name!r}: {hint}")
         if not self.model_fields_set:
-            raise ValueError("there is no target: give the sigma that is wanted of at least one group")
+            raise ValueError("there is no target: give the target sigma of at least one group")
         return self
 
     def sigma(self) -> Array:
-        """Wanted sigma of every parameter, SI, NaN where none is, shape (27,)."""
+        """Target sigma of every parameter, SI, NaN without a target, shape (27,)."""
         groups = self.model_dump(exclude={"parameters"}, exclude_none=True)
         sizes = ErrorSizes(**groups).si()
         wanted = np.full(N_PARAMETERS, math.nan)
@@ -173,7 +173,7 @@ class PlanOptions(TomlTable):
 
 
 class PlanFile(TomlTable):
-    """One planning problem, complete."""
+    """Complete plan file."""
 
     description: str = ""
     imu: ImuConfig
@@ -208,7 +208,7 @@ class PlanFile(TomlTable):
     def scenario(self, plan: Plan, *, seed: int = 1) -> Scenario:
         """Scenario of a plan, for ``srt simulate``.
 
-        Every sequence has an id of its own, ``p01`` and on, in the order of execution.
+        The sequences have the ids ``p01``, ``p02`` and so on, in the order of execution.
         """
         custom = {
             f"p{number:02d}": CustomSequence.model_validate(

@@ -51,10 +51,10 @@ Vector = tuple[Finite, Finite, Finite]
 
 
 def _as_pair(value: object) -> object:
-    """Make a pair of one dwell; what is neither is said here, as two alternatives would give two messages."""
+    """Make a pair of one dwell; refuse other values here, as pydantic would give one message per alternative."""
     pair = list(value) if isinstance(value, list | tuple) else [value, value]
     if len(pair) != 2 or not all(isinstance(v, int | float) and not isinstance(v, bool) and v > 0.0 for v in pair):
-        raise ValueError(f"there stands {value!r}: give a positive number of seconds, or a pair [start, end] of them")
+        raise ValueError(f"found {value!r}: give a positive number of seconds, or a pair [start, end] of them")
     return pair
 
 
@@ -75,7 +75,7 @@ class TomlTable(BaseModel):
 
 
 class NoiseConfig(TomlTable):
-    """Noise, quantization, range and g-sensitivity of a unit; absent means none."""
+    """Noise, quantization, range and g-sensitivity of a unit; an absent key means none."""
 
     gyro_noise_deg_per_sqrt_h: NonNegative = 0.0
     accel_noise_ug_per_sqrt_hz: NonNegative = 0.0
@@ -88,10 +88,10 @@ class NoiseConfig(TomlTable):
     gyro_range_deg_s: Positive | None = None
     accel_range_g: Positive | None = None
     gyro_g_sensitivity_deg_per_h_per_g: NonNegative = 0.0
-    """One sigma of each element of the matrix, which is drawn once per unit."""
+    """Standard deviation of each matrix element; the matrix is drawn once per unit."""
 
     def si(self) -> dict[str, float]:
-        """Arguments of :class:`sims.physics.imu.ImuModel`, SI, all but the g-sensitivity matrix."""
+        """Arguments of :class:`sims.physics.imu.ImuModel` in SI units, except the g-sensitivity matrix."""
         return {
             "gyro_noise": self.gyro_noise_deg_per_sqrt_h * DEG_PER_SQRT_H,
             "accel_noise": self.accel_noise_ug_per_sqrt_hz * MICRO_G,
@@ -107,12 +107,12 @@ class NoiseConfig(TomlTable):
 
     @property
     def g_sensitivity_sigma(self) -> float:
-        """One sigma of each g-sensitivity, rad/s per m/s²."""
+        """Standard deviation of each g-sensitivity, rad/s per m/s²."""
         return self.gyro_g_sensitivity_deg_per_h_per_g * DEG_PER_H / STANDARD_GRAVITY_M_S2
 
 
 class ErrorSizes(TomlTable):
-    """One-sigma size of each group of sensor errors before calibration; absent means none."""
+    """Standard deviation of each group of sensor errors before calibration; an absent key means zero."""
 
     gyro_scale_ppm: NonNegative = 0.0
     gyro_asymmetry_ppm: NonNegative = 0.0
@@ -147,11 +147,11 @@ class ImuConfig(TomlTable):
     frame_turn_mrad: Vector = (0.0, 0.0, 0.0)
     """Rotation vector that turns the table-mounted frame T into B."""
     frame_turn_sigma_mrad: NonNegative = 0.0
-    """One sigma of a random turn on top, about each axis."""
+    """Standard deviation of an additional random rotation about each axis."""
 
 
 class FixtureConfig(TomlTable):
-    """The fixture: its true one-sigma errors, and what the recording states of it."""
+    """Fixture: standard deviations of its true errors, and values stated in the recording."""
 
     name: str
     description: str = ""
@@ -165,7 +165,7 @@ class FixtureConfig(TomlTable):
     stated_rotation_sigma_mrad: Positive
     wobble_sigma_mrad: NonNegative = 0.0
     stated_wobble_sigma_mrad: NonNegative | None = None
-    """Not stated: a hundredth of the rotations' sigma, see :class:`srt.recording.recording.Fixture`."""
+    """If absent: a hundredth of the rotations' sigma, see :class:`srt.recording.recording.Fixture`."""
     state_heading: Flag = True
 
     def draw_sizes(self) -> dict[str, float]:
@@ -195,7 +195,7 @@ class SiteConfig(TomlTable):
     @model_validator(mode="after")
     def _one_gravity(self) -> Self:
         if (self.gravity_m_s2 is None) == (self.height_m is None):
-            raise ValueError("give either gravity_m_s2 or height_m, counting what 'from' brings along")
+            raise ValueError("give either gravity_m_s2 or height_m, including the keys from 'from'")
         return self
 
     def site(self) -> Site:
@@ -213,9 +213,9 @@ class ErrorsConfig(TomlTable):
     draw: Literal["normal", "uniform", "none"] = "normal"
     """Distribution of the drawn errors; uniform means within ±√3 sigma, the same sigma."""
     factor: NonNegative = 1.0
-    """Times the grade's sizes."""
+    """Factor on the sizes of the grade."""
     values: dict[str, Finite] = {}
-    """Values by parameter name, SI; they replace what is drawn."""
+    """Values by parameter name, SI; they replace drawn values."""
 
     @model_validator(mode="after")
     def _known_names(self) -> Self:
@@ -233,7 +233,7 @@ class CustomSequence(TomlTable):
     id: str
     down: SignedAxis
     along_outer: SignedAxis
-    """IMU axes at the start; with a minus it is the opposite direction that points down, or along the outer axis."""
+    """IMU axes that point down and along the outer axis at the start; a minus means the opposite direction."""
     rotations: Annotated[tuple[tuple[Literal["x", "y", "z"], Finite], ...], Field(min_length=1)]
     """IMU axis and signed angle in degrees, one after the other."""
 
@@ -261,7 +261,7 @@ class ScheduleConfig(TomlTable):
     repeats: Annotated[int, Field(strict=True, ge=1)] = 1
     dwell_s: Positive = 10.0
     dwells_s: tuple[Dwells, ...] | None = None
-    """In place of dwell_s, for each entry of ``sequences`` a number or a pair [start window, end window]."""
+    """Instead of dwell_s: a number or a pair [start window, end window] for each entry of ``sequences``."""
     leg_dwell_s: NonNegative = 0.0
     settle_s: NonNegative = 0.0
     pause_s: NonNegative = 1.0
@@ -304,10 +304,10 @@ class FreeConfig(TomlTable):
     rotations_deg: tuple[Vector, ...] | None = None
     """Rotation vectors in B."""
     profile: ProfileName = "quintic"
-    """Angle over time of every turn, see :mod:`sims.physics.turn_profiles`."""
+    """Profile of every turn, see :mod:`sims.physics.turn_profiles`."""
     peak_rate_rad_s: Positive = 2.0
     turn_duration_s: tuple[TurnDuration, TurnDuration] | None = None
-    """Shortest and longest turn, drawn with uniform logarithm for each; in place of peak_rate_rad_s."""
+    """Shortest and longest duration; each is drawn with uniform logarithm. Replaces peak_rate_rad_s."""
     dwell_s: Positive = 5.0
     settle_s: NonNegative = 0.0
 
@@ -340,7 +340,7 @@ class RecordingConfig(TomlTable):
 
 
 class Scenario(TomlTable):
-    """One simulation, complete."""
+    """Complete scenario of one simulation."""
 
     description: str = ""
     seed: Annotated[int, Field(strict=True, ge=0)]
@@ -407,17 +407,17 @@ _EXPECTED = {
     "less_than_equal": "a number not above {le:g}",
     "literal_error": "{expected}",
 }
-"""What a value should have been, by pydantic's type of error and with the names in its context."""
+"""Expected value by pydantic's type of error; the names in braces are from its context."""
 
 
 def validation_sentence(error: ValidationError, root: type[BaseModel]) -> str:
-    """Sentence on the first finding of a validation.
+    """Sentence on the first error of a validation.
 
     Parameters
     ----------
     error : pydantic.ValidationError
     root : type
-        The model that was validated; it knows the keys that there are.
+        Validated model, which defines the known keys.
     """
     first = error.errors(include_url=False)[0]
     path, kind, context = first["loc"], first["type"], first.get("ctx", {})
@@ -442,7 +442,7 @@ def validation_sentence(error: ValidationError, root: type[BaseModel]) -> str:
 
 
 def _dotted(path: Sequence[int | str]) -> str:
-    """Write a place in a scenario as TOML users read it, array positions counted from 1."""
+    """Location in a scenario as a dotted key, with array positions counted from 1."""
     text = ""
     for part in path:
         text += f"[{part + 1}]" if isinstance(part, int) else f".{part}"
@@ -450,7 +450,7 @@ def _dotted(path: Sequence[int | str]) -> str:
 
 
 def _keys_at(path: Sequence[int | str], root: type[BaseModel]) -> list[str]:
-    """Known keys of the table at a place."""
+    """Known keys of the table at a location."""
     model = root
     for part in path:
         if isinstance(part, int) or part not in model.model_fields:

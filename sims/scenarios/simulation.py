@@ -34,7 +34,7 @@ TRUTH_VERSION = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
-    """Recording and the truth that a calibration of it should find.
+    """Recording and true parameters.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class Simulation:
     truth : srt.sensor_errors.SensorErrors
         In B.
     U : ndarray, shape (3, 3)
-        From table-mounted components T to B.
+        Rotation from table-mounted components T to B.
     fixture_draw : FixtureDraw or None
         None for a free recording.
     imu : ImuModel
-        Noise and g-sensitivity in force.
+        IMU model used, with its noise and g-sensitivity.
     windows : tuple of ((start, end), (start, end))
-        Still windows before and after each turn, s, labelled in the recording or not.
+        Stationary windows before and after each turn, s, whether or not the recording labels them.
     motion : TrueMotion
         The true integrals; read them out again for other errors on the same motion.
     scenario : Scenario
@@ -88,7 +88,7 @@ class Simulation:
         }
 
     def write_truth(self, path: Path | str) -> None:
-        """Write the truth as JSON, whole or not at all."""
+        """Write the truth as JSON, atomically."""
         target = Path(path)
         partial = target.with_name(target.name + ".part")
         try:
@@ -113,11 +113,11 @@ def draw_errors(
     ----------
     rng : numpy.random.Generator
     sizes : dict
-        One sigma by group name, SI; a group not named is zero.
+        Standard deviation by group name, SI; zero for absent groups.
     distribution : "normal", "uniform" or "none"
         Uniform has the same sigma: within ±√3 of it.
     values : dict, optional
-        By parameter name, SI; they replace what is drawn.
+        Values by parameter name, SI; they replace drawn values.
     """
     drawn: dict[str, float] = {}
     for group in GROUPS:
