@@ -1,6 +1,7 @@
 """Site: gravity, latitude and heading against one another and against the stationary gyro rates.
 
-Over the windows w of a recording, in raw channels and with ``u_w`` the vertical (down) in table-mounted axes::
+Over the windows w of a recording, on the sensor axes (uncompensated) and with ``u_w`` the vertical (down) in
+table-mounted axes::
 
     rate_w = b + d t_w + Γ u_w + M (v u_w + x e_x,w + y e_y,w) + noise
 
@@ -162,7 +163,7 @@ _BIAS, _DRIFT, _G, _V, _H = slice(0, 3), slice(3, 6), slice(6, 14), 14, slice(15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StationaryRateFit:
-    """Components of the stationary rates; all in rad/s, raw channels.
+    """Components of the stationary rates; all in rad/s, uncompensated sensor axes.
 
     Attributes
     ----------
@@ -216,7 +217,7 @@ def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | Non
     if known:
         assert poses is not None
         poses = poses[chosen]
-        turned = poses @ evidence.gyro_fit.matrix.T  # rows: base axes as the raw channels see them
+        turned = poses @ evidence.gyro_fit.matrix.T  # rows: base axes in uncompensated sensor axes
         down = poses[:, 2]
     else:
         # Free rotations: the vertical is measured, the horizontal Earth rate counts as noise.

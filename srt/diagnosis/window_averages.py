@@ -1,7 +1,7 @@
 """Averages inside the stationary windows: block means, noise of single samples, and power at the start.
 
-All figures are rates (rad/s, m/s²) of the six raw channels, gyros first. Each window is compared with the others; the
-stated noise is not used.
+All figures are rates (rad/s, m/s²) of the six uncompensated channels, gyros first. Each window is compared with the
+others; the stated noise is not used.
 """
 
 from __future__ import annotations

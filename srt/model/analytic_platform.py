@@ -130,7 +130,7 @@ def integrate_attitude(
     sample_noise_rad: Array | None = None,
     with_noise: bool = False,
 ) -> tuple[RotationIntegrals, Array]:
-    """Integrate the attitude of every sequence, and its error integrals.
+    """Solve [P] eq. 2 for every sequence: attitude and error integrals.
 
     Parameters
     ----------
@@ -260,9 +260,9 @@ class _ErrorSums:
         gyro : Triad
         """
         stream = self._stream
+        elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
         # The Earth's rotation ([P] eq. 2) is removed exactly from the attitudes, and from the integrals by its mean: it
         # is less than 1e-3 rad in a sequence, and a tenth of that remains.
-        elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
         C_end = rotations.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
         middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
         K, _, columns = self._sums.shape

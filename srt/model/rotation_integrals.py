@@ -45,7 +45,7 @@ class RotationIntegrals:
         ``∫ ω̂ dt`` over the rotation in B less the Earth's rate, rad; for a single axis, the angle along it.
     noise : ndarray, shape (K, 3, 3, 3), or None
         ``∫ F² (Ĉ D)_ab (Ĉ D)_cb dt`` as [k, a, c, b], s: its contraction with the squared angle random walk of the
-        raw channels b is the covariance of φ.
+        sensor axes b is the covariance of φ.
     time_parts : ndarray, shape (K, P, 3, 3), or None
         ``time`` of equal parts of the rotation, in their order. An integrated window belongs to the part beside it.
     velocity : ndarray, shape (K, 3, 3, 3), or None

@@ -1,6 +1,7 @@
 """Sensor model and its exact compensation, composition of errors, and the MARS gauge ([P] eqs. 6-11; [P]: Savage 2020).
 
-The reading of a triad is ``y = M v + s ∘ |v| + b`` (``v`` the true rate or specific force). It is piecewise linear:
+The reading of a triad is ``y = M v + s ∘ |v| + b`` (``v`` the true rate or specific force; Mg and Ma of the 27 errors:
+:mod:`srt.sensor_errors`). It is piecewise linear:
 within one octant of ``v`` it is ``y = (M + diag(s ∘ sign v)) v + b``. Compensation finds the octant and solves this
 exactly. Nothing is linearised, so errors of 50 % are allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the
 same sign of its determinant for every sign vector σ.

@@ -319,8 +319,8 @@ def lean(seed, non_orthogonality):
 def test_axes_not_square_do_no_harm(lean_mrad, count):
     """The inner axis leans from square, which no state describes.
 
-    Only the start attitude is misjudged, by at most the lean, and with it the Earth's rate in the data processing and in the
-    windows: 1 mrad of 7.3e-5 rad/s over a turn of 17 s is 1.2 µrad, a third of a sigma of the turn's own noise.
+    Only the start attitude is misjudged, by at most the lean, and with it the Earth's rate in the data processing and
+    in the windows: 1 mrad of 7.3e-5 rad/s over a turn of 17 s is 1.2 µrad, a third of a sigma of the turn's own noise.
     """
     for seed in range(count):
         square, leaning = lean(seed, 0.0), lean(seed, lean_mrad * 1e-3)

@@ -1,4 +1,4 @@
-"""Quaternions against scipy's rotations; integration against motions whose attitude is known in closed form."""
+"""Attitude integration against motions whose attitude is known in closed form."""
 
 from __future__ import annotations
 
@@ -7,92 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import G
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from platform_streams import EPS, PERFECT, legs
 from scipy.spatial.transform import Rotation
 
-import sims
-from srt.model import analytic_platform, rotations
+from srt.model import analytic_platform
 from srt.model.analytic_platform import gyro_stream, integrate_attitude
-from srt.model.rotation_integrals import ideal_rotations
 from srt.model.sensor_model import Triad, gyro_triad
-from srt.model.table1 import SEQUENCES
-from srt.recording.recording import Site
 from srt.sensor_errors import SensorErrors
-from srt.sequences.preparation import prepare
-
-EPS = np.finfo(float).eps
-PERFECT = Triad(np.eye(3), np.zeros(3), np.zeros(3))
-TAYLOR_SWITCH = math.sqrt(0.05)  # rad, where the series hands over to sine and cosine
-
-
-def matrices(q):
-    """(n, 3, 3) from the package's (2, n)."""
-    return np.moveaxis(rotations.to_matrix(q), 2, 0)
-
-
-def random_vectors(rng, n, size):
-    return rng.normal(size=(3, n)) * size
-
-
-# --- quaternions ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1, 1.0, math.pi, 6.0, 20.0])
-def test_rotation_vectors_of_any_size(size):
-    rng = np.random.default_rng(1)
-    direction = random_vectors(rng, 50, 1.0)
-    phi = size * direction / np.linalg.norm(direction, axis=0)
-    found = matrices(rotations.from_rotation_vector(phi))
-    # Rounding of the angle itself, some eps of it, and of the products.
-    np.testing.assert_allclose(found, Rotation.from_rotvec(phi.T).as_matrix(), rtol=0, atol=(8 + 2 * size) * EPS)
-    np.testing.assert_allclose(rotations.rotation_matrix(phi.T), found, rtol=0, atol=0)
-
-
-@pytest.mark.parametrize("side", [1 - 1e-12, 1 + 1e-12])
-def test_both_sides_of_the_switch_of_the_series(side):
-    """Just below it is Taylor's series, just above sine and cosine: both to the last digits."""
-    phi = np.array([[0.6], [-0.48], [0.64]]) * TAYLOR_SWITCH * side
-    q = rotations.from_rotation_vector(phi)
-    half = 0.5 * TAYLOR_SWITCH * side
-    expected = np.array([math.cos(half), *(math.sin(half) * np.array([0.6, -0.48, 0.64]))])
-    found = np.array([q[0, 0].real, -q[1, 0].imag, -q[1, 0].real, -q[0, 0].imag])
-    np.testing.assert_allclose(found, expected, rtol=4 * EPS)
-    # The switch looks at the largest of all: a small one beside it takes the other branch, and must not notice.
-    both = np.concatenate([phi, 0.01 * phi, 10 * phi], axis=1)
-    alone = rotations.from_rotation_vector(0.01 * phi)
-    np.testing.assert_allclose(rotations.from_rotation_vector(both)[:, 1:2], alone, rtol=4 * EPS)
-
-
-@pytest.mark.parametrize("n", [*range(1, 18), 31, 32, 33, 1000, 1001])
-@pytest.mark.parametrize("size", [1e-4, 1.0])
-def test_prefix_products_of_chains(n, size):
-    """Odd, even and shortest lengths, against multiplying one by one."""
-    phi = random_vectors(np.random.default_rng(n), n, size)
-    found = matrices(rotations.prefix_product(rotations.from_rotation_vector(phi)))
-    total = Rotation.identity()
-    for i, vector in enumerate(phi.T):
-        total = total * Rotation.from_rotvec(vector)
-        # scipy's own chain drifts by an eps or so in every product.
-        np.testing.assert_allclose(found[i], total.as_matrix(), rtol=0, atol=(8 + 2 * i) * EPS)
-
-
-@given(st.integers(1, 40), st.integers(0, 2**32 - 1))
-@settings(max_examples=50, deadline=None)
-def test_quaternion_algebra(n, seed):
-    rng = np.random.default_rng(seed)
-    p, q = (rotations.from_rotation_vector(random_vectors(rng, n, 2.0)) for _ in range(2))
-    np.testing.assert_allclose(matrices(rotations.multiply(p, q)), matrices(p) @ matrices(q), atol=16 * EPS)
-    np.testing.assert_allclose(matrices(rotations.conjugate(p)), np.swapaxes(matrices(p), 1, 2), atol=4 * EPS)
-    unit = rotations.multiply(p, rotations.conjugate(p))
-    np.testing.assert_allclose(unit, np.array([[1.0], [0.0]]) * np.ones(n), atol=4 * EPS)
-    # Normalised whatever the norm of the quaternion.
-    np.testing.assert_allclose(matrices(1.5 * p), matrices(p), atol=8 * EPS)
-    v, w = rng.normal(size=(2, n, 3))
-    crossed = np.einsum("nab,nb->na", rotations.cross_matrix(v), w)
-    np.testing.assert_allclose(crossed, np.cross(v, w), atol=8 * EPS * 25)
-
 
 # --- integration of motions known in closed form --------------------------------------------------------------------
 
@@ -246,16 +167,6 @@ def test_samples_beside_a_span_do_not_matter():
     np.testing.assert_allclose(found.C_end[3], pair, rtol=0, atol=32 * EPS)
 
 
-def legs(*ramps):
-    """Increments of one leg after the other, each about its own axis, without a pause."""
-    parts = []
-    for axis, sizes in ramps:
-        part = np.zeros((len(sizes), 3))
-        part[:, axis] = sizes
-        parts.append(part)
-    return np.concatenate(parts)
-
-
 @pytest.mark.parametrize(
     "profile",
     [
@@ -400,174 +311,3 @@ def test_sign_of_a_resting_noisy_channel_is_that_of_its_smoothed_rate():
     # rate stands above it. A sign judged with the bias still in it would be off by 2 · 1e-3 of the asymmetry.
     assert np.all(np.abs(seen_smoothed - asymmetry * np.abs(drift)) < 0.3 * rectified)
     assert 2 * asymmetry * 1e-3 > rectified
-
-
-# --- weights of windows, eq. 21 --------------------------------------------------------------------------------------
-
-WINDOW_S = 4.0
-
-
-@pytest.fixture(scope="module")
-def recordings():
-    """Table 1 without the Earth's rate, at several sample rates; a pause after every leg."""
-
-    def make(rate_hz):
-        motion = sims.run_schedule(
-            sims.Schedule(
-                sims.table_sequences(tuple(sims.TABLE_1)),
-                sims.RateProfile(1.0, 10.0),
-                dwell_s=WINDOW_S,
-                leg_dwell_s=0.1,
-            ),
-            site=Site(G),
-            sample_rate_hz=rate_hz,
-            earth_rate=False,
-        )
-        return sims.read_out(motion, SensorErrors())
-
-    return make
-
-
-@pytest.mark.parametrize("average", ["linear", "overlapping"])
-def test_window_weights_reproduce_eq_21(recordings, average):
-    """Integrated windows add T [I + F (C_End − I)] with F = 1/2 to ∫ F Ĉ dt, and 2T/3 to the variance."""
-    recording = recordings(100.0)
-    data = prepare(recording, recording.sequences, average)
-    still = np.zeros(len(data.windows.duration_s), dtype=bool)
-    integrals = {}
-    for name, flags in (("held", still), ("integrated", ~still)):
-        stream, _, _ = data.stream(flags)
-        integrals[name], _ = integrate_attitude(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
-    held, integrated = integrals["held"], integrals["integrated"]
-    C = held.C_end
-    expected = WINDOW_S * (np.eye(3) + 0.5 * (C - np.eye(3)))
-    rounding = 4 * EPS * 400 * WINDOW_S
-    np.testing.assert_allclose(integrated.time - held.time, expected, rtol=0, atol=rounding)
-    np.testing.assert_allclose(integrated.weight_s - held.weight_s, WINDOW_S, rtol=0, atol=64 * rounding)
-    np.testing.assert_allclose(integrated.C_end, C, rtol=0, atol=64 * EPS)
-    # At rest nothing but the bias acts.
-    np.testing.assert_allclose(integrated.rate, held.rate, rtol=0, atol=64 * rounding)
-    # Sum over channels: ∫ F² dt, the same for every component. Of a ramp sampled n times it is T/3 (1 − 1/4n²).
-    n = round(WINDOW_S * 100)
-    variance = np.einsum("kaab->ka", integrated.noise)
-    rotation_s = (data.rotation[:, 1] - data.rotation[:, 0]) / 100.0
-    # A triangular weighting has an S-shaped F, whose squared integral is 23/60 T in the limit.
-    share = {"linear": (1.0 - 0.25 / n**2) / 3.0, "overlapping": 23.0 / 60.0}[average]
-    both = 2.0 * WINDOW_S * share
-    # Ĉ of a sample is the mean of both ends: its square falls short by (ω dt)²/4 at most while turning.
-    tolerance = rotation_s[:, None] * 0.01**2 / 4 + (1e-9 if average == "linear" else 2 * WINDOW_S / n)
-    assert np.all(np.abs(variance - (rotation_s[:, None] + both)) <= tolerance)
-
-
-def test_recorded_integrals_are_the_ideal_ones(recordings):
-    """Angles are exact; times differ by ramps and pauses, over which Ĉ is known."""
-    recording = recordings(200.0)
-    data = prepare(recording, recording.sequences)
-    stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
-    found, _ = integrate_attitude(stream, PERFECT, np.zeros((data.K, 3)), with_noise=True)
-    ideal = ideal_rotations(list(SEQUENCES.values()))
-    angle = np.array([np.abs(s.angles_rad).sum() for s in SEQUENCES.values()])
-    # (ω dt)²/12 of the angle for the mean of both ends; rounding for what does not depend on it.
-    share = (1.0 / 200.0) ** 2 / 12.0 * angle
-    np.testing.assert_allclose(found.C_end, ideal.C_end, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found.angle, ideal.angle, rtol=0, atol=1e-12)
-    for name in ("rate", "abs_rate"):
-        difference = np.abs(getattr(found, name) - getattr(ideal, name)).reshape(data.K, -1).max(axis=1)
-        assert np.all(difference <= share + 1e-12), name
-    # Ramps of 0.1 s and pauses of 0.1 s after each leg, and the last sample's rest.
-    legs = np.array([len(s.rotations) for s in SEQUENCES.values()])
-    longer = legs * 0.1 + (legs - 1) * 0.1 + 1 / 200.0
-    np.testing.assert_allclose(found.weight_s, ideal.weight_s + longer - 1 / 400.0, rtol=0, atol=1 / 400.0 + 1e-9)
-    for name in ("time", "noise"):
-        difference = np.abs(getattr(found, name) - getattr(ideal, name)).reshape(data.K, -1).max(axis=1)
-        assert np.all(difference <= longer + share), name
-
-
-def test_sample_rate_does_not_matter(recordings):
-    """50 Hz to 1 kHz: the same attitude and the same integrals, to what a ramp's corner inside a sample allows.
-
-    Without the Earth's rate each leg turns about one axis, so that attitudes are exact at any rate.
-    """
-    by_rate = {}
-    for rate_hz in (50.0, 100.0, 1000.0):
-        recording = recordings(rate_hz)
-        data = prepare(recording, recording.sequences)
-        stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
-        by_rate[rate_hz], _ = integrate_attitude(stream, PERFECT, np.zeros((data.K, 3)))
-    angle = np.array([np.abs(s.angles_rad).sum() for s in SEQUENCES.values()])
-    for rate_hz in (50.0, 100.0):
-        np.testing.assert_allclose(by_rate[rate_hz].C_end, by_rate[1000.0].C_end, rtol=0, atol=1e-12)
-        share = (1.0 / rate_hz) ** 2 / 12.0 * angle
-        difference = np.abs(by_rate[rate_hz].rate - by_rate[1000.0].rate).reshape(len(angle), -1).max(axis=1)
-        assert np.all(difference <= share + 1e-12)
-
-
-def test_sample_rate_with_the_earth_turning():
-    """50 Hz against the truth on a turning Earth: what is left of z is far below a nanorad · g."""
-    for rate_hz, bound_rad in ((50.0, 1e-9), (200.0, 1e-10)):
-        motion = sims.run_schedule(
-            sims.Schedule(
-                sims.table_sequences(tuple(sims.TABLE_1)),
-                sims.RateProfile(1.0, 10.0),
-                dwell_s=2.0,
-                leg_dwell_s=0.1,
-            ),
-            site=Site(G, latitude_rad=0.8),
-            sample_rate_hz=rate_hz,
-            heading_rad=0.4,
-        )
-        recording = sims.read_out(motion, SensorErrors())
-        data = prepare(recording, recording.sequences)
-        stream, _, _ = data.stream(np.zeros(len(data.windows.duration_s), dtype=bool))
-        earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
-        found, _ = integrate_attitude(stream, PERFECT, earth)
-        truth = np.array([before.T @ after for before, after in motion.attitudes])
-        # A ramp's corner inside a sample: β̈ ω_e dt³/12, 10 · 7.3e-5 · 8e-6 / 12 = 5e-10 rad at 50 Hz, twice per leg.
-        assert np.abs(found.C_end - truth).max() < 16 * bound_rad
-
-
-def test_attitude_and_integrals_on_the_turning_earth():
-    """A body at rest but for one quick turn: Ĉ in its windows is known, and so is ∫ F Ĉ dt.
-
-    Attitudes are exact; the integrals take the Earth's turn of a sequence by its mean, so that less than half of
-    ω_e T is left of what would be all of it.
-    """
-    motion = sims.run_schedule(
-        sims.Schedule(
-            sims.table_sequences(("7", "12", "4")), sims.RateProfile(1.0, 10.0), dwell_s=20.0, leg_dwell_s=0.1
-        ),
-        site=Site(G, latitude_rad=0.8),
-        sample_rate_hz=100.0,
-        heading_rad=0.4,
-    )
-    recording = sims.read_out(motion, SensorErrors())
-    data = prepare(recording, recording.sequences)
-    stream, _, weights = data.stream(np.ones(6, dtype=bool))
-    earth = np.einsum("kba,b->ka", data.nominal, data.earth_rate_base())
-    found, attitudes = integrate_attitude(stream, PERFECT, earth, with_noise=True)
-    still, _ = integrate_attitude(stream, PERFECT, np.zeros((3, 3)), with_noise=True)
-    for k, (before, after) in enumerate(motion.attitudes):
-        C = before.T @ after
-        np.testing.assert_allclose(found.C_end[k], C, rtol=0, atol=1e-9)
-        s, e = stream.starts[k : k + 2]
-        first, last = stream.rotation[k]
-        # Mean of a sample's ends: (ω_e dt)² is nothing. 1e-9 for ramps' corners, as above.
-        np.testing.assert_allclose(attitudes[:, :, s:first], np.eye(3)[:, :, None] * np.ones(first - s), atol=1e-12)
-        np.testing.assert_allclose(attitudes[:, :, last:e], C[:, :, None] * np.ones(e - last), rtol=0, atol=1e-9)
-        # The truth of ∫ F Ĉ dt, sample by sample: the windows as above, the rotation from where it starts.
-        F, dt = stream.F, stream.interval_s
-        alone = gyro_stream(
-            recording.gyro,
-            recording.interval_s,
-            data.rotation[k : k + 1],
-            data.rotation[k : k + 1],
-            rates=True,
-        )
-        turn, _ = integrate_attitude(alone, PERFECT, earth[k : k + 1])
-        expected = turn.time[0] + np.eye(3) * (F * dt)[s:first].sum() + C * (F * dt)[last:e].sum()
-        elapsed = dt[s:e].sum()
-        part = 7.292115e-5 * elapsed * found.weight_s[k]
-        assert np.abs(found.time[k] - expected).max() < 0.5 * part
-        # And without turning the Earth back the whole of it would be left.
-        assert np.abs(still.time[k] - expected).max() > np.abs(found.time[k] - expected).max()
-    assert weights is not None

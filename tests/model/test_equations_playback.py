@@ -1,4 +1,5 @@
-"""Eqs. 1-2 as the data processing evaluates them: the Earth's rate, the vertical, the rest rates, the orientation of MARS.
+"""Eqs. 1-2 as the data processing evaluates them: the Earth's rate, the vertical, the rest rates, the orientation of
+MARS.
 
 Derivatives are blind to what is a constant of the errors; here the values themselves are held against the truth.
 """
