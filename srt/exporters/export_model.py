@@ -124,7 +124,7 @@ class ExportModel:
     settings: ExportSettings
 
     def white_noise(self, sensor: str) -> Array | None:
-        """White noise of the raw channels, shape (3,), rad/s/√Hz or m/s²/√Hz; None where not known."""
+        """White noise of the uncorrected readings, shape (3,), rad/s/√Hz or m/s²/√Hz; None if not known."""
         key = {"gyro": "gyro_noise_rad_per_sqrt_s", "accel": "accel_noise_m_s2_sqrt_s"}[sensor]
         stated = self.calibration.noise.get(key)
         return None if stated is None else np.array(stated, dtype=np.float64)

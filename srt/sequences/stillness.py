@@ -47,7 +47,7 @@ def moved_windows(
     wander : ndarray, shape (3,), rad/s
         One sigma of the bias between sequences, compensated.
     probability : float
-        Of calling a still window moving.
+        Probability that a still window is classified as moving.
 
     Returns
     -------
