@@ -1,6 +1,7 @@
 """Figures of a campaign: maps of convergence, error against an axis, consistency of the sigmas, iterations and time.
 
-Needs matplotlib; its global state (pyplot, rcParams) is unchanged. Names come from files and are shown as they are.
+The module needs matplotlib and does not change its global state (pyplot, rcParams). Names come from files and are
+shown unchanged.
 """
 
 from __future__ import annotations
@@ -45,13 +46,13 @@ if TYPE_CHECKING:
 _PANELS: Final = 3
 """Largest number of maps in a row."""
 _ROOM: Final = 0.72
-"""Share of the width of a column that the marks of the estimators take."""
+"""Width of the marks of all estimators, as a share of the width of a column."""
 _MOST_LABELS: Final = 14
-"""Largest number of labels of an axis; of more levels every second one is labelled, and so on."""
+"""Maximum number of labels of an axis; with more levels, every second (third, ...) level is labelled."""
 _LINEAR_TO: Final = 4.0
-"""Largest error / sigma on a linear axis; beyond, the axis is logarithmic."""
+"""Largest error / sigma on a linear axis; with larger values, the axis is logarithmic."""
 _COLOURS: Final = "cividis"
-"""Readable with any colour vision; light for large shares."""
+"""Colour map readable with any colour vision; light for large shares."""
 _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 
@@ -105,7 +106,7 @@ def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
 
 
 def _write_shares(axes: Axes, share: Array) -> None:
-    """Write the number into every cell, and hatch those without one."""
+    """Write the share into every cell, and hatch cells without trials."""
     size = min(SMALL, 90.0 / max(share.shape[1], 10))
     for (up, across), value in np.ndenumerate(share):
         if np.isfinite(value):
@@ -141,7 +142,7 @@ def size_figure(found: Accuracy, estimators: Sequence[str], *, noisy: bool) -> F
         Errors against an axis.
     estimators : sequence of str
     noisy : bool
-        True: a last panel shows error / sigma.
+        True: add a panel with error / sigma.
     """
     assert found.axis is not None
     axis = found.axis
@@ -212,7 +213,7 @@ def consistency_figure(found: SigmaConsistency, estimators: Sequence[str]) -> Fi
 
     Parameters
     ----------
-    found : Honesty
+    found : SigmaConsistency
     estimators : sequence of str
     """
     figure = _figure(12.5, 4.8)

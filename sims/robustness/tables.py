@@ -1,4 +1,4 @@
-"""Summary of a campaign as text: sentences, and tables that every kind of report shows alike."""
+"""Summary of a campaign as text: sentences and tables, which are the same in all reports."""
 
 from __future__ import annotations
 
