@@ -44,7 +44,7 @@ def repeatability(
     -------
     dict
         "recordings" and "left_out", "chi_square" with its degrees of freedom and probability, "groups", "parameters".
-        Chi-squares are by the sigmas within recordings, what is common to them apart.
+        Chi-square uses the sigmas within recordings, without the errors common to all.
     """
     statistic, freedom, probability = agreement
     return {

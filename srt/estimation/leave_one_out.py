@@ -9,7 +9,7 @@ by the other sequences, in units of sigma. Only D determines the directions in w
 
 *Estimate without a sequence.* The information N' and gradient g' of the other sequences give the change ``N'⁻¹ g'`` of
 every parameter and its variance. A parameter is *lost* if its sigma grows a hundredfold, or so much that an estimator
-would fix it; it then keeps its value and the others are estimated beside it.
+would fix it; it then keeps its value and the others are estimated with it fixed.
 
 The rows of a sequence are its two horizontal components and the down components of windows that no other sequence uses.
 Its windows also leave the pooled rest rate; where a sequence has a bias of its own, the remaining pooled rate changes

@@ -56,7 +56,7 @@ def find_estimator(name: str) -> Estimator:
     Raises
     ------
     InputError
-        If none of that name is registered, or what it needs is not installed.
+        If no estimator of that name is registered, or a package that it needs is not installed.
     """
     target = _BUILT_IN.get(name) or _installed().get(name)
     if target is None:  # the package may have been installed since the last call

@@ -228,7 +228,7 @@ def wrong_rotation_angles(data: PreparedRecording, turned: Array, U: Array) -> t
     Returns
     -------
     tuple of str
-        One sentence for each turn that is off by more than six times what the fixture allows.
+        One sentence for each rotation whose error is above six times the fixture's sigma.
     """
     fixture = data.recording.fixture
     if fixture is None:

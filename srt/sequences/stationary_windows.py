@@ -111,7 +111,7 @@ def _cores(blocks: Blocks, rest: Rest, first: int, last: int) -> tuple[tuple[int
 
 
 def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tuple[int, int]:
-    """Cut off what is not still at the ends of a window, within a quarter of its length.
+    """Remove moving samples at the ends of a window, within a quarter of its length.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def find_windows(recording: Recording) -> Indices:
     Raises
     ------
     DataError
-        If fewer than two are found, with what was looked for.
+        If fewer than two are found.
     """
     blocks = blocks_of(recording)
     rest = find_rest(blocks)

@@ -46,7 +46,7 @@ def fixed(value: float, decimals: int) -> str:
     Returns
     -------
     str
-        "-" for what is not a number.
+        "-" for a value that is not a number.
     """
     if math.isnan(value):
         return "-"
