@@ -13,17 +13,15 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass, replace
-from functools import cache, partialmethod
+from functools import cache
 
 import numpy as np
 import pytest
-from accuracy_trials import noisy_recording
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 import sims
-from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import iteration
 from srt.estimation.closed_form_solver import ClosedFormSolver
 from srt.estimation.initial_estimates import initial_estimate
@@ -37,65 +35,12 @@ from srt.sequences.preparation import prepare_checked
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
-
-from filterpy.kalman import SquareRootKalmanFilter
+from linear_problems import AGREE, EPS, IN_G, RESOLVED, Found, G, SolveStep, difference, jointly
 from threadpoolctl import threadpool_limits
 
-from estimators.dense_solution import solve
-from estimators.ekf import default_prior
 from estimators.graph import GraphSolver
-from estimators.iteration import iterate
-from estimators.joint_model import JointModel, open_joint_model
-from estimators.kalman_filter import KalmanSolver, run_filter
-from estimators.linearisation import linearise
-from estimators.solver import IterationState, LinearSolution, Solver
-
-EPS = np.finfo(float).eps
-G = 9.80665
-ALL = np.ones(N_PARAMETERS, dtype=bool)
-AGREE = 1e-9
-"""Of a sigma, and of a correlation."""
-RESOLVED = (1e-18, 1e-9)
-"""Largest negligible correction, absolute and in sigmas."""
-
-IN_G = np.ones(N_PARAMETERS)
-IN_G[GROUP_SLICES["accel_bias"]] = G
-
-
-class SolveStep(Solver):
-    """The linearised problem solved at once, with numpy alone."""
-
-    name = "solve"
-
-    def __init__(self, prior=None):
-        self.prior = prior
-
-    def solve(self, joint, system, state):
-        rows = system if self.prior is None else linearise(joint, state, system.compensated, system.free, self.prior)
-        solution, E = solve(rows), system.parameter_map()
-        spread = E @ solution.root
-        return LinearSolution(state, system, solution.delta, E @ solution.delta, spread @ spread.T)
-
-
-@dataclass(frozen=True)
-class Found:
-    """Estimate and covariance of the 27 parameters."""
-
-    x: np.ndarray
-    P: np.ndarray
-
-    @property
-    def sigma(self):
-        return np.sqrt(np.diag(self.P))
-
-
-def difference(a, b):
-    """Largest difference of two results: estimates in sigmas, covariances scaled to correlations."""
-    return (
-        float(np.abs((a.x - b.x) / b.sigma).max()),
-        float(np.abs((a.P - b.P) / np.outer(b.sigma, b.sigma)).max()),
-    )
-
+from estimators.joint_model import JointModel
+from estimators.kalman_filter import KalmanSolver
 
 # --- a planet that does not turn ------------------------------------------------------------------------------------
 
@@ -157,14 +102,6 @@ def by_play_back(data, solver):
     found = iteration.iterate(data, OPTIONS, solver, *initial_estimate(data, OPTIONS))
     assert found.status == "converged"
     return Found(found.errors.vector, np.asarray(sum(found.covariance.values())))
-
-
-def jointly(joint, step, converged=RESOLVED):
-    iteration = IterationState(joint.start, ALL.copy())
-    iteration = iterate(joint, step, iteration, requested=~ALL, converged=converged)
-    assert iteration.status == "converged"
-    assert iteration.free.all()
-    return Found(iteration.state.errors.vector, iteration.covariance)
 
 
 def used_components(data):
@@ -426,111 +363,3 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     low, high = chi2.ppf([0.0025 / N_PARAMETERS, 1 - 0.0025 / N_PARAMETERS], len(z))
     squares = np.sum(z**2, axis=0)
     assert np.all((low < squares) & (squares < high))
-
-
-# --- the turning Earth ----------------------------------------------------------------------------------------------
-
-
-def navigation_problem(seed, **unit):
-    recording, _ = noisy_recording(seed, "navigation", sample_rate_hz=50.0, **unit)
-    return lambda: open_joint_model(recording, Options(max_playbacks=30))
-
-
-def rounding(found):
-    """Rounding of an angle of one radian, in sigmas of the best known parameter but the gyro biases."""
-    return EPS / (found.sigma / IN_G)[:24].min()
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_full_model_with_navigation_noise(seed):
-    """Fixture, gravity and attitudes estimated; the filter has its weak default prior, a third of full scale."""
-    make = navigation_problem(seed)
-    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphSolver("squared", None))
-    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), KalmanSolver(default_prior()))
-    for a, b in ((graph, dense), (ekf, informed)):
-        estimate, covariance = difference(a, b)
-        assert estimate <= AGREE + rounding(dense)
-        assert covariance <= AGREE
-    # What a prior of covariance P₀ about zero does to first order: −P P₀⁻¹ x, and −P P₀⁻¹ P.
-    pull = dense.P @ np.linalg.solve(default_prior().covariance, np.column_stack([dense.x, dense.P]))
-    expected = Found(dense.x - pull[:, 0], dense.P - pull[:, 1:])
-    shift = difference(dense, expected)
-    assert shift[0] < 2e-5
-    assert difference(ekf, expected)[0] <= 1e-3 * shift[0] + AGREE + rounding(dense)
-    # The point of linearisation moves with it, too.
-    assert difference(ekf, dense)[1] <= 2.0 * shift[1] + AGREE
-
-
-def test_filterpy_predicts_and_updates(monkeypatch):
-    """Every pass over the sequences runs filterpy's own update once per sequence; a bias walk its own prediction."""
-    joint = navigation_problem(1)()
-    joint.bias_scatter = np.full(3, 1e-8)
-    joint.update_bias_scatter = lambda *_: None
-    assert joint.bias_walks
-    calls = {"predict": 0, "update": 0}
-    own = {name: getattr(SquareRootKalmanFilter, name) for name in calls}
-
-    def counted(name, *arguments):
-        calls[name] += 1
-        return own[name](*arguments)
-
-    for name in calls:
-        monkeypatch.setattr(
-            SquareRootKalmanFilter, name, partialmethod(lambda self, name, *a: counted(name, self, *a), name)
-        )
-    solver = KalmanSolver(default_prior())
-    iterate(joint, solver, IterationState(joint.start, ALL.copy()), requested=~ALL, converged=(1e-9, 1e-2))
-    K = joint.data.K
-    passes, rest = divmod(calls["update"], K)
-    assert passes > 0
-    assert rest == 0
-    # A step of the walk between sequences, and the mean of the biases after each.
-    assert calls["predict"] == passes * (2 * K - 1)
-
-
-def test_full_model_where_the_bias_drifts():
-    """A stated instability of both sensors: filter, graph and dense solution at one, iterated to the end."""
-    make = navigation_problem(1, instability=True)
-    joint = make()
-    assert not joint.bias_walks
-    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphSolver("squared", None))
-    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), KalmanSolver(default_prior()))
-    for a, b in ((graph, dense), (ekf, informed)):
-        assert max(difference(a, b)) <= AGREE + rounding(b)
-    # What drifts is known worse for it.
-    still = navigation_problem(1)()
-    assert np.all(dense.sigma > jointly(still, SolveStep()).sigma)
-
-
-def test_filter_and_dense_solution_where_the_bias_walks():
-    """One pass of the filter at a point is the dense solution there; iterated, they differ in where they linearise.
-
-    The filter's attitudes go with the last bias of its walk, and the headings of sequences whose own bias was another
-    are off by the difference over the Earth's horizontal rate. The Jacobian is off by that share, and what is found.
-    """
-    recording, _ = noisy_recording(1, "navigation", sample_rate_hz=50.0, instability=True)
-    # A scatter of the rest rates that no statement explains, as the windows' own would show it.
-    quiet = replace(recording, noise=replace(recording.noise, gyro_bias_instability=None))
-
-    def make():
-        joint = open_joint_model(quiet, Options(max_playbacks=30))
-        joint.bias_scatter = np.full(3, recording.noise.gyro_bias_instability)
-        joint.update_bias_scatter = lambda *_: None
-        return joint
-
-    joint = make()
-    assert joint.bias_walks
-    iteration = IterationState(joint.start, ALL.copy())
-    iteration = iterate(joint, KalmanSolver(default_prior()), iteration, requested=~ALL, converged=RESOLVED)
-    state, system = iteration.linearisation_point, iteration.system
-    once = run_filter(joint, system, state, default_prior())
-    dense = SolveStep(default_prior()).solve(joint, system, state)
-    a, b = (Found(r.correction, r.covariance) for r in (once, dense))
-    assert max(difference(a, b)) <= AGREE + rounding(b)
-    ekf = Found(iteration.state.errors.vector, iteration.covariance)
-    smooth = IterationState(joint.start, ALL.copy())
-    smooth = iterate(make(), SolveStep(default_prior()), smooth, requested=~ALL, converged=RESOLVED)
-    found = Found(smooth.state.errors.vector, smooth.covariance)
-    spread = np.ptp(smooth.state.bias_deviation, axis=0).max()
-    heading = spread / (EARTH_RATE_RAD_S * math.cos(math.radians(45.0)))
-    assert AGREE < max(difference(ekf, found)) <= heading

@@ -1,0 +1,191 @@
+"""Rotations, differences and recordings that the tests of the Jacobians of joint estimation share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from accuracy_trials import large_errors
+from scipy.spatial.transform import Rotation
+
+import sims
+from srt.estimation.options import Options
+from srt.model.prior import Prior
+from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
+from srt.sensor_errors import N_PARAMETERS, SensorErrors
+
+pytest.importorskip("gtsam")
+from estimators.joint_model import JointModel, open_joint_model
+from estimators.linearisation import linearise
+
+EPS = np.finfo(float).eps
+G = 9.80665
+
+
+def exp(v):
+    return Rotation.from_rotvec(v).as_matrix()
+
+
+def derivative(function, size=3, step=1e-3):
+    """Derivative at zero by differences of fourth order, the derivative's index last.
+
+    What is left is step⁴ of the fifth derivative over 30, and rounding over the step: both 1e-12 of a function of
+    size one.
+    """
+    out = []
+    for d in step * np.eye(size):
+        near, far = function(d) - function(-d), function(2.0 * d) - function(-2.0 * d)
+        out.append((8.0 * near - far) / (12.0 * step))
+    return np.stack(out, axis=-1)
+
+
+def numerical(scale, distance=1.0, step=1e-3):
+    """Error of :func:`derivative` for an analytic function of this size whose singularity is so far away (rad).
+
+    Its fifth derivative is below 5! scale / distance⁵; rounding, of some ten operations each, comes 1.5 times.
+    """
+    return scale * (4.0 * (step / distance) ** 4 / distance + 15.0 * EPS / step)
+
+
+# --- windows, turns and start attitudes -----------------------------------------------------------------------------
+
+HEADING = 0.7
+MARS = sims.rotation([0.4, -0.3, 0.5])
+
+
+def away(size, count, seed=1):
+    """Random rotations of one angle."""
+    v = np.random.default_rng(seed).standard_normal((count, 3))
+    return exp(size * v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+# --- the whole system -----------------------------------------------------------------------------------------------
+
+HZ, RATE, DWELL_S = 100.0, 1.0, 2.0
+SITE = Site(G, 1e-4, math.radians(50.0))
+# Far below the Earth's rate in a sample, so that nowhere a sign depends on the neighbours; pulses that count, and a
+# bias that drifts.
+NOISE = ImuNoise(1e-9, 1e-7, 3e-9, 1e-9, 1e-9, 1e-9)
+TABLE = ("1", "4", "8")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A kind of recording and of problem."""
+
+    free: bool = False
+    heading: bool = True
+    latitude: bool = True
+    walk: bool = True
+    fixture_states: bool = True
+    prior: bool = True
+    instability: bool = False
+
+
+VARIANTS = {
+    "all": Variant(),
+    "plain": Variant(walk=False, prior=False),
+    "no fixture states": Variant(fixture_states=False, walk=False),
+    "no heading": Variant(heading=False),
+    "no latitude": Variant(latitude=False, walk=False),
+    "free": Variant(free=True),
+    "drift": Variant(walk=False, instability=True),
+}
+
+
+def errors_of(size):
+    if size == "large":
+        return large_errors(np.random.default_rng(8))[0]
+    scale = {"zero": 0.0, "tiny": 1e-6}[size]
+    return SensorErrors(scale * np.random.default_rng(9).standard_normal(N_PARAMETERS))
+
+
+@cache
+def simulated_motions():
+    """A table run on a poor fixture, the body well away from the table, and turns by hand; no |·| stands at zero."""
+    draw = sims.draw_fixture(
+        np.random.default_rng(4),
+        sims.table_sequences(TABLE),
+        level_sigma_rad=5e-3,
+        north_sigma_rad=5e-3,
+        mounting_sigma_rad=5e-3,
+        rotation_sigma_rad=5e-3,
+    )
+    table = sims.run_schedule(
+        sims.Schedule(
+            sims.table_sequences(TABLE), sims.RateProfile(RATE, 10.0), dwell_s=DWELL_S, leg_dwell_s=0.05, settle_s=0.1
+        ),
+        site=SITE,
+        sample_rate_hz=HZ,
+        heading_rad=HEADING,
+        fixture_draw=draw,
+        U=MARS,
+        stated_fixture=Fixture(HEADING, 5e-3, 5e-3),
+    )
+    rng = np.random.default_rng(6)
+    free = sims.free_motion(
+        sims.random_turns(rng, 4),
+        site=SITE,
+        attitude=sims.random_attitude(rng),
+        peak_rate_rad_s=RATE,
+        dwell_s=DWELL_S,
+        settle_s=0.1,
+        sample_rate_hz=HZ,
+    )
+    return {True: free, False: table}
+
+
+@dataclass(frozen=True)
+class Case:
+    joint: JointModel
+    state: object
+    system: object
+    prior: Prior | None
+    errors: SensorErrors
+
+
+def make(motions, variant, size, noise=NOISE, off=True):
+    """Problem and a point well away from its solution in all but the sensor errors, played back and linearised."""
+    motion = motions[variant.free]
+    errors = errors_of(size)
+    site = SITE if variant.latitude else replace(SITE, latitude_rad=None)
+    fixture = None if variant.free else Fixture(HEADING if variant.heading else None, 5e-3, 5e-3)
+    recording = replace(sims.read_out(motion.stated_as(site=site), errors), noise=noise, fixture=fixture)
+    if variant.free:
+        recording = recording.with_sequences(tuple(SequenceLabel(a, b) for a, b in motion.windows))
+    # Of one bias per sequence, of one with the drift that is stated, and of one alone.
+    mode = "per-sequence" if variant.walk else "auto" if variant.instability else "pooled"
+    options = Options(gyro_bias=mode, fixture_states=variant.fixture_states, start=errors)
+    joint = open_joint_model(recording, options)
+    rng = np.random.default_rng(11)
+    state = replace(joint.start, U=motion.U)
+    state = joint.initial_attitudes(state, joint.compensate(state))
+    if off:
+        a = 0.3 if size == "large" else 1e-3
+        deviation = 1e-8 * rng.standard_normal(state.bias_deviation.shape) * variant.walk
+        unknown = np.stack([c.unknown_sigma > 0.0 for c in joint.level_frames])
+        state = replace(
+            state,
+            bias_deviation=deviation - deviation.mean(axis=0),
+            base=state.base @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
+            U=state.U @ sims.rotation(a * rng.uniform(-0.5, 0.5, 3)),
+            gravity=1e-3 * variant.fixture_states,
+            earth_rate=1e-5 * rng.standard_normal(state.earth_rate.shape) * unknown,
+            attitude=state.attitude @ away(a, len(state.attitude), 12),
+        )
+    prior = None
+    if variant.prior:
+        root = np.diag(rng.uniform(0.5, 2.0, N_PARAMETERS)) @ (np.eye(N_PARAMETERS) + 0.1)
+        prior = Prior(SensorErrors(errors.vector + 0.01), root @ root.T)
+    system = linearise(joint, state, joint.compensate(state), np.ones(N_PARAMETERS, dtype=bool), prior)
+    return Case(joint, state, system, prior, errors)
+
+
+CASES = [
+    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s == "tiny" and v not in {"all", "free"}))
+    for v in VARIANTS
+    for s in ("zero", "tiny", "large")
+]

@@ -1,0 +1,71 @@
+"""Recordings and limits that the tests of agreement between estimators share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
+
+pytest.importorskip("filterpy")
+pytest.importorskip("gtsam")
+from estimators.dense_solution import solve
+from estimators.iteration import iterate
+from estimators.linearisation import linearise
+from estimators.solver import IterationState, LinearSolution, Solver
+
+EPS = np.finfo(float).eps
+G = 9.80665
+ALL = np.ones(N_PARAMETERS, dtype=bool)
+AGREE = 1e-9
+"""Of a sigma, and of a correlation."""
+RESOLVED = (1e-18, 1e-9)
+"""Largest negligible correction, absolute and in sigmas."""
+
+IN_G = np.ones(N_PARAMETERS)
+IN_G[GROUP_SLICES["accel_bias"]] = G
+
+
+class SolveStep(Solver):
+    """The linearised problem solved at once, with numpy alone."""
+
+    name = "solve"
+
+    def __init__(self, prior=None):
+        self.prior = prior
+
+    def solve(self, joint, system, state):
+        rows = system if self.prior is None else linearise(joint, state, system.compensated, system.free, self.prior)
+        solution, E = solve(rows), system.parameter_map()
+        spread = E @ solution.root
+        return LinearSolution(state, system, solution.delta, E @ solution.delta, spread @ spread.T)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Estimate and covariance of the 27 parameters."""
+
+    x: np.ndarray
+    P: np.ndarray
+
+    @property
+    def sigma(self):
+        return np.sqrt(np.diag(self.P))
+
+
+def difference(a, b):
+    """Largest difference of two results: estimates in sigmas, covariances scaled to correlations."""
+    return (
+        float(np.abs((a.x - b.x) / b.sigma).max()),
+        float(np.abs((a.P - b.P) / np.outer(b.sigma, b.sigma)).max()),
+    )
+
+
+def jointly(joint, step, converged=RESOLVED):
+    iteration = IterationState(joint.start, ALL.copy())
+    iteration = iterate(joint, step, iteration, requested=~ALL, converged=converged)
+    assert iteration.status == "converged"
+    assert iteration.free.all()
+    return Found(iteration.state.errors.vector, iteration.covariance)

@@ -1,0 +1,145 @@
+"""Filter, factor graph and dense solution agree on the full model, with navigation noise and drifting biases."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partialmethod
+
+import numpy as np
+import pytest
+from accuracy_trials import noisy_recording
+from threadpoolctl import threadpool_limits
+
+from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation import iteration
+from srt.estimation.options import Options
+
+pytest.importorskip("filterpy")
+pytest.importorskip("gtsam")
+from filterpy.kalman import SquareRootKalmanFilter
+from linear_problems import AGREE, ALL, EPS, IN_G, RESOLVED, Found, SolveStep, difference, jointly
+
+from estimators.ekf import default_prior
+from estimators.graph import GraphSolver
+from estimators.iteration import iterate
+from estimators.joint_model import open_joint_model
+from estimators.kalman_filter import KalmanSolver, run_filter
+from estimators.solver import IterationState
+
+
+@pytest.fixture(scope="module", autouse=True)
+def resolved():
+    """Iterate to rounding wherever the criterion is read, in one thread: these matrices gain nothing from more."""
+    with pytest.MonkeyPatch.context() as patch, threadpool_limits(limits=1, user_api="blas"):
+        patch.setattr(iteration, "CONVERGED_CORRECTION", RESOLVED[0])
+        patch.setattr(iteration, "CONVERGED_SIGMAS", RESOLVED[1])
+        yield
+
+
+# --- the turning Earth ----------------------------------------------------------------------------------------------
+
+
+def navigation_problem(seed, **unit):
+    recording, _ = noisy_recording(seed, "navigation", sample_rate_hz=50.0, **unit)
+    return lambda: open_joint_model(recording, Options(max_playbacks=30))
+
+
+def rounding(found):
+    """Rounding of an angle of one radian, in sigmas of the best known parameter but the gyro biases."""
+    return EPS / (found.sigma / IN_G)[:24].min()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_full_model_with_navigation_noise(seed):
+    """Fixture, gravity and attitudes estimated; the filter has its weak default prior, a third of full scale."""
+    make = navigation_problem(seed)
+    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphSolver("squared", None))
+    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), KalmanSolver(default_prior()))
+    for a, b in ((graph, dense), (ekf, informed)):
+        estimate, covariance = difference(a, b)
+        assert estimate <= AGREE + rounding(dense)
+        assert covariance <= AGREE
+    # What a prior of covariance P₀ about zero does to first order: −P P₀⁻¹ x, and −P P₀⁻¹ P.
+    pull = dense.P @ np.linalg.solve(default_prior().covariance, np.column_stack([dense.x, dense.P]))
+    expected = Found(dense.x - pull[:, 0], dense.P - pull[:, 1:])
+    shift = difference(dense, expected)
+    assert shift[0] < 2e-5
+    assert difference(ekf, expected)[0] <= 1e-3 * shift[0] + AGREE + rounding(dense)
+    # The point of linearisation moves with it, too.
+    assert difference(ekf, dense)[1] <= 2.0 * shift[1] + AGREE
+
+
+def test_filterpy_predicts_and_updates(monkeypatch):
+    """Every pass over the sequences runs filterpy's own update once per sequence; a bias walk its own prediction."""
+    joint = navigation_problem(1)()
+    joint.bias_scatter = np.full(3, 1e-8)
+    joint.update_bias_scatter = lambda *_: None
+    assert joint.bias_walks
+    calls = {"predict": 0, "update": 0}
+    own = {name: getattr(SquareRootKalmanFilter, name) for name in calls}
+
+    def counted(name, *arguments):
+        calls[name] += 1
+        return own[name](*arguments)
+
+    for name in calls:
+        monkeypatch.setattr(
+            SquareRootKalmanFilter, name, partialmethod(lambda self, name, *a: counted(name, self, *a), name)
+        )
+    solver = KalmanSolver(default_prior())
+    iterate(joint, solver, IterationState(joint.start, ALL.copy()), requested=~ALL, converged=(1e-9, 1e-2))
+    K = joint.data.K
+    passes, rest = divmod(calls["update"], K)
+    assert passes > 0
+    assert rest == 0
+    # A step of the walk between sequences, and the mean of the biases after each.
+    assert calls["predict"] == passes * (2 * K - 1)
+
+
+def test_full_model_where_the_bias_drifts():
+    """A stated instability of both sensors: filter, graph and dense solution at one, iterated to the end."""
+    make = navigation_problem(1, instability=True)
+    joint = make()
+    assert not joint.bias_walks
+    dense, graph = jointly(make(), SolveStep()), jointly(make(), GraphSolver("squared", None))
+    informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), KalmanSolver(default_prior()))
+    for a, b in ((graph, dense), (ekf, informed)):
+        assert max(difference(a, b)) <= AGREE + rounding(b)
+    # What drifts is known worse for it.
+    still = navigation_problem(1)()
+    assert np.all(dense.sigma > jointly(still, SolveStep()).sigma)
+
+
+def test_filter_and_dense_solution_where_the_bias_walks():
+    """One pass of the filter at a point is the dense solution there; iterated, they differ in where they linearise.
+
+    The filter's attitudes go with the last bias of its walk, and the headings of sequences whose own bias was another
+    are off by the difference over the Earth's horizontal rate. The Jacobian is off by that share, and what is found.
+    """
+    recording, _ = noisy_recording(1, "navigation", sample_rate_hz=50.0, instability=True)
+    # A scatter of the rest rates that no statement explains, as the windows' own would show it.
+    quiet = replace(recording, noise=replace(recording.noise, gyro_bias_instability=None))
+
+    def make():
+        joint = open_joint_model(quiet, Options(max_playbacks=30))
+        joint.bias_scatter = np.full(3, recording.noise.gyro_bias_instability)
+        joint.update_bias_scatter = lambda *_: None
+        return joint
+
+    joint = make()
+    assert joint.bias_walks
+    iteration = IterationState(joint.start, ALL.copy())
+    iteration = iterate(joint, KalmanSolver(default_prior()), iteration, requested=~ALL, converged=RESOLVED)
+    state, system = iteration.linearisation_point, iteration.system
+    once = run_filter(joint, system, state, default_prior())
+    dense = SolveStep(default_prior()).solve(joint, system, state)
+    a, b = (Found(r.correction, r.covariance) for r in (once, dense))
+    assert max(difference(a, b)) <= AGREE + rounding(b)
+    ekf = Found(iteration.state.errors.vector, iteration.covariance)
+    smooth = IterationState(joint.start, ALL.copy())
+    smooth = iterate(make(), SolveStep(default_prior()), smooth, requested=~ALL, converged=RESOLVED)
+    found = Found(smooth.state.errors.vector, smooth.covariance)
+    spread = np.ptp(smooth.state.bias_deviation, axis=0).max()
+    heading = spread / (EARTH_RATE_RAD_S * math.cos(math.radians(45.0)))
+    assert AGREE < max(difference(ekf, found)) <= heading

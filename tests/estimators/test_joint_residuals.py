@@ -1,0 +1,170 @@
+"""Jacobians of the residuals of windows and turns against differences through rotations of scipy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import sims
+from sims.physics.fixture import FixtureDraw, FixtureGeometry, earth_rate_ned
+from srt.model import measurement_model as model
+
+pytest.importorskip("gtsam")
+from jacobian_cases import EPS, HEADING, MARS, G, away, derivative, exp, numerical
+
+EARTH_NED = earth_rate_ned(math.radians(50.0))
+DRAW = FixtureDraw(base=np.array([0.02, -0.03, 0.05]), mounting=np.array([-0.04, 0.01, 0.03]))
+FIXTURE = FixtureGeometry.build(HEADING, DRAW, MARS)
+ANGLES = np.random.default_rng(3).uniform(-3.0, 3.0, (8, 2))
+"""Inner and outer angles of eight poses; a turn leads from each to the next."""
+POSES = np.stack([FIXTURE.attitude(*angles) for angles in ANGLES])
+DURATION = np.linspace(2.0, 16.0, 7)
+
+SIZES = (0.0, 1e-9, 1e-3, 0.3)
+
+
+def in_turn(count):
+    """Rotation vectors for the members of an array, one after the other, from one vector."""
+    return lambda v: exp(np.tile(v, (count, 1)))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_specific_force_residual(size):
+    force = -G * np.einsum("nab,a->nb", POSES, [0.0, 0.0, 1.0])
+    A = POSES @ away(size, 8)
+    residual, by_attitude, by_gravity = model.specific_force_residual(force, A, G)
+    # A rotation by an angle moves the vertical by twice the sine of its half at most.
+    assert np.linalg.norm(residual, axis=1).max() <= 2.0 * G * math.sin(size / 2.0) + 4.0 * EPS * G
+    turn = in_turn(8)
+    expected = derivative(lambda v: model.specific_force_residual(force, A @ turn(v), G)[0])
+    assert np.abs(by_attitude - expected).max() <= numerical(G)
+    expected = derivative(lambda v: model.specific_force_residual(force, A, G + v[0])[0], 1)[:, :, 0]
+    assert np.abs(by_gravity - expected).max() <= numerical(G)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_angular_rate_residual(size):
+    ω = np.linalg.norm(EARTH_NED)
+    earth = np.broadcast_to(EARTH_NED, (8, 3))
+    rate = np.einsum("nab,a->nb", POSES, EARTH_NED)
+    A = POSES @ away(size, 8)
+    residual, by_attitude, by_earth = model.angular_rate_residual(rate, A, earth)
+    assert np.linalg.norm(residual, axis=1).max() <= 2.0 * ω * math.sin(size / 2.0) + 4.0 * EPS * ω
+    turn = in_turn(8)
+    expected = derivative(lambda v: model.angular_rate_residual(rate, A @ turn(v), earth)[0])
+    assert np.abs(by_attitude - expected).max() <= numerical(ω)
+    expected = derivative(lambda v: model.angular_rate_residual(rate, A, earth + ω * v)[0]) / ω
+    assert np.abs(by_earth - expected).max() <= numerical(1.0)
+
+
+def sensed(speed, start, duration):
+    """B_End to B_Strt against inertial space, from the rates that gyros on the fixture sense while it turns.
+
+    Both axes turn at a constant rate of ``speed``; Magnus' integrator of fourth order in steps of 1e-3 rad.
+    """
+    count = math.ceil(float(np.abs(speed).sum()) * duration / 1e-3)
+    dt = duration / count
+
+    def rate(t):
+        inner, outer = (start + np.multiply.outer(t, speed)).T
+        turning = FIXTURE.turning_rate(inner, np.full(count, speed[0]), np.full(count, speed[1]))
+        return turning + FIXTURE.to_body((FIXTURE.base_from_ned @ EARTH_NED)[None], inner, outer)[0]
+
+    one, two = (rate(dt * (np.arange(count) + 0.5 + side * math.sqrt(3) / 6)) for side in (-1.0, 1.0))
+    C = np.eye(3)
+    for step in exp(0.5 * dt * (one + two) + math.sqrt(3) / 12 * dt**2 * np.cross(one, two)):
+        C = C @ step
+    return C
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """Ĉ of the turns between the poses, as simulated gyros have it."""
+    return np.stack(
+        [
+            sensed((ANGLES[k + 1] - ANGLES[k]) / duration, ANGLES[k], duration)
+            for k, duration in enumerate(DURATION.tolist())
+        ]
+    )
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_turn(turned, size):
+    earth = np.broadcast_to(EARTH_NED, (7, 3))
+    start, end = POSES[:-1] @ away(size, 7, 1), POSES[1:] @ away(size, 7, 2)
+    residual, by_start, by_end, by_turned, by_earth = model.rotation_residual(turned, start, end, earth, DURATION)
+    # Steps of 1e-3 rad at fourth order, up to 12 rad of them; both attitudes may be off by ``size``.
+    assert np.linalg.norm(residual, axis=1).max() <= 2.0 * size + 12.0 * 1e-3**4
+    if size == 0.3:
+        assert np.linalg.norm(residual, axis=1).max() > 0.3  # not by chance near none
+    turn = in_turn(7)
+
+    def at(s=0.0, e=0.0, c=0.0, ω=0.0):
+        s, e, c = (turn(np.zeros(3) + v) for v in (s, e, -np.asarray(c)))
+        return model.rotation_residual(c @ turned, start @ s, end @ e, earth + ω, DURATION)[0]
+
+    # The logarithm is singular a whole turn away, of which the attitudes may have taken 0.6 rad.
+    atol = numerical(2.0, 2.0)
+    assert np.abs(by_start - derivative(lambda v: at(s=v))).max() <= atol
+    assert np.abs(by_end - derivative(lambda v: at(e=v))).max() <= atol
+    # Errors left in the estimate turn Ĉ the other way: at x̂ + δ it is [I + (Jδ)×]⁻¹ Ĉ.
+    assert np.abs(by_turned - derivative(lambda v: at(c=v))).max() <= atol
+    expected = derivative(lambda v: at(ω=v / 16.0)) * 16.0
+    # The left Jacobian of the Earth's turn stands to first order.
+    neglected = (np.linalg.norm(EARTH_NED) * DURATION) ** 2 / 6.0 * DURATION * 1.1
+    assert np.all(np.abs(by_earth - expected).max(axis=(1, 2)) <= neglected + 16.0 * atol)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_start_attitude(size):
+    """The fixture's errors come out as they were put in, and the derivatives are those of any attitude."""
+    off = np.random.default_rng(5).standard_normal((8, 2)) * 0.02
+    nominal = np.stack([Rotation.from_euler("YZ", [outer, inner]).as_matrix() for inner, outer in ANGLES])
+    base, U = sims.rotation(DRAW.base), MARS @ sims.rotation(DRAW.mounting).T
+    executed = np.stack([FIXTURE.attitude(*angles) for angles in ANGLES + off])
+    found = model.start_attitude_residual(executed, nominal, base, U, HEADING)[0]
+    np.testing.assert_allclose(found, np.pad(off, ((0, 0), (0, 1))), rtol=0, atol=20.0 * EPS)
+
+    A = executed @ away(size, 8)
+    residual, by_attitude, by_base, by_U = model.start_attitude_residual(A, nominal, base, U, HEADING)
+    # Where the inner axis leans, the inner angle turns faster than the attitude does, by the cosine of the lean.
+    assert np.abs(residual - found).max() <= size / math.cos(size) + 20.0 * EPS
+    turn = in_turn(8)
+
+    def at(a=0.0, b=0.0, u=0.0):
+        a, b, u = (turn(np.zeros(3) + v) for v in (a, b, u))
+        return model.start_attitude_residual(A @ a, nominal, base @ b[0], U @ u[0], HEADING)[0]
+
+    # The angles are singular where the inner axis lies along the outer one, a right angle from square.
+    atol = numerical(4.0, math.pi / 2.0 - 0.3)
+    assert np.abs(by_attitude - derivative(lambda v: at(a=v))).max() <= atol
+    assert np.abs(by_base - derivative(lambda v: at(b=v))).max() <= atol
+    assert np.abs(by_U - derivative(lambda v: at(u=v))).max() <= atol
+
+
+@pytest.mark.parametrize("lean", [1e-9, 1e-3, 0.3])
+def test_lean_of_the_axes(lean):
+    """The third component is the sine of what the fixture's axes are from square."""
+    base, U = sims.rotation(DRAW.base), MARS @ sims.rotation(DRAW.mounting).T
+    A = FixtureGeometry(FIXTURE.base_from_ned, lean, FIXTURE.body_from_inner).attitude(*ANGLES[0])
+    nominal = Rotation.from_euler("YZ", ANGLES[0][::-1]).as_matrix()
+    found = model.start_attitude_residual(A[None], nominal[None], base, U, HEADING)[0][0]
+    assert abs(found[2] + math.sin(lean)) <= 10.0 * EPS
+    assert abs(found[0]) <= lean**2 + 10.0 * EPS
+
+
+@settings(deadline=None)
+@given(st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
+def test_fixture_angles_all_around(inner, outer, off_inner, off_outer):
+    """No jump where a nominal angle is half a turn."""
+    nominal, executed = (
+        Rotation.from_euler("YZ", [o, i]).as_matrix()[None]
+        for i, o in ((inner, outer), (inner + off_inner, outer + off_outer))
+    )
+    found = model.start_attitude_residual(executed, nominal, np.eye(3), np.eye(3), 0.0)[0][0]
+    np.testing.assert_allclose(found, [off_inner, off_outer, 0.0], rtol=0, atol=30.0 * EPS)
