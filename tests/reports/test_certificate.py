@@ -1,90 +1,33 @@
-"""Certificates: they say what the calibration says, refuse what contradicts itself, and take no text for markup."""
+"""Certificates: numbers, limits, changes and pictures of the page."""
 
 from __future__ import annotations
 
-import copy
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
+from functools import partial
 from xml.etree import ElementTree
 
-import accuracy_trials
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from certificate_cases import COMPONENTS, FACTORS, Reader, calibration, drawn, saved_calibration
 
 import srt
-from sims.physics.free_motion import free_motion, random_attitude, random_turns
-from sims.physics.imu import read_out
-from sims.physics.table_motion import table1_motion
-from srt.comparison.merge import merge_calibrations
-from srt.recording.recording import Fixture
 from srt.reports.certificate import (
     html_page,
     load_acceptance_limits,
-    load_calibration_file,
     make_certificate,
-    pdf,
-    unit_description,
 )
 from srt.reports.certificate.figures import certificate_figures
 from srt.reports.certificate.parameter_changes import FALSE_ALARM, changes_since
-from srt.reports.certificate.recording_history import check_recording, recording_history
 from srt.result.calibration import Residual
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES, SYMBOLS, SensorErrors
-
-COMPONENTS = ("horizontal_x", "horizontal_y", "start_down", "end_down")
-FACTORS = np.array(DISPLAY_FACTORS)
-
-
-def calibration(seed=1, held=(), sequences=3, **changes):
-    """A calibration as an estimator would make it, with correlated errors."""
-    rng = np.random.default_rng(seed)
-    root = rng.standard_normal((27, 60)) / FACTORS[:, None] / 8.0
-    observed = np.array([name not in held for name in NAMES])
-    given = {
-        "estimator": "closed-form",
-        "status": "partial" if held else "converged",
-        "message": "Converged after 3 iterations.",
-        "errors": SensorErrors(300.0 * rng.standard_normal(27) / FACTORS),
-        "covariance": np.where(np.outer(observed, observed), root @ root.T, 0.0),
-        "corrections": (1e-3, 1e-6, 1e-12),
-        "held": dict.fromkeys(held, "held on request"),
-        "U": np.eye(3),
-        "U_sigma_rad": 1e-3,
-        "residuals": tuple(
-            Residual(str(k + 1), 1, c, float(rng.standard_normal()), 1.0) for k in range(sequences) for c in COMPONENTS
-        ),
-        "site": {"latitude_deg": 45.0, "gravity_m_s2": 9.80665, "gravity_sigma_m_s2": 5e-6},
-        "alignment": {
-            "fixture": True,
-            "heading_deg": None,
-            "alignment_sigma_mrad": 1.0,
-            "rotation_sigma_mrad": 1.0,
-        },
-        "temperature": {"mean_c": 23.25, "range_c": 1.5, "sequences": []},
-        "provenance": {
-            "data_sha256": f"{seed:064x}",
-            "software": "strapdown-rotation-test 0.1.0",
-            "serial": "SN-1",
-            "date": "2026-05-04",
-            "options": {"hold": []},
-            "voided": {},
-        },
-    }
-    return srt.Calibration(**(given | changes))
 
 
 @pytest.fixture
 def saved(tmp_path):
     """Save a calibration and read it as a certificate does."""
-
-    def save(result, name="unit.json"):
-        result.save(tmp_path / name)
-        return load_calibration_file(tmp_path / name)
-
-    return save
+    return partial(saved_calibration, tmp_path)
 
 
 @pytest.fixture
@@ -92,44 +35,6 @@ def plain_page(monkeypatch):
     """Leave the pictures out, which take a hundred times as long as all else."""
     monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
     return html_page.html_page
-
-
-class Reader(HTMLParser):
-    """Tags, texts and the tables of a page."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.texts, self.tables, self.values = [], [], [], []
-        self.inside = False
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.append((tag, dict(attributes)))
-        if tag == "table":
-            self.tables.append([])
-        elif tag == "tr":
-            self.tables[-1].append([])
-            self.values.append([])
-        elif tag in ("td", "th"):
-            self.tables[-1][-1].append("")
-            self.inside = True
-        elif tag == "data":
-            self.values[-1].append(float(dict(attributes)["value"]))
-
-    def handle_endtag(self, tag):
-        self.inside = self.inside and tag not in ("td", "th")
-
-    def handle_data(self, data):
-        self.texts.append(data)
-        if self.inside:
-            self.tables[-1][-1][-1] += data.strip()
-
-    @property
-    def text(self):
-        return " ".join(" ".join(self.texts).split())
-
-
-# What it says
 
 
 @pytest.mark.parametrize("held", [(), ("accel_bias_z", "gyro_asymmetry_x", "gyro_asymmetry_y")], ids=["all", "held"])
@@ -264,12 +169,6 @@ def test_the_page_asks_for_nothing(saved):
 
 
 # Pictures
-
-
-def drawn(made, name):
-    figure = Figure()
-    next(p for p in certificate_figures(made) if p.name == name).draw(made, figure)
-    return figure
 
 
 def test_correlations_are_drawn_of_what_was_measured(saved):
@@ -422,272 +321,3 @@ def test_a_serial_that_is_not_stated_is_said(saved):
         "one unit is assumed" in n
         for n in make_certificate(new, change=changes_since(new, saved(calibration(seed=3), "old.json"))).change_notes
     )
-
-
-# Files that were edited or cut
-
-
-EDITS = {
-    "parameters.0.unit": ["ppm", None, 3],
-    "parameters.3.symbol": ["κxx"],
-    "parameters.0.value": ["1", None, float("nan"), 1e400, 10**400, True, -3.0],
-    "parameters.0.sigma": [0.0, None, "x", 1.0],
-    "parameters.0.observed": [False, 1],
-    "covariance.0.0": [-1.0, 1.0, None, 10**400],
-    "frame.U": [[[1.0]], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], "x"],
-    "frame.U_sigma": [-1.0, "x"],
-    "status": ["certified", "partial "],
-    "version": [0, 2, "1"],
-    "format": ["srt-truth"],
-    "site": [None, [], "x"],
-    "site.latitude_deg": ["45", 10**400],
-    "temperature": ["20", {"mean_c": 20.0}],
-    "residuals.0.value": [None, "x", 1e400],
-    "residuals.0.sigma": [-1.0],
-    "residuals.0.component": [None],
-    "provenance": [None, []],
-    "provenance.serial": [3, ["a"]],
-    "provenance.date": [3],
-    "provenance.data_sha256": ["abc", 3],
-    "provenance.options": ["x"],
-    "verdict": [None, [], {"chi_square": 1.0}],
-    "verdict.probability": [-1.0, "x"],
-    "verdict.sequences": [None, [{}], [3]],
-    "verdict.parameters": [
-        [{"name": "x", "sigma": 1.0}],
-        [{"name": [], "sigma": 1.0}],
-        [{"name": "gyro_scale_x", "sigma": 1.0}],
-    ],
-    "iterations": [None, [{}], [{"max_correction": None}]],
-    "warnings": [None, [3]],
-    "estimator": [None, 3],
-}
-
-
-def with_verdict(result):
-    judged = {"chi_square": 2.0, "degrees_of_freedom": 2, "probability": 0.4}
-    sequences = [{"sequence": str(k + 1), "occurrence": 1, **judged} for k in range(3)]
-    return replace(result, verdict={**judged, "sequences": sequences, "parameters": [], "weakest_combination": None})
-
-
-@pytest.mark.parametrize("place", EDITS)
-def test_an_edited_file_is_refused(tmp_path, place):
-    document = with_verdict(calibration()).to_dict()
-    *steps, last = (int(step) if step.isdecimal() else step for step in place.split("."))
-    for value in EDITS[place]:
-        edited = copy.deepcopy(document)
-        part = edited
-        for step in steps:
-            part = part[step]
-        part[last] = value
-        (tmp_path / "x.json").write_text(json.dumps(edited))
-        with pytest.raises(srt.InputError) as caught:
-            load_calibration_file(tmp_path / "x.json")
-        assert "\n" not in str(caught.value)
-        assert len(str(caught.value)) < 400
-
-
-def test_an_edited_covariance_is_refused(tmp_path):
-    """Sigmas that agree with the diagonal, and correlations beyond one."""
-    document = calibration().to_dict()
-    document["covariance"][0][1] = document["covariance"][1][0] = 10.0 * document["covariance"][0][0]
-    (tmp_path / "x.json").write_text(json.dumps(document))
-    with pytest.raises(srt.InputError, match="covariance is none"):
-        load_calibration_file(tmp_path / "x.json")
-
-
-def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path):
-    text = json.dumps(calibration().to_dict())
-    for share in np.linspace(0.0, 0.999, 12):
-        (tmp_path / "x.json").write_text(text[: int(share * len(text))])
-        with pytest.raises(srt.InputError):
-            load_calibration_file(tmp_path / "x.json")
-    with pytest.raises(srt.InputError, match="cannot be read"):
-        load_calibration_file(tmp_path / "absent.json")
-    with pytest.raises(srt.InputError, match="cannot be read"):
-        load_calibration_file(tmp_path)
-
-
-@pytest.mark.parametrize("status", ["not_converged", "outside_model"])
-def test_nothing_is_certified_by_what_did_not_converge(saved, status):
-    with pytest.raises(srt.DataError, match="nothing can be certified"):
-        make_certificate(saved(calibration(status=status)))
-
-
-# The recording
-
-
-@pytest.fixture(scope="module")
-def recordings():
-    """Two tests of one unit on the table, with the noise of a navigation unit."""
-    rng = np.random.default_rng(5)
-    truth = accuracy_trials.normal_errors(rng, gyro_bias=1e-6)
-    out = []
-    for k in range(2):
-        motion = table1_motion(
-            site=accuracy_trials.SITE,
-            sample_rate_hz=50.0,
-            rate_rad_s=2.0,
-            dwell_s=4.0,
-            fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
-            stated_fixture=Fixture(0.0, 1e-3, 1e-3),
-        )
-        made = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng, serial="SN-1")
-        out.append(replace(made, data_sha256=f"{k + 1:064x}"))
-    return out
-
-
-@pytest.fixture(scope="module")
-def calibrations(recordings):
-    return [srt.calibrate(recording) for recording in recordings]
-
-
-def test_values_follow_from_the_recording(recordings, calibrations, saved):
-    """Each value moved by five of its sigma leaves residuals that the file does not have."""
-    source = saved(calibrations[0])
-    check_recording(source, recordings[0], "there")
-    recording_history(source, recordings[0], "there")
-    for i in range(27):
-        vector = calibrations[0].errors.vector.copy()
-        vector[i] += 5.0 * calibrations[0].sigma[i]
-        edited = saved(replace(calibrations[0], errors=SensorErrors(vector)), "edited.json")
-        with pytest.raises(srt.InputError, match="do not follow from there"):
-            recording_history(edited, recordings[0], "there")
-
-
-def test_windows_that_moved_are_no_sign_of_an_edit(recordings, saved):
-    """A window in which the unit turns a little is integrated, which the file does not tell of single windows."""
-    recording = recordings[0]
-    gyro = recording.gyro.copy()
-    for k in (2, 5, 9):
-        label = recording.sequences[k]
-        part = recording.window_indices(*(label.start_static_s if k == 5 else label.end_static_s))
-        middle = (part.start + part.stop) // 2
-        gyro[middle : middle + 10, 2] += 5e-3  # 1 mrad in 0.2 s
-    moved = replace(recording, gyro=gyro)
-    result = srt.calibrate(moved, "least-squares")
-    assert result.status == "converged"
-    recording_history(saved(result), moved, "there")
-
-
-def test_another_recording_is_refused(recordings, calibrations, saved):
-    source = saved(calibrations[0])
-    with pytest.raises(srt.InputError, match="holds other samples"):
-        check_recording(source, recordings[1], "there")
-    with pytest.raises(srt.InputError, match=r"is of the unit SN-2, but unit\.json of SN-1"):
-        check_recording(source, replace(recordings[0], serial="SN-2"), "there")
-    check_recording(source, replace(recordings[0], serial=None), "there")
-    provenance = {**calibrations[0].provenance, "data_sha256": None}
-    with pytest.raises(srt.InputError, match="does not say which samples"):
-        check_recording(saved(replace(calibrations[0], provenance=provenance)), recordings[0], "there")
-
-
-def test_the_course_of_the_test(recordings, calibrations, saved):
-    """What is drawn: the gyros lead from the accelerometers' down at each start to that at each end.
-
-    Between them: angle random walk of 0.002 °/√h and pulses, 4 µrad; the Earth in a sequence's 25 s, 2 mrad;
-    and the table, which is level to 1 mrad or else not at all at rest. 10 mrad hold all of it.
-    """
-    source = saved(calibrations[0])
-    course = recording_history(source, recordings[0], "there")
-    for ends in np.flatnonzero(np.isnan(course.down[:, 0])):
-        at = np.argmin(np.abs(course.rest.mean(axis=1) - course.time[ends - 1]))
-        assert np.linalg.norm(course.down[ends - 1] - course.rest_down[at]) < 1e-2
-    # Specific force at rest is gravity, to what the sigmas of scale, bias and asymmetry leave of it: microgravities.
-    assert np.max(np.abs(course.excess)) < 1e-4 * 9.80665
-    assert course.turned_deg_s == pytest.approx(np.degrees(2.0), rel=0.01)
-    assert course.count == recordings[0].time.size
-    figure = drawn(make_certificate(source, course=course), "test")
-    marks = figure.axes[2].lines[1].get_ydata()
-    np.testing.assert_allclose(marks, course.excess / 9.80665e-6)
-
-
-def test_a_merged_calibration(recordings, calibrations, saved, plain_page):
-    """It belongs to each of its recordings, names them all, and is no earlier calibration of one of them."""
-    merged = saved(merge_calibrations(calibrations), "merged.json")
-    for recording in recordings:
-        check_recording(merged, recording, "there")
-    course = recording_history(merged, recordings[1], "there")
-    read = Reader(plain_page(make_certificate(merged, course=course)))
-    rows = next(t for t in read.tables if "SHA-256 of the samples" in t[0])[1:]
-    assert [row[3] for row in rows] == [recording.data_sha256 for recording in recordings]
-    assert "contains no residuals" in read.text
-    with pytest.raises(srt.InputError, match="same samples"):
-        changes_since(merged, saved(calibrations[0]))
-
-
-def test_a_unit_that_did_not_change(recordings, calibrations, saved):
-    """One fixed pair of tests; by the bound on false alarms, one pair in a hundred would fail."""
-    change = changes_since(saved(calibrations[1], "new.json"), saved(calibrations[0], "old.json"))
-    assert change.names == ()
-
-
-def test_a_free_recording(saved, plain_page):
-    """No fixture, no heading, no labels: turned by hand, told so, and its values still follow from it."""
-    rng = np.random.default_rng(11)
-    turns = random_turns(rng, 24, smallest_rad=1.0, largest_rad=3.0)
-    motion = free_motion(
-        turns, attitude=random_attitude(rng), site=accuracy_trials.SITE, sample_rate_hz=50.0, dwell_s=3.0
-    )
-    made = read_out(motion, accuracy_trials.normal_errors(rng, 3e-3, 1e-5), accuracy_trials.GRADES["tactical"], rng)
-    recording = replace(made, data_sha256="1" * 64)
-    result = srt.calibrate(recording)
-    assert result.estimator == "least-squares"
-    source = saved(result)
-    check_recording(source, recording, "there")
-    read = Reader(plain_page(make_certificate(source, course=recording_history(source, recording, "there"))))
-    assert "none (turned freely)" in read.text
-    assert "no reference" in read.text
-    assert "no serial" in read.text
-    vector = result.errors.vector.copy()
-    vector[INDEX["accel_bias_x"]] += 5.0 * result.sigma[INDEX["accel_bias_x"]]
-    with pytest.raises(srt.InputError, match="do not follow"):
-        recording_history(saved(replace(result, errors=SensorErrors(vector)), "edited.json"), recording, "there")
-
-
-def test_the_pdf_holds_any_text_and_the_same_certificate_makes_the_same_file(saved, tmp_path, monkeypatch):
-    monkeypatch.setattr(pdf, "certificate_figures", lambda certificate: ())
-    hostile = "<b>" + "long" * 60 + " 測試 $x$ **bold** {nb} \\ )"
-    provenance = {**calibration().provenance, "serial": hostile, "date": hostile}
-    made = make_certificate(saved(calibration(provenance=provenance, warnings=(hostile,))))
-    for name in ("x.pdf", "y.pdf"):
-        pdf.write_pdf(made, tmp_path / name)
-    written = (tmp_path / "x.pdf").read_bytes()
-    assert written.startswith(b"%PDF")
-    assert written.rstrip().endswith(b"%%EOF")
-    assert written == (tmp_path / "y.pdf").read_bytes()
-    other = make_certificate(saved(calibration(seed=8)))
-    pdf.write_pdf(other, tmp_path / "y.pdf")
-    assert written != (tmp_path / "y.pdf").read_bytes()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["closed-form", "merged", "held", "least-squares"])
-def test_both_forms_of_every_kind(recordings, calibrations, saved, tmp_path, kind):
-    result = {
-        "closed-form": lambda: calibrations[0],
-        "merged": lambda: merge_calibrations(calibrations),
-        "held": lambda: srt.calibrate(recordings[0], asymmetry=False),
-        "least-squares": lambda: srt.calibrate(recordings[0], "least-squares"),
-    }[kind]()
-    source = saved(result)
-    made = make_certificate(source, course=recording_history(source, recordings[0], "there"))
-    text = html_page.html_page(made)
-    assert text.count("<svg") == len(certificate_figures(made))
-    pdf.write_pdf(made, tmp_path / "x.pdf")
-    assert (tmp_path / "x.pdf").read_bytes().startswith(b"%PDF")
-
-
-@pytest.mark.parametrize(
-    ("stated", "said"),
-    [
-        ({}, "rotation sigma 1 mrad"),
-        ({"wobble_sigma_mrad": 0.02}, "rotation sigma 1 mrad, wobble 0.02 mrad"),
-        # Of merged recordings that state different ones.
-        ({"wobble_sigma_mrad": None}, "rotation sigma 1 mrad, wobble not stated"),
-    ],
-)
-def test_the_fixtures_wobble_is_told_where_it_is_stated(stated, said):
-    given = calibration()
-    text = unit_description._fixture(replace(given, alignment={**given.alignment, **stated}), merged=False)
-    assert text.endswith(said)

@@ -1,0 +1,122 @@
+"""Certificates of files that were edited or cut are refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from certificate_cases import calibration, saved_calibration
+
+import srt
+from srt.reports.certificate import (
+    html_page,
+    load_calibration_file,
+    make_certificate,
+)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """Save a calibration and read it as a certificate does."""
+    return partial(saved_calibration, tmp_path)
+
+
+@pytest.fixture
+def plain_page(monkeypatch):
+    """Leave the pictures out, which take a hundred times as long as all else."""
+    monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
+    return html_page.html_page
+
+
+# Files that were edited or cut
+
+
+EDITS = {
+    "parameters.0.unit": ["ppm", None, 3],
+    "parameters.3.symbol": ["κxx"],
+    "parameters.0.value": ["1", None, float("nan"), 1e400, 10**400, True, -3.0],
+    "parameters.0.sigma": [0.0, None, "x", 1.0],
+    "parameters.0.observed": [False, 1],
+    "covariance.0.0": [-1.0, 1.0, None, 10**400],
+    "frame.U": [[[1.0]], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], "x"],
+    "frame.U_sigma": [-1.0, "x"],
+    "status": ["certified", "partial "],
+    "version": [0, 2, "1"],
+    "format": ["srt-truth"],
+    "site": [None, [], "x"],
+    "site.latitude_deg": ["45", 10**400],
+    "temperature": ["20", {"mean_c": 20.0}],
+    "residuals.0.value": [None, "x", 1e400],
+    "residuals.0.sigma": [-1.0],
+    "residuals.0.component": [None],
+    "provenance": [None, []],
+    "provenance.serial": [3, ["a"]],
+    "provenance.date": [3],
+    "provenance.data_sha256": ["abc", 3],
+    "provenance.options": ["x"],
+    "verdict": [None, [], {"chi_square": 1.0}],
+    "verdict.probability": [-1.0, "x"],
+    "verdict.sequences": [None, [{}], [3]],
+    "verdict.parameters": [
+        [{"name": "x", "sigma": 1.0}],
+        [{"name": [], "sigma": 1.0}],
+        [{"name": "gyro_scale_x", "sigma": 1.0}],
+    ],
+    "iterations": [None, [{}], [{"max_correction": None}]],
+    "warnings": [None, [3]],
+    "estimator": [None, 3],
+}
+
+
+def with_verdict(result):
+    judged = {"chi_square": 2.0, "degrees_of_freedom": 2, "probability": 0.4}
+    sequences = [{"sequence": str(k + 1), "occurrence": 1, **judged} for k in range(3)]
+    return replace(result, verdict={**judged, "sequences": sequences, "parameters": [], "weakest_combination": None})
+
+
+@pytest.mark.parametrize("place", EDITS)
+def test_an_edited_file_is_refused(tmp_path, place):
+    document = with_verdict(calibration()).to_dict()
+    *steps, last = (int(step) if step.isdecimal() else step for step in place.split("."))
+    for value in EDITS[place]:
+        edited = copy.deepcopy(document)
+        part = edited
+        for step in steps:
+            part = part[step]
+        part[last] = value
+        (tmp_path / "x.json").write_text(json.dumps(edited))
+        with pytest.raises(srt.InputError) as caught:
+            load_calibration_file(tmp_path / "x.json")
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 400
+
+
+def test_an_edited_covariance_is_refused(tmp_path):
+    """Sigmas that agree with the diagonal, and correlations beyond one."""
+    document = calibration().to_dict()
+    document["covariance"][0][1] = document["covariance"][1][0] = 10.0 * document["covariance"][0][0]
+    (tmp_path / "x.json").write_text(json.dumps(document))
+    with pytest.raises(srt.InputError, match="covariance is none"):
+        load_calibration_file(tmp_path / "x.json")
+
+
+def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path):
+    text = json.dumps(calibration().to_dict())
+    for share in np.linspace(0.0, 0.999, 12):
+        (tmp_path / "x.json").write_text(text[: int(share * len(text))])
+        with pytest.raises(srt.InputError):
+            load_calibration_file(tmp_path / "x.json")
+    with pytest.raises(srt.InputError, match="cannot be read"):
+        load_calibration_file(tmp_path / "absent.json")
+    with pytest.raises(srt.InputError, match="cannot be read"):
+        load_calibration_file(tmp_path)
+
+
+@pytest.mark.parametrize("status", ["not_converged", "outside_model"])
+def test_nothing_is_certified_by_what_did_not_converge(saved, status):
+    with pytest.raises(srt.DataError, match="nothing can be certified"):
+        make_certificate(saved(calibration(status=status)))

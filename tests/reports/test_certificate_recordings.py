@@ -1,0 +1,220 @@
+"""Certificates beside their recordings, merged, of free recordings, and as PDF."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import accuracy_trials
+import numpy as np
+import pytest
+from certificate_cases import Reader, calibration, drawn, saved_calibration
+
+import srt
+from sims.physics.free_motion import free_motion, random_attitude, random_turns
+from sims.physics.imu import read_out
+from sims.physics.table_motion import table1_motion
+from srt.comparison.merge import merge_calibrations
+from srt.recording.recording import Fixture
+from srt.reports.certificate import (
+    html_page,
+    make_certificate,
+    pdf,
+    unit_description,
+)
+from srt.reports.certificate.figures import certificate_figures
+from srt.reports.certificate.parameter_changes import changes_since
+from srt.reports.certificate.recording_history import check_recording, recording_history
+from srt.sensor_errors import INDEX, SensorErrors
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """Save a calibration and read it as a certificate does."""
+    return partial(saved_calibration, tmp_path)
+
+
+@pytest.fixture
+def plain_page(monkeypatch):
+    """Leave the pictures out, which take a hundred times as long as all else."""
+    monkeypatch.setattr(html_page, "certificate_figures", lambda certificate: ())
+    return html_page.html_page
+
+
+# The recording
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    """Two tests of one unit on the table, with the noise of a navigation unit."""
+    rng = np.random.default_rng(5)
+    truth = accuracy_trials.normal_errors(rng, gyro_bias=1e-6)
+    out = []
+    for k in range(2):
+        motion = table1_motion(
+            site=accuracy_trials.SITE,
+            sample_rate_hz=50.0,
+            rate_rad_s=2.0,
+            dwell_s=4.0,
+            fixture_draw=accuracy_trials.fixture_errors(rng, 1e-3),
+            stated_fixture=Fixture(0.0, 1e-3, 1e-3),
+        )
+        made = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng, serial="SN-1")
+        out.append(replace(made, data_sha256=f"{k + 1:064x}"))
+    return out
+
+
+@pytest.fixture(scope="module")
+def calibrations(recordings):
+    return [srt.calibrate(recording) for recording in recordings]
+
+
+def test_values_follow_from_the_recording(recordings, calibrations, saved):
+    """Each value moved by five of its sigma leaves residuals that the file does not have."""
+    source = saved(calibrations[0])
+    check_recording(source, recordings[0], "there")
+    recording_history(source, recordings[0], "there")
+    for i in range(27):
+        vector = calibrations[0].errors.vector.copy()
+        vector[i] += 5.0 * calibrations[0].sigma[i]
+        edited = saved(replace(calibrations[0], errors=SensorErrors(vector)), "edited.json")
+        with pytest.raises(srt.InputError, match="do not follow from there"):
+            recording_history(edited, recordings[0], "there")
+
+
+def test_windows_that_moved_are_no_sign_of_an_edit(recordings, saved):
+    """A window in which the unit turns a little is integrated, which the file does not tell of single windows."""
+    recording = recordings[0]
+    gyro = recording.gyro.copy()
+    for k in (2, 5, 9):
+        label = recording.sequences[k]
+        part = recording.window_indices(*(label.start_static_s if k == 5 else label.end_static_s))
+        middle = (part.start + part.stop) // 2
+        gyro[middle : middle + 10, 2] += 5e-3  # 1 mrad in 0.2 s
+    moved = replace(recording, gyro=gyro)
+    result = srt.calibrate(moved, "least-squares")
+    assert result.status == "converged"
+    recording_history(saved(result), moved, "there")
+
+
+def test_another_recording_is_refused(recordings, calibrations, saved):
+    source = saved(calibrations[0])
+    with pytest.raises(srt.InputError, match="holds other samples"):
+        check_recording(source, recordings[1], "there")
+    with pytest.raises(srt.InputError, match=r"is of the unit SN-2, but unit\.json of SN-1"):
+        check_recording(source, replace(recordings[0], serial="SN-2"), "there")
+    check_recording(source, replace(recordings[0], serial=None), "there")
+    provenance = {**calibrations[0].provenance, "data_sha256": None}
+    with pytest.raises(srt.InputError, match="does not say which samples"):
+        check_recording(saved(replace(calibrations[0], provenance=provenance)), recordings[0], "there")
+
+
+def test_the_course_of_the_test(recordings, calibrations, saved):
+    """What is drawn: the gyros lead from the accelerometers' down at each start to that at each end.
+
+    Between them: angle random walk of 0.002 °/√h and pulses, 4 µrad; the Earth in a sequence's 25 s, 2 mrad;
+    and the table, which is level to 1 mrad or else not at all at rest. 10 mrad hold all of it.
+    """
+    source = saved(calibrations[0])
+    course = recording_history(source, recordings[0], "there")
+    for ends in np.flatnonzero(np.isnan(course.down[:, 0])):
+        at = np.argmin(np.abs(course.rest.mean(axis=1) - course.time[ends - 1]))
+        assert np.linalg.norm(course.down[ends - 1] - course.rest_down[at]) < 1e-2
+    # Specific force at rest is gravity, to what the sigmas of scale, bias and asymmetry leave of it: microgravities.
+    assert np.max(np.abs(course.excess)) < 1e-4 * 9.80665
+    assert course.turned_deg_s == pytest.approx(np.degrees(2.0), rel=0.01)
+    assert course.count == recordings[0].time.size
+    figure = drawn(make_certificate(source, course=course), "test")
+    marks = figure.axes[2].lines[1].get_ydata()
+    np.testing.assert_allclose(marks, course.excess / 9.80665e-6)
+
+
+def test_a_merged_calibration(recordings, calibrations, saved, plain_page):
+    """It belongs to each of its recordings, names them all, and is no earlier calibration of one of them."""
+    merged = saved(merge_calibrations(calibrations), "merged.json")
+    for recording in recordings:
+        check_recording(merged, recording, "there")
+    course = recording_history(merged, recordings[1], "there")
+    read = Reader(plain_page(make_certificate(merged, course=course)))
+    rows = next(t for t in read.tables if "SHA-256 of the samples" in t[0])[1:]
+    assert [row[3] for row in rows] == [recording.data_sha256 for recording in recordings]
+    assert "contains no residuals" in read.text
+    with pytest.raises(srt.InputError, match="same samples"):
+        changes_since(merged, saved(calibrations[0]))
+
+
+def test_a_unit_that_did_not_change(recordings, calibrations, saved):
+    """One fixed pair of tests; by the bound on false alarms, one pair in a hundred would fail."""
+    change = changes_since(saved(calibrations[1], "new.json"), saved(calibrations[0], "old.json"))
+    assert change.names == ()
+
+
+def test_a_free_recording(saved, plain_page):
+    """No fixture, no heading, no labels: turned by hand, told so, and its values still follow from it."""
+    rng = np.random.default_rng(11)
+    turns = random_turns(rng, 24, smallest_rad=1.0, largest_rad=3.0)
+    motion = free_motion(
+        turns, attitude=random_attitude(rng), site=accuracy_trials.SITE, sample_rate_hz=50.0, dwell_s=3.0
+    )
+    made = read_out(motion, accuracy_trials.normal_errors(rng, 3e-3, 1e-5), accuracy_trials.GRADES["tactical"], rng)
+    recording = replace(made, data_sha256="1" * 64)
+    result = srt.calibrate(recording)
+    assert result.estimator == "least-squares"
+    source = saved(result)
+    check_recording(source, recording, "there")
+    read = Reader(plain_page(make_certificate(source, course=recording_history(source, recording, "there"))))
+    assert "none (turned freely)" in read.text
+    assert "no reference" in read.text
+    assert "no serial" in read.text
+    vector = result.errors.vector.copy()
+    vector[INDEX["accel_bias_x"]] += 5.0 * result.sigma[INDEX["accel_bias_x"]]
+    with pytest.raises(srt.InputError, match="do not follow"):
+        recording_history(saved(replace(result, errors=SensorErrors(vector)), "edited.json"), recording, "there")
+
+
+def test_the_pdf_holds_any_text_and_the_same_certificate_makes_the_same_file(saved, tmp_path, monkeypatch):
+    monkeypatch.setattr(pdf, "certificate_figures", lambda certificate: ())
+    hostile = "<b>" + "long" * 60 + " 測試 $x$ **bold** {nb} \\ )"
+    provenance = {**calibration().provenance, "serial": hostile, "date": hostile}
+    made = make_certificate(saved(calibration(provenance=provenance, warnings=(hostile,))))
+    for name in ("x.pdf", "y.pdf"):
+        pdf.write_pdf(made, tmp_path / name)
+    written = (tmp_path / "x.pdf").read_bytes()
+    assert written.startswith(b"%PDF")
+    assert written.rstrip().endswith(b"%%EOF")
+    assert written == (tmp_path / "y.pdf").read_bytes()
+    other = make_certificate(saved(calibration(seed=8)))
+    pdf.write_pdf(other, tmp_path / "y.pdf")
+    assert written != (tmp_path / "y.pdf").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["closed-form", "merged", "held", "least-squares"])
+def test_both_forms_of_every_kind(recordings, calibrations, saved, tmp_path, kind):
+    result = {
+        "closed-form": lambda: calibrations[0],
+        "merged": lambda: merge_calibrations(calibrations),
+        "held": lambda: srt.calibrate(recordings[0], asymmetry=False),
+        "least-squares": lambda: srt.calibrate(recordings[0], "least-squares"),
+    }[kind]()
+    source = saved(result)
+    made = make_certificate(source, course=recording_history(source, recordings[0], "there"))
+    text = html_page.html_page(made)
+    assert text.count("<svg") == len(certificate_figures(made))
+    pdf.write_pdf(made, tmp_path / "x.pdf")
+    assert (tmp_path / "x.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({}, "rotation sigma 1 mrad"),
+        ({"wobble_sigma_mrad": 0.02}, "rotation sigma 1 mrad, wobble 0.02 mrad"),
+        # Of merged recordings that state different ones.
+        ({"wobble_sigma_mrad": None}, "rotation sigma 1 mrad, wobble not stated"),
+    ],
+)
+def test_the_fixtures_wobble_is_told_where_it_is_stated(stated, said):
+    given = calibration()
+    text = unit_description._fixture(replace(given, alignment={**given.alignment, **stated}), merged=False)
+    assert text.endswith(said)
