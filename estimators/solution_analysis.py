@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from estimators.residual_analysis import (
     sequence_diagnostics,
 )
 from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.goodness_of_fit import GROSS_G, GROSS_RATIO
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
@@ -30,12 +31,6 @@ if TYPE_CHECKING:
     from srt.estimation.leave_one_out import SequenceDiagnostics
     from srt.result.calibration import Calibration, Residual
     from srt.types import Array, Mask
-
-
-_GROSS_RATIO: Final = 100.0
-"""A misfit is gross if chi-square per degree of freedom exceeds this and the residuals exceed _GROSS_G."""
-_GROSS_G: Final = 0.01
-"""Limit of the root mean square residual of specific force, in g; a wrong label gives 0.1 g."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,8 +166,8 @@ def analyse_solution(
     freedom = round(float(measured.sum()) - float(np.sum(root[measured] ** 2)))
     force = system.rows_of("force").index
     raw = np.linalg.solve(system.whitening["force"], residual[force][..., None])
-    gross = chi_square > _GROSS_RATIO * max(freedom, 1) and float(np.sqrt(np.mean(raw**2))) > (
-        _GROSS_G * joint.data.gravity
+    gross = chi_square > GROSS_RATIO * max(freedom, 1) and float(np.sqrt(np.mean(raw**2))) > (
+        GROSS_G * joint.data.gravity
     )
     return SolutionAnalysis(
         covariance,

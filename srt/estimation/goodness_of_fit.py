@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 MISFIT_PROBABILITY: Final = 1e-3
 """p-value of chi-square below which residuals count as larger than the noise: one false alarm in 1000 recordings."""
-_GROSS_RATIO: Final = 100.0
+GROSS_RATIO: Final = 100.0
 """Chi-square per degree of freedom above which no noise figure can be the cause (sigmas ten times too small)."""
-_GROSS_G: Final = 0.01
+GROSS_G: Final = 0.01
 """Smallest rms of the horizontal residuals, in g, of a gross misfit: 10 mrad, far beyond any attitude noise."""
 
 
@@ -49,6 +49,6 @@ def is_gross(solution: Solution, chi_square: float, degrees_of_freedom: int, gra
     horizontal = solution.measurements.z[: 2 * len(solution.measurements.acceleration)]
     return (
         degrees_of_freedom > 0
-        and chi_square / degrees_of_freedom > _GROSS_RATIO
-        and float(np.sqrt(np.mean(horizontal**2))) > _GROSS_G * gravity
+        and chi_square / degrees_of_freedom > GROSS_RATIO
+        and float(np.sqrt(np.mean(horizontal**2))) > GROSS_G * gravity
     )

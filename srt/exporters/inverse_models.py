@@ -10,7 +10,7 @@ unit length; m/s² and deg/s.
 imu_tk: ``X' = T K (X − B)``, K diagonal, T of unit diagonal, upper-triangular for the accelerometers, which decides the
 axes: ``Ma = (T K)⁻¹ C_IB``.
 
-Basalt: ``cal = (I + S) raw − b``, S lower-triangular for the accelerometers, which decides the axes.
+Basalt: ``cal = (I + S) raw − b``, S lower-triangular for the accelerometers; this choice decides the axes.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def _fields(name: str, value: Any, levels: int) -> dict[str, NDArray[Any]]:
         for key in value.dtype.names:
             result.update(_fields(f"{name}/{key}", value.flat[0][key], levels - 1))
         return result
-    # Function handles and objects are arrays of another type.
+    # Function handles and objects have another array type and are left out.
     return {name: value} if type(value) is np.ndarray and value.dtype.kind in "fiu" and value.size else {}
 
 

@@ -1,8 +1,8 @@
 """Recordings of the telephone app Sensor Logger: a zip archive, or its folder, with one CSV table for each sensor.
 
-Each table has the columns ``time`` (ns since 1970), ``seconds_elapsed``, ``z``, ``y``, ``x``. The app defines units:
-units: rad/s for the gyro tables and m/s² for ``TotalAcceleration``. ``AccelerometerUncalibrated`` is in m/s², or in g
-on iOS without "Standardise Units & Frames". ``Accelerometer`` lacks gravity and is not read.
+Each table has the columns ``time`` (ns since 1970), ``seconds_elapsed``, ``z``, ``y``, ``x``. Units are the app's:
+rad/s for the gyro tables and m/s² for ``TotalAcceleration``. ``AccelerometerUncalibrated`` is in m/s², or in g on iOS
+without "Standardise Units & Frames". ``Accelerometer`` lacks gravity and is not read.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Calibration file checked for completeness and consistency, as input of a certificate.
 
-A calibration states many values twice: sigmas and covariance, names and units, verdict and both. An edit by hand mostly
-changes one of the two.
+A calibration states many values twice: sigmas and the covariance's diagonal, names and units beside each value.
+An edit by hand mostly changes one of the two.
 """
 
 from __future__ import annotations
