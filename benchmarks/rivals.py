@@ -320,7 +320,7 @@ def markdown(study: Study) -> str:
 PAGE = """\
 # Comparison with another calibration method
 
-[imucal](https://pypi.org/project/imucal/) computes Ferraris' calibration: six stationary faces, and full turns about
+[imucal](https://github.com/mad-lab-fau/imucal) computes Ferraris' calibration: six stationary faces, and full turns about
 three axes. It takes the fixture as exact, so that the errors of the fixture become errors of the result. The rotation
 test does not.
 
