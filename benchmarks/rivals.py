@@ -321,8 +321,8 @@ PAGE = """\
 # Comparison with another calibration method
 
 [imucal](https://github.com/mad-lab-fau/imucal) computes Ferraris' calibration: six stationary faces, and full turns
-about three axes. It takes the fixture as exact, so that the errors of the fixture become errors of the result. The rotation
-test does not.
+about three axes. It takes the fixture as exact, so that the errors of the fixture become errors of the result. The
+rotation test does not.
 
 Rms error of imucal over that of this package, {units} units without asymmetry on each fixture (below 1, imucal is
 more accurate):
