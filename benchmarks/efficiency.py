@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 ESTIMATORS: Final = ("graph", "ekf", "least-squares", "closed-form")
 LIMITS: Final = {"graph": (1.02, 1.05), "ekf": (1.05, 1.10)}
-"""Of the error's rms over the bound: its mean over the parameters, and the largest of them."""
+"""Limits of the error's rms over the bound: the mean over the parameters, and the largest of them."""
 COVERAGE: Final = (0.935, 0.965)
 """Limits of the share of errors within their 95 % interval."""
 STANDARD_ERRORS: Final = 3.5
@@ -178,7 +178,7 @@ class Efficiency:
     ----------
     units : int
     rms : ndarray, shape (27,)
-        Of the error, over the bound.
+        Rms of the error over the bound.
     own : ndarray, shape (27,)
         Rms of the sigma that the estimator reports, over the bound.
     mean, mean_error : float

@@ -106,9 +106,9 @@ def study(plan: Scenario, units: int, *, first_seed: int, draws: int = 30) -> di
     units : int
         Simulated, each with its own sensor errors, Γ, fixture and noise.
     first_seed : int
-        Of the units, which count on from it.
+        Seed of the first unit; the others follow in steps of one.
     draws : int
-        Of the fixture, for the prediction.
+        Number of simulated fixtures for the prediction.
     """
     squares = {mode: np.zeros(27) for mode in MODES}
     left = {mode: np.zeros(2) for mode in MODES}

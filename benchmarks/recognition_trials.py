@@ -145,9 +145,9 @@ class LabelEffect:
     difference : ndarray, shape (27,), SI
         Unlabelled minus labelled.
     sigma : ndarray, shape (27,), SI
-        Of the labelled calibration.
+        Sigma of the labelled calibration.
     nees : float
-        Of the unlabelled calibration, per parameter.
+        NEES of the unlabelled calibration, per parameter.
     """
 
     difference: Array

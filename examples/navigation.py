@@ -105,7 +105,7 @@ def calibrated_unit(scenario: str, rng: np.random.Generator, folder: Path) -> Ca
     Parameters
     ----------
     scenario : str
-        Of the library.
+        Name of a scenario of the library.
     rng : numpy.random.Generator
     folder : Path
         Where the calibration is saved and read back, as another program would.

@@ -1,4 +1,4 @@
-"""What the tests of the equations share: the symbolic derivation, and derivatives taken through the simulator."""
+"""Fixtures of the tests of the equations: the symbolic derivation, and derivatives taken through the simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of the diagnosis share: the checks of some stages alone, on what is labelled."""
+"""Parts that the tests of the diagnosis share: the checks of some stages alone, on what is labelled."""
 
 from __future__ import annotations
 

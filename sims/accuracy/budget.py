@@ -105,9 +105,9 @@ def budget(
     scenario : Scenario
         Its seed draws the unit's errors, and the fixture's draws.
     estimators : sequence of str
-        Of the registry.
+        Names in the registry.
     draws : int
-        Of the fixture's errors; their rms is known to 1 / √(2 draws).
+        Number of draws of the fixture's errors; their rms is known to 1 / √(2 draws).
     gyro_bias : str
         How all calibrations take the gyro bias, as in :class:`srt.Options`.
     progress : callable, optional

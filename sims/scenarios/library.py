@@ -95,7 +95,7 @@ def resolved(tables: dict[str, Any], *, name: str, near: Path | None = None) -> 
     Parameters
     ----------
     tables : dict
-        Of a scenario; not changed.
+        Tables of a scenario; not changed.
     name : str
         What error messages call the scenario.
     near : Path, optional

@@ -57,7 +57,7 @@ class Engine:
         Parameters
         ----------
         function : callable
-            Of a module, as other processes import it. What it raises ends the run.
+            Function of a module, as other processes import it. What it raises ends the run.
         tasks : iterable
             Taken as they are needed, so that any number of them takes no memory.
 

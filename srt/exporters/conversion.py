@@ -52,7 +52,8 @@ class ExportedCalibration:
     readings : Readings
         Readings on which the differences are measured.
     residuals : tuple of CorrectionDifference
-        Of the file first; then, where they apply, with the biases given separately, and of asymmetry alone.
+        Differences of the file first; then, where they apply, those with the biases given separately and those of
+        asymmetry alone.
     losses : tuple of str
         Parts of this calibration that the format does not hold.
     unknown : tuple of str

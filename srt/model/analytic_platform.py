@@ -253,7 +253,7 @@ class _ErrorSums:
         Parameters
         ----------
         edges : ndarray of complex, shape (2, K + 1)
-            Of the :class:`_AttitudeChain`.
+            Edges of the :class:`_AttitudeChain`.
         to_start : ndarray, shape (K, 3, 3)
             From the stream's frame to B_Strt.
         earth_rate : ndarray, shape (K, 3), rad/s

@@ -99,7 +99,7 @@ def formulas(sequences: Collection[str], *, asymmetry: bool = True) -> tuple[For
     Returns
     -------
     tuple of Formula
-        Of the parameters that these sequences determine.
+        Formulas of the parameters that these sequences determine.
     """
     have = set(sequences)
     chosen: list[Formula] = []

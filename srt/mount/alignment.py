@@ -33,6 +33,7 @@ from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix
 from srt.mount.pose_kinds import pose_kinds, require_both
 from srt.recording.atomic_file import atomic_write_text
+from srt.result.json_file import load_json_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -451,21 +452,7 @@ def load_mount_alignment(path: str | PathLike[str]) -> MountAlignment:
     InputError
         If the file cannot be read, is no mount alignment, is of another version, or is not consistent.
     """
-    try:
-        with open(path, encoding="utf-8") as file:  # noqa: PTH123 - any path-like is welcome
-            document = json.load(file)
-    except OSError as error:
-        raise InputError(f"The mount alignment {path} cannot be read: {error.strerror}.") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"The mount alignment {path} is not valid JSON ({error}): is it truncated?") from None
-    try:
-        return _from_dict(document)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{path} is not a complete mount alignment ({type(error).__name__}: {error}); it was edited or truncated."
-        ) from None
+    return load_json_file(path, "mount alignment", _from_dict)
 
 
 def _from_dict(document: dict[str, Any]) -> MountAlignment:

@@ -17,6 +17,7 @@ import numpy as np
 from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_write_text
 from srt.result.applier import BLOCK, Applier
+from srt.result.json_file import load_json_file
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 
 if TYPE_CHECKING:
@@ -243,21 +244,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     InputError
         If the file cannot be read, is no calibration, is of another version, or is not consistent.
     """
-    try:
-        with open(path, encoding="utf-8") as file:  # noqa: PTH123 - any path-like is welcome
-            document = json.load(file)
-    except OSError as error:
-        raise InputError(f"The calibration {path} cannot be read: {error.strerror}.") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"The calibration {path} is not valid JSON ({error}): is it truncated?") from None
-    try:
-        return _from_dict(document)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path} is not a complete calibration ({type(error).__name__}: {error}); it was edited or truncated."
-        ) from None
+    return load_json_file(path, "calibration", _from_dict)
 
 
 def _from_dict(document: dict[str, Any]) -> Calibration:

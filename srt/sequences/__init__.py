@@ -1,1 +1,1 @@
-"""From a recording to prepared sequences: stationary windows, manoeuvres, recognition, window means, unusable data."""
+"""Recordings prepared as sequences: stationary windows, manoeuvres, recognition, window means, unusable data."""

@@ -25,7 +25,7 @@ from srt.comparison.outliers import (
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 NO_SIGMA = 1e-9
-"""Of units whose spread is 1: it changes no digit that counts."""
+"""Tolerance for units whose spread is 1; it changes no digit that counts."""
 
 
 def flags_of_fleets(rng, units, fleets, *, spread=1.0, sigma=None):

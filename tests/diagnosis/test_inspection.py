@@ -1,4 +1,4 @@
-"""What an inspection finds in simulated and recorded data, and its picture."""
+"""Findings of an inspection in simulated and recorded data, and its picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is claimed of the closed form, on simulated units: exactness, fixture errors, large errors, honest sigmas.
+"""Claims of the closed form on simulated units: exactness, fixture errors, large errors, honest sigmas.
 
 Each claim is tested in a small form here and in full, with ``-m slow``, over the number of draws that it is stated for.
 Bounds are the claims themselves, or statistical: value plus 3.5 standard errors of the sample size used.

@@ -20,7 +20,7 @@ EPS = np.finfo(float).eps
 G = 9.80665
 ALL = np.ones(N_PARAMETERS, dtype=bool)
 AGREE = 1e-9
-"""Of a sigma, and of a correlation."""
+"""Tolerances of a sigma and of a correlation."""
 RESOLVED = (1e-18, 1e-9)
 """Largest negligible correction, absolute and in sigmas."""
 

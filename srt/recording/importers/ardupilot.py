@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, did_you_mean
+from srt.exceptions import InputError
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
-from srt.recording.importers.log_streams import Stream, choose_instance, join, to_imported
+from srt.recording.importers.log_streams import Stream, choose_instance, join, require_topic, to_imported
 from srt.recording.importers.parser_errors import clear_errors
 
 if TYPE_CHECKING:
@@ -119,11 +119,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     InputError
     """
     wanted = options.topic
-    if wanted is not None and wanted not in TOPICS:
-        raise InputError(
-            f"{option('topic')} is {wanted!r}{did_you_mean(wanted, TOPICS)}, but a log is read from one of "
-            f"{', '.join(TOPICS)}."
-        )
+    require_topic(wanted, TOPICS)
     log = _Log(path, _tables(path))
     complete = [topic for topic, parts in TOPICS.items() if all(log.instances(message) for message, _ in parts)]
     if not complete or wanted not in (None, *complete):

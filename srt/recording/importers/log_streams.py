@@ -12,7 +12,7 @@ from srt.recording.import_options import option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, join_streams, samples_in_si
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from srt.recording.import_options import ImportOptions
@@ -92,6 +92,16 @@ def choose(path: Path, what: str, counts: Mapping[str, int], wanted: str | None,
     if len(counts) > 1:
         notes.append(f"Several IMUs there: {there}; {what} {chosen} was read. Choose another with {how}.")
     return chosen
+
+
+def require_topic(wanted: str | None, topics: Iterable[str]) -> None:
+    """Require that the topic asked for, if any, is one that the format reads. Raises InputError otherwise."""
+    topics = tuple(topics)
+    if wanted is not None and wanted not in topics:
+        raise InputError(
+            f"{option('topic')} is {wanted!r}{did_you_mean(wanted, topics)}, but a log is read from one of "
+            f"{', '.join(topics)}."
+        )
 
 
 def choose_instance(path: Path, topic: str, there: list[int], wanted: int | None, notes: list[str]) -> int:

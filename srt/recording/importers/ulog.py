@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, did_you_mean
+from srt.exceptions import InputError
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
-from srt.recording.importers.log_streams import Stream, choose_instance, join, to_imported
+from srt.recording.importers.log_streams import Stream, choose_instance, join, require_topic, to_imported
 from srt.recording.importers.parser_errors import clear_errors
 
 if TYPE_CHECKING:
@@ -117,11 +117,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     InputError
     """
     wanted = options.topic
-    if wanted is not None and wanted not in TOPICS:
-        raise InputError(
-            f"{option('topic')} is {wanted!r}{did_you_mean(wanted, TOPICS)}, but a log is read from one "
-            f"of {', '.join(TOPICS)}."
-        )
+    require_topic(wanted, TOPICS)
     log = _parse(path)
     notes: list[str] = []
     if log.damaged:
