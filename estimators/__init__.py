@@ -6,7 +6,7 @@ An estimator is a function ``(recording, options, progress) -> srt.Calibration``
 not share the code that it checks.
 
 One :class:`~estimators.joint_model.JointModel` has the unknowns, measurements and noise of a recording;
-:mod:`~estimators.linearisation` makes a linear system of it; a :class:`~estimators.solver.Solver` solves that, and
+:mod:`~estimators.linearisation` makes a linear system of it; a :class:`~estimators.solver.JointSolver` solves that, and
 :mod:`~estimators.iteration` repeats both until the correction is negligible.
 
 To add an estimator, see "Add an estimator" in docs/estimators.md. Three other places list estimators by name:

@@ -19,7 +19,7 @@ from scipy.special import chdtri
 from estimators.factor_graph import FactorGraph
 from estimators.iteration import default_prior, run
 from estimators.joint_model import open_joint_model
-from estimators.solver import LinearSolution, Solver
+from estimators.solver import JointSolver, LinearSolution
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
     return GraphSolution(net.optimize(), inverse @ inverse.T, keys)
 
 
-class GraphSolver(Solver):
+class GraphSolver(JointSolver):
     """Relinearised factor graph; with a robust loss, iteratively reweighted."""
 
     name = "graph"

@@ -1,8 +1,8 @@
 """Gauss-Newton iteration of the joint model, and the calibration from its solution.
 
 Each iteration re-processes (plays back, Savage 2020, §8) the recorded data. Kalman filter and factor graph differ only
-in their :class:`~estimators.solver.Solver`: compensation, observability, convergence, goodness of fit and the result
-are the same.
+in their :class:`~estimators.solver.JointSolver`: compensation, observability, convergence, goodness of fit and the
+result are the same.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import deletion_table, unmodelled_noise
 from estimators.solution_analysis import FixedParameters, analyse_solution, make_calibration, with_prior
-from estimators.solver import IterationState, Solver
+from estimators.solver import IterationState, JointSolver
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
@@ -93,7 +93,7 @@ def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> J
 
 def iterate(
     joint: JointModel,
-    solver: Solver,
+    solver: JointSolver,
     iteration: IterationState,
     *,
     requested: Mask,
@@ -106,7 +106,7 @@ def iterate(
     Parameters
     ----------
     joint : JointModel
-    solver : Solver
+    solver : JointSolver
     iteration : IterationState
         Initial state and free parameters.
     requested : ndarray of bool, shape (27,)
@@ -175,7 +175,7 @@ def _compensate(
 
 def _correct(
     joint: JointModel,
-    solver: Solver,
+    solver: JointSolver,
     iteration: IterationState,
     linearisation: tuple[JointState, LinearSystem],
     max_step: float,
@@ -231,7 +231,7 @@ def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
     return admit(left * admission_sigma(), ~requested)
 
 
-def run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibration:
+def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
     """Calibrate with a solver.
 
     Linear algebra runs in one thread: with matrices of a few hundred rows, more threads give no gain, and on a busy
@@ -247,7 +247,7 @@ def run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibra
         return _run(joint, solver, progress)
 
 
-def _run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibration:
+def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
     options = joint.options
     requested = np.array([name in options.fixed_names for name in NAMES])
     uncertain = fixed_sigma(joint.data, options)
@@ -279,7 +279,7 @@ def _run(joint: JointModel, solver: Solver, progress: Progress | None) -> Calibr
     return make_calibration(joint, solver, iteration, fixed, diagnostics)
 
 
-def _add_unmodelled_noise(joint: JointModel, solver: Solver, iteration: IterationState) -> bool:
+def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
     """Estimate unmodelled errors if the residuals of several sequences exceed their noise; True if the noise changed.
 
     If one sequence explains the misfit, that sequence is faulty: a warning names it, and no noise is added. A robust

@@ -23,7 +23,7 @@ from estimators.iteration import apply_correction
 from estimators.linear_system import N_ERRORS, attitude_columns
 from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances, global_columns
-from estimators.solver import LinearSolution, Solver
+from estimators.solver import JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
 from srt.sensor_errors import N_PARAMETERS
 
@@ -230,7 +230,7 @@ def _take_mean(ekf: SquareRootFilter | CovarianceFilter, bias: Array, axes: Indi
     ekf.propagate(F)
 
 
-class KalmanSolver(Solver):
+class KalmanSolver(JointSolver):
     """Kalman filter as a solver: passes over all sequences, each from the prior."""
 
     name = "ekf"

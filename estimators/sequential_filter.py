@@ -27,7 +27,7 @@ from estimators.linear_system import attitude_columns
 from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances, global_columns
 from estimators.solution_analysis import FixedParameters, make_calibration, with_prior
-from estimators.solver import IterationState, LinearSolution, Solver
+from estimators.solver import IterationState, JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.exceptions import InputError
@@ -80,7 +80,7 @@ class SequenceUpdate:
     innovations: Array
 
 
-class SequentialFilter(Solver):
+class SequentialFilter(JointSolver):
     """Filter that processes each sequence once, linearised about the running estimate.
 
     Parameters

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from estimators.dense_solution import DenseSolution
     from estimators.joint_model import JointModel
     from estimators.linear_system import LinearSystem
-    from estimators.solver import IterationState, Solver
+    from estimators.solver import IterationState, JointSolver
     from srt.estimation.leave_one_out import SequenceDiagnostics
     from srt.result.calibration import Calibration, Residual
     from srt.types import Array, Mask
@@ -51,7 +51,7 @@ class FixedParameters:
 
 def make_calibration(
     joint: JointModel,
-    solver: Solver,
+    solver: JointSolver,
     iteration: IterationState,
     fixed: FixedParameters,
     diagnostics: dict[str, Any],
@@ -131,7 +131,7 @@ class SolutionAnalysis:
 
 
 def analyse_solution(
-    joint: JointModel, solver: Solver, iteration: IterationState, uncertain: Array
+    joint: JointModel, solver: JointSolver, iteration: IterationState, uncertain: Array
 ) -> SolutionAnalysis:
     """Analyse the final solution of an iteration; ``uncertain`` is the sigma of the fixed values."""
     nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
@@ -182,7 +182,7 @@ def analyse_solution(
     )
 
 
-def with_prior(joint: JointModel, solver: Solver, iteration: IterationState) -> LinearSystem:
+def with_prior(joint: JointModel, solver: JointSolver, iteration: IterationState) -> LinearSystem:
     """Last linearised system, with the rows of the sensor errors' prior."""
     assert iteration.system is not None
     if solver.prior is None:

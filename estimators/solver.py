@@ -39,7 +39,7 @@ class LinearSolution:
     covariance: Array
 
 
-class Solver(ABC):
+class JointSolver(ABC):
     """Solver of the linearised joint model.
 
     Attributes

@@ -1,8 +1,8 @@
-"""Array types by element; docstrings state the shapes."""
+"""Types that all modules share: arrays by element (docstrings state the shapes), and the two sensors of an IMU."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,3 +18,6 @@ Indices: TypeAlias = NDArray[np.intp]
 
 Counts: TypeAlias = NDArray[np.int64]
 """Integers that are counted or stored, of the same size on all platforms."""
+
+Sensor: TypeAlias = Literal["gyro", "accel"]
+"""Triad of an IMU."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from sims.physics.fixture import FixtureDraw
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording
-    from srt.types import Array
-
-Sensor = Literal["gyro", "accel"]
+    from srt.types import Array, Sensor
 
 
 def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike) -> TrueMotion:

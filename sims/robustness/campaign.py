@@ -24,11 +24,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from sims.physics.sequences import TABLE_1
 from sims.scenarios import library
-from sims.scenarios.scenario import Finite, Flag, Scenario, scenario_from_dict, validation_sentence
+from sims.scenarios.scenario import Finite, Flag, Scenario, TomlTable, scenario_from_dict, validation_sentence
 from srt.estimation.options import Options
 from srt.estimation.registry import find_estimator
 from srt.exceptions import InputError, did_you_mean
@@ -104,11 +104,7 @@ AXES: Final[Mapping[str, AxisDefinition]] = {
 }
 
 
-class _TomlTable(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class CampaignTable(_TomlTable):
+class CampaignTable(TomlTable):
     """Table [campaign]."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -120,7 +116,7 @@ class CampaignTable(_TomlTable):
     """True: also iterate from the true errors, to detect wrong minima; False: the status is not verified."""
 
 
-class RandomTable(_TomlTable):
+class RandomTable(TomlTable):
     """Distribution from which every trial draws a quantity."""
 
     low: Finite | None = None
@@ -156,11 +152,11 @@ class RandomTable(_TomlTable):
         return f"{self.low:g} to {self.high:g}" + (", log" if self.log else "")
 
 
-class _Campaign(_TomlTable):
+class _CampaignFile(TomlTable):
     campaign: CampaignTable
     scenario: dict[str, Any]
-    grid: dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]] = {}
-    random: dict[str, RandomTable] = {}
+    grid: dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    random: dict[str, RandomTable] = Field(default_factory=dict)
     estimator: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)]
 
 
@@ -290,9 +286,9 @@ def load_campaign(path: str | Path) -> Campaign:
     file = library.find("robustness", path)
     tables = library.read_toml(file)
     try:
-        read = _Campaign.model_validate(tables)
+        read = _CampaignFile.model_validate(tables)
     except ValidationError as error:
-        raise InputError(f"{file.name}: {validation_sentence(error, _Campaign)}") from None
+        raise InputError(f"{file.name}: {validation_sentence(error, _CampaignFile)}") from None
     estimators = tuple(_estimator(table, file.name) for table in read.estimator)
     labels = [e.label for e in estimators]
     twice = next((label for label in labels if labels.count(label) > 1), None)

@@ -69,7 +69,7 @@ PPM = 1e-6
 
 
 class TomlTable(BaseModel):
-    """A table of a scenario: frozen, and strict about its keys."""
+    """A table of a scenario, a plan or a campaign: frozen, and strict about its keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

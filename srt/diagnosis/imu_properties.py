@@ -11,7 +11,7 @@ noisier than the others is excluded.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri, stdtrit
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices, Mask, Sensor
 
 
 BENCH_C: Final = (-60.0, 90.0)
@@ -186,8 +186,6 @@ def _of_g_sensitivity(data: PreparedRecording, fit: StationaryRateFit) -> float:
     assert len(samples) > 0
     return float(np.max(fit.g_sensitivity_sigma)) * duration / (2.0 * np.pi)
 
-
-Sensor = Literal["gyro", "accel"]
 
 SHORTEST_S: Final = 0.05
 """Shortest averages that show the random walk, s."""

@@ -77,8 +77,8 @@ def nominal_end_attitude(sequence: RotationSequence) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RotationIntegrals:
-    """Raw integrals of each sequence.
+class RawIntegrals:
+    """Raw readings of each sequence, integrated over the rotation and averaged over the windows.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class RotationIntegrals:
 
 
 @computed_once
-def rotation_integrals(evidence: Evidence) -> RotationIntegrals | None:
+def raw_integrals(evidence: Evidence) -> RawIntegrals | None:
     """Integrals of all sequences; None if there are none."""
     data = evidence.data
     if data is None:
@@ -110,11 +110,11 @@ def rotation_integrals(evidence: Evidence) -> RotationIntegrals | None:
         signed[k] = angle.sum(axis=0)
         absolute[k] = np.abs(angle, out=angle).sum(axis=0)
     force = evidence.stationary_force
-    return RotationIntegrals(signed, absolute, force[data.start], force[data.end])
+    return RawIntegrals(signed, absolute, force[data.start], force[data.end])
 
 
 @cache
-def nominal_rotation_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, Array]:
+def nominal_integrals(sequence: RotationSequence) -> tuple[Array, Array, Array, Array]:
     """Integrals of a sequence for a perfect IMU: signed and absolute (rad), and up before and after it."""
     vectors = sequence.axes * sequence.angles_rad[:, None]
     up = -nominal_attitude(sequence)[2]

@@ -13,10 +13,10 @@ from srt.diagnosis.rotation_readings import (
     block_averages,
     computed_once,
     invert_readings,
-    nominal_rotation_integrals,
+    nominal_integrals,
+    raw_integrals,
     raw_triads,
     rotation_angles,
-    rotation_integrals,
     stabilised_force,
 )
 from srt.exceptions import DataError
@@ -182,13 +182,13 @@ def rotations_against_labels(evidence: Evidence) -> Iterator[Finding]:
 
 def _exchanged(evidence: Evidence) -> dict[int, str]:
     """Sequences whose rotations and verticals are those of another sequence of Table 1, by number, with its name."""
-    data, seen = evidence.data, rotation_integrals(evidence)
+    data, seen = evidence.data, raw_integrals(evidence)
     assert data is not None
     assert seen is not None
     places = [k for k, name in enumerate(data.ids) if name in SEQUENCES]
     if not places:
         return {}
-    table = [nominal_rotation_integrals(sequence) for sequence in SEQUENCES.values()]
+    table = [nominal_integrals(sequence) for sequence in SEQUENCES.values()]
     signed, absolute, before, after = (np.array([row[i] for row in table]) for i in range(4))
     names = list(SEQUENCES)
     own = np.array([names.index(data.ids[k]) for k in places])

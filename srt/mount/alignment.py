@@ -209,7 +209,7 @@ def align_mount(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
+class _PoseFit:
     """Weighted least-squares solution of the equations of all poses, one row per measured direction cosine.
 
     Attributes
@@ -238,9 +238,7 @@ class _Solution:
     whitener: Array
 
 
-def _solve(
-    f: Array, kind: Array, R: Mapping[str, Array], *, level_sigma_rad: float, axis_sigma_rad: float
-) -> _Solution:
+def _solve(f: Array, kind: Array, R: Mapping[str, Array], *, level_sigma_rad: float, axis_sigma_rad: float) -> _PoseFit:
     """Solve the equations of the poses by Gauss-Newton iteration."""
     size = np.linalg.norm(f, axis=1)
     b = -f / size[:, None]
@@ -265,7 +263,7 @@ def _solve(
         if np.abs(nu).max() < _CONVERGED_RAD:
             break
     m = b @ C
-    return _Solution(C, m, pose, m[pose, axis], gain, errors, whitener)
+    return _PoseFit(C, m, pose, m[pose, axis], gain, errors, whitener)
 
 
 def mount_from_calibration(calibration: Calibration) -> MountAlignment:
@@ -374,7 +372,7 @@ def _whitener(R: Array) -> Array:
     return np.asarray(np.linalg.solve(L, np.diag(scale)))
 
 
-def _repeatability(solution: _Solution, names: list[str]) -> tuple[str, ...]:
+def _repeatability(solution: _PoseFit, names: list[str]) -> tuple[str, ...]:
     """Refuse poses that contradict each other beyond the levelling; warn beyond noise and calibration."""
     without_levelling = _whitener(np.asarray(sum(solution.errors.values())))
     residual = solution.residual

@@ -200,7 +200,7 @@ def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], f
 
 
 @dataclass(frozen=True, slots=True)
-class _Step:
+class _LargestStep:
     """Largest step in a window: its gain in chi-square, the largest gain away from it, and the sample after it."""
 
     gain: float = 0.0
@@ -208,13 +208,13 @@ class _Step:
     at: int = 0
 
 
-def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Step:
+def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _LargestStep:
     dt = recording.nominal_interval_s
     size = max(1, round(_CHUNK_S / dt))
     count = (b - a) // size
     span = min(_MOST_CHUNKS, count // 4)
     if span < 2:
-        return _Step()
+        return _LargestStep()
     mean = _chunks(recording, a, size, count)
     steps = np.diff(mean, axis=0) ** 2
     # Noise from successive means; the largest difference of a channel is excluded, as it may be the jump.
@@ -233,7 +233,7 @@ def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Step:
     best = int(np.argmax(gain))
     elsewhere = gain[np.abs(np.arange(len(gain)) - best) > span]
     lo, hi = a + size * max(0, best + span - 1), a + size * min(count, best + span + 2)
-    return _Step(float(gain[best]), float(elsewhere.max(initial=0.0)), best_join(recording, lo, hi)[0])
+    return _LargestStep(float(gain[best]), float(elsewhere.max(initial=0.0)), best_join(recording, lo, hi)[0])
 
 
 def best_join(recording: Recording, a: int, b: int) -> tuple[int, float]:

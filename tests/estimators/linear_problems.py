@@ -14,7 +14,7 @@ pytest.importorskip("gtsam")
 from estimators.dense_solution import solve
 from estimators.iteration import iterate
 from estimators.linearisation import linearise
-from estimators.solver import IterationState, LinearSolution, Solver
+from estimators.solver import IterationState, JointSolver, LinearSolution
 
 EPS = np.finfo(float).eps
 G = 9.80665
@@ -28,7 +28,7 @@ IN_G = np.ones(N_PARAMETERS)
 IN_G[GROUP_SLICES["accel_bias"]] = G
 
 
-class SolveStep(Solver):
+class SolveStep(JointSolver):
     """The linearised problem solved at once, with numpy alone."""
 
     name = "solve"

@@ -58,7 +58,7 @@ _LONGEST_LINE = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Log:
+class _LogMessages:
     """Messages of a log that hold samples of an IMU.
 
     Attributes
@@ -120,7 +120,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     """
     wanted = options.topic
     require_topic(wanted, TOPICS)
-    log = _Log(path, _tables(path))
+    log = _LogMessages(path, _tables(path))
     complete = [topic for topic, parts in TOPICS.items() if all(log.instances(message) for message, _ in parts)]
     if not complete or wanted not in (None, *complete):
         there = ", ".join(sorted(log.tables)) or "none of them"

@@ -56,7 +56,7 @@ _DURATION_MISMATCH = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Log:
+class _LogTopics:
     """Topics of a parsed log.
 
     Attributes
@@ -136,7 +136,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     return to_imported(stream, options, notes, serial=serial if isinstance(serial, str) else None, **more)
 
 
-def _combined(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
+def _combined(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
     """Gyro means at their stamps, accelerometers at theirs."""
     notes.append(f"PX4 has calibrated {COMBINED}: the errors found here are the residuals of that calibration.")
     stamps = log.stamps(COMBINED, instance)
@@ -157,7 +157,7 @@ def _combined(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dict[
     return join(*pair, notes), {}
 
 
-def _increments(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
+def _increments(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
     notes.append(f"PX4 has calibrated {INCREMENTS}: the errors found here are the residuals of that calibration.")
     values = [log.column(INCREMENTS, instance, *_triad(name)) for name in ("delta_angle", "delta_velocity")]
     spans = [log.column(INCREMENTS, instance, name) for name in ("delta_angle_dt", "delta_velocity_dt")]
@@ -173,7 +173,7 @@ def _increments(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dic
     return stream, {"kind": "increment", "units": ("rad", "m/s")}
 
 
-def _apart(log: _Log, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
+def _apart(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
     """Gyros and accelerometers as their drivers give them."""
     accels = log.instances(ACCEL)
     other = instance if instance in accels else accels[0]
@@ -194,14 +194,14 @@ def _triad(name: str) -> tuple[str, ...]:
 _READERS: Final = {COMBINED: _combined, INCREMENTS: _increments, GYRO: _apart}
 
 
-def _parse(path: Path) -> _Log:
+def _parse(path: Path) -> _LogTopics:
     """Parse the topics of an IMU."""
     from pyulog import ULog
 
     with clear_errors(path, _TITLE):
         log = ULog(str(path), sorted({part for parts in TOPICS.values() for part in parts}))
     data = {(each.name, each.multi_id): each.data for each in log.data_list}
-    return _Log(path, data, log.msg_info_dict, bool(log.file_corruption))
+    return _LogTopics(path, data, log.msg_info_dict, bool(log.file_corruption))
 
 
 def _sniff(path: Path) -> bool:
