@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import check, finding
+from srt.diagnosis.rotation_readings import rotation_angles
+from srt.diagnosis.triad_fits import accel_fit, gyro_fit
 from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
@@ -211,18 +213,18 @@ def nearest_axes(matrix: Array) -> Array | None:
 
 def gyro_axes(evidence: Evidence) -> Array | None:
     """Signed permutation Pg of the gyros by the stated rotations; None if they do not determine it."""
-    if evidence.data is None or evidence.gyro_fit.rank < 3:
+    if evidence.data is None or gyro_fit(evidence).rank < 3:
         return None
-    _, _, turned = evidence.rotation_angles
-    return nearest_axes(evidence.gyro_fit.matrix) if _fits(evidence.gyro_fit.residual, turned) else None
+    _, _, turned = rotation_angles(evidence)
+    return nearest_axes(gyro_fit(evidence).matrix) if _fits(gyro_fit(evidence).residual, turned) else None
 
 
 def accel_axes(evidence: Evidence) -> Array | None:
     """Signed permutation Pa of the accelerometers by the stated poses; None if they do not determine it."""
-    if evidence.data is None or evidence.accel_fit.rank < 3:
+    if evidence.data is None or accel_fit(evidence).rank < 3:
         return None
     _, reading = evidence.poses
-    fit = evidence.accel_fit
+    fit = accel_fit(evidence)
     return nearest_axes(fit.matrix) if _fits(fit.residual, reading - fit.offset) else None
 
 

@@ -6,9 +6,8 @@ declared units; ``rate`` and ``force`` are rates for both kinds of recording.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,33 +22,7 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.sequences.preparation import PreparedRecording
     from srt.sequences.recognition import Recognition
-    from srt.types import Array, Indices, Mask
-
-
-_RIDGE: Final = 1e-9
-"""Relative singular value below which a direction counts as not observed; far above rounding, below any rotation."""
-_RANK: Final = 0.1
-"""Singular value of the unit vectors below which they do not span a direction: it lies within 6° of the others."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearFit:
-    """Least-squares fit of readings to nominal vectors, ``reading ≈ matrix @ nominal + offset``.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (3, 3)
-        Identity for a perfect IMU in the nominal frame.
-    offset : ndarray, shape (3,)
-    residual : ndarray, shape (n, 3)
-    rank : int
-        3 when the nominal vectors span space.
-    """
-
-    matrix: Array
-    offset: Array
-    residual: Array
-    rank: int
+    from srt.types import Array, Mask
 
 
 class Evidence:
@@ -173,49 +146,6 @@ class Evidence:
         """Mean accelerometer reading of each window, shape (W, 3), m/s²."""
         return self._data.windows.accel_mean
 
-    # --- rotations ---------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def rotation_angles(self) -> tuple[Indices, Array, Array]:
-        """Rotations of the sequences of Table 1 that can be separated.
-
-        Returns
-        -------
-        sequence : ndarray of int, shape (L,)
-        nominal, turned : ndarray, shape (L, 3), rad
-            Stated rotation (signed angle times axis), and integral of the gyro reading less the mean of both windows.
-        """
-        from srt.estimation.initial_estimates import rotation_angles
-        from srt.model.analytic_platform import gyro_stream
-
-        data = self._data
-        stream = gyro_stream(
-            self.recording.gyro,
-            self.recording.interval_s,
-            data.rotation,
-            data.rotation,
-            rates=self.recording.kind == "rate",
-        )
-        rest = data.windows.gyro_mean
-        numbers, nominal, turned = [], [], []
-        for k, sequence in enumerate(data.catalogue):
-            if sequence is None or not self.contiguous[k]:
-                continue
-            split = rotation_angles(stream, k, sequence, 0.5 * (rest[data.start[k]] + rest[data.end[k]]))
-            if split is not None:
-                numbers.append(np.full(len(split), k))
-                nominal.append(sequence.axes * sequence.angles_rad[:, None])
-                turned.append(split)
-        if not numbers:
-            return np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3))
-        return np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned)
-
-    @cached_property
-    def gyro_fit(self) -> LinearFit:
-        """Measured against stated rotations: raw gyro matrix in the nominal frame; residuals in rad."""
-        _, nominal, turned = self.rotation_angles
-        return _fit(nominal, turned, with_offset=False)
-
     @cached_property
     def poses(self) -> tuple[Array, Array]:
         """Nominal specific force and raw mean reading at start and end of each sequence of Table 1, (2 K', 3), m/s²."""
@@ -229,11 +159,6 @@ class Evidence:
             reading += [self.stationary_force[data.start[k]], self.stationary_force[data.end[k]]]
         return np.array(nominal).reshape(-1, 3), np.array(reading).reshape(-1, 3)
 
-    @cached_property
-    def accel_fit(self) -> LinearFit:
-        """Stationary readings against the nominal vertical: raw accelerometer matrix and bias, m/s²."""
-        return _fit(*self.poses, with_offset=True)
-
     # --- calibration -------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -246,18 +171,6 @@ class Evidence:
             return find_estimator(automatic_estimator(recording))(recording, self.options)
         except (DataError, np.linalg.LinAlgError):
             return None
-
-
-def _fit(x: Array, y: Array, *, with_offset: bool) -> LinearFit:
-    if len(x) == 0:
-        return LinearFit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
-    scale = float(np.linalg.norm(x, axis=1).mean())
-    design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_offset else x / scale
-    rank = int(np.linalg.matrix_rank(x / scale, tol=_RANK))
-    solution = np.linalg.lstsq(design, y, rcond=_RIDGE)[0]
-    matrix = solution[:3].T / scale
-    offset = solution[3] if with_offset else np.zeros(3)
-    return LinearFit(np.asarray(matrix), np.asarray(offset), np.asarray(y - design @ solution), rank)
 
 
 def plain(value: Any) -> Any:

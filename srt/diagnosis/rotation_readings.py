@@ -1,20 +1,15 @@
-"""Readings of the rotations: integrals, raw triads by robust fits, and gyro-stabilised specific force.
-
-No single label is trusted: the fits minimise absolute deviations, so that a few sequences that were run otherwise than
-labelled do not bias them.
-"""
+"""Readings of the rotations: integrals, means over blocks, and the measured angles of single rotations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, wraps
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
-from srt.model import rotations
-from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
 from srt.sequences.preparation import nominal_attitude
 
 if TYPE_CHECKING:
@@ -32,16 +27,10 @@ _STEP_S: Final = 0.01
 """Length of a block of samples, s: a rotation at 1 rad/s covers 10 mrad in it."""
 _MARGIN_S: Final = 0.5
 """Stationary time used before and after a rotation, s."""
-_MOVING: Final = 0.2
-"""Share of a sequence's highest rate above which it rotates."""
-_SHORTEST_RUN: Final = 0.02
-"""Smallest share of a sequence's duration that a rotation takes."""
 _ROUNDS: Final = 12
 """Reweightings of a robust fit."""
 _MANY_WINDOWS: Final = 12
 """Windows, fewer of which do not give a g-sensitivity: three times the unknowns, one bias and three slopes."""
-_SOUND: Final = 10.0
-"""Condition number of a triad's matrix above which its fit has failed."""
 
 
 def computed_once(work: Callable[[Evidence], _T]) -> Callable[[Evidence], _T]:
@@ -200,7 +189,8 @@ def block_averages(evidence: Evidence) -> BlockAverages | None:
 def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
     """Rotations of the sequences that have as many of them as their label.
 
-    A rotation begins where the axis changes, or after a pause between two about one axis.
+    A rotation begins where the axis changes, or after a pause between two about one axis. Sequences with a gap are left
+    out.
 
     Returns
     -------
@@ -217,57 +207,15 @@ def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
         sequence = data.catalogue[k]
         if sequence is None:
             continue
-        cuts = _cuts(path.rate[s:e])
+        size = np.abs(path.rate[s:e])
+        speed = size.max(axis=1)
+        mark = np.where(speed > MOVING * speed.max(), np.argmax(size, axis=1), -1)
+        cuts = leg_borders(mark, through_stops=False)[:-1]
         if len(cuts) == len(sequence.rotations):
             numbers.append(np.full(len(cuts), k))
             nominal.append(sequence.axes * sequence.angles_rad[:, None])
             turned.append(np.add.reduceat(path.rate[s:e], cuts, axis=0) * path.step_s)
     return np.concatenate(numbers), np.concatenate(nominal), np.concatenate(turned)
-
-
-def _cuts(rate: Array) -> Indices:
-    """First block of each rotation of a sequence; the first rotation starts at block 0."""
-    size = np.abs(rate)
-    speed = size.max(axis=1)
-    axis = np.where(speed > _MOVING * speed.max(), np.argmax(size, axis=1), -1)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1, [len(axis)]])
-    runs = [(a, b) for a, b in pairwise(edges.tolist()) if axis[a] >= 0 and b - a > _SHORTEST_RUN * len(axis)]
-    # A pause belongs half to the rotation before it and half to the one after it.
-    return np.array([0, *((before[1] + after[0]) // 2 for before, after in pairwise(runs))], dtype=np.intp)
-
-
-class RawTriads(NamedTuple):
-    """Raw reading over truth of both sensors: gyro matrix, accelerometer matrix, and accelerometer bias in m/s²."""
-
-    gyro: Array
-    accel: Array
-    accel_bias: Array
-
-
-@computed_once
-def raw_triads(evidence: Evidence) -> RawTriads:
-    """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame.
-
-    Identity and zero if the rotations are not stated, or cover too few directions.
-    """
-    gyro: Array = np.eye(3)
-    accel: Array = np.eye(3)
-    bias: Array = np.zeros(3)
-    if evidence.data is None:
-        return RawTriads(gyro, accel, bias)
-    _, nominal, turned = rotation_angles(evidence)
-    angle = np.linalg.norm(nominal, axis=1, keepdims=True)
-    if len(angle) and np.linalg.matrix_rank(nominal, tol=0.1) == 3:
-        # Divided by the angle, so that full rotations do not outweigh the half ones.
-        gyro = robust_fit(nominal / angle, turned / angle).T
-    vertical, reading = evidence.poses
-    gravity = evidence.data.gravity
-    design = np.hstack([vertical / gravity, np.ones((len(vertical), 1))])
-    if np.linalg.matrix_rank(design, tol=0.1) == 4:
-        solution = robust_fit(design, reading)
-        accel, bias = solution[:3].T / gravity, solution[3]
-    usable = all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel))
-    return RawTriads(gyro, accel, bias) if usable else RawTriads(np.eye(3), np.eye(3), np.zeros(3))
 
 
 def robust_fit(x: Array, y: Array) -> Array:
@@ -289,61 +237,3 @@ def robust_fit(x: Array, y: Array) -> Array:
         solution = np.asarray(np.linalg.lstsq(x * weight[:, None], y * weight[:, None], rcond=None)[0])
         weight = 1.0 / np.sqrt(np.maximum(np.linalg.norm(y - x @ solution, axis=1), floor))
     return np.asarray(solution, dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StabilisedForce:
-    """Gyro-stabilised specific force: transformed by the gyros to the frame at the start of each sequence, by block.
-
-    Attributes
-    ----------
-    attitude : ndarray, shape (m, 3, 3)
-        B to B_Strt at the middle of the block.
-    rate : ndarray, shape (m, 3), rad/s
-        In B, less the stationary mean.
-    force : ndarray, shape (m, 3)
-        In B, over gravity.
-    up : ndarray, shape (m, 3)
-        Measured vertical at the start of the block's sequence, unit vectors in B_Strt.
-    up_body : ndarray, shape (m, 3)
-        The same in B, by the gyros.
-    force_start : ndarray, shape (m, 3)
-        In B_Strt, over gravity; constant for a perfect IMU.
-    """
-
-    attitude: Array
-    rate: Array
-    force: Array
-    up: Array
-    up_body: Array
-    force_start: Array
-
-
-@computed_once
-def stabilised_force(evidence: Evidence) -> StabilisedForce | None:
-    """Gyro-stabilised specific force of all rotations; None if there are none."""
-    data, path = evidence.data, block_averages(evidence)
-    if data is None or path is None:
-        return None
-    gyro, accel, bias = raw_triads(evidence)
-    rate = invert_readings(gyro, path.rate)
-    angle = rate * path.step_s
-    attitude = _attitudes(angle, path.starts)
-    vertical = invert_readings(accel, evidence.stationary_force[data.start] - bias)
-    size = np.linalg.norm(vertical, axis=1, keepdims=True)
-    up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)
-    force = invert_readings(accel, path.force - bias) / data.gravity
-    up = up[path.sequence]
-    up_body = np.einsum("ma,mab->mb", up, attitude)
-    return StabilisedForce(attitude, rate, force, up, up_body, np.einsum("mab,mb->ma", attitude, force))
-
-
-def _attitudes(angle: Array, starts: Indices) -> Array:
-    """Attitude at the middle of each step of chains of rotation vectors, from the start of its chain, (n, 3, 3)."""
-    half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
-    ends = rotations.prefix_product(rotations.multiply(half, half))
-    begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
-    # One product over all chains: multiplied by the inverse at the start of each, and by half a step backwards.
-    back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
-    middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
-    return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))

@@ -15,14 +15,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from srt.diagnosis.findings import check, finding
-from srt.diagnosis.rotation_readings import (
-    BlockAverages,
-    StabilisedForce,
-    block_averages,
-    computed_once,
-    cross,
-    stabilised_force,
-)
+from srt.diagnosis.rotation_readings import BlockAverages, block_averages, computed_once, cross
+from srt.diagnosis.stabilised_force import StabilisedForce, stabilised_force
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

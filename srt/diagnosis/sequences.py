@@ -15,10 +15,10 @@ from srt.diagnosis.rotation_readings import (
     invert_readings,
     nominal_integrals,
     raw_integrals,
-    raw_triads,
     rotation_angles,
-    stabilised_force,
 )
+from srt.diagnosis.stabilised_force import stabilised_force
+from srt.diagnosis.triad_fits import raw_triads
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES

@@ -25,6 +25,7 @@ from scipy.special import fdtri, ndtri, stdtrit
 
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.findings import Finding, check, finding
+from srt.diagnosis.triad_fits import gyro_fit
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude
@@ -213,11 +214,11 @@ def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | Non
     chosen = np.unique(np.linspace(0, W - 1, min(W, _MOST_WINDOWS)).astype(int))
     rate, force = data.windows.gyro_mean[chosen], data.windows.accel_mean[chosen]
     poses = _poses(data)
-    known = poses is not None and evidence.gyro_fit.rank == 3
+    known = poses is not None and gyro_fit(evidence).rank == 3
     if known:
         assert poses is not None
         poses = poses[chosen]
-        turned = poses @ evidence.gyro_fit.matrix.T  # rows: base axes in uncompensated sensor axes
+        turned = poses @ gyro_fit(evidence).matrix.T  # rows: base axes in uncompensated sensor axes
         down = poses[:, 2]
     else:
         # Free rotations: the vertical is measured, the horizontal Earth rate counts as noise.

@@ -18,6 +18,8 @@ from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.axes import gravity_relation, manoeuvre_readings
 from srt.diagnosis.clipping import clipped_parts
 from srt.diagnosis.findings import check, finding
+from srt.diagnosis.rotation_readings import rotation_angles
+from srt.diagnosis.triad_fits import accel_fit
 from srt.sequences.plausibility import LEGAL_RATIO
 
 if TYPE_CHECKING:
@@ -173,7 +175,7 @@ def _first_turn(evidence: Evidence) -> str:
     """Name in messages of the first rotation compared."""
     if evidence.data is None:
         return "free rotations"
-    numbers, _, _ = evidence.rotation_angles
+    numbers, _, _ = rotation_angles(evidence)
     return evidence.title(int(numbers[0])) if len(numbers) else "free rotations"
 
 
@@ -300,7 +302,7 @@ def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
 def _by_labels(evidence: Evidence) -> ScaleRatios:
     if evidence.data is None:
         return UNKNOWN
-    _, nominal, turned = evidence.rotation_angles
+    _, nominal, turned = rotation_angles(evidence)
     if len(nominal) == 0:
         return UNKNOWN
     ratio = np.linalg.norm(turned, axis=1) / np.linalg.norm(nominal, axis=1)
@@ -324,7 +326,7 @@ def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
     typical = float(np.median(ratio))
     if not np.all(ratio > 0.0):
         return ScaleRatios(typical, _UNSEEN, math.inf)
-    fit = None if evidence.data is None else evidence.accel_fit
+    fit = None if evidence.data is None else accel_fit(evidence)
     if fit is None or fit.rank < 3:
         return ScaleRatios(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
     axes = np.linalg.norm(fit.matrix, axis=1)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import computed_once, invert_readings, nominal_end_attitude, raw_triads, robust_fit
+from srt.diagnosis.rotation_readings import computed_once, invert_readings, nominal_end_attitude, robust_fit
+from srt.diagnosis.triad_fits import raw_triads
 from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR
 from srt.noise.quantization import quantization_step
 

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.special import chdtri, fdtri, ndtri
 
 from srt.diagnosis.findings import check, finding
-from srt.diagnosis.rotation_readings import cross, invert_readings, raw_triads
+from srt.diagnosis.rotation_readings import cross, invert_readings
+from srt.diagnosis.triad_fits import raw_triads
 from srt.diagnosis.window_averages import (
     ACCEL,
     GYRO,

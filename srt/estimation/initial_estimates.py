@@ -33,7 +33,7 @@ from srt.model.analytic_platform import gyro_stream
 from srt.model.measurement_model import down_jacobian
 from srt.model.sensor_model import Triad, accel_triad, outside_model, to_mars
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
-from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
@@ -70,10 +70,6 @@ def initial_estimate(data: PreparedRecording, options: Options) -> tuple[SensorE
 
 _RIDGE: Final = 1e-6
 """Weight of the prior (a perfect triad) against one pose or one radian; it affects only what the data leave open."""
-_MOVING: Final = 0.2
-"""Share of the highest rate of a sequence above which a sample belongs to a rotation."""
-_SHORTEST: Final = 0.02
-"""Share of a sequence's duration below which a rotation counts as a disturbance."""
 
 
 def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[SensorErrors, Array]:
@@ -107,7 +103,7 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
         if legs is not None:
             turned.append(legs)
             angles.append(sequence.axes * sequence.angles_rad[:, None])
-    Mg = _fit_matrix(np.concatenate(angles), np.concatenate(turned)) if turned else np.eye(3)
+    Mg = _fit_triad(np.concatenate(angles), np.concatenate(turned))[0] if turned else np.eye(3)
     nominal = data.nominal
     if nominal is None:
         raise DataError("A start from the fixture needs nominal attitudes; this recording has none.")
@@ -116,7 +112,7 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     force = data.windows.accel_mean
     vertical = np.concatenate([down, down_end])
     readings = np.concatenate([force[data.start], force[data.end]])
-    Ma, accel_bias = _fit_affine(-data.gravity * vertical, readings, data.gravity)
+    Ma, accel_bias = _fit_triad(-data.gravity * vertical, readings, data.gravity, with_bias=True)
     if np.linalg.det(Mg) > 0.0 and np.linalg.det(Ma) <= 0.0:
         raise DataError(
             "The accelerometers come out left-handed against the gyros: " + _wrong_axes(Ma, "accelerometer")
@@ -133,7 +129,8 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
 def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:
     """Summed raw gyro increments of each rotation of sequence k, less bias, shape (number of rotations, 3), rad.
 
-    Returns None if the pauses between the rotations cannot be found.
+    Returns None if the pauses between the rotations cannot be found. They are the only mark here: axes do not count,
+    because they may be far from those of the table.
     """
     s, e = stream.rotation[k]
     increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
@@ -142,31 +139,23 @@ def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias
         whole: Array = increments.sum(axis=1)[None]
         return whole
     speed = np.linalg.norm(stream.smooth[:, s:e] / stream.interval_s[s:e] - bias[:, None], axis=0)
-    moving = speed > _MOVING * speed.max()
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(np.int8)))
-    begins, ends = edges[::2], edges[1::2]
-    long_enough = ends - begins > _SHORTEST * (e - s)
-    begins, ends = begins[long_enough], ends[long_enough]
-    if len(begins) != m:
+    borders = leg_borders(np.where(speed > MOVING * speed.max(), 0, -1), through_stops=False)
+    if len(borders) != m + 1:
         return None
-    middles = (ends[:-1] + begins[1:]) // 2
-    cuts = np.concatenate([[0], middles, [e - s]])
-    return np.stack([increments[:, a:b].sum(axis=1) for a, b in pairwise(cuts.tolist())])
+    return np.stack([increments[:, a:b].sum(axis=1) for a, b in pairwise(borders.tolist())])
 
 
-def _fit_matrix(x: Array, y: Array) -> Array:
-    """Least-squares solution M of y = M x, with a weak prior for directions that x lacks."""
-    A = np.concatenate([x, _RIDGE * np.eye(3)])
-    solution = np.linalg.lstsq(A, np.concatenate([y, _RIDGE * np.eye(3)]), rcond=None)[0]
-    return np.asarray(solution.T)
+def _fit_triad(x: Array, y: Array, scale: float = 1.0, *, with_bias: bool = False) -> tuple[Array, Array]:
+    """Least-squares solution M, b of y = M x + b with a weak prior; x and y are of size ``scale``, and b may be zero.
 
-
-def _fit_affine(x: Array, y: Array, scale: float) -> tuple[Array, Array]:
-    """Least-squares solution M, b of y = M x + b with a weak prior; x and y are of size ``scale``."""
-    A = np.concatenate([np.hstack([x / scale, np.ones((len(x), 1))]), _RIDGE * np.eye(4)])
-    prior = _RIDGE * np.concatenate([np.eye(3), np.zeros((1, 3))])
-    solution = np.linalg.lstsq(A, np.concatenate([y / scale, prior]), rcond=None)[0]
-    return solution[:3].T, solution[3] * scale
+    The prior makes it an initial estimate for every recording. The fits of the diagnosis answer other questions:
+    whether the labels explain the readings, and which triad most of them agree on (:mod:`srt.diagnosis.triad_fits`).
+    """
+    design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_bias else x / scale
+    n = design.shape[1]
+    A, target = np.concatenate([design, _RIDGE * np.eye(n)]), np.concatenate([y / scale, _RIDGE * np.eye(n, 3)])
+    solution = np.linalg.lstsq(A, target, rcond=None)[0]
+    return solution[:3].T, solution[3] * scale if with_bias else np.zeros(3)
 
 
 def _wrong_axes(M: Array, sensor: str) -> str:

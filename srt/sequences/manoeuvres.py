@@ -1,10 +1,17 @@
-"""Manoeuvres between stationary windows: their single-axis rotations (legs), and a check against the labels."""
+"""Manoeuvres between stationary windows: their single-axis rotations (legs), and a check against the labels.
+
+All manoeuvres are split by :func:`leg_borders`. The callers differ in what marks a leg: for unlabelled recordings the
+sensor axis and the sense (:func:`find_manoeuvre`), for labelled ones the pauses between the rotations
+(:func:`srt.estimation.initial_estimates.rotation_angles`) or, in the diagnosis, pauses and changes of axis
+(:func:`srt.diagnosis.rotation_readings.rotation_angles`).
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -27,6 +34,33 @@ _SMOOTH_S: Final = 0.05
 
 _SHORTEST: Final = 0.02
 """Share of a manoeuvre's duration below which a leg is a transient between two others."""
+
+
+def leg_borders(mark: Array, *, through_stops: bool) -> Indices:
+    """Borders of the legs of a manoeuvre, shape (m + 1,): every sample belongs to a leg.
+
+    A leg is a run of samples with one mark. The border between two legs is the middle of the gap between them.
+
+    Parameters
+    ----------
+    mark : ndarray of int, shape (n,)
+        Mark of each sample, for example the number of its axis; -1 where the unit does not rotate.
+    through_stops : bool
+        True: a stop does not end a leg, as the same mark follows it; False: it does.
+    """
+    rotating = np.flatnonzero(mark >= 0)
+    at = rotating if through_stops else np.arange(len(mark))
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(mark[at])) + 1, [len(at)]]).tolist()
+    legs: list[list[int]] = []
+    for a, b in pairwise(edges):
+        if b - a <= _SHORTEST * len(at) or mark[at[a]] < 0:
+            continue
+        if through_stops and legs and mark[legs[-1][0]] == mark[at[a]]:
+            legs[-1][1] = int(at[b - 1]) + 1
+        else:
+            legs.append([int(at[a]), int(at[b - 1]) + 1])
+    middles = [(before[1] + after[0]) // 2 for before, after in pairwise(legs)]
+    return np.array([0, *middles, len(mark)], dtype=np.intp)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +95,8 @@ class Manoeuvre:
 def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeuvre:
     """Split the turn after a window into legs.
 
-    A leg is a stretch in which the same sensor axis turns fastest, in the same sense: a fixture turns about one axis at
-    a time, and sensor axes lie within some tenths of a radian of the fixture's. A stop on the way does not end a leg.
+    In a leg one sensor axis turns fastest, in one sense: a fixture turns about one axis at a time, and sensor axes lie
+    within some tenths of a radian of the fixture's. A stop on the way does not end a leg.
 
     Parameters
     ----------
@@ -81,24 +115,9 @@ def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeu
         per_sample, max(1, round(_SMOOTH_S / recording.nominal_interval_s)), axis=0, mode="nearest"
     )
     speed = np.linalg.norm(smooth, axis=1)
-    moving = np.flatnonzero(speed > MOVING * speed.max())
-    axis = np.argmax(np.abs(smooth[moving]), axis=1)
-    sense = np.sign(smooth[moving, axis])
-    key = (axis * 2 + (sense > 0)).astype(np.int64)
-    cuts = np.flatnonzero(np.diff(key)) + 1
-    starts, stops = np.concatenate([[0], cuts]), np.append(cuts, len(key))
-    keep = stops - starts > _SHORTEST * len(moving)
-    bounds: list[list[int]] = []
-    names: list[int] = []
-    for lo, hi in zip(starts[keep].tolist(), stops[keep].tolist(), strict=True):
-        if names and names[-1] == key[lo]:
-            bounds[-1][1] = int(moving[hi - 1]) + 1
-        else:
-            bounds.append([int(moving[lo]), int(moving[hi - 1]) + 1])
-            names.append(int(key[lo]))
-    # Every sample belongs to a leg: the border is the middle of the gap between two legs.
-    middles = [(bounds[i][1] + bounds[i + 1][0]) // 2 for i in range(len(bounds) - 1)]
-    edges = np.array([0, *middles, b - a], dtype=np.intp)
+    axis = np.argmax(np.abs(smooth), axis=1)
+    positive = smooth[np.arange(len(smooth)), axis] > 0.0
+    edges = leg_borders(np.where(speed > MOVING * speed.max(), 2 * axis + positive, -1), through_stops=True)
     legs = np.add.reduceat(per_sample, edges[:-1], axis=0)
     return Manoeuvre(start, start + 1, a, b, legs, a + np.stack([edges[:-1], edges[1:]], axis=1))
 

@@ -1,0 +1,74 @@
+"""Gyro-stabilised specific force: that of the rotations, in the frame at the start of each sequence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt.diagnosis.rotation_readings import block_averages, computed_once, invert_readings
+from srt.diagnosis.triad_fits import raw_triads
+from srt.model import rotations
+
+if TYPE_CHECKING:
+    from srt.diagnosis.evidence import Evidence
+    from srt.types import Array, Indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StabilisedForce:
+    """Gyro-stabilised specific force: transformed by the gyros to the frame at the start of each sequence, by block.
+
+    Attributes
+    ----------
+    attitude : ndarray, shape (m, 3, 3)
+        B to B_Strt at the middle of the block.
+    rate : ndarray, shape (m, 3), rad/s
+        In B, less the stationary mean.
+    force : ndarray, shape (m, 3)
+        In B, over gravity.
+    up : ndarray, shape (m, 3)
+        Measured vertical at the start of the block's sequence, unit vectors in B_Strt.
+    up_body : ndarray, shape (m, 3)
+        The same in B, by the gyros.
+    force_start : ndarray, shape (m, 3)
+        In B_Strt, over gravity; constant for a perfect IMU.
+    """
+
+    attitude: Array
+    rate: Array
+    force: Array
+    up: Array
+    up_body: Array
+    force_start: Array
+
+
+@computed_once
+def stabilised_force(evidence: Evidence) -> StabilisedForce | None:
+    """Gyro-stabilised specific force of all rotations; None if there are none."""
+    data, path = evidence.data, block_averages(evidence)
+    if data is None or path is None:
+        return None
+    gyro, accel, bias = raw_triads(evidence)
+    rate = invert_readings(gyro, path.rate)
+    angle = rate * path.step_s
+    attitude = _attitudes(angle, path.starts)
+    vertical = invert_readings(accel, evidence.stationary_force[data.start] - bias)
+    size = np.linalg.norm(vertical, axis=1, keepdims=True)
+    up = np.divide(vertical, size, out=np.zeros_like(vertical), where=size > 0.0)
+    force = invert_readings(accel, path.force - bias) / data.gravity
+    up = up[path.sequence]
+    up_body = np.einsum("ma,mab->mb", up, attitude)
+    return StabilisedForce(attitude, rate, force, up, up_body, np.einsum("mab,mb->ma", attitude, force))
+
+
+def _attitudes(angle: Array, starts: Indices) -> Array:
+    """Attitude at the middle of each step of chains of rotation vectors, from the start of its chain, (n, 3, 3)."""
+    half = rotations.from_rotation_vector(np.ascontiguousarray(0.5 * angle.T))
+    ends = rotations.prefix_product(rotations.multiply(half, half))
+    begins = np.concatenate([[[1.0], [0.0]], ends[:, starts[1:-1] - 1]], axis=1)
+    # One product over all chains: multiplied by the inverse at the start of each, and by half a step backwards.
+    back = np.repeat(rotations.conjugate(begins), np.diff(starts), axis=1)
+    middle = rotations.multiply(rotations.multiply(back, ends), rotations.conjugate(half))
+    return np.ascontiguousarray(np.moveaxis(rotations.to_matrix(middle), 2, 0))

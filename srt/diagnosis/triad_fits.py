@@ -1,0 +1,107 @@
+"""Raw triads of gyros and accelerometers from the stated rotations and poses, by two fits.
+
+* Least squares (:func:`gyro_fit`, :func:`accel_fit`): the residuals tell whether the labels explain the readings, and
+  the rank whether they determine a triad.
+* Least absolute deviations (:func:`raw_triads`): a few sequences that were run otherwise than labelled do not bias the
+  triads, with which the readings of the others are then judged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from srt.diagnosis.rotation_readings import computed_once, robust_fit, rotation_angles
+
+if TYPE_CHECKING:
+    from srt.diagnosis.evidence import Evidence
+    from srt.types import Array
+
+
+_RIDGE: Final = 1e-9
+"""Relative singular value below which a direction counts as not observed; far above rounding, below any rotation."""
+_RANK: Final = 0.1
+"""Singular value of the unit vectors below which they do not span a direction: it lies within 6° of the others."""
+_SOUND: Final = 10.0
+"""Condition number of a triad's matrix above which its fit has failed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFit:
+    """Least-squares fit of readings to nominal vectors, ``reading ≈ matrix @ nominal + offset``.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (3, 3)
+        Identity for a perfect IMU in the nominal frame.
+    offset : ndarray, shape (3,)
+    residual : ndarray, shape (n, 3)
+    rank : int
+        3 when the nominal vectors span space.
+    """
+
+    matrix: Array
+    offset: Array
+    residual: Array
+    rank: int
+
+
+@computed_once
+def gyro_fit(evidence: Evidence) -> LinearFit:
+    """Measured against stated rotations: raw gyro matrix in the nominal frame; residuals in rad."""
+    _, nominal, turned = rotation_angles(evidence)
+    return _fit(nominal, turned, with_offset=False)
+
+
+@computed_once
+def accel_fit(evidence: Evidence) -> LinearFit:
+    """Stationary readings against the nominal vertical: raw accelerometer matrix and bias, m/s²."""
+    return _fit(*evidence.poses, with_offset=True)
+
+
+def _fit(x: Array, y: Array, *, with_offset: bool) -> LinearFit:
+    if len(x) == 0:
+        return LinearFit(np.eye(3), np.zeros(3), np.zeros((0, 3)), 0)
+    scale = float(np.linalg.norm(x, axis=1).mean())
+    design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_offset else x / scale
+    rank = int(np.linalg.matrix_rank(x / scale, tol=_RANK))
+    solution = np.linalg.lstsq(design, y, rcond=_RIDGE)[0]
+    matrix = solution[:3].T / scale
+    offset = solution[3] if with_offset else np.zeros(3)
+    return LinearFit(np.asarray(matrix), np.asarray(offset), np.asarray(y - design @ solution), rank)
+
+
+class RawTriads(NamedTuple):
+    """Raw reading over truth of both sensors: gyro matrix, accelerometer matrix, and accelerometer bias in m/s²."""
+
+    gyro: Array
+    accel: Array
+    accel_bias: Array
+
+
+@computed_once
+def raw_triads(evidence: Evidence) -> RawTriads:
+    """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame.
+
+    Identity and zero if the rotations are not stated, or cover too few directions.
+    """
+    gyro: Array = np.eye(3)
+    accel: Array = np.eye(3)
+    bias: Array = np.zeros(3)
+    if evidence.data is None:
+        return RawTriads(gyro, accel, bias)
+    _, nominal, turned = rotation_angles(evidence)
+    angle = np.linalg.norm(nominal, axis=1, keepdims=True)
+    if len(angle) and np.linalg.matrix_rank(nominal, tol=_RANK) == 3:
+        # Divided by the angle, so that full rotations do not outweigh the half ones.
+        gyro = robust_fit(nominal / angle, turned / angle).T
+    vertical, reading = evidence.poses
+    gravity = evidence.data.gravity
+    design = np.hstack([vertical / gravity, np.ones((len(vertical), 1))])
+    if np.linalg.matrix_rank(design, tol=_RANK) == 4:
+        solution = robust_fit(design, reading)
+        accel, bias = solution[:3].T / gravity, solution[3]
+    usable = all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel))
+    return RawTriads(gyro, accel, bias) if usable else RawTriads(np.eye(3), np.eye(3), np.zeros(3))
