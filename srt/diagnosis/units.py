@@ -21,46 +21,20 @@ from srt.diagnosis.findings import check, finding
 from srt.diagnosis.rotation_readings import rotation_angles
 from srt.diagnosis.triad_fits import accel_fit
 from srt.sequences.plausibility import LEGAL_RATIO
+from srt.sequences.wrong_units import WRONG_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.sequences.wrong_units import WrongUnit
     from srt.types import Array
 
 
 _G: Final = STANDARD_GRAVITY_M_S2
 
 
-@dataclass(frozen=True, slots=True)
-class _WrongUnit:
-    """One wrong unit: factor of the readings, true unit, and declared unit."""
-
-    fault: str
-    factor: float
-    unit: str
-    declared: str
-    rates_only: bool = True
-
-
-_GYRO_UNITS: Final = (
-    _WrongUnit("gyro_degrees", 1.0 / DEG, "degrees", "radians", rates_only=False),
-    _WrongUnit("gyro_radians", DEG, "radians", "degrees", rates_only=False),
-    _WrongUnit("gyro_milli", 1e3, "thousandths", "the unit", rates_only=False),
-    _WrongUnit("gyro_per_hour", 1.0 / DEG_PER_H, "deg/h", "rad/s"),
-    _WrongUnit("gyro_per_hour", DEG / DEG_PER_H, "deg/h", "deg/s"),
-    _WrongUnit("gyro_per_hour", DEG_PER_H / DEG, "deg/s", "deg/h"),
-    _WrongUnit("gyro_per_hour", DEG_PER_H, "rad/s", "deg/h"),
-)
-_ACCEL_UNITS: Final = (
-    _WrongUnit("accel_g", 1.0 / _G, "g", "m/s²", rates_only=False),
-    _WrongUnit("accel_g", 1e-3, "g", "mg"),
-    _WrongUnit("accel_mg", 1e3 / _G, "mg", "m/s²", rates_only=False),
-    _WrongUnit("accel_mg", 1e3, "mg", "g"),
-    _WrongUnit("accel_m_s2", _G, "m/s²", "g", rates_only=False),
-    _WrongUnit("accel_m_s2", 1e-3 * _G, "m/s²", "mg"),
-)
 _MATCH: Final = math.log(1.8)
 """Logarithm of the distance within which a factor is recognised through the errors of an uncalibrated IMU."""
 _BOTH: Final = math.log(1.7)
@@ -122,9 +96,9 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
         yield kind
         return
     rates = evidence.recording.kind == "rate"
-    for sensor, scales, units, wholes in (
-        ("gyro", gyro, _GYRO_UNITS, (1.0, DEG, DEG_PER_H)[: 3 if rates else 2]),
-        ("accel", accel, _ACCEL_UNITS, (1.0, _G, 1e-3 * _G)[: 3 if rates else 1]),
+    for sensor, scales, wholes in (
+        ("gyro", gyro, (1.0, DEG, DEG_PER_H)[: 3 if rates else 2]),
+        ("accel", accel, (1.0, _G, 1e-3 * _G)[: 3 if rates else 1]),
     ):
         if not scales.known or LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
             power = _power_of_two(scales)
@@ -132,7 +106,8 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
                 yield finding(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
             continue
         off = math.log(scales.typical)
-        nearest = min((u for u in units if rates or not u.rates_only), key=lambda u: abs(off - math.log(u.factor)))
+        units = (u for u in WRONG_UNITS[sensor] if u.fault and (rates or not u.rates_only))
+        nearest = min(units, key=lambda u: abs(off - math.log(u.factor)))
         distance = abs(off - math.log(nearest.factor))
         step = _common_step(getattr(evidence.recording, sensor), wholes)
         if (0 < step <= _COARSEST_COUNT and distance > _TIGHT) or (step == 1 and sensor == "gyro"):
@@ -163,7 +138,7 @@ def _wrong_kind(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Fi
     )
 
 
-def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: _WrongUnit | None) -> dict[str, object]:
+def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: WrongUnit | None) -> dict[str, object]:
     gravity = evidence.recording.site.gravity_m_s2
     names = {} if unit is None else {"unit": unit.unit, "declared": unit.declared}
     if sensor == "accel":

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.constants import ARCSEC, DEG, STANDARD_GRAVITY_M_S2
+from srt.constants import DEG, STANDARD_GRAVITY_M_S2
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
 from srt.noise.noise_model import smallest_step
+from srt.sequences.wrong_units import WRONG_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from srt.recording.recording import Recording
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Indices, Mask, Sensor
 
 LEGAL_RATIO: Final = (0.35, 1.8)
 """Accepted ratio of reading to truth for an uncalibrated IMU: 50 % scale-factor error, and a bias of about 0.1 g."""
@@ -33,27 +34,6 @@ _MATCH = math.log(1.8)  # largest distance of a ratio from a cause: the errors o
 _COUNTS_ABOVE = 60.0  # above it (degrees declared as radians: 57), raw counts are possible too
 _AS_GOOD = math.log(1.25)  # a second cause this close to the best one is named too
 
-_G = STANDARD_GRAVITY_M_S2
-_ACCEL_CAUSES = (
-    (1.0 / _G, "the values look like g, declared as m/s²"),
-    (_G, "the values look like m/s², declared as g"),
-    (1e3 / _G, "the values look like mg, declared as m/s²"),
-    (1e3, "the values look like mg declared as g, or like mm/s²"),
-    (1e-3, "the values look like g, declared as mg"),
-    (1e-3 * _G, "the values look like m/s², declared as mg"),
-    (1.0 / 0.3048, "the values look like ft/s², declared as m/s²"),
-    (100.0, "the values look like cm/s², declared as m/s²"),
-)
-_GYRO_CAUSES = (
-    (1.0 / DEG, "the values look like degrees, declared as radians"),
-    (DEG, "the values look like radians, declared as degrees"),
-    (1.0 / ARCSEC, "the values look like deg/h, declared as rad/s"),
-    (ARCSEC, "the values look like rad/s, declared as deg/h"),
-    (3600.0, "the values look like deg/h, declared as deg/s"),
-    (1.0 / 3600.0, "the values look like deg/s, declared as deg/h"),
-    (30.0 / math.pi, "the values look like revolutions per minute, declared as rad/s"),
-    (1e3, "the values look like thousandths of the declared unit"),
-)
 _INCREMENTS = "the values look like increments per sample, declared as rates"
 _RATES = 'the values look like rates, declared as increments (key kind of recording.toml: "rate")'
 
@@ -71,7 +51,7 @@ _NOISY: Final = 0.5
 """Ratio of the resolution to the noise below which equal readings are not explained by the resolution."""
 
 _LEAST_GYRO_RAD_S: Final = 0.2
-_LEAST_ACCEL_M_S2: Final = 0.5 * _G
+_LEAST_ACCEL_M_S2: Final = 0.5 * STANDARD_GRAVITY_M_S2
 """Smallest accepted range limits, rad/s and m/s²: an output fixed at zero (dead band) is another fault."""
 
 _RANGE_MARGIN: Final = 0.999
@@ -187,7 +167,7 @@ def check_rest(
             f"{gravity:.4g} is expected at rest ({bad.size} of {ratio.size} windows): the unit moved, or a "
             "reading is clipped; correct the window, or leave it out."
         )
-    cause = _likely_cause(typical, _ACCEL_CAUSES, interval_s) or _unknown_cause(typical, "accelerometer")
+    cause = _likely_cause(typical, "accel", interval_s) or _unknown_cause(typical, "accelerometer")
     raise DataError(
         f"At rest the accelerometers read {typical * gravity:.4g} m/s² ({bad.size} of {ratio.size} windows, "
         f"first {labels[int(bad[0])]}), but about {gravity:.4g} is expected: {cause}; "
@@ -230,7 +210,7 @@ def check_turns(
         if ratio[k] < 0.0 and _is_legal(-float(ratio[k])):
             cause = "it turned the other way, or an axis of the gyros is reversed; correct its id, or the sign"
         raise DataError(f"{labels[k]}: {found} ({bad.size} of {ratio.size} turns): {cause}.")
-    cause = _likely_cause(typical, _GYRO_CAUSES, interval_s) or _unknown_cause(typical, "gyro")
+    cause = _likely_cause(typical, "gyro", interval_s) or _unknown_cause(typical, "gyro")
     raise DataError(f"{labels[k]}: {found}, and the other turns are like it: {cause}; correct gyro_unit or kind.")
 
 
@@ -366,12 +346,13 @@ def _illegal(ratio: Array) -> Indices:
     return np.flatnonzero(~((ratio >= LEGAL_RATIO[0]) & (ratio <= LEGAL_RATIO[1])))
 
 
-def _likely_cause(ratio: float, causes: tuple[tuple[float, str], ...], interval_s: float | None) -> str | None:
+def _likely_cause(ratio: float, sensor: Sensor, interval_s: float | None) -> str | None:
     """Likely cause of a ratio, or the two causes that explain it about equally well."""
     if ratio <= 0.0:
         return None
+    causes = [(each.factor, str(each)) for each in WRONG_UNITS[sensor]]
     if interval_s is not None:
-        causes = (*causes, (interval_s, _INCREMENTS), (1.0 / interval_s, _RATES))
+        causes += [(interval_s, _INCREMENTS), (1.0 / interval_s, _RATES)]
     distance = sorted((abs(math.log(ratio / factor)), text) for factor, text in causes)
     nearest = distance[0][0]
     if nearest > _MATCH:
