@@ -224,12 +224,7 @@ class SrtProcessor:
         data, U = self.data, np.eye(3) if U is None else U
         gyro, accel = gyro_triad(errors), accel_triad(errors)
         force = accel.compensate(data.windows.accel_mean)
-        stream, gyro_mean, poses = self._stream, data.windows.gyro_mean, None
-        if self._g_sensitive and self._force is not None:
-            matrix = np.zeros((3, 3)) if g_sensitivity is None else g_sensitivity
-            stream = compensate_stream(stream, self._force, accel, matrix)
-            gyro_mean = gyro_mean - force @ matrix.T
-            poses = pose_regression(force, self._pool, data.gravity)
+        stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
         down = -force[data.start] / np.linalg.norm(force[data.start], axis=1, keepdims=True)
         earth_rate, nominal_down = self._earth_rate(U, down, nominal_vertical)
@@ -273,6 +268,17 @@ class SrtProcessor:
             nominal_vertical=nominal_vertical and nominal_down is not None,
             poses=poses,
         )
+
+    def _without_g_sensitivity(
+        self, accel: Triad, force: Array, matrix: Array | None
+    ) -> tuple[GyroStream, Array, PoseRegression | None]:
+        """Gyro samples and window means less Γ f̂, and the regression that estimates Γ; None if it is not estimated."""
+        data = self.data
+        if not self._g_sensitive or self._force is None:
+            return self._stream, data.windows.gyro_mean, None
+        matrix = np.zeros((3, 3)) if matrix is None else matrix
+        stream = compensate_stream(self._stream, self._force, accel, matrix)
+        return stream, data.windows.gyro_mean - force @ matrix.T, pose_regression(force, self._pool, data.gravity)
 
     def _jacobian(
         self, integrals: RotationIntegrals, basis: Array, force: Array, rate: Array, gyro: Triad, accel: Triad
