@@ -11,6 +11,7 @@ import numpy as np
 
 from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
 from srt.sequences.preparation import nominal_attitude
+from srt.sequences.rest_detection import BLOCK_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.model.table1 import RotationSequence
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 
 _T = TypeVar("_T")
@@ -29,6 +30,8 @@ _MARGIN_S: Final = 0.5
 """Stationary time used before and after a rotation, s."""
 _ROUNDS: Final = 12
 """Reweightings of a robust fit."""
+_ROTATING: Final = 0.05
+"""Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
 _MANY_WINDOWS: Final = 12
 """Windows, fewer of which do not give a g-sensitivity: three times the unknowns, one bias and three slopes."""
 
@@ -183,6 +186,33 @@ def block_averages(evidence: Evidence) -> BlockAverages | None:
         np.concatenate(rate),
         np.concatenate(force),
     )
+
+
+@computed_once
+def turning_windows(evidence: Evidence) -> Mask:
+    """True for windows in which the unit rotates as in a manoeuvre, shape (W,): their labels are wrong.
+
+    Smaller motion has other causes: :mod:`srt.diagnosis.window_disturbances`.
+    """
+    data = evidence.data
+    assert data is not None
+    size = max(1, round(BLOCK_S / evidence.dt))
+    samples = data.windows.samples
+    in_turns, in_windows = np.empty(data.K), np.zeros(len(samples))
+    for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
+        first, last = int(samples[s, 0]), int(samples[e, 1])
+        count = (last - first) // size
+        blocks = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3)
+        means = np.median(blocks, axis=1)  # a spike is no rotation
+        in_turns[k] = _rate_range(means)
+        for w in (s, e):
+            inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
+            in_windows[w] = _rate_range(means[inside])
+    return np.asarray(in_windows > _ROTATING * float(np.median(in_turns)))
+
+
+def _rate_range(means: Array) -> float:
+    return float((means.max(axis=0) - means.min(axis=0)).max()) if len(means) else 0.0
 
 
 @computed_once

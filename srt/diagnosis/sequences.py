@@ -16,12 +16,14 @@ from srt.diagnosis.rotation_readings import (
     nominal_integrals,
     raw_integrals,
     rotation_angles,
+    turning_windows,
 )
 from srt.diagnosis.stabilised_force import stabilised_force
 from srt.diagnosis.triad_fits import raw_triads
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
+from srt.sequences.rest_detection import BLOCK_S
 from srt.sequences.stationary_windows import find_windows
 
 if TYPE_CHECKING:
@@ -32,11 +34,7 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-_BLOCK_S: Final = 0.1
-"""Block, s, over which rates are averaged, as when stationary windows are found."""
-_MOVING: Final = 0.05
-"""Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
-_BESIDE_S: Final = 2.0 * _BLOCK_S
+_BESIDE_S: Final = 2.0 * BLOCK_S
 """Largest distance of the edges of the stationary windows found from the true ones, s: one or two blocks."""
 _SLACK_S: Final = 0.03
 """Stationary time per window, s, that a smaller shift may lose against the best one."""
@@ -74,7 +72,7 @@ def _shift(evidence: Evidence) -> tuple[float, int] | None:
     data = evidence.data
     if data is None or not evidence.has_labels:
         return None
-    turning = _turning(evidence)
+    turning = turning_windows(evidence)
     if not turning.any():
         return None
     try:
@@ -90,29 +88,6 @@ def _shift(evidence: Evidence) -> tuple[float, int] | None:
     single = _intrusions(labelled[turning], rest)
     single = single[np.abs(single) > _BESIDE_S]
     return (float(np.median(single)), int(single.size)) if single.size else None
-
-
-def _turning(evidence: Evidence) -> Mask:
-    """True for windows in which the rate changes by a notable share of that of the rotations, shape (W,)."""
-    data = evidence.data
-    assert data is not None
-    size = max(1, round(_BLOCK_S / evidence.dt))
-    samples = data.windows.samples
-    in_turns, in_windows = np.empty(data.K), np.zeros(len(samples))
-    for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
-        first, last = int(samples[s, 0]), int(samples[e, 1])
-        count = (last - first) // size
-        blocks = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3)
-        means = np.median(blocks, axis=1)  # a spike is no rotation
-        in_turns[k] = _rate_range(means)
-        for w in (s, e):
-            inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
-            in_windows[w] = _rate_range(means[inside])
-    return np.asarray(in_windows > _MOVING * float(np.median(in_turns)))
-
-
-def _rate_range(means: Array) -> float:
-    return float((means.max(axis=0) - means.min(axis=0)).max()) if len(means) else 0.0
 
 
 def _common_shift(labelled: Array, rest: Array) -> float | None:

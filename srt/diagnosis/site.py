@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -25,6 +24,7 @@ from scipy.special import fdtri, ndtri, stdtrit
 
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
 from srt.diagnosis.findings import Finding, check, finding
+from srt.diagnosis.rotation_readings import computed_once
 from srt.diagnosis.triad_fits import gyro_fit
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.manoeuvres import end_attitude
@@ -199,14 +199,10 @@ class StationaryRateFit:
         return matrix
 
 
-_FITS: WeakKeyDictionary[Evidence, StationaryRateFit | None] = WeakKeyDictionary()
-
-
+@computed_once
 def stationary_rate_fit(evidence: Evidence) -> StationaryRateFit | None:
     """Fit the stationary rates; None if the windows are too few or their poses too much alike."""
-    if evidence not in _FITS:
-        _FITS[evidence] = None if evidence.data is None else _fit(evidence, evidence.data)
-    return _FITS[evidence]
+    return None if evidence.data is None else _fit(evidence, evidence.data)
 
 
 def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.diagnosis.rotation_readings import turning_windows
 from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
@@ -36,12 +37,8 @@ _FOR_STEP: Final = 4000
 """Readings in motion from which it is taken if the windows show none."""
 _ROUNDING: Final = 1e-9
 """Rounding of the readings, relative to the largest."""
-_BLOCK_S: Final = 0.1
-"""Length, s, of the blocks by which a window is tested for motion."""
-_SLOW: Final = 0.1
-"""Share of the highest rate above which a block of a window is in motion."""
 _MISPLACED: Final = 2
-"""Windows in motion, from which the labels are wrong rather than the unit disturbed."""
+"""Windows with rotation in them, from which the labels are wrong rather than the unit disturbed."""
 _MEAN_S: Final = 4.0
 """Longest average of specific force before and after a bump, s."""
 _SEEN: Final = 3.0
@@ -82,26 +79,10 @@ def find_spikes(evidence: Evidence) -> Spikes:
         np.concatenate([part.channel for part in parts]),
         np.concatenate([part.jump for part in parts]),
     )
-    if np.any(channel < 3) and _windows_in_motion(evidence) >= _MISPLACED:
+    if np.any(channel < 3) and turning_windows(evidence).sum() >= _MISPLACED:
         # The labels are shifted, and the fixture also makes moves as short as a sample.
         sample, channel, jump = sample[channel >= 3], channel[channel >= 3], jump[channel >= 3]
     return Spikes(sample, channel, jump)
-
-
-def _windows_in_motion(evidence: Evidence) -> int:
-    """Number of windows with a block at a tenth of the highest rate or more."""
-    assert evidence.data is not None
-    size = max(3, round(_BLOCK_S / evidence.dt))
-
-    def blocks(a: int, b: int) -> Array:
-        count = (b - a) // size
-        return np.asarray(np.median(evidence.recording.gyro[a : a + count * size].reshape(count, size, 3), axis=1))
-
-    rest = np.median(evidence.stationary_rate, axis=0) / evidence.per_rate
-    fastest = [np.abs(blocks(a, b) - rest).max() for a, b in evidence.data.rotation.tolist() if b - a >= size]
-    slow = _SLOW * max(fastest, default=0.0)
-    windows = [blocks(a, b) for a, b in evidence.data.windows.samples.tolist() if b - a >= size]
-    return sum(bool(np.any(np.abs(rate - np.median(rate, axis=0)) > slow)) for rate in windows)
 
 
 def _least_noise(evidence: Evidence) -> Array:

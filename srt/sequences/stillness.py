@@ -1,4 +1,9 @@
-"""Tests for motion in a stationary window: chi-square of the difference of its halves."""
+"""Tests for motion in a stationary window: chi-square of the difference of its halves.
+
+A window that fails is integrated. Three other tests for motion answer other questions: which samples of an unlabelled
+recording are at rest (:mod:`srt.sequences.rest_detection`), whether a labelled window holds a rotation, so that it is
+refused (:mod:`srt.sequences.preparation`), and what disturbed a window (:mod:`srt.diagnosis.window_disturbances`).
+"""
 
 from __future__ import annotations
 
