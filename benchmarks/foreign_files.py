@@ -92,8 +92,16 @@ def write_bag2(
                 writer.write(connection, abs(stamp), message)
 
 
-def write_ulog(path: Path, topics: list[tuple[str, int, str, dict[str, np.ndarray]]]) -> None:
-    """PX4 log; topics are name, instance, definition ("uint64_t timestamp;float x;") and columns by flat name."""
+def write_ulog(
+    path: Path,
+    topics: list[tuple[str, int, str, dict[str, np.ndarray]]],
+    parameters: dict[str, float] | None = None,
+    changed: tuple[tuple[int, str, float], ...] = (),
+) -> None:
+    """PX4 log; topics are name, instance, definition ("uint64_t timestamp;float x;") and columns by flat name.
+
+    ``parameters`` are those at the start, ``changed`` later ones with their time in µs.
+    """
     from pyulog import ULog
 
     log = ULog(None)
@@ -107,6 +115,8 @@ def write_ulog(path: Path, topics: list[tuple[str, int, str, dict[str, np.ndarra
             table[column] = values
         added.buffer = bytearray(table.tobytes())
         log.data_list.append(ULog.Data(added))
+    log._initial_parameters.update(parameters or {})
+    log._changed_parameters.extend(changed)
     log.msg_info_dict["sys_uuid"] = "000100000000"
     log._msg_info_dict_types["sys_uuid"] = "char[12]"
     log.write_ulog(str(path))
@@ -128,6 +138,7 @@ VEHICLE_IMU = (
     "uint8_t delta_velocity_clipping;uint8_t accel_calibration_count;uint8_t gyro_calibration_count;"
     "uint8_t[5] _padding0;"
 )
+SELECTION = "uint64_t timestamp;uint32_t accel_device_id;uint32_t gyro_device_id;"
 SENSOR = "uint64_t timestamp;uint64_t timestamp_sample;uint32_t device_id;float x;float y;float z;float temperature;"
 
 
@@ -156,12 +167,22 @@ def write_dataflash(path: Path, messages: list[tuple[str, str, str, list[list[An
     path.write_bytes(b"".join(parts))
 
 
+PARM = ("PARM", "QNf", "TimeUS,Name,Value")
+"""Name, format and columns of the message of a parameter."""
+
+
+def parameter_message(parameters: dict[str, float], *, text: bool = False) -> tuple[str, str, str, list[list[Any]]]:
+    """Messages of parameters at 1 s."""
+    rows = [[1_000_000, name if text else name.encode(), value] for name, value in parameters.items()]
+    return (*PARM, rows)
+
+
 def write_dataflash_text(path: Path, messages: list[tuple[str, str, str, list[list[Any]]]]) -> None:
     """The same as text."""
     lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns"]
     for number, (name, layout, columns, rows) in enumerate(messages):
         lines.append(f"FMT, {129 + number}, 40, {name}, {layout}, {columns}")
-        lines += [", ".join((name, *map(repr, row))) for row in rows]
+        lines += [", ".join((name, *(v if isinstance(v, str) else repr(v) for v in row))) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 

@@ -107,6 +107,8 @@ _SAY = [
     click.option("--accel-bias-instability-ug", type=float, help="Bias instability of the accelerometers."),
     click.option("--gyro-range-deg-s", type=float, help="Range of the gyros."),
     click.option("--accel-range-g", type=float, help="Range of the accelerometers."),
+    click.option("--applied", metavar="FORMAT:FILE", help="Correction that the readings had before they were logged, "
+                 "as px4:vehicle.params or imucal:unit.json, or none; default: that in the log."),
     click.option("--serial", help="Serial of the unit."),
     click.option("--date", help="Date of the recording."),
     click.option("--temperature-c", type=float, help="Temperature of all samples, if the file has none."),
@@ -127,7 +129,7 @@ _GROUPS = {
     "Site": _SITE_KEYS,
     "Fixture": _FIXTURE_KEYS,
     "Noise of the unit": _NOISE_KEYS,
-    "Identification": ("serial", "date", "temperature_c"),
+    "Identification": ("serial", "date", "temperature_c", "applied"),
 }
 """Groups of options in the help."""
 
@@ -149,6 +151,7 @@ def convert(
     serial: str | None,
     date: str | None,
     temperature_c: float | None,
+    applied: str | None,
     force: bool,
     overwrite: bool,
     quiet: bool,
@@ -170,6 +173,7 @@ def convert(
         raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
     options = reading_options(rest, second)
     document = surroundings(like, rest)
+    from srt.exporters.applied_file import applied_of
     from srt.recording.folder import read_metadata, write_recording
     from srt.recording.imported_samples import to_recording
     from srt.recording.importer_registry import import_file
@@ -186,6 +190,7 @@ def convert(
             serial=serial,
             date=date,
             temperature_c=temperature_c,
+            applied=None if applied is None else applied_of(applied, options.instance),
         )
         # RecordingArguments only when asked for, and here a rate that contradicts the stamps is still refused.
         recording.timing  # noqa: B018
@@ -278,6 +283,9 @@ def surroundings(like: Path | None, given: Mapping[str, Any]) -> dict[str, Any]:
     from srt.recording.folder import read_document
 
     document = {} if like is None else {k: v for k, v in read_document(like).items() if k != "recording"}
+    if isinstance(document.get("imu"), dict):
+        # The other log may have been made under another calibration of the logger.
+        document["imu"] = {key: value for key, value in document["imu"].items() if key != "applied"}
     for section, keys in (("site", _SITE_KEYS), ("fixture", _FIXTURE_KEYS), ("imu", _NOISE_KEYS)):
         said = {key: given[key] for key in keys if given[key] is not None}
         if not said:

@@ -42,7 +42,12 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option("--rate-hz", type=float, help="Sample rate; default: the recording's.")
 @click.option("--gyro-random-walk", type=float, help="Random walk of the gyro biases, rad/s^2/sqrt(Hz).")
 @click.option("--accel-random-walk", type=float, help="Random walk of the accelerometer biases, m/s^3/sqrt(Hz).")
-@click.option("--instance", type=int, help="Number of the IMU of an autopilot, from 0.")
+@click.option("--instance", type=int, help="Number of the IMU of an autopilot, from 0; default: that of the log.")
+@click.option(
+    "--applied",
+    metavar="FORMAT:FILE",
+    help="Correction that the log was made under, or none; default: that of the recording.",
+)
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("-q", "--quiet", is_flag=True, help="No report.")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the targets.")
@@ -58,6 +63,7 @@ def export(
     gyro_random_walk: float | None,
     accel_random_walk: float | None,
     instance: int | None,
+    applied: str | None,
     force: bool,
     quiet: bool,
 ) -> int:
@@ -66,9 +72,14 @@ def export(
     The file is read back and applied by the formula of the tool to the recording (or to 1 rad/s and 1 g in all
     directions); the difference from 'srt apply' is shown.
 
+    Parameters of an autopilot and registers of a unit replace those that the log was made under, and are composed with
+    them. Where the recording does not hold these, --applied names their file (px4:vehicle.params), or none if the log
+    holds the readings of the sensors.
+
     Exit codes: 0 success; 1 a file that does not reproduce the calibration; 2 wrong usage, unreadable input, or a
     calibration that the format cannot represent.
     """
+    from srt.exporters.applied_file import applied_of
     from srt.exporters.conversion import export as make
     from srt.exporters.conversion import save
     from srt.exporters.export_model import ExportSettings
@@ -92,6 +103,7 @@ def export(
         frame=frame,
         asymmetry="fit" if fit_asymmetry else "leave",
         settings=ExportSettings(topic, rate_hz, gyro_random_walk, accel_random_walk, instance),
+        applied=None if applied is None else applied_of(applied, instance),
     )
     written = () if output is None else save(made, output)
     if calibration.held:

@@ -234,8 +234,15 @@ def _provenance(members: Sequence[Calibration]) -> dict[str, Any]:
         "date": dates.pop() if len(dates) == 1 else None,
         "options": {},
         "voided": {},
+        **_common_applied(members),
         "recordings": [dict(c.provenance) for c in members],
     }
+
+
+def _common_applied(members: Sequence[Calibration]) -> dict[str, Any]:
+    """Correction that all recordings had before they were logged, if it is the same."""
+    applied = [c.provenance.get("applied") for c in members]
+    return {"applied": applied[0]} if applied[0] and all(each == applied[0] for each in applied) else {}
 
 
 def _warnings(

@@ -132,6 +132,7 @@ def _status(result: SolverResult, fixed: Mapping[str, str]) -> tuple[str, str, t
 
 
 def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:
+    applied = data.recording.applied
     return {
         "data_sha256": data.recording.data_sha256,
         "software": software(),
@@ -139,6 +140,7 @@ def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:
         "date": data.recording.date,
         "options": options.as_dict(),
         "voided": dict(data.voided),
+        **({} if applied is None else {"applied": applied.document()}),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +12,12 @@ import numpy as np
 from srt.estimation.g_sensitivity import KEY
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
-from srt.exporters.export_model import ExportModel, ExportSettings
+from srt.exporters.export_model import APPLIED, ExportModel, ExportSettings
 from srt.exporters.linear_model import ASYMMETRY, FACTORS, LinearModel, linear_part
 from srt.exporters.noise_fields import unknown
 from srt.exporters.registry import exporter
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model, to_mars
+from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_path
 from srt.result.applier import Applier
 
@@ -58,6 +59,10 @@ class ExportedCalibration:
         Parts of this calibration that the format does not hold.
     unknown : tuple of str
         Values that the format requires and the calibration does not hold.
+    applied : AppliedCorrection or None
+        Correction of the log with which the file is composed; the file replaces it.
+    limits : tuple of str
+        Sentences on what the target does with these values.
     """
 
     format: Exporter
@@ -69,6 +74,8 @@ class ExportedCalibration:
     residuals: tuple[CorrectionDifference, ...]
     losses: tuple[str, ...]
     unknown: tuple[str, ...]
+    applied: AppliedCorrection | None = None
+    limits: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +108,7 @@ def export(
     frame: str | None = None,
     asymmetry: str = "leave",
     settings: ExportSettings | None = None,
+    applied: AppliedCorrection | None = None,
 ) -> ExportedCalibration:
     """Convert a calibration to the format of other software, in memory.
 
@@ -116,6 +124,9 @@ def export(
     asymmetry : "leave" or "fit"
         Choice of the linear part (:mod:`srt.exporters.linear_model`); "fit" needs readings.
     settings : ExportSettings, optional
+    applied : AppliedCorrection, optional
+        Correction that the readings had before they were logged; default: that of the calibration's recording. A file
+        of the same system replaces it, and is composed with it.
 
     Returns
     -------
@@ -125,7 +136,7 @@ def export(
     ------
     InputError
         An unknown format, axes or settings that it does not take, a calibration outside the model, values that the
-        target would clip or ignore silently.
+        target would clip or ignore silently, a correction of the log that must be known and is not.
     DataError
         If the written file does not reproduce the linear part.
     """
@@ -147,9 +158,14 @@ def export(
     frame = frame or chosen.frames[0]
     measured_on = readings or Readings.standard(calibration)
     gyro, accel = _linear_parts(calibration, measured_on if asymmetry == "fit" else None)
-    C_FB = _axes(calibration, chosen, frame, accel.matrix)
-    model = ExportModel(calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings)
+    replaced = _replaced(chosen, calibration, applied)
+    C_FB = _axes(calibration, chosen, frame, accel, replaced)
+    alone = ExportModel(
+        calibration, gyro.turned(C_FB), accel.turned(C_FB), frame, C_FB, settings, _g_sensitivity(calibration, C_FB)
+    )
+    model = alone if replaced is None else alone.composed(replaced)
     texts = chosen.write(model)
+    fields = chosen.read(texts)
     return ExportedCalibration(
         format=chosen,
         texts=texts,
@@ -157,9 +173,11 @@ def export(
         C_FB=C_FB,
         turn_mrad=model.turn_mrad,
         readings=measured_on,
-        residuals=_residuals(chosen, chosen.read(texts), model, measured_on),
+        residuals=_residuals(chosen, fields, alone, model, measured_on),
         losses=_losses(chosen, calibration),
         unknown=unknown(model) if "rate_hz" in chosen.options else (),
+        applied=replaced,
+        limits=chosen.limits(model, fields),
     )
 
 
@@ -221,6 +239,21 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
         raise InputError(
             f"A {target} file is not a pre-calibration: it holds too few parameters or a whole calibration."
         )
+    texts = read_texts(chosen, path)
+    try:
+        gyro, accel, g_sensitivity = forward_model(chosen, chosen.read(texts))
+        errors, U = to_mars(gyro, accel)
+        reason = outside_model(errors)
+        if reason is not None:
+            raise InputError(f"{reason}.")
+    except SrtError as error:
+        raise InputError(f"{path}, read as {chosen.title}: {error}") from None
+    absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
+    return ImportedCalibration(errors, U, absent, g_sensitivity @ U.T)
+
+
+def read_texts(chosen: Exporter, path: str | PathLike[str]) -> dict[str, str]:
+    """Texts of the files of a format on disk, by part. Raises InputError."""
     texts = {}
     for part, place in part_paths(chosen, path).items():
         if part in chosen.companions:
@@ -231,16 +264,7 @@ def load(path: str | PathLike[str], target: str) -> ImportedCalibration:
             raise InputError(f"The file {place} cannot be read: {error.strerror}.") from None
         except UnicodeDecodeError:
             raise InputError(f"The file {place} is no text: name a {chosen.title}.") from None
-    try:
-        gyro, accel, g_sensitivity = _forward(chosen, chosen.read(texts))
-        errors, U = to_mars(gyro, accel)
-        reason = outside_model(errors)
-        if reason is not None:
-            raise InputError(f"{reason}.")
-    except SrtError as error:
-        raise InputError(f"{path}, read as {chosen.title}: {error}") from None
-    absent = ("gyro_asymmetry", "accel_asymmetry") + (() if chosen.biases else ("gyro_bias", "accel_bias"))
-    return ImportedCalibration(errors, U, absent, g_sensitivity @ U.T)
+    return texts
 
 
 def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
@@ -252,7 +276,34 @@ def part_paths(chosen: Exporter, path: str | PathLike[str]) -> dict[str, Path]:
     }
 
 
-def _axes(calibration: Calibration, chosen: Exporter, frame: str, Ma: Array) -> Array:
+def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrection | None) -> AppliedCorrection | None:
+    """Correction of the log that the file replaces; None if it works on the readings as they were logged."""
+    known = stated or applied_correction("The calibration", calibration.provenance.get(APPLIED))
+    if known is not None and known.system == chosen.name:
+        return known
+    if not chosen.replaces or (known is not None and known.system == NOTHING):
+        return None
+    if known is None:
+        raise InputError(
+            f"A file for {chosen.name} replaces the correction that the unit applied before it logged, and that one is "
+            f"not known: {chosen.find_applied}; then add --applied {chosen.name}:FILE, or --applied none if the log "
+            "holds the readings of the sensors themselves."
+        )
+    raise InputError(
+        f"The readings were logged under the correction of {known.system}, which a file for {chosen.name} does not "
+        f"replace: export to {known.system}, or to a format for the logged readings."
+    )
+
+
+def _g_sensitivity(calibration: Calibration, C_FB: Array) -> Array:
+    stated = calibration.diagnostics.get(KEY)
+    # ω̃ = Mg ω + Γ f + b, and f = C_FBᵀ f_F
+    return np.zeros((3, 3)) if stated is None else np.array(stated["matrix"], dtype=np.float64) @ C_FB.T
+
+
+def _axes(
+    calibration: Calibration, chosen: Exporter, frame: str, accel: LinearModel, replaced: AppliedCorrection | None
+) -> Array:
     if frame not in chosen.frames:
         raise InputError(
             f"The format {chosen.name} cannot be in {frame} axes: it takes {' or '.join(chosen.frames)}"
@@ -260,8 +311,11 @@ def _axes(calibration: Calibration, chosen: Exporter, frame: str, Ma: Array) -> 
         )
     if frame == "accel":
         assert chosen.triangle is not None
-        _, C_FB = FACTORS[chosen.triangle](Ma)
-        return C_FB
+        if replaced is None:
+            return FACTORS[chosen.triangle](accel.matrix)[1]
+        C = replaced.rotation
+        composed = accel.before(replaced.accel_matrix, replaced.accel_offset, C)
+        return np.asarray(C @ FACTORS[chosen.triangle](composed.matrix)[1] @ C.T)
     if frame == "mars":
         return np.eye(3)
     rotation = Applier(calibration, frame="table").rotation
@@ -275,10 +329,12 @@ def _linear_parts(calibration: Calibration, fitted: Readings | None) -> tuple[Li
 
 
 def _residuals(
-    chosen: Exporter, fields: Fields, model: ExportModel, readings: Readings
+    chosen: Exporter, fields: Fields, alone: ExportModel, model: ExportModel, readings: Readings
 ) -> tuple[CorrectionDifference, ...]:
+    """Differences from the calibration of the file, composed (``model``) or not (``alone``), on logged readings."""
     calibration, C_FB = model.calibration, model.C_FB
-    sensitivity = model.g_sensitivity if chosen.g_sensitivity else np.zeros((3, 3))
+    sensitivity = alone.g_sensitivity if chosen.g_sensitivity else np.zeros((3, 3))
+    applied = model.applied or AppliedCorrection(NOTHING)
 
     def ours(gyro: Array, accel: Array) -> tuple[Array, Array]:
         if sensitivity.any():
@@ -287,20 +343,28 @@ def _residuals(
         return rate @ C_FB.T, force @ C_FB.T
 
     def linear(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        force = model.accel.correct(accel)
-        return model.gyro.correct(gyro - force @ sensitivity.T), force
+        force = alone.accel.correct(accel)
+        return alone.gyro.correct(gyro - force @ sensitivity.T), force
 
-    def theirs(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        return chosen.apply(fields, gyro, accel)
+    def of(values: Fields, *, biases: bool = False) -> Correction:
+        def theirs(gyro: Array, accel: Array) -> tuple[Array, Array]:
+            raw_gyro, raw_accel = applied.undo(gyro, accel)
+            if biases:
+                raw_gyro, raw_accel = raw_gyro - model.gyro.bias, raw_accel - model.accel.bias
+            rate, force = chosen.apply(values, raw_gyro, raw_accel)
+            return rate @ applied.rotation.T, force @ applied.rotation.T
 
-    def beside(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        return chosen.apply(fields, gyro - model.gyro.bias, accel - model.accel.bias)
+        return theirs
 
-    whole = theirs if chosen.biases else beside
-    _check(chosen, readings, ours if chosen.asymmetry else linear, whole)
-    out = [compare_corrections("this file", readings, ours, theirs)]
+    _check(chosen, readings, ours if chosen.asymmetry else linear, of(fields, biases=not chosen.biases))
+    out = [compare_corrections("this file", readings, ours, of(fields))]
+    if model.applied is not None:
+        out.append(compare_corrections("readings as logged", readings, ours, lambda gyro, accel: (gyro, accel)))
+        with suppress(InputError):  # values that the target does not take
+            uncomposed = chosen.read(chosen.write(alone))
+            out.append(compare_corrections("loaded alone, not composed", readings, ours, of(uncomposed)))
     if not chosen.biases:
-        out.append(compare_corrections("biases given beside it", readings, ours, beside))
+        out.append(compare_corrections("biases given beside it", readings, ours, of(fields, biases=True)))
     if _asymmetric(calibration) and not chosen.asymmetry:
         out.append(compare_corrections("asymmetry alone", readings, ours, linear))
     return tuple(out)
@@ -331,7 +395,7 @@ def _asymmetric(calibration: Calibration) -> bool:
     return bool(calibration.errors.group("gyro_asymmetry").any() or calibration.errors.group("accel_asymmetry").any())
 
 
-def _forward(chosen: Exporter, fields: Fields) -> tuple[Triad, Triad, Array]:
+def forward_model(chosen: Exporter, fields: Fields) -> tuple[Triad, Triad, Array]:
     """Sensor model ``ω̃ = Mg ω + Γ f + b``, ``f̃ = Ma f + b`` of a format and Γ, from its affine correction."""
     probes = np.vstack([np.zeros(3), np.eye(3)])
     zero = np.zeros((4, 3))

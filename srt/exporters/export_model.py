@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from srt.estimation.g_sensitivity import KEY
 from srt.exceptions import InputError
+from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from srt.exporters.linear_model import LinearModel
+    from srt.recording.applied import AppliedCorrection
     from srt.result.calibration import Calibration
     from srt.types import Array
 
@@ -29,6 +30,8 @@ _AXES: Final = {
     "accel": "those that the accelerometer matrix defines",
 }
 LAST_INSTANCE: Final = 9
+APPLIED: Final = "applied"
+"""Key of the provenance that holds the correction that the readings had before they were logged."""
 
 
 class FormatDescription(Protocol):
@@ -114,6 +117,10 @@ class ExportModel:
     C_FB : ndarray, shape (3, 3)
         From MARS axes to F.
     settings : ExportSettings
+    g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
+        Gyro g-sensitivity Γ, rows gyros and columns axes of F; zero where not estimated.
+    applied : AppliedCorrection or None
+        Correction with which the model is composed.
     """
 
     calibration: Calibration
@@ -122,6 +129,8 @@ class ExportModel:
     frame: str
     C_FB: Array
     settings: ExportSettings
+    g_sensitivity: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    applied: AppliedCorrection | None = None
 
     def white_noise(self, sensor: str) -> Array | None:
         """White noise of the uncorrected readings, shape (3,), rad/s/√Hz or m/s²/√Hz; None if not known."""
@@ -146,15 +155,44 @@ class ExportModel:
             f"formula: {item.formula}",
             f"axes: {_AXES[self.frame]}; a vector v in MARS axes is C v in these, C =",
             *(f"  [{', '.join(f'{value:.15g}' for value in row)}]" for row in self.C_FB.tolist()),
+            *(self.applied_lines()),
             *(f"not held: {loss}" for loss in (*lost, *item.losses, "covariance")),
         ]
 
-    @property
-    def g_sensitivity(self) -> Array:
-        """Gyro g-sensitivity Γ, rows gyros and columns axes of F, rad/s per m/s²; zero where not estimated."""
-        stated = self.calibration.diagnostics.get(KEY)
-        # ω̃ = Mg ω + Γ f + b, and f = C_FBᵀ f_F
-        return np.zeros((3, 3)) if stated is None else np.array(stated["matrix"], dtype=np.float64) @ self.C_FB.T
+    def composed(self, applied: AppliedCorrection) -> ExportModel:
+        """Model of the readings that the sensors had before a correction that was applied to them.
+
+        Parameters
+        ----------
+        applied : AppliedCorrection
+
+        Returns
+        -------
+        ExportModel
+            In the axes of the sensors, which the rotation of ``applied`` takes to F.
+        """
+        C = applied.rotation
+        gyro = self.gyro.before(applied.gyro_matrix, applied.gyro_offset, C)
+        accel = self.accel.before(applied.accel_matrix, applied.accel_offset, C)
+        # r = o + G Cᵀ ỹ + A⁻¹ Cᵀ (Mg ω + Γ f + b), with ỹ = Ma f + b
+        to_sensor = C.T @ self.accel.matrix @ C
+        sensitivity = np.linalg.solve(applied.gyro_matrix, C.T @ self.g_sensitivity @ C)
+        gyro = LinearModel(gyro.matrix, gyro.bias + applied.g_sensitivity @ C.T @ self.accel.bias)
+        return replace(
+            self, gyro=gyro, accel=accel, g_sensitivity=sensitivity + applied.g_sensitivity @ to_sensor, applied=applied
+        )
+
+    def applied_lines(self) -> list[str]:
+        """ASCII lines on the correction with which the model is composed."""
+        applied = self.applied
+        if applied is None:
+            return []
+        which = "" if applied.instance is None else f", IMU {applied.instance}"
+        shown = [f"{key} {value}" for key, value in applied.document().items() if isinstance(value, list)]
+        return [
+            f"replaces the correction of the log ({applied.system}{which}):",
+            *(f"  {_UNSAFE.sub(' ', s)}" for s in shown),
+        ]
 
     @property
     def turn_mrad(self) -> Array:

@@ -73,6 +73,12 @@ class Exporter:
         True if it holds asymmetry.
     g_sensitivity : bool
         True if it holds gyro g-sensitivity.
+    replaces : bool
+        True if its parameters replace those inside the unit, so that the correction of the log must be known.
+    find_applied : str
+        How to find the correction that a log was made under.
+    limits : callable
+        Sentences on what the target does with these parameters, given the model and the fields of the file.
     """
 
     name: str
@@ -94,6 +100,9 @@ class Exporter:
     options: frozenset[str] = frozenset()
     asymmetry: bool = False
     g_sensitivity: bool = False
+    replaces: bool = False
+    find_applied: str = ""
+    limits: Callable[[ExportModel, Fields], tuple[str, ...]] = lambda model, fields: ()  # noqa: ARG005
 
 
 def field(document: Any, path: str, shape: tuple[int, ...]) -> Array:

@@ -53,6 +53,14 @@ class LinearModel:
         """The same model for v in other axes; C takes components to these."""
         return LinearModel(self.matrix @ C.T, self.bias)
 
+    def before(self, matrix: Array, offset: Array, rotation: Array) -> LinearModel:
+        """Model of readings r whose log is ``y = C A (r − o)``: A ``matrix``, o ``offset``, C ``rotation``.
+
+        ``r = o + A⁻¹ Cᵀ y = (A⁻¹ Cᵀ M C) (Cᵀ v) + o + A⁻¹ Cᵀ b``, in the axes of the sensors.
+        """
+        undone = np.linalg.solve(matrix, rotation.T)
+        return LinearModel(undone @ self.matrix @ rotation, offset + undone @ self.bias)
+
     @property
     def inverse(self) -> Array:
         """M⁻¹."""

@@ -35,17 +35,20 @@ from srt.exporters.file_format import (
     whole_lines,
 )
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad
+from srt.recording import autopilots
+from srt.recording.applied import AppliedCorrection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from srt.exporters.export_model import ExportModel
     from srt.exporters.file_format import Fields, Texts
+    from srt.recording.autopilots import Autopilot
     from srt.types import Array
 
 
 _REGISTERS: Final = {"gyro": 84, "accel": 25}
-_COMMAND: Final = re.compile(r"\$(VNWRG,(\d+),([^*$]*))\*([0-9A-Fa-f]{2}|XX)")
+_COMMAND: Final = re.compile(r"\$(VN[WR]RG,(\d+),([^*$]*))\*([0-9A-Fa-f]{2}|XX)")
 
 
 def checksum(text: str) -> str:
@@ -68,7 +71,9 @@ def _read_vectornav(texts: Texts) -> Fields:
     for line in texts[""].split():
         match = _COMMAND.fullmatch(line)
         if match is None:
-            raise InputError(f"the line {line[:40]!r} is no whole command $VNWRG,...*checksum: it was truncated.")
+            raise InputError(
+                f"the line {line[:40]!r} is no whole command or answer ($VNWRG, $VNRRG): it was truncated."
+            )
         body, register, values, total = match.groups()
         if total.upper() not in ("XX", checksum(body)):
             raise InputError(f"the checksum of register {register} is {total}, not {checksum(body)}: it was edited.")
@@ -96,7 +101,7 @@ VECTORNAV: Final = Exporter(
     formula="X = C (A - B)",
     losses=("digits: the unit keeps single precision",),
     advice=(
-        "It works on top of the factory calibration: record the test with both registers at their defaults.",
+        "It works on top of the factory calibration, and replaces what the registers held in the test.",
         "Send both lines, then the command that writes settings to flash memory.",
     ),
     frames=("mars", "table"),
@@ -104,10 +109,10 @@ VECTORNAV: Final = Exporter(
     read=_read_vectornav,
     apply=_apply_vectornav,
     within=SINGLE,
+    replaces=True,
+    find_applied="send $VNRRG,25*XX and $VNRRG,84*XX to the unit and save its two answers",
 )
 
-_PX4_LAST_INSTANCE: Final = 3
-"""PX4 has four slots of calibration parameters, CAL_ACC0 to CAL_ACC3."""
 _OFFSET_LIMIT: Final = 3.5
 _SCALE_LIMITS: Final = (0.8, 1.2)
 """ArduPilot's stated ranges of INS_ACCOFFS (m/s²) and INS_ACCSCAL."""
@@ -117,20 +122,28 @@ def _factors(matrix: Array) -> Array:
     return np.asarray(np.diag(matrix) / np.sum(matrix**2, axis=1))
 
 
-def _names(patterns: tuple[str, str, str]) -> dict[str, tuple[str, ...]]:
-    return {
-        key: tuple(pattern.format(axis) for axis in "XYZ")
-        for key, pattern in zip(("accel_offset", "accel_scale", "gyro_offset"), patterns, strict=True)
-    }
+def _chosen_instance(model: ExportModel, autopilot: Autopilot) -> int:
+    """Instance of the settings, else that of the log. Raises InputError if the two differ or there is none such."""
+    of_log = None if model.applied is None else model.applied.instance
+    stated = model.settings.instance
+    if None not in (stated, of_log) and stated != of_log:
+        raise InputError(f"The log is of IMU {of_log}, but instance {stated} is asked for: leave it out.")
+    instance = stated if stated is not None else of_log or 0
+    if instance >= autopilot.instances:
+        raise InputError(
+            f"The instance is {instance}, but {autopilot.title} has parameters for 0 to {autopilot.instances - 1}: "
+            "give one of these."
+        )
+    return instance
 
 
-def _px4_names(instance: int) -> dict[str, tuple[str, ...]]:
-    return _names((f"CAL_ACC{instance}_{{}}OFF", f"CAL_ACC{instance}_{{}}SCALE", f"CAL_GYRO{instance}_{{}}OFF"))
-
-
-def _ardupilot_names(instance: int) -> dict[str, tuple[str, ...]]:
-    n = "" if instance == 0 else str(instance + 1)
-    return _names((f"INS_ACC{n}OFFS_{{}}", f"INS_ACC{n}SCAL_{{}}", f"INS_GYR{n}OFFS_{{}}"))
+def _ids(model: ExportModel, autopilot: Autopilot) -> dict[str, int]:
+    """Parameters that identify the devices, as far as the log states them."""
+    if model.applied is None:
+        return {}
+    names = autopilot.ids(_chosen_instance(model, autopilot))
+    values = (model.applied.gyro_id, model.applied.accel_id)
+    return {name: value for name, value in zip(names, values, strict=True) if value is not None}
 
 
 def _parameter_values(model: ExportModel) -> dict[str, Array]:
@@ -145,27 +158,23 @@ def _parameter_values(model: ExportModel) -> dict[str, Array]:
 
 
 def _write_px4(model: ExportModel) -> dict[str, str]:
-    if (model.settings.instance or 0) > _PX4_LAST_INSTANCE:
-        raise InputError(
-            f"The instance is {model.settings.instance}, but PX4 has parameters for 0 to {_PX4_LAST_INSTANCE}: give "
-            "one of these."
-        )
-    names, values = _px4_names(model.settings.instance or 0), _parameter_values(model)
-    # Vehicle, component, name, value, type 9: float.
+    instance = _chosen_instance(model, autopilots.PX4)
+    names, values = autopilots.PX4.names(instance), _parameter_values(model)
+    # Vehicle, component, name, value, type 9: float, type 6: 32-bit integer.
     lines = [
         f"1\t1\t{name}\t{value:.18f}\t9\n"
         for key in values
         for name, value in zip(names[key], values[key].tolist(), strict=True)
     ]
+    for name, number in _ids(model, autopilots.PX4).items():
+        lines.append(f"1\t1\t{name}\t{number - (number >> 31 << 32)}\t6\n")
     head = [*model.heading(PX4), "", "Vehicle-Id Component-Id Name Value Type"]
     return {"": comment(head) + "".join(sorted(lines))}
 
 
 def _write_ardupilot(model: ExportModel) -> dict[str, str]:
-    instance = model.settings.instance or 0
-    if instance > 2:
-        raise InputError(f"The instance is {instance}, but ArduPilot has parameters for 0, 1 and 2: give one of these.")
-    names, values = _ardupilot_names(instance), _parameter_values(model)
+    instance = _chosen_instance(model, autopilots.ARDUPILOT)
+    names, values = autopilots.ARDUPILOT.names(instance), _parameter_values(model)
     for key in ("accel_offset", "gyro_offset"):
         if not values[key].any():
             raise InputError(
@@ -183,26 +192,34 @@ def _write_ardupilot(model: ExportModel) -> dict[str, str]:
     lines = [
         f"{name},{value:.9g}\n" for key in values for name, value in zip(names[key], values[key].tolist(), strict=True)
     ]
+    lines += [f"{name},{number}\n" for name, number in _ids(model, autopilots.ARDUPILOT).items()]
     return {"": comment(model.heading(ARDUPILOT)) + "".join(lines)}
 
 
-def _parameters(text: str, columns: int, column: int, separator: str | None) -> dict[str, str]:
+def parameter_values(text: str) -> dict[str, float]:
+    """Parameters of an autopilot by name, from lines "NAME,VALUE", "NAME VALUE" or those of QGroundControl.
+
+    Raises
+    ------
+    InputError
+        A line that is no parameter.
+    """
     found = {}
     for line in whole_lines(text):
-        words = [word.strip() for word in line.split(separator)]
-        if line.startswith("#") or not line.strip():
+        words = line.replace(",", " ").split()
+        if line.startswith("#") or not words:
             continue
-        if len(words) != columns:
-            raise InputError(f"the line {line[:40]!r} is no parameter: it was truncated.")
-        found[words[column]] = words[column + 1]
+        name, value = words[2:4] if len(words) == 5 else words if len(words) == 2 else ("", "")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise InputError(f"the line {line[:40]!r} is no parameter: it was truncated.") from None
     return found
 
 
-def _reader(
-    name_of: Callable[[int], dict[str, tuple[str, ...]]], columns: int, column: int, separator: str | None
-) -> Callable[[Texts], Fields]:
+def _reader(name_of: Callable[[int], dict[str, tuple[str, ...]]]) -> Callable[[Texts], Fields]:
     def read(texts: Texts) -> Fields:
-        found = _parameters(texts[""], columns, column, separator)
+        found = parameter_values(texts[""])
         for instance in range(10):
             names = name_of(instance)
             if names["accel_scale"][0] in found:
@@ -221,6 +238,39 @@ def _apply_parameters(fields: Fields, gyro: Array, accel: Array) -> tuple[Array,
     return gyro - fields["gyro_offset"], (accel - fields["accel_offset"]) * fields["accel_scale"]
 
 
+_DEAD_BAND: Final = 0.01
+"""Length of a change of offsets (m/s², rad/s) or scales that some releases of PX4 ignore; others have 0.001."""
+
+
+def _px4_limits(model: ExportModel, fields: Fields) -> tuple[str, ...]:
+    """Groups of parameters that a release with the dead band would not take over."""
+    applied = model.applied or AppliedCorrection("px4")
+    before = {
+        "accel_offset": applied.accel_offset,
+        "accel_scale": np.diag(applied.accel_matrix),
+        "gyro_offset": applied.gyro_offset,
+    }
+    defaults = {"accel_offset": 0.0, "accel_scale": 1.0, "gyro_offset": 0.0}
+    out = []
+    for key, values in fields.items():
+        change, total = (float(np.linalg.norm(values - old)) for old in (before[key], defaults[key]))
+        if change <= _DEAD_BAND:
+            advice = "restart after loading" if total > _DEAD_BAND else "that holds after a restart, too"
+            out.append(
+                f"The {key.replace('_', ' ')} changes by {change:.2g}: releases of PX4 that skip changes of at most "
+                f"{_DEAD_BAND:g} ignore it ({advice})."
+            )
+    return (*out, *_id_limits(model, autopilots.PX4))
+
+
+def _id_limits(model: ExportModel, autopilot: Autopilot) -> tuple[str, ...]:
+    names = autopilot.ids(_chosen_instance(model, autopilot))
+    missing = [name for name in names if name not in _ids(model, autopilot)]
+    if not missing:
+        return ()
+    return (f"{' and '.join(missing)} must be those of the devices: calibrate once with the ground station first.",)
+
+
 _AUTOPILOT_LOSSES: Final = (
     "gyro scale factors: there are no parameters for them",
     "misalignment of gyros and accelerometers: likewise",
@@ -233,19 +283,17 @@ PX4: Final = Exporter(
     suffixes=(".params",),
     formula="a = (raw - OFF) SCALE; w = raw - OFF, axis by axis",
     losses=_AUTOPILOT_LOSSES,
-    advice=(
-        "CAL_ACCn_ID and CAL_GYROn_ID stay those of the unit: calibrate once with the ground station, then load this.",
-        "Some releases of PX4 ignore a change of at most 0.01 in an offset or scale: compare the parameters after "
-        "loading.",
-        "Temperature compensation (TC_...) works before these offsets; none was on in the test, so leave it off.",
-    ),
+    advice=("Temperature compensation (TC_...) works before these offsets: leave it as it was in the test.",),
     frames=("mars", "table"),
     write=_write_px4,
-    read=_reader(_px4_names, 5, 2, None),
+    read=_reader(autopilots.PX4.names),
     apply=_apply_parameters,
     within=None,
     imports=False,
     options=frozenset({"instance"}),
+    replaces=True,
+    find_applied=autopilots.PX4.advice,
+    limits=_px4_limits,
 )
 
 ARDUPILOT: Final = Exporter(
@@ -260,11 +308,14 @@ ARDUPILOT: Final = Exporter(
     ),
     frames=("mars", "table"),
     write=_write_ardupilot,
-    read=_reader(_ardupilot_names, 2, 0, ","),
+    read=_reader(autopilots.ARDUPILOT.names),
     apply=_apply_parameters,
     within=None,
     imports=False,
     options=frozenset({"instance"}),
+    replaces=True,
+    find_applied=autopilots.ARDUPILOT.advice,
+    limits=lambda model, fields: _id_limits(model, autopilots.ARDUPILOT),  # noqa: ARG005
 )
 
 _ROS2: Final = "/**"

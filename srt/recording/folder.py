@@ -19,6 +19,7 @@ import numpy as np
 
 from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
+from srt.recording.applied import AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_write_text, unwritable
 from srt.recording.importer_registry import is_foreign
 from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site, require_bounded
@@ -61,12 +62,14 @@ class RecordingMetadata:
     fixture : Fixture or None
     noise : ImuNoise
     sequences : tuple of SequenceLabel
+    applied : AppliedCorrection or None
     """
 
     site: Site
     fixture: Fixture | None
     noise: ImuNoise
     sequences: tuple[SequenceLabel, ...]
+    applied: AppliedCorrection | None = None
 
 
 def load_recording(path: str | os.PathLike[str]) -> Recording:
@@ -132,6 +135,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
             temperature=temperature,
             source=os.fspath(path),
             data_sha256=_sha256(samples_path),
+            applied=about.applied,
             **fields_of({"kind": kind, **main}, RECORDING_KEYS),
         )
         require_bounded(recording)
@@ -166,8 +170,13 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
     if "fixture" in document:
         given = fields_of(read_section(file, "fixture", document["fixture"], FIXTURE_KEYS), FIXTURE_KEYS)
         fixture = Fixture(**{"heading_rad": None, **given})
-    noise = ImuNoise(**fields_of(read_section(file, "imu", document.get("imu", {}), IMU_KEYS), IMU_KEYS))
-    return RecordingMetadata(site, fixture, noise, _read_sequences(file, document.get("sequence", [])))
+    imu = document.get("imu", {})
+    applied = None
+    if isinstance(imu, dict) and "applied" in imu:
+        applied = applied_correction(file, imu["applied"])
+        imu = {name: value for name, value in imu.items() if name != "applied"}
+    noise = ImuNoise(**fields_of(read_section(file, "imu", imu, IMU_KEYS), IMU_KEYS))
+    return RecordingMetadata(site, fixture, noise, _read_sequences(file, document.get("sequence", [])), applied)
 
 
 def read_document(toml: Path) -> dict[str, Any]:
@@ -353,6 +362,7 @@ def _import_recording(
             data_sha256=_sha256(samples_path),
             temperature_c=main.get("temperature_c"),
             clock_sigma=fields_of(main, RECORDING_KEYS).get("clock_sigma"),
+            applied=about.applied,
         )
     except InputError as error:
         if str(toml.parent) in str(error):
@@ -368,7 +378,7 @@ def _read_toml(toml: Path) -> dict[str, Any]:
     except ValueError as error:
         raise InputError(f"{toml} is not valid TOML ({error}): correct it there.") from None
     for section in document:
-        if section not in SECTIONS:
+        if section not in SECTIONS or "." in section:
             raise InputError(
                 f"{toml}: [{clipped(section)}] is no known section{did_you_mean(section, SECTIONS)}: "
                 f"remove it, or use one of {', '.join(SECTIONS)}."
@@ -488,6 +498,9 @@ def _emit(recording: Recording, samples_name: str) -> str:
     imu = emit_section(recording.noise, IMU_KEYS)
     if imu:
         lines += ["", "[imu]", *imu]
+    if recording.applied is not None:
+        applied = recording.applied.document()
+        lines += ["", "[imu.applied]", *(f"{name} = {toml_value(value)}" for name, value in applied.items())]
     for label in recording.sequences:
         lines += ["", "[[sequence]]", *emit_section(label, SEQUENCE_KEYS)]
     return "\n".join(lines) + "\n"

@@ -17,6 +17,7 @@ from srt.recording.timing import GAP_STEPS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from srt.recording.applied import AppliedCorrection
     from srt.types import Array, Indices
 
 REBASE_BEYOND_S: Final = 1e6
@@ -65,6 +66,8 @@ class ImportedSamples:
         Unit of "gyro", "accel" and "time" in the file, and its origin: the file or the user.
     notes : tuple of str
         Sentences on assumptions, dropped samples and changes.
+    applied : AppliedCorrection or None
+        Correction that the system that wrote the log had applied; None: not known.
     """
 
     gyro: Array
@@ -77,6 +80,7 @@ class ImportedSamples:
     date: str | None = None
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    applied: AppliedCorrection | None = None
 
 
 def samples_in_si(
@@ -92,6 +96,7 @@ def samples_in_si(
     serial: str | None = None,
     date: str | None = None,
     notes: tuple[str, ...] = (),
+    applied: AppliedCorrection | None = None,
 ) -> ImportedSamples:
     """Convert arrays to SI: the last step of every reader.
 
@@ -113,6 +118,8 @@ def samples_in_si(
     serial, date : str, optional
     notes : tuple of str
         Notes of the reader.
+    applied : AppliedCorrection, optional
+        Correction that the readings had already.
 
     Returns
     -------
@@ -158,6 +165,7 @@ def samples_in_si(
         date,
         units,
         (*notes, *changes),
+        applied,
     )
 
 
@@ -296,7 +304,18 @@ def in_imu_axes(imported: ImportedSamples, options: ImportOptions) -> ImportedSa
             "The axis maps make one triad of gyros and accelerometers right-handed and the other left-handed: check "
             "their signs."
         )
-    return replace(imported, **changes, notes=tuple(notes)) if changes else imported
+    if not changes:
+        return imported
+    applied = imported.applied
+    if applied is not None:
+        # A rotation of both triads together is one more rotation of the log's axes; anything else it cannot state.
+        turn = parse_axis_map(options.map_gyro, "map_gyro")
+        if options.map_gyro == options.map_accel and turn is not None and handedness[0] > 0.0:
+            applied = replace(applied, rotation=turn @ applied.rotation)
+        else:
+            applied = None
+            notes.append("The calibration of the log is not carried, as the axis maps are no common rotation.")
+    return replace(imported, **changes, notes=tuple(notes), applied=applied)
 
 
 def to_recording(
@@ -312,6 +331,7 @@ def to_recording(
     data_sha256: str | None = None,
     temperature_c: float | None = None,
     clock_sigma: float | None = None,
+    applied: AppliedCorrection | None = None,
 ) -> Recording:
     """Make a recording of imported samples.
 
@@ -329,6 +349,8 @@ def to_recording(
         Temperature of all samples, if the file has none.
     clock_sigma : float, optional
         1-sigma relative error of the time base.
+    applied : AppliedCorrection, optional
+        It overrides that of the file.
 
     Returns
     -------
@@ -367,6 +389,7 @@ def to_recording(
         source,
         data_sha256,
         clock_sigma,
+        applied or imported.applied,
     )
     require_bounded(recording)
     return recording

@@ -24,6 +24,7 @@ from srt.recording.timing import SampleTiming, sample_timing
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
+    from srt.recording.applied import AppliedCorrection
     from srt.types import Array, Indices
 
 Kind = Literal["rate", "increment"]
@@ -288,6 +289,8 @@ class Recording:
         Hash of the samples file.
     clock_sigma : float or None
         1-sigma relative error of the time base, one for the whole recording; None: not stated.
+    applied : AppliedCorrection or None
+        Correction that the readings had before they were logged; None: not known.
 
     Raises
     ------
@@ -310,6 +313,7 @@ class Recording:
     source: str | None = None
     data_sha256: str | None = None
     clock_sigma: float | None = None
+    applied: AppliedCorrection | None = None
     _memo: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

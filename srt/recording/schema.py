@@ -102,6 +102,28 @@ def one_or_three(name: str, unit: str, *, zero: bool) -> Key:
     return Key(name, f"a number {'' if zero else 'other than 0 '}or a list of three, in {unit}", read)
 
 
+def whole(name: str, attribute: str) -> Key:
+    """Key of a whole number, not negative."""
+
+    def read(value: Any) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            raise ValueError
+        return value
+
+    return Key(name, "a whole number, not negative,", read, attribute)
+
+
+def numbers(name: str, unit: str, attribute: str, count: int) -> Key:
+    """Key of a list of finite numbers, matrices by rows."""
+
+    def read(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
+            raise ValueError
+        return tuple(map(float, value))
+
+    return Key(name, f"a list of {count} numbers, {unit},", read, attribute)
+
+
 def _window(name: str) -> Key:
     def read(value: Any) -> tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2 or not all(_is_number(v) for v in value):
@@ -182,6 +204,20 @@ IMU_KEYS: Final = (
     number("accel_range_g", "g", "accel_range", factor=STANDARD_GRAVITY_M_S2, above=0.0),
 )
 
+APPLIED_KEYS: Final = (
+    text("system", "system"),
+    whole("instance", "instance"),
+    whole("gyro_id", "gyro_id"),
+    whole("accel_id", "accel_id"),
+    numbers("rotation", "sensor axes to log axes, by rows", "rotation", 9),
+    numbers("gyro_matrix", "by rows", "gyro_matrix", 9),
+    numbers("gyro_offset_rad_s", "rad/s", "gyro_offset", 3),
+    numbers("accel_matrix", "by rows", "accel_matrix", 9),
+    numbers("accel_offset_m_s2", "m/s²", "accel_offset", 3),
+    numbers("g_sensitivity", "rad/s per m/s², by rows", "g_sensitivity", 9),
+)
+"""Keys of [imu.applied]: the correction that the readings had before they were logged."""
+
 SEQUENCE_KEYS: Final = (
     text("id", "id"),
     _window("start_static_s"),
@@ -196,6 +232,7 @@ SECTIONS: Final = {
     "site": SITE_KEYS,
     "fixture": FIXTURE_KEYS,
     "imu": IMU_KEYS,
+    "imu.applied": APPLIED_KEYS,
     "sequence": SEQUENCE_KEYS,
 }
 
@@ -292,7 +329,7 @@ def toml_value(value: object) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(item) for item in value) + "]"
     assert isinstance(value, int | float)
-    return repr(float(value))
+    return repr(value if type(value) is int else float(value))
 
 
 def _shown(value: object) -> str:

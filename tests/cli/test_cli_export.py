@@ -30,7 +30,7 @@ def calibrated(**changes):
         "U": U,
         "site": {"gravity_m_s2": 9.81},
         "noise": {"gyro_noise_rad_per_sqrt_s": [1e-6] * 3, "accel_noise_m_s2_sqrt_s": [1e-4] * 3},
-        "provenance": {"serial": "SN-7", "data_sha256": "0" * 64, "software": "test"},
+        "provenance": {"serial": "SN-7", "data_sha256": "0" * 64, "applied": {"system": "none"}},
     }
     covariance = np.eye(N_PARAMETERS) * 1e-10
     return Calibration(
@@ -238,6 +238,8 @@ def test_what_the_target_would_cut_is_refused(tmp_path, capfd):
     vector[9:12] = 5.0
     wrong = Calibration("closed-form", "converged", "Done.", SensorErrors(vector), np.eye(N_PARAMETERS) * 1e-10)
     wrong.save(tmp_path / "unit.json")
-    sentence = refused(capfd, tmp_path / "unit.json", "--to", "ardupilot", "-o", tmp_path / "a.param")
+    line = [tmp_path / "unit.json", "--to", "ardupilot", "-o", tmp_path / "a.param"]
+    assert "--applied ardupilot:FILE" in refused(capfd, *line)
+    sentence = refused(capfd, *line, "--applied", "none")
     assert "3.5 m/s²" in sentence
     assert [p.name for p in tmp_path.iterdir()] == ["unit.json"]

@@ -38,7 +38,7 @@ def calibrated(rng, *, asymmetry=False, size=0.1, **changes):
         "U": U,
         "noise": NOISE,
         "site": {"gravity_m_s2": 9.81},
-        "provenance": {"serial": "SN-7", "software": "test"},
+        "provenance": {"serial": "SN-7", "software": "test", "applied": {"system": "none"}},
     }
     covariance = np.diag(rng.uniform(1e-12, 1e-10, N_PARAMETERS))
     return Calibration("closed-form", "converged", "Done.", SensorErrors(vector), covariance, **(given | changes))

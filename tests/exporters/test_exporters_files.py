@@ -131,7 +131,7 @@ def entry(i, j, value):
         ("pyins", "", lambda text: "[]", "no fields by name"),
         ("vectornav", "", lambda text: spoil(text, "VNWRG,25,1", "VNWRG,25,2"), "checksum"),
         ("vectornav", "", lambda text: text.split("\r\n")[0] + "\r\n", "register 25"),
-        ("px4", "", lambda text: spoil(text, "CAL_ACC0_YSCALE\t0", "CAL_ACC0_YSCALE\tinf0"), "CAL_ACC0_XSCALE"),
+        ("px4", "", lambda text: spoil(text, "CAL_ACC0_YSCALE\t0", "CAL_ACC0_YSCALE\tinf0"), "CAL_ACC0_YSCALE"),
         ("ardupilot", "", lambda text: spoil(text, "INS_ACCOFFS_Y", "INS_ACCOFFS_T"), "INS_ACCOFFS_X"),
         ("ros2", "", lambda text: spoil(text, "asymmetry: [", "asymmetry: [1.0, "), "shape"),
         ("ros2", "", lambda text: spoil(text, "correction: [1", "correction: [2"), "was edited"),

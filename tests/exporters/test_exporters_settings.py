@@ -38,7 +38,7 @@ def changed(calibration, **groups):
         ("ardupilot", {}, {"accel_scale": -0.3}, "from 0.8 to 1.2"),
         ("ardupilot", {}, {"accel_bias": 0.0}, "never calibrated"),
         ("ardupilot", {}, {"gyro_bias": 0.0}, "never calibrated"),
-        ("ardupilot", {"settings": ExportSettings(instance=3)}, {}, "0, 1 and 2"),
+        ("ardupilot", {"settings": ExportSettings(instance=3)}, {}, "for 0 to 2"),
         ("pyins", {}, {"gyro_scale": -1.5}, "cannot be exported"),
         ("pyins", {}, {"gyro_asymmetry": 1.5}, "no unique inverse"),
     ],

@@ -1,6 +1,7 @@
 """ArduPilot logs (DataFlash, .bin or .log as text): IMU, or GYR with ACC; rad/s and m/s² as ArduPilot defines them.
 
-pymavlink finds the messages and their layout; numpy reads the columns of all samples at once.
+pymavlink finds the messages and their layout; numpy reads the columns of all samples at once. The messages PARM give
+the calibration and orientation that ArduPilot applied.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.recording.autopilots import ARDUPILOT as PARAMETERS
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
@@ -65,10 +67,13 @@ class _LogMessages:
     ----------
     path : Path
     tables : dict of message name to dict of column to ndarray, shape (n,)
+    parameters : dict of str to list of float
+        Values of each parameter, in their order in the log.
     """
 
     path: Path
     tables: dict[str, dict[str, NDArray[Any]]]
+    parameters: dict[str, list[float]]
 
     def instances(self, message: str) -> dict[int, tuple[str, Mask | slice]]:
         """Name and rows of the messages of each instance."""
@@ -120,7 +125,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     """
     wanted = options.topic
     require_topic(wanted, TOPICS)
-    log = _LogMessages(path, _tables(path))
+    log = _LogMessages(path, *_tables(path))
     complete = [topic for topic, parts in TOPICS.items() if all(log.instances(message) for message, _ in parts)]
     if not complete or wanted not in (None, *complete):
         there = ", ".join(sorted(log.tables)) or "none of them"
@@ -138,19 +143,28 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
         others = log.instances(message)
         streams.append(log.stream(message, instance if instance in others else next(iter(others)), columns))
     stream = streams[0] if len(streams) == 1 else join(streams[0], streams[1], notes)
-    return to_imported(stream, options, notes)
+    first = {name: values[0] for name, values in log.parameters.items()}
+    changed = {name for name, values in log.parameters.items() if len(set(values)) > 1}
+    applied = PARAMETERS.carried(first, changed, instance, notes)
+    return to_imported(stream, options, notes, applied=applied)
 
 
-def _tables(path: Path) -> dict[str, dict[str, NDArray[Any]]]:
+def _tables(path: Path) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, list[float]]]:
     names = [message + variant for parts in TOPICS.values() for message, _ in parts for variant in _VARIANTS]
     take = _from_text if _is_text(path) else _from_binary
     reader = _indexed(path, binary=take is _from_binary)
     tables = {name: take(path, reader, name) for name in names}
-    return {name: table for name, table in tables.items() if table}
+    parameters: dict[str, list[float]] = {}
+    table = take(path, reader, "PARM", texts=True)
+    if {"Name", "Value"} <= set(table):
+        for name, value in zip(table["Name"].tolist(), table["Value"].tolist(), strict=True):
+            text = name.decode("latin-1") if isinstance(name, bytes) else name
+            parameters.setdefault(text.strip(" \0"), []).append(float(value))
+    return {name: table for name, table in tables.items() if table}, parameters
 
 
-def _from_binary(path: Path, reader: Any, name: str) -> dict[str, NDArray[Any]]:
-    """Columns of a message, those of numbers; empty if there is none."""
+def _from_binary(path: Path, reader: Any, name: str, *, texts: bool = False) -> dict[str, NDArray[Any]]:
+    """Columns of a message, those of numbers and, if asked for, of text; empty if there is none."""
     if name not in reader.name_to_id:
         return {}
     kind = reader.name_to_id[name]
@@ -177,7 +191,7 @@ def _from_binary(path: Path, reader: Any, name: str) -> dict[str, NDArray[Any]]:
     return {
         column: table[column] if factors[column] is None else table[column] * factors[column]
         for column in columns
-        if table[column].dtype.kind in "fiu"
+        if table[column].dtype.kind in ("fiuS" if texts else "fiu")
     }
 
 
@@ -193,12 +207,14 @@ def _codes(codes: str) -> list[str]:
     return result
 
 
-def _from_text(path: Path, reader: Any, name: str) -> dict[str, NDArray[Any]]:
-    """Columns of a message in a log as text."""
+def _from_text(path: Path, reader: Any, name: str, *, texts: bool = False) -> dict[str, NDArray[Any]]:
+    """Columns of a message in a log as text, those of numbers and, if asked for, of text."""
     if name not in reader.formats or name not in reader.offsets:
         return {}
     layout = reader.formats[name]
-    wanted = [column for column, code in zip(layout.columns, layout.format, strict=False) if code not in "nNZa"]
+    wanted = [
+        column for column, code in zip(layout.columns, layout.format, strict=False) if texts or code not in "nNZa"
+    ]
     places = [layout.columns.index(column) + 1 for column in wanted]
     lines = [_line(reader.data_map, start) for start in reader.offsets[name]]
     full = [line for line in lines if line.count(",") >= len(layout.columns)]
@@ -211,6 +227,9 @@ def _from_text(path: Path, reader: Any, name: str) -> dict[str, NDArray[Any]]:
     table = {}
     for column, place in zip(wanted, places, strict=True):
         cells = [line.split(",")[place] for line in full]
+        if kinds[column] in "nNZa":
+            table[column] = np.array(cells)
+            continue
         try:
             # Integers of 64 bits do not fit into a double.
             table[column] = np.array(cells).astype(np.int64 if kinds[column] in whole else np.float64)

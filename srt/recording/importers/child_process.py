@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Protocol
 import numpy as np
 
 from srt.exceptions import DataError, InputError, MissingExtraError
+from srt.recording.applied import applied_correction
 from srt.recording.import_options import ImportOptions
 from srt.recording.imported_samples import ImportedSamples
 
@@ -233,6 +234,7 @@ def answer(request: bytes, out: BinaryIO) -> None:
     arrays = {name: getattr(imported, name) for name in ARRAYS if getattr(imported, name) is not None}
     header = {name: getattr(imported, name) for name in FIELDS}
     header["notes"] = [note.replace(str(path), shown) for note in imported.notes]
+    header["applied"] = None if imported.applied is None else imported.applied.document()
     header["arrays"] = {name: values.shape for name, values in arrays.items()}
     _send(out, header, [np.ascontiguousarray(values, dtype="<f8") for values in arrays.values()])
 
@@ -300,6 +302,7 @@ def _received(stream: BinaryIO) -> ImportedSamples | None:
         if values.size and stream.readinto(values.data.cast("B")) != values.nbytes:  # type: ignore[attr-defined]
             return None
         header[name] = values
+    header["applied"] = applied_correction("the log", header["applied"])
     return ImportedSamples(**{**header, "notes": tuple(header["notes"])})
 
 

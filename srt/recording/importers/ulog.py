@@ -5,6 +5,8 @@ Topics in the order in which they are tried:
 - ``sensor_combined``: means over ``gyro_integral_dt``, in rad/s and m/s², after PX4's own calibration;
 - ``vehicle_imu``: increments over ``delta_angle_dt`` and ``delta_velocity_dt``, in rad and m/s, also calibrated by PX4;
 - ``sensor_gyro`` with ``sensor_accel``: readings of the driver, in rad/s and m/s², not calibrated.
+
+The parameters of the log give the calibration and orientation that PX4 applied; it finds them by the device ids.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.recording.applied import AppliedCorrection
+from srt.recording.autopilots import PX4
 from srt.recording.import_options import option
 from srt.recording.importer_registry import Importer, head
 from srt.recording.importers.child_process import in_child
@@ -36,6 +40,7 @@ COMBINED: Final = "sensor_combined"
 INCREMENTS: Final = "vehicle_imu"
 GYRO: Final = "sensor_gyro"
 ACCEL: Final = "sensor_accel"
+SELECTION: Final = "sensor_selection"
 
 TOPICS: Final = {COMBINED: (COMBINED,), INCREMENTS: (INCREMENTS,), GYRO: (GYRO, ACCEL)}
 """Values of the option ``topic``, and the topics of the log that each stands for, in order of preference."""
@@ -65,12 +70,18 @@ class _LogTopics:
     data : dict of (topic, instance) to dict of column to ndarray
     info : dict of str to object
         Key and value pairs on the system that wrote the log.
+    parameters : dict of str to number
+        At the start of the log.
+    changed : frozenset of str
+        Parameters that changed within the log.
     damaged : bool
     """
 
     path: Path
     data: dict[tuple[str, int], dict[str, NDArray[Any]]]
     info: dict[str, object]
+    parameters: dict[str, float]
+    changed: frozenset[str]
     damaged: bool
 
     def instances(self, topic: str) -> list[int]:
@@ -85,6 +96,21 @@ class _LogTopics:
             raise InputError(f"{self.path}: {topic} has no field {missing}: it is not PX4's topic of that name.")
         columns = [np.asarray(data[name], dtype=np.float64) for name in names]
         return columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
+
+    def device_ids(self, topic: str, instance: int) -> tuple[int, int] | None:
+        """Ids of the gyros' and the accelerometers' device; None if not stated, or not the same throughout."""
+        if topic == COMBINED:
+            topic, instance = SELECTION, 0
+        places = ((GYRO, "device_id"), (ACCEL, "device_id"))
+        if topic != GYRO:
+            places = ((topic, "gyro_device_id"), (topic, "accel_device_id"))
+        found = []
+        for name, column in places:
+            ids = np.unique(self.data.get((name, instance), {}).get(column, np.zeros(0)))
+            if ids.size != 1 or int(ids[0]) == 0:
+                return None
+            found.append(int(ids[0]))
+        return found[0], found[1]
 
     def stamps(self, topic: str, instance: int) -> Counts:
         """Times of the samples, µs: the driver's stamp where there is one."""
@@ -133,7 +159,30 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
         notes.append(f"Read from {topic}; {', '.join(complete[1:])} would be read with {option('topic')}.")
     serial = log.info.get("sys_uuid")
     stream, more = _READERS[topic](log, instance, notes)
-    return to_imported(stream, options, notes, serial=serial if isinstance(serial, str) else None, **more)
+    applied = _applied(log, topic, instance, notes)
+    return to_imported(
+        stream, options, notes, serial=serial if isinstance(serial, str) else None, applied=applied, **more
+    )
+
+
+def _applied(log: _LogTopics, topic: str, instance: int, notes: list[str]) -> AppliedCorrection | None:
+    ids = log.device_ids(topic, instance)
+    slots = [_slots(log, group, None if ids is None else ids[group]) for group in (0, 1)]
+    if topic == GYRO:
+        return AppliedCorrection(PX4.name, slots[1][0] if len(slots[1]) == 1 else None, *(ids or (None, None)))
+    if len(slots[0]) != 1 or slots[0] != slots[1]:
+        notes.append(
+            "The log does not state which of PX4's calibrations (CAL_ACCn_ID, CAL_GYROn_ID) these readings had: it is "
+            "not carried."
+        )
+        return None
+    return PX4.carried(log.parameters, log.changed, slots[0][0], notes)
+
+
+def _slots(log: _LogTopics, group: int, device: int | None) -> list[int]:
+    """Slots of calibration parameters of a device, or all in use if the device is not known."""
+    ids = {n: int(log.parameters.get(PX4.ids(n)[group], 0)) & 0xFFFFFFFF for n in range(PX4.instances)}
+    return [n for n, each in ids.items() if each and device in (None, each)]
 
 
 def _combined(log: _LogTopics, instance: int, notes: list[str]) -> tuple[Stream, dict[str, Any]]:
@@ -199,9 +248,11 @@ def _parse(path: Path) -> _LogTopics:
     from pyulog import ULog
 
     with clear_errors(path, _TITLE):
-        log = ULog(str(path), sorted({part for parts in TOPICS.values() for part in parts}))
+        log = ULog(str(path), sorted({part for parts in TOPICS.values() for part in parts} | {SELECTION}))
     data = {(each.name, each.multi_id): each.data for each in log.data_list}
-    return _LogTopics(path, data, log.msg_info_dict, bool(log.file_corruption))
+    parameters = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
+    changed = frozenset(name for _, name, value in log.changed_parameters if value != parameters.get(name))
+    return _LogTopics(path, data, log.msg_info_dict, parameters, changed, bool(log.file_corruption))
 
 
 def _sniff(path: Path) -> bool:

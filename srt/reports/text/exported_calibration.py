@@ -37,6 +37,9 @@ def export_text(made: ExportedCalibration) -> str:
         f"formula: {made.format.formula}",
         f"axes: {axes}",
     ]
+    if made.applied is not None:
+        which = "" if made.applied.instance is None else f" (IMU {made.applied.instance})"
+        lines.append(f"composed with the correction by {made.applied.system} that the log was made under{which}")
     if made.frame != "mars":
         x, y, z = made.turn_mrad
         lines.append(f"turned from MARS axes by ({x:.4f}, {y:.4f}, {z:.4f}) mrad; v is C v there, C =")
@@ -50,6 +53,6 @@ def export_text(made: ExportedCalibration) -> str:
         "Not in the file:",
         *(f"  {loss}" for loss in made.losses),
     ]
-    if made.format.advice:
-        lines += ["", "Note:", *(f"  {sentence}" for sentence in made.format.advice)]
+    if made.format.advice or made.limits:
+        lines += ["", "Note:", *(f"  {sentence}" for sentence in (*made.limits, *made.format.advice))]
     return "\n".join(lines)

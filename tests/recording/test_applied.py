@@ -1,0 +1,75 @@
+"""Corrections that autopilots applied before they logged: read from logs, kept by recordings."""
+
+import numpy as np
+import pytest
+from log_samples import IMU_MESSAGES, US, VALUES, ff, note, read
+
+import srt
+from srt.recording import autopilots
+from srt.recording.applied import AppliedCorrection
+
+OFFSET, SCALE = np.array([0.35, -0.52, 0.21]), np.array([0.981, 1.027, 1.009])
+PX4 = {
+    "SENS_BOARD_ROT": 10,
+    "CAL_ACC1_ID": 2753036,
+    "CAL_GYRO1_ID": 2818058,
+    **{f"CAL_ACC1_{a}OFF": float(v) for a, v in zip("XYZ", OFFSET, strict=True)},
+    **{f"CAL_ACC1_{a}SCALE": float(v) for a, v in zip("XYZ", SCALE, strict=True)},
+    **{f"CAL_GYRO1_{a}OFF": 0.01 for a in "XYZ"},
+}
+ARDUPILOT = {
+    "AHRS_ORIENTATION": 14,
+    **{f"INS_ACCOFFS_{a}": float(v) for a, v in zip("XYZ", OFFSET, strict=True)},
+    **{f"INS_ACCSCAL_{a}": float(v) for a, v in zip("XYZ", SCALE, strict=True)},
+    **{f"INS_GYROFFS_{a}": 0.01 for a in "XYZ"},
+}
+# Roll 180°, yaw 270°.
+ORIENTATION_14 = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+def test_parameters_that_change_within_the_log_are_not_carried(tmp_path):
+    topics = [("sensor_combined", 0, ff.COMBINED, ff.combined(US, VALUES))]
+    ff.write_ulog(tmp_path / "a.ulg", topics, PX4)
+    assert read(tmp_path / "a.ulg").applied.instance == 1
+    ff.write_ulog(tmp_path / "b.ulg", topics, PX4, ((int(US[3]), "CAL_ACC1_YOFF", 0.3),))
+    changed = read(tmp_path / "b.ulg")
+    assert changed.applied is None
+    assert note(changed, "CAL_ACC1_YOFF changed within the log")
+    ff.write_ulog(tmp_path / "c.ulg", topics, {**PX4, "CAL_ACC0_ID": 77, "CAL_GYRO0_ID": 78})
+    assert note(read(tmp_path / "c.ulg"), "does not state which of PX4's calibrations")
+
+
+def test_text_logs_and_axis_maps_carry_it(tmp_path):
+    messages = [ff.parameter_message(ARDUPILOT, text=True), *IMU_MESSAGES]
+    ff.write_dataflash_text(tmp_path / "a.log", messages)
+    applied = read(tmp_path / "a.log").applied
+    np.testing.assert_array_equal(applied.accel_offset, OFFSET)  # written in full
+    np.testing.assert_array_equal(applied.rotation, ORIENTATION_14)
+    turned = read(tmp_path / "a.log", map_gyro="y,-x,z", map_accel="y,-x,z").applied
+    np.testing.assert_array_equal(turned.rotation, np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) @ ORIENTATION_14)
+    assert read(tmp_path / "a.log", map_gyro="y,-x,z", map_accel="x,y,z").applied is None
+
+
+def test_the_table_of_a_recording_comes_back(tmp_path):
+    rng = np.random.default_rng(15)
+    applied = AppliedCorrection(
+        "px4",
+        2,
+        17,
+        18,
+        rotation=autopilots.rotation_of(1.0, 2.0, 3.0),
+        gyro_matrix=np.eye(3) + 0.01 * rng.normal(size=(3, 3)),
+        gyro_offset=rng.normal(size=3),
+        accel_matrix=np.diag(SCALE),
+        accel_offset=OFFSET,
+        g_sensitivity=rng.normal(size=(3, 3)),
+    )
+    time = np.arange(1, 11) * 0.01
+    values = rng.normal(size=(10, 3))
+    srt.write_recording(srt.Recording(time, values, values, srt.Site(9.8), applied=applied), tmp_path / "r")
+    found = srt.load_recording(tmp_path / "r").applied
+    assert found.document() == applied.document()
+    toml = tmp_path / "r" / "recording.toml"
+    toml.write_text(toml.read_text().replace("accel_id = 18", "accel_id = 1.5"))
+    with pytest.raises(srt.InputError, match=r"imu.applied.accel_id is 1.5"):
+        srt.load_recording(tmp_path / "r")
