@@ -9,7 +9,5 @@ One :class:`~estimators.joint_model.JointModel` has the unknowns, measurements a
 :mod:`~estimators.linearisation` makes a linear system of it; a :class:`~estimators.solver.JointSolver` solves that, and
 :mod:`~estimators.iteration` repeats both until the correction is negligible.
 
-To add an estimator, see "Add an estimator" in docs/estimators.md. Three other places list estimators by name:
-``srt.comparison.estimator_comparison.ESTIMATORS``, ``srt/reports/figures/style.py`` and
-``srt.reports.certificate.recording_history.BY_PLAYBACK``.
+To add an estimator, see "Add an estimator" in docs/estimators.md.
 """

@@ -1,4 +1,4 @@
-"""Sensor errors: names, order, units and values of the 27 parameters.
+"""Names, order, units and values of the 27 sensor errors; the sensor model that uses them is in srt/model.
 
 Sensor model of a triad in the MARS frame B (``ω`` the true angular rate, ``f`` the true specific force)::
 
@@ -6,8 +6,7 @@ Sensor model of a triad in the MARS frame B (``ω`` the true angular rate, ``f``
     f̃ = Ma f + λ_Asym ∘ |f| + λ_Bias + noise      Ma = I + λ_LinScal + λ_Mis,  λ_ij = μ_ij
 
 Savage 2020, eqs. 6-11. Biases are in rad/s and m/s², everything else is dimensionless or rad.
-This module has names and values only. The working model (readings, compensation, gauge) is in
-:mod:`srt.model.sensor_model`.
+Readings, compensation and gauge by these equations are in :mod:`srt.model.sensor_model`.
 """
 
 from __future__ import annotations

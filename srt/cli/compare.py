@@ -73,8 +73,8 @@ def compare(
         check_file(output, RESULT_SUFFIXES, "The result")
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
-    from srt.comparison.estimator_comparison import ESTIMATORS
     from srt.estimation.options import Options
+    from srt.estimation.registry import ESTIMATORS
 
     names = tuple(dict.fromkeys(names))
     check_names(names, ESTIMATORS, reference)

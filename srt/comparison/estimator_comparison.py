@@ -23,7 +23,7 @@ from srt.comparison.estimate_difference import (
     ratio_of,
 )
 from srt.estimation.options import Options
-from srt.estimation.registry import automatic_estimator, find_estimator
+from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
 from srt.exceptions import DataError, InputError, SrtError
 from srt.recording.atomic_file import atomic_write_text
 from srt.sensor_errors import NAMES, SYMBOLS, UNITS
@@ -43,12 +43,8 @@ if TYPE_CHECKING:
     from srt.sensor_errors import SensorErrors
 
 
-ESTIMATORS: Final = ("closed-form", "least-squares", "ekf", "graph")
-"""Estimators compared by default, the least efficient first."""
-
-
 def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Estimators of :data:`ESTIMATORS` that can run on this recording, and the reasons of the others.
+    """Estimators of this distribution that can run on this recording, and the reasons of the others.
 
     Returns
     -------

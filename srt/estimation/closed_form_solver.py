@@ -1,8 +1,8 @@
-"""Closed-form solver: the inversion of Savage 2020 [P], eqs. 13-14, at the current estimate of the sensor errors.
+"""Estimator ``closed-form``: solves the formulas of :mod:`srt.model.closed_form` at the current sensor errors.
 
-Eq. 13 reads one component of the measurements per parameter. The solver keeps this choice of components, S, and inverts
-their full Jacobian: ``δ = (S H)⁻¹ S z``; at zero error that equals the coefficients of the paper. Leave-one-out solves
-the formulas that the other sequences support.
+Eq. 13 of Savage 2020 [P] reads one component of the measurements per parameter. The solver keeps this choice of
+components, S, and inverts their full Jacobian: ``δ = (S H)⁻¹ S z``; at zero error that equals the coefficients of the
+paper. Leave-one-out solves the formulas that the other sequences support.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Registry of estimators, and the choice of one for a recording.
 
-Estimators are functions ``(recording, options, progress) -> Calibration`` registered in the entry-point group
-``srt.estimators``; any distribution can add its own.
+Estimators are functions ``(recording, options, progress) -> Calibration``. Those of ``srt`` are listed here, those of
+other packages in the entry-point group ``srt.estimators``; any distribution can add its own.
 """
 
 from __future__ import annotations
@@ -25,10 +25,13 @@ if TYPE_CHECKING:
     Progress = Callable[[int, float], None]
 
 GROUP: Final = "srt.estimators"
-_BUILT_IN: Final = {
+BUILT_IN: Final = {
     "closed-form": "srt.estimation.closed_form_solver:estimate",
     "least-squares": "srt.estimation.least_squares_solver:estimate",
 }
+"""Estimators of ``srt``; the residuals of both are those of :func:`srt.estimation.iteration.iterate`."""
+ESTIMATORS: Final = (*BUILT_IN, "ekf", "graph")
+"""Estimators of this distribution, the least efficient first: compared by default, with fixed colours in figures."""
 
 
 class Estimator(Protocol):
@@ -41,7 +44,7 @@ class Estimator(Protocol):
 def estimators() -> tuple[str, ...]:
     """Names of all registered estimators."""
     _installed.cache_clear()
-    return tuple(sorted({*_BUILT_IN, *_installed()}))
+    return tuple(sorted({*BUILT_IN, *_installed()}))
 
 
 @cache
@@ -58,7 +61,7 @@ def find_estimator(name: str) -> Estimator:
     InputError
         If no estimator of that name is registered, or a package that it needs is not installed.
     """
-    target = _BUILT_IN.get(name) or _installed().get(name)
+    target = BUILT_IN.get(name) or _installed().get(name)
     if target is None:  # the package may have been installed since the last call
         known = estimators()
         target = _installed().get(name)

@@ -1,8 +1,10 @@
-"""Closed-form inversion of the 17 sequences as a table: [P] eqs. 13-14 ([P]: Savage 2020, [N]: Savage 2017 part 3).
+"""Formulas of the closed form, [P] eqs. 13-14, as tables ([P]: Savage 2020, [N]: Savage 2017 part 3).
 
 Every sensor error is a linear combination of one or two measured components and of errors already determined. One sign
 differs from the printed eq. 13: the accelerometer asymmetry is ``λ_iii = −(End − Strt + 2 λ_i) / 2g``. Eqs. 4-5 and
 [N] eqs. 53-55 give the plus; eq. 13 prints a minus.
+
+The estimator ``closed-form``, which applies them to a recording, is :mod:`srt.estimation.closed_form_solver`.
 """
 
 from __future__ import annotations
@@ -46,10 +48,11 @@ def _f(parameter: str, *components: tuple[float, str, str], given: tuple[tuple[f
 
 _4PI, _2PI = 4.0 * math.pi, 2.0 * math.pi
 
-# Per gyro axis: sequence, sequence of opposite rotation, component and sign of the signature ([P] eq. 13).
-_SCALE = (("x", "2", "2a", "y", 1.0), ("y", "1", "1a", "x", -1.0), ("z", "3", "3a", "y", -1.0))
+_GYRO_SCALE: Final = (("x", "2", "2a", "y", 1.0), ("y", "1", "1a", "x", -1.0), ("z", "3", "3a", "y", -1.0))
+"""First six formulas of eq. 13, or the three of eq. 14, which :func:`formulas` writes out: gyro axis, sequence,
+sequence of opposite rotation, component and sign of the signature."""
 
-_COMMON: Final = (
+_EQUATION_13: Final = (
     _f("gyro_orthogonality_yz", (1 / 4, "4", "y")),  # υyz = Δ4y/4g
     _f("gyro_orthogonality_zx", (1 / 4, "5", "x")),  # υzx = Δ5x/4g
     _f("gyro_orthogonality_xy", (1 / 4, "6", "y")),  # υxy = Δ6y/4g
@@ -83,6 +86,7 @@ _COMMON: Final = (
         )
     ),
 )
+"""Formulas of eq. 13 after the first six."""
 
 
 def formulas(sequences: Collection[str], *, asymmetry: bool = True) -> tuple[Formula, ...]:
@@ -103,7 +107,7 @@ def formulas(sequences: Collection[str], *, asymmetry: bool = True) -> tuple[For
     """
     have = set(sequences)
     chosen: list[Formula] = []
-    for axis, forward, reverse, kind, sign in _SCALE:
+    for axis, forward, reverse, kind, sign in _GYRO_SCALE:
         pair = ((sign, forward), (-sign, reverse))
         if {forward, reverse} <= have:  # κyy = −(Δ1x − Δ1ax)/4πg, κyyy = −(Δ1x + Δ1ax)/4πg; x and z alike
             chosen.append(_f(f"gyro_scale_{axis}", *((c / _4PI, s, kind) for c, s in pair)))
@@ -114,7 +118,7 @@ def formulas(sequences: Collection[str], *, asymmetry: bool = True) -> tuple[For
     found = {f.parameter for f in chosen}
     # A gyro asymmetry without a formula is fixed at a given value; formulas that use it remain valid.
     given = {name for name in NAMES if name.startswith("gyro_asymmetry")} - found
-    for formula in _COMMON:
+    for formula in _EQUATION_13:
         if {c.sequence for _, c in formula.components} <= have and {p for _, p in formula.parameters} <= found | given:
             kept = tuple((c, p) for c, p in formula.parameters if p in found)
             chosen.append(Formula(formula.parameter, formula.components, kept))

@@ -1,4 +1,4 @@
-"""Integrals of a rotation in which the attitude error is linear in the gyro errors, gyro bias (eq. 21) included.
+"""Attitude error by gyro errors and gyro bias ([P] eqs. 3, 20-21): integrals of a rotation in which it is linear.
 
 With Ĉ the attitude (B to B_Strt) and δω̂ = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) the error of the compensated rate
 (D the inverse slope of the sensor model, identity for a calibrated IMU), the attitude error that acts on the change of

@@ -1,10 +1,10 @@
-"""Sensor model and its exact compensation, composition of errors, and the MARS gauge ([P] eqs. 6-11; [P]: Savage 2020).
+"""Sensor model of a triad: readings, exact compensation, composition of errors and MARS gauge ([P] eqs. 6-11).
 
-The reading of a triad is ``y = M v + s ∘ |v| + b`` (``v`` the true rate or specific force; Mg and Ma of the 27 errors:
-:mod:`srt.sensor_errors`). It is piecewise linear:
-within one octant of ``v`` it is ``y = (M + diag(s ∘ sign v)) v + b``. Compensation finds the octant and solves this
-exactly. Nothing is linearised, so errors of 50 % are allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the
-same sign of its determinant for every sign vector σ.
+The reading is ``y = M v + s ∘ |v| + b`` (``v`` the true rate or specific force; [P]: Savage 2020). Names and values of
+the errors in Mg and Ma are in :mod:`srt.sensor_errors`. The model is piecewise linear: within one octant of ``v`` it is
+``y = (M + diag(s ∘ sign v)) v + b``. Compensation finds the octant and solves this exactly. Nothing is linearised, so
+errors of 50 % are allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the same sign of its determinant for every
+sign vector σ.
 
 Gauge. A gyro matrix ``Mg`` in any frame T is ``Mg = P U`` with P symmetric positive definite and U a rotation (polar
 decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix is P; the accelerometer matrix becomes

@@ -168,7 +168,10 @@ def paper_budget(setting: PaperSetting) -> dict[str, Array]:
 
 
 def bias_effects(setting: PaperSetting) -> Array:
-    """Errors of the quantities by a gyro bias of 1 rad/s about each axis (eqs. 20-22), shape (18, 3), s."""
+    """Errors of the quantities by a gyro bias of 1 rad/s about each axis ([P] eq. 22), shape (18, 3), s.
+
+    The attitude error that the bias causes (eqs. 20-21) is in :mod:`srt.model.rotation_integrals`.
+    """
     integrals = _integrals(setting)
     number = {name: k for k, name in enumerate(SEQUENCES)}
     rows = []

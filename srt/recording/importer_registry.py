@@ -1,6 +1,7 @@
 """Registry of the foreign formats by name; their readers are imported on first use.
 
-A new format is a reader and one line in :data:`IMPORTERS`, or a call of :func:`register` from outside.
+A new format is a reader in ``srt/recording/importers``, one line in :data:`IMPORTERS`, and a seed in ``READERS`` of
+``benchmarks/fuzz_seeds.py``, without which a test fails. Another distribution calls :func:`register` instead.
 """
 
 from __future__ import annotations

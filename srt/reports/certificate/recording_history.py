@@ -14,6 +14,7 @@ import numpy as np
 from srt.constants import DEG
 from srt.estimation.measurement_covariance import bias_gain, with_earth_rate_regression
 from srt.estimation.options import Options
+from srt.estimation.registry import BUILT_IN
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError, InputError, clipped
 from srt.model import rotations
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 
-BY_PLAYBACK: Final = ("closed-form", "least-squares")
-"""Estimators whose residuals are those of an iteration; others define their residuals differently."""
 _SHARE: Final = 0.5
 """Tolerance of a residual, over its change by one sigma of the parameters. The last correction, which is not
 re-processed, is a hundredth of a sigma; an edit that matters is more than a sigma."""
@@ -145,7 +144,8 @@ def recording_history(source: CalibrationFile, recording: Recording, name: str) 
         data = prepare_checked(labelled, labels, options.average)
     except DataError as error:
         raise InputError(f"{name} cannot be processed, unlike when {source.name} was made: {error}") from None
-    if calibration.estimator in BY_PLAYBACK and not _follows(calibration, data, options):
+    # Other estimators define their residuals differently.
+    if calibration.estimator in BUILT_IN and not _follows(calibration, data, options):
         raise InputError(
             f"The values in {source.name} do not follow from {name}: processed with them, its samples give other "
             "residuals than the file has, so that one of the two was edited; calibrate the recording again."

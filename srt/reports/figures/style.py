@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.estimation.registry import ESTIMATORS
 from srt.exceptions import MissingExtraError
 from srt.recording.atomic_file import atomic_path
 
@@ -95,12 +96,7 @@ def style(axes: Axes, *, grid: str = "y") -> None:
         axes.spines[side].set_color(GREY)
 
 
-_ESTIMATORS: Final = {
-    "closed-form": (VERMILION, "s"),
-    "least-squares": (BLUE, "o"),
-    "ekf": (GREEN, "^"),
-    "graph": (PURPLE, "v"),
-}
+_ESTIMATORS: Final = dict(zip(ESTIMATORS, ((VERMILION, "s"), (BLUE, "o"), (GREEN, "^"), (PURPLE, "v")), strict=False))
 _OTHERS: Final = ((SKY, "P"), (ORANGE, "X"), (INK, "d"), (VERMILION, "<"), (BLUE, ">"), (GREEN, "h"), (PURPLE, "*"))
 
 
