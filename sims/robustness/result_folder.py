@@ -4,8 +4,8 @@ A folder holds::
 
     campaign.toml     the campaign as it was written
     campaign.json     hash of the settings that the numbers depend on, and the software version
-    journal.jsonl     trials since the last part, one line each
-    parts/            Parquet, a thousand rows each
+    journal.jsonl     trials since the last part, one line each, after the CRC-32 of the line
+    parts/            Parquet with page checksums, a thousand rows each
     results.parquet   all rows in the order of trial, point and estimator, once the campaign is complete
 
 A Parquet file is unreadable until it is closed. A trial is therefore written to the journal first: a killed process
@@ -16,6 +16,7 @@ trial that both hold counts once.
 from __future__ import annotations
 
 import json
+import zlib
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -143,7 +144,8 @@ class ResultFolder:
         self.done.add(_key(rows[0]))
         self._rows += rows
         try:
-            self._file.write(json.dumps(rows) + "\n")
+            text = json.dumps(rows)
+            self._file.write(f"{zlib.crc32(text.encode()):08x} {text}\n")
             self._file.flush()
             if len(self._rows) >= _ROWS:
                 self._to_part()
@@ -227,25 +229,26 @@ class ResultFolder:
 
     def _read(self, path: Path, columns: list[str] | None = None) -> pa.Table:
         try:
-            return parquet.read_table(path, columns=columns)
-        except (pa.ArrowInvalid, OSError) as error:
+            table = parquet.read_table(path, columns=columns, page_checksum_verification=True)
+        except (pa.ArrowException, OSError, ValueError, KeyError) as error:
             reason = str(error).splitlines()[0].rstrip(".")
-            raise InputError(
-                f"{path} cannot be read ({reason}): remove it, and its trials will be run again."
-            ) from None
+        else:
+            expected = self.schema if columns is None else pa.schema([self.schema.field(name) for name in columns])
+            if table.schema.equals(expected):
+                return table
+            reason = "its columns are not those of the campaign"
+        raise InputError(f"{path} cannot be read ({reason}): remove it, and its trials will be run again.")
 
 
 def _lines(path: Path) -> Iterator[list[Row]]:
-    """Trials of a journal, up to the first incomplete line."""
+    """Trials of a journal, up to the first line that is incomplete or damaged; later trials are run again."""
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open("rb") as file:
             for line in file:
-                try:
-                    rows = json.loads(line)
-                except ValueError:
+                checksum, _, text = line.rstrip(b"\n").partition(b" ")
+                if not line.endswith(b"\n") or checksum != b"%08x" % zlib.crc32(text):
                     return
-                if line.endswith("\n"):
-                    yield rows
+                yield json.loads(text)
     except FileNotFoundError:
         return
 
@@ -256,7 +259,7 @@ def _key(row: Row) -> tuple[int, int]:
 
 def _write(table: pa.Table, path: Path) -> None:
     with atomic_path(path) as temporary:
-        parquet.write_table(table, temporary)
+        parquet.write_table(table, temporary, write_page_checksum=True)
 
 
 def _locked(folder: Path) -> Any:

@@ -38,6 +38,7 @@ RESULT_SUFFIXES = (".json",)
     help="1-sigma of tilt and squareness of the axis; default: 1, or alignment_sigma_mrad of the recording.",
 )
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
+@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No table; warnings and errors only.")
 def align_mount(
     recording_path: Path | None,
@@ -46,6 +47,7 @@ def align_mount(
     level_sigma_mrad: float | None,
     axis_sigma_mrad: float | None,
     force: bool,
+    trust: bool,
     quiet: bool,
 ) -> int:
     """Find the three angles between the sensor axes and the mount.
@@ -67,7 +69,7 @@ def align_mount(
             raise InputError(f"{name} is {value:g}, but a positive number of milliradians is expected.")
         if value is not None and recording_path is None:
             raise InputError(f"{name} applies to static poses: name their RECORDING, or leave the option out.")
-    calibration = load_fit(calibration_file, force=force)
+    calibration = load_fit(calibration_file, force=force, trust=trust)
     if recording_path is None:
         from srt.mount.alignment import mount_from_calibration
 

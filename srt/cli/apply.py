@@ -32,6 +32,7 @@ HEADER_SUFFIXES = (".h",)
 @click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Default: as in RECORDING.")
 @click.option("--c-header", type=click.Path(path_type=Path), metavar="FILE.h", help="Also write the correction as C99.")
 @click.option("--force", is_flag=True, help="Accept any status of the calibration, serial and size of readings.")
+@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def apply(
@@ -42,6 +43,7 @@ def apply(
     samples_format: str | None,
     c_header: Path | None,
     force: bool,
+    trust: bool,
     overwrite: bool,
     quiet: bool,
 ) -> int:
@@ -54,7 +56,7 @@ def apply(
     input, or a calibration that does not fit the recording.
     """
     check_places(recording_path, output, c_header, overwrite=overwrite)
-    calibration = load_fit(calibration_file, force=force)
+    calibration = load_fit(calibration_file, force=force, trust=trust)
     header = None
     if c_header is not None:
         from srt.exporters.c_header import c99_header
@@ -141,7 +143,7 @@ def check_output(folder: Path, recording: Path, *, overwrite: bool) -> None:
         raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
 
 
-def load_fit(path: Path, *, force: bool) -> Calibration:
+def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
     """Load a calibration that can be applied.
 
     Parameters
@@ -149,6 +151,8 @@ def load_fit(path: Path, *, force: bool) -> Calibration:
     path : Path
     force : bool
         Accept any status.
+    trust : bool
+        Accept a file that was changed after it was written.
 
     Returns
     -------
@@ -163,7 +167,7 @@ def load_fit(path: Path, *, force: bool) -> Calibration:
     from srt.model.sensor_model import outside_model
     from srt.result.calibration import load_calibration
 
-    calibration = load_calibration(path)
+    calibration = load_calibration(path, trust=trust)
     if not isinstance(calibration.provenance, dict) or not isinstance(calibration.estimator, str):
         raise InputError(f"The calibration {path} does not say where it comes from: it was edited or truncated.")
     if force:

@@ -41,7 +41,7 @@ GROUPS = {
     "Fleet": ("workers", "scheduler"),
     "Expert": (
         "average", "down", "window_attitude", "step", "start", "max_playbacks", "loss", "filter", "prior", "live",
-        "target", "force",
+        "target", "force", "trust",
     ),
 }  # fmt: skip
 """Groups of options in the help."""
@@ -151,6 +151,7 @@ GROUPS = {
     help="ekf: sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
 )
 @click.option("--force", is_flag=True, help="Calibrate in spite of a fault of the recording.")
+@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 def calibrate(
     recordings: tuple[Path, ...],
     estimator: str,
@@ -165,6 +166,7 @@ def calibrate(
     workers: int,
     scheduler: str | None,
     force: bool,
+    trust: bool,
     **choices: Any,
 ) -> int:
     """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
@@ -200,7 +202,7 @@ def calibrate(
             "--details, --budget and --verdict belong to the tables of few recordings: a fleet has one for all.",
         ),
     )
-    options = parse_options(choices)
+    options = parse_options(choices, trust=trust)
     check_tools(estimator, plot)
     true_errors = None
     if truth is not None:
@@ -210,7 +212,7 @@ def calibrate(
     if fleet:
         engine = FleetEngine(workers, scheduler)
         return run_fleet(jobs, estimator, options, engine=engine, output=output, quiet=quiet, force=force)
-    display = Display(true_errors, details, budget, verdict, quiet, force)
+    display = Display(true_errors, details, budget, verdict, quiet, force, trust)
     if merge:
         return run_merging(jobs, estimator, options, display, output, plot)
     return run_each(jobs, estimator, options, display, output)
@@ -223,7 +225,7 @@ def refuse_combinations(*rules: tuple[bool, str]) -> None:
             raise InputError(sentence)
 
 
-def parse_options(choices: dict[str, Any]) -> Options:
+def parse_options(choices: dict[str, Any], *, trust: bool) -> Options:
     """Options of the estimators from those of the command line."""
     from srt.estimation.options import Options
 
@@ -231,7 +233,7 @@ def parse_options(choices: dict[str, Any]) -> Options:
     return Options(
         asymmetry=not choices.pop("no_asymmetry"),
         fixture_states=not choices.pop("no_fixture_states"),
-        prior=None if prior is None else load_prior(prior),
+        prior=None if prior is None else load_prior(prior, trust=trust),
         targets=parse_targets(target),
         **choices,
     )
@@ -272,7 +274,7 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
     return max(codes)
 
 
-def load_prior(path: Path) -> Prior:
+def load_prior(path: Path, *, trust: bool) -> Prior:
     """Prior from the file of an earlier calibration.
 
     Raises
@@ -283,7 +285,7 @@ def load_prior(path: Path) -> Prior:
     from srt.model.prior import Prior
     from srt.result.calibration import load_calibration
 
-    calibration = load_calibration(path)
+    calibration = load_calibration(path, trust=trust)
     if calibration.status not in ("converged", "partial"):
         raise InputError(f"The prior {path} has the status {calibration.status}: give a calibration that converged.")
     return Prior.from_calibration(calibration)

@@ -37,7 +37,11 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Display:
-    """Parts of a calibration that are printed, and ``force``: calibrate in spite of faults of the recording."""
+    """Parts of a calibration that are printed.
+
+    Beside them, ``force``: calibrate in spite of faults of the recording; ``trust``: accept calibration files that were
+    changed after they were written.
+    """
 
     truth: SensorErrors | None = None
     details: bool = False
@@ -45,6 +49,7 @@ class Display:
     verdict: bool = False
     quiet: bool = False
     force: bool = False
+    trust: bool = False
 
     @property
     def complete(self) -> bool:

@@ -32,6 +32,7 @@ _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
 @click.option(
     "--against", type=click.Path(path_type=Path), metavar="OLD.json", help="An earlier calibration of the same unit."
 )
+@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary; warnings and errors only.")
 def certificate(
     calibration_file: Path,
@@ -39,6 +40,7 @@ def certificate(
     output: Path | None,
     limits: Path | None,
     against: Path | None,
+    trust: bool,
     quiet: bool,
 ) -> int:
     """Make a certificate of the unit that CALIBRATION is of, as one page of HTML and a PDF beside it.
@@ -54,7 +56,7 @@ def certificate(
     converge; 2 wrong usage, unreadable or edited input, or a recording or an earlier calibration of another unit.
     """
     page, document = check_places(calibration_file, output)
-    made = assemble(calibration_file, recording_path, limits, against)
+    made = assemble(calibration_file, recording_path, limits, against, trust=trust)
     write(made, page, document)
     if made.change is not None and made.change.names:
         warn(f"{calibration_file}: changed significantly: {', '.join(made.change.names)}.")
@@ -105,7 +107,12 @@ def check_places(calibration_file: Path, output: Path | None) -> tuple[Path, Pat
 
 
 def assemble(
-    calibration_file: Path, recording_path: Path | None, limits: Path | None, against: Path | None
+    calibration_file: Path,
+    recording_path: Path | None,
+    limits: Path | None,
+    against: Path | None,
+    *,
+    trust: bool,
 ) -> Certificate:
     """Read the inputs and make the certificate.
 
@@ -120,9 +127,9 @@ def assemble(
     from srt.reports.certificate.parameter_changes import changes_since
     from srt.reports.certificate.recording_history import check_recording, recording_history
 
-    source = load_calibration_file(calibration_file)
+    source = load_calibration_file(calibration_file, trust=trust)
     given = None if limits is None else load_acceptance_limits(limits)
-    change = None if against is None else changes_since(source, load_calibration_file(against))
+    change = None if against is None else changes_since(source, load_calibration_file(against, trust=trust))
     course = None
     if recording_path is not None and source.calibration.status in ("converged", "partial"):
         import srt

@@ -49,6 +49,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     help="Correction that the log was made under, or none; default: that of the recording.",
 )
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
+@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No report.")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the targets.")
 def export(
@@ -65,6 +66,7 @@ def export(
     instance: int | None,
     applied: str | None,
     force: bool,
+    trust: bool,
     quiet: bool,
 ) -> int:
     """Write CALIBRATION, the JSON file of 'srt calibrate -o', in the format of another tool.
@@ -90,7 +92,7 @@ def export(
         _check_output(chosen, output, calibration_file)
     if fit_asymmetry and recording is None:
         raise InputError("--fit-asymmetry needs the motion to fit to: add --recording DIR.")
-    calibration = load_fit(calibration_file, force=force)
+    calibration = load_fit(calibration_file, force=force, trust=trust)
     readings, measured_rate = None, None
     if recording is not None:
         readings, measured_rate = _readings(calibration, calibration_file, recording, force=force)

@@ -106,7 +106,7 @@ def _calibration(job: Job, estimator: str, options: Options, display: Display) -
     from srt.cli.progress import iteration_progress
 
     if job.recording.suffix == ".json":
-        return srt.load_calibration(job.recording)
+        return srt.load_calibration(job.recording, trust=display.trust)
     recording = srt.load_recording(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)

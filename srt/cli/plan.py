@@ -55,6 +55,7 @@ class PlanFiles(NamedTuple):
     metavar="TEXT",
     help="Instead of a plan, print the signature of a sequence: 'z/y +180y +180z', or an id of Table 1.",
 )
+@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def plan(
     plan_file: str,
@@ -66,6 +67,7 @@ def plan(
     table_1: bool,
     after: Path | None,
     sequence: str | None,
+    trust: bool,
     quiet: bool,
 ) -> int:
     """Plan a rotation test for the fixture, unit and targets of PLAN: a TOML file, or the name of a shipped one.
@@ -98,7 +100,7 @@ def plan(
         if any(given is not None for given in (output, sheet, document, plot)) or table_1:
             raise InputError("--after proposes single sequences and writes no plan: leave the other options out.")
         with one_thread("sims"):
-            return propose(chosen, after, quiet=quiet)
+            return propose(chosen, after, trust=trust, quiet=quiet)
     if plot is not None:
         require_matplotlib()
     with one_thread("sims"):
@@ -156,13 +158,13 @@ def print_signature(chosen: PlanFile, text: str) -> None:
     show(signature_text(candidate, fixture, signature(candidate, fixture, chosen.conditions())))
 
 
-def propose(chosen: PlanFile, after: Path, *, quiet: bool) -> int:
+def propose(chosen: PlanFile, after: Path, *, trust: bool, quiet: bool) -> int:
     """Print proposals for the next sequence."""
     import srt
     from srt.planning.next_sequence import known_information, next_sequences
     from srt.planning.plan_text import proposals_text
 
-    calibration = srt.load_calibration(after)
+    calibration = srt.load_calibration(after, trust=trust)
     fixture, conditions = chosen.stand.kinematics(), chosen.conditions()
     known = known_information(calibration, conditions)
     with _progress(quiet=quiet) as progress:

@@ -21,7 +21,6 @@ In the paper's small angles, with roll φ, pitch θ, yaw ψ of the sensor axes i
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
@@ -32,8 +31,7 @@ from scipy.special import chdtri
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_matrix
 from srt.mount.pose_kinds import pose_kinds, require_both
-from srt.recording.atomic_file import atomic_write_text
-from srt.result.json_file import load_json_file
+from srt.result.json_file import load_json_file, save_json_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -137,8 +135,7 @@ class MountAlignment:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON form, whole or not at all. Raises InputError if the path cannot be written."""
-        document = json.dumps(to_dict(self), indent=1, ensure_ascii=False, allow_nan=False)
-        atomic_write_text(path, document + "\n")
+        save_json_file(path, to_dict(self))
 
 
 def align_mount(
@@ -434,12 +431,14 @@ def to_dict(mount: MountAlignment) -> dict[str, Any]:
     }
 
 
-def load_mount_alignment(path: str | PathLike[str]) -> MountAlignment:
+def load_mount_alignment(path: str | PathLike[str], *, trust: bool = False) -> MountAlignment:
     """Read a mount alignment.
 
     Parameters
     ----------
     path : path-like
+    trust : bool
+        Accept a file that was changed after it was written.
 
     Returns
     -------
@@ -448,9 +447,10 @@ def load_mount_alignment(path: str | PathLike[str]) -> MountAlignment:
     Raises
     ------
     InputError
-        If the file cannot be read, is no mount alignment, is of another version, or is not consistent.
+        If the file cannot be read, is no mount alignment, is of another version, is not consistent, or differs from its
+        digest.
     """
-    return load_json_file(path, "mount alignment", _from_dict)
+    return load_json_file(path, "mount alignment", _from_dict, trust=trust)
 
 
 def _from_dict(document: dict[str, Any]) -> MountAlignment:

@@ -265,7 +265,7 @@ def _read_parquet(path: Path, time_required: bool) -> Samples:
         return array
 
     try:
-        with parquet.ParquetFile(path) as file:
+        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
             guard_parquet(path, file.metadata, path.stat().st_size)
             names = select_columns(path, file.schema_arrow.names, time_required=time_required)
             return _fill(path, names, column)
@@ -276,7 +276,7 @@ def _read_parquet(path: Path, time_required: bool) -> Samples:
 def _write_parquet(path: Path, samples: Samples) -> None:
     pa, parquet = _pyarrow()
     table = pa.table({name: np.ascontiguousarray(samples.column(name)) for name in samples.names})
-    parquet.write_table(table, path)
+    parquet.write_table(table, path, write_page_checksum=True)
 
 
 def _read_hdf5(path: Path, time_required: bool) -> Samples:
@@ -302,9 +302,10 @@ def _read_hdf5(path: Path, time_required: bool) -> Samples:
 
 
 def _write_hdf5(path: Path, samples: Samples) -> None:
-    with _h5py().File(path, "w") as file:
+    # The newest file layout has checksums of its structure, fletcher32 of the data.
+    with _h5py().File(path, "w", libver="latest") as file:
         for name in samples.names:
-            file.create_dataset(name, data=samples.column(name), track_times=False)
+            file.create_dataset(name, data=samples.column(name), track_times=False, fletcher32=True)
 
 
 def _pyarrow() -> tuple[Any, Any]:

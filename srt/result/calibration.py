@@ -5,7 +5,6 @@ The JSON form is versioned and complete: reading a file restores the written cal
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from functools import cache
@@ -15,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError
-from srt.recording.atomic_file import atomic_write_text
 from srt.result.applier import BLOCK, Applier
-from srt.result.json_file import load_json_file
+from srt.result.json_file import load_json_file, save_json_file
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 
 if TYPE_CHECKING:
@@ -232,19 +230,26 @@ class Calibration:
         }
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the JSON form atomically. Raises InputError if the path cannot be written."""
-        atomic_write_text(path, json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        """Write the JSON form with its digest, whole or not at all. Raises InputError if the path cannot be written."""
+        save_json_file(path, self.to_dict())
 
 
-def load_calibration(path: str | PathLike[str]) -> Calibration:
+def load_calibration(path: str | PathLike[str], *, trust: bool = False) -> Calibration:
     """Read a calibration.
+
+    Parameters
+    ----------
+    path : path-like
+    trust : bool
+        Accept a file that was changed after it was written.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no calibration, is of another version, or is not consistent.
+        If the file cannot be read, is no calibration, is of another version, is not consistent, or differs from its
+        digest.
     """
-    return load_json_file(path, "calibration", _from_dict)
+    return load_json_file(path, "calibration", _from_dict, trust=trust)
 
 
 def _from_dict(document: dict[str, Any]) -> Calibration:

@@ -1,20 +1,48 @@
-"""Results in JSON files, read as a whole or refused in one sentence."""
+"""Results in JSON files: written with a digest of their content, read as a whole or refused in one sentence.
+
+The digest is the SHA-256 of the document without the digest, as JSON with sorted keys and no spaces. It does not
+depend on the layout of the file, and it tells an edit or a damaged digit from what the software wrote. It is no
+signature: whoever edits a file can compute it anew.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from srt.exceptions import InputError
+from srt.recording.atomic_file import atomic_write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from os import PathLike
 
 _Result = TypeVar("_Result")
 
+_DIGEST: Final = "digest"
+"""Key of the digest in the document."""
 
-def load_json_file(path: str | PathLike[str], noun: str, from_document: Callable[[dict[str, Any]], _Result]) -> _Result:
+
+def save_json_file(path: str | PathLike[str], document: Mapping[str, Any]) -> None:
+    """Write a result with its digest, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the path cannot be written.
+    """
+    signed = {**document, _DIGEST: _digest(document)}
+    atomic_write_text(path, json.dumps(signed, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def load_json_file(
+    path: str | PathLike[str],
+    noun: str,
+    from_document: Callable[[dict[str, Any]], _Result],
+    *,
+    trust: bool = False,
+) -> _Result:
     """Read a result from its JSON file.
 
     Parameters
@@ -24,11 +52,13 @@ def load_json_file(path: str | PathLike[str], noun: str, from_document: Callable
         Name of the result, for messages: "calibration".
     from_document : callable
         Function that builds the result from the document. It raises InputError on what it does not accept.
+    trust : bool
+        Accept a document that differs from its digest. A document without a digest is accepted in any case.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no JSON, is not complete, or is not accepted.
+        If the file cannot be read, is no JSON, is not complete, is not accepted, or differs from its digest.
     """
     try:
         with open(path, encoding="utf-8") as file:  # noqa: PTH123 - any path-like is welcome
@@ -38,10 +68,23 @@ def load_json_file(path: str | PathLike[str], noun: str, from_document: Callable
     except (ValueError, RecursionError) as error:
         raise InputError(f"The {noun} {path} is not valid JSON ({error}): is it truncated?") from None
     try:
-        return from_document(document)
+        result = from_document(document)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{path} is not a complete {noun} ({type(error).__name__}: {error}); it was edited or truncated."
         ) from None
+    # After the checks above: what is wrong in itself is named by what is wrong, and only the rest by the digest.
+    if not trust and _DIGEST in document and document[_DIGEST] != _digest(document):
+        raise InputError(
+            f"{path} was changed after it was written (its content does not match its digest): take the original "
+            f"{noun}, or accept the change with --trust (trust=True in Python)."
+        )
+    return result
+
+
+def _digest(document: Mapping[str, Any]) -> str:
+    content = {key: value for key, value in document.items() if key != _DIGEST}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()

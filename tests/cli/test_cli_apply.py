@@ -241,7 +241,9 @@ def test_no_table_frame_without_a_fixture(recording, tmp_path, capfd):
     ],
 )
 def test_calibrations_that_were_edited_are_refused(unit, recording, tmp_path, capfd, edit, fragment):
-    unit.write_text(edit(unit.read_text()))
+    document = json.loads(unit.read_text())
+    del document["digest"]  # the values themselves are checked
+    unit.write_text(edit(json.dumps(document)))
     assert fragment in refused(capfd, unit, recording, "-o", tmp_path / "out", "--c-header", tmp_path / "imu.h")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["raw", "unit.json"]
 

@@ -51,6 +51,7 @@ def one_sentence(err):
 
 def edited(lab, tmp_path, name="edited.json", **changes):
     document = json.loads((lab / "new.json").read_text())
+    del document["digest"]  # as a file of another program: the values themselves are checked
     for key, value in changes.items():
         document["provenance" if key in ("serial", "data_sha256") else key] = (
             {**document["provenance"], key: value} if key in ("serial", "data_sha256") else value
@@ -177,3 +178,19 @@ def test_an_absent_jinja2_says_what_to_install(lab, tmp_path, monkeypatch, capfd
     assert main(["certificate", str(lab / "new.json"), "-o", str(tmp_path / "x.html")]) == 2
     assert "pip install 'strapdown-rotation-test[report]'" in one_sentence(capfd.readouterr().err)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_edited_calibration_needs_trust(lab, tmp_path, capfd):
+    """A scale factor that the sensor model allows, and a covariance that fits: only the digest tells."""
+    document = json.loads((lab / "new.json").read_text())
+    document["parameters"][0]["value"] = 0.5
+    (tmp_path / "edited.json").write_text(json.dumps(document))
+    line = [str(tmp_path / "edited.json"), "-o", str(tmp_path / "out")]
+    for command in (
+        ["certificate", *line],
+        ["export", line[0], "--to", "imucal"],
+        ["apply", line[0], "--c-header", str(tmp_path / "x.h")],
+    ):
+        assert main(command) == 2
+        assert "changed after it was written" in capfd.readouterr().err
+        assert main([*command, "--trust"]) == 0

@@ -211,7 +211,9 @@ def parameter(text, **values):
 )
 @pytest.mark.parametrize("target", ["kalibr", "ros2"])
 def test_calibrations_that_were_edited_are_refused(unit, tmp_path, capfd, edit, fragment, target):
-    unit.write_text(edit(unit.read_text()))
+    document = json.loads(unit.read_text())
+    del document["digest"]  # the values themselves are checked
+    unit.write_text(edit(json.dumps(document)))
     assert fragment in refused(capfd, unit, "--to", target, "-o", tmp_path / "o.yaml")
     assert [p.name for p in tmp_path.iterdir()] == ["unit.json"]
 

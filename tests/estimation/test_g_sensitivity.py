@@ -366,7 +366,7 @@ def test_command_and_file(calibrated, capsys):
     # Rms of 34 rates with four unknowns: a sigma of 30, 3.5 standard errors of it.
     np.testing.assert_allclose(scatter["after"], scatter["expected"], rtol=3.5 / math.sqrt(60.0))
     np.testing.assert_allclose(np.sqrt(np.diag(stated["covariance"])), np.ravel(stated["sigma"]), rtol=1e-12)
-    assert srt.load_calibration(file).to_dict() == document
+    assert srt.load_calibration(file).to_dict() == {k: v for k, v in document.items() if k != "digest"}
 
 
 def test_the_certificate_plays_it_back(calibrated):
@@ -377,6 +377,7 @@ def test_the_certificate_plays_it_back(calibrated):
     recording_history(load_calibration_file(file), recording, "rec")
     document = json.loads(file.read_text())
     document["diagnostics"]["g_sensitivity"]["matrix"][0][1] *= -1.0
+    del document["digest"]
     file.write_text(json.dumps(document))
     with pytest.raises(InputError, match="do not follow from rec"):
         recording_history(load_calibration_file(file), recording, "rec")

@@ -321,3 +321,27 @@ def test_loading_needs_less_than_three_times_the_samples(tmp_path, samples_forma
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 3.0 * n * 7 * 8
+
+
+@pytest.mark.parametrize("samples_format", [f for f in FORMATS if f != "csv"])
+def test_a_flipped_bit_changes_no_sample_in_silence(tmp_path, samples_format):
+    """60 places in the data and 60 in the structure at both ends of the file: refused, or read as they were written."""
+    written = make()
+    samples = Samples(written.gyro, written.accel, written.time, None)
+    path = tmp_path / f"samples.{samples_format}"
+    write_samples(path, samples)
+    content = path.read_bytes()
+    rng = np.random.default_rng(20261122)
+    ends = np.r_[0:2000, len(content) - 2000 : len(content)]
+    refused = 0
+    for place in np.r_[rng.integers(len(content), size=60), rng.choice(ends, 60)]:
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            found = read_samples(path, time_required=True)
+        except InputError:
+            refused += 1
+        else:
+            assert all(np.array_equal(found.column(name), samples.column(name)) for name in samples.names)
+    assert refused >= 60  # every flip in the data is noticed; one in an unused byte of the structure need not be

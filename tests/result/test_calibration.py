@@ -10,6 +10,7 @@ import srt
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
+from srt.exceptions import InputError
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 
@@ -202,3 +203,26 @@ def test_estimators_agree_noise_free(unit, calibration):
     other = srt.calibrate(unit[0], "least-squares")
     difference = np.abs(other.errors.vector - calibration.errors.vector) / accuracy_trials.IN_G
     assert difference[:24].max() < 1e-8
+
+
+def test_an_edited_file_does_not_match_its_digest(calibration, tmp_path):
+    """Only the digest shows the edit: a scale factor of 0.5 is inside the sensor model."""
+    path = tmp_path / "unit.json"
+    calibration.save(path)
+    document = json.loads(path.read_text(encoding="utf-8"))
+    document["parameters"][INDEX["gyro_scale_x"]]["value"] = 0.5
+    path.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(InputError, match=r"unit\.json was changed after it was written .*--trust"):
+        srt.load_calibration(path)
+    assert srt.load_calibration(path, trust=True).errors["gyro_scale_x"] == 0.5
+
+
+def test_the_digest_allows_another_layout_and_its_own_absence(calibration, tmp_path):
+    path = tmp_path / "unit.json"
+    calibration.save(path)
+    document = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(document, sort_keys=True, separators=(",", ":")), encoding="utf-8")
+    assert srt.load_calibration(path).to_dict() == calibration.to_dict()
+    del document["digest"]  # as a file of an earlier version
+    path.write_text(json.dumps(document), encoding="utf-8")
+    assert srt.load_calibration(path).to_dict() == calibration.to_dict()

@@ -276,6 +276,36 @@ def test_a_journal_that_became_a_part_counts_once(small, tmp_path):
         assert store.table().num_rows == 1
 
 
+@pytest.mark.parametrize("stored", ["journal", "part"])
+def test_a_flipped_bit_changes_no_result_in_silence(small, tmp_path, stored):
+    """At 60 places: the results are as they were computed, are to be computed again, or are refused."""
+    campaign, folder = small(), tmp_path / "a"
+    with ResultFolder(folder, campaign) as store:
+        for key in ((0, 0), (0, 1), (1, 0)):
+            store.add(run_trial(campaign, key))
+        computed = numbers(store.table())
+    journal = folder / "journal.jsonl"
+    kept = journal.read_bytes()
+    with ResultFolder(folder, campaign):
+        pass  # the journal is a part now
+    (part,) = (folder / "parts").glob("*.parquet")
+    path, content = (journal, kept) if stored == "journal" else (part, part.read_bytes())
+    rng = np.random.default_rng(20261122)
+    for place in rng.integers(len(content), size=60):
+        for old in (folder / "parts").glob("*.parquet"):
+            old.unlink()
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            with ResultFolder(folder, campaign) as store:
+                found = numbers(store.table())
+        except InputError:
+            continue
+        assert all(row in computed for row in found)
+        assert len(found) == len(computed) or stored == "journal"
+
+
 def test_results_of_another_campaign_are_not_mixed(small, tmp_path):
     campaign = small()
     run_campaign(campaign, tmp_path / "a")

@@ -66,12 +66,14 @@ class CalibrationFile:
         return tuple(t["data_sha256"] for t in tables if t.get("data_sha256"))
 
 
-def load_calibration_file(path: Path) -> CalibrationFile:
+def load_calibration_file(path: Path, *, trust: bool = False) -> CalibrationFile:
     """Read and check a calibration file.
 
     Parameters
     ----------
     path : Path
+    trust : bool
+        Accept a file that was changed after it was written.
 
     Returns
     -------
@@ -85,7 +87,7 @@ def load_calibration_file(path: Path) -> CalibrationFile:
     """
     try:
         data = path.read_bytes()
-        calibration = load_calibration(path)
+        calibration = load_calibration(path, trust=True)
         document = json.loads(data, parse_constant=_number, parse_float=_number, parse_int=_number)
     except OSError as error:
         raise InputError(f"The calibration {path} cannot be read: {error.strerror}.") from None
@@ -96,6 +98,8 @@ def load_calibration_file(path: Path) -> CalibrationFile:
         raise InputError(
             f"The calibration {path} was edited or truncated: {reason}; take the file that 'srt calibrate' wrote."
         )
+    if not trust:
+        load_calibration(path)  # compares the digest, after what is wrong in itself was named
     return CalibrationFile(calibration, path.name, hashlib.sha256(data).hexdigest())
 
 
