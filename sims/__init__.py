@@ -30,11 +30,13 @@ from sims.scenarios.library import configs_path
 from srt.exceptions import MissingExtraError
 
 if TYPE_CHECKING:
+    from sims.scenarios.plan_file import load_plan_file
     from sims.scenarios.scenario import Scenario, load_scenario, scenario_from_dict
     from sims.scenarios.simulation import Simulation, draw_errors, simulate
 
 _NEEDS_PYDANTIC = {
     "Scenario": "scenarios.scenario",
+    "load_plan_file": "scenarios.plan_file",
     "load_scenario": "scenarios.scenario",
     "scenario_from_dict": "scenarios.scenario",
     "Simulation": "scenarios.simulation",
@@ -57,6 +59,7 @@ __all__ = [
     "draw_errors",
     "draw_fixture",
     "free_motion",
+    "load_plan_file",
     "load_scenario",
     "random_attitude",
     "random_turns",

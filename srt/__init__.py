@@ -18,15 +18,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from srt.comparison.comparison_run import compare
     from srt.comparison.merge import merge_calibrations
     from srt.diagnosis import diagnose
     from srt.estimation.options import Options
     from srt.estimation.registry import estimators
     from srt.exceptions import DataError, InputError, MissingExtraError, SrtError
-    from srt.procedure import calibrate
-    from srt.recording.folder import load_recording, write_recording
-    from srt.recording.importer_registry import import_file
+    from srt.planning.task import plan
+    from srt.presentation import plot, to_frame
+    from srt.procedure import calibrate, inspect
+    from srt.recording.folder import write_recording
+    from srt.recording.reading import read
+    from srt.recording.reading import read as import_file
+    from srt.recording.reading import read as load_recording
     from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+    from srt.reports.certificate.issue import certificate
     from srt.result.applier import Applier
     from srt.result.calibration import Calibration, load_calibration
     from srt.sensor_errors import INDEX, NAMES, SensorErrors
@@ -36,7 +42,14 @@ if TYPE_CHECKING:
 _HOME = {
     "Applier": "result.applier",
     "diagnose": "diagnosis",
-    "import_file": "recording.importer_registry",
+    "import_file": "recording.reading:read",
+    "compare": "comparison.comparison_run",
+    "certificate": "reports.certificate.issue",
+    "inspect": "procedure",
+    "plan": "planning.task",
+    "plot": "presentation",
+    "to_frame": "presentation",
+    "read": "recording.reading",
     "merge_calibrations": "comparison.merge",
     "recognise": "sequences.recognition",
     "Calibration": "result.calibration",
@@ -53,14 +66,16 @@ _HOME = {
     "Recording": "recording.recording",
     "SequenceLabel": "recording.recording",
     "Site": "recording.recording",
-    "load_recording": "recording.folder",
+    "load_recording": "recording.reading:read",
     "write_recording": "recording.folder",
     "find_turns": "sequences.stationary_windows",
     "INDEX": "sensor_errors",
     "NAMES": "sensor_errors",
     "SensorErrors": "sensor_errors",
 }
-"""Module of each public name. Modules load on first use, so that `srt --help` does not import numpy."""
+"""Module of each public name, and its name there if another.
+
+Modules load on first use, so that `srt --help` does not import numpy."""
 
 __all__ = [
     "INDEX",
@@ -79,14 +94,21 @@ __all__ = [
     "Site",
     "SrtError",
     "calibrate",
+    "certificate",
+    "compare",
     "diagnose",
     "estimators",
     "find_turns",
     "import_file",
+    "inspect",
     "load_calibration",
     "load_recording",
     "merge_calibrations",
+    "plan",
+    "plot",
+    "read",
     "recognise",
+    "to_frame",
     "write_recording",
 ]
 
@@ -94,7 +116,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'srt' has no attribute {name!r}")
-    value = getattr(import_module(f"srt.{_HOME[name]}"), name)
+    module, _, attribute = _HOME[name].partition(":")
+    value = getattr(import_module(f"srt.{module}"), attribute or name)
     globals()[name] = value
     return value
 

@@ -1,4 +1,4 @@
-"""Calibration procedure of library and command line: fault detection, estimation, and checks of the result."""
+"""Inspection and calibration of library and command line: fault detection, estimation, and checks of the result."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from srt.diagnosis.staged_diagnosis import StagedDiagnosis
 from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError
+from srt.recording.reading import READING_KEYS, read
 
 if TYPE_CHECKING:
+    from srt.diagnosis.inspection import Inspection
     from srt.estimation.registry import Progress
-    from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
 UNCHECKED = (
@@ -23,7 +24,7 @@ UNCHECKED = (
 
 
 def calibrate(
-    recording: Recording,
+    source: Any,
     estimator: str = "auto",
     *,
     checks: bool = True,
@@ -36,8 +37,9 @@ def calibrate(
 
     Parameters
     ----------
-    recording : Recording
-        Without labels, sequences of Table 1 on a fixture are recognised; other recordings become free rotations.
+    source : Recording, path-like, or arrays
+        Recording, or what :func:`srt.read` makes one of. Without labels, sequences of Table 1 on a fixture are
+        recognised; other recordings become free rotations.
     estimator : str
         "auto": the closed form for labelled sequences of Table 1 on a fixture, otherwise least squares. Other names:
         :func:`srt.estimators`.
@@ -50,7 +52,7 @@ def calibrate(
     progress : callable, optional
         Called after every iteration with its number and the largest correction.
     **choices
-        Fields of :class:`srt.Options`, instead of ``options``.
+        Fields of :class:`srt.Options`, instead of ``options``, and keywords of :func:`srt.read`.
 
     Returns
     -------
@@ -60,11 +62,13 @@ def calibrate(
     Raises
     ------
     InputError
-        Unknown estimator or option.
+        Unknown estimator or option, or a source that cannot be read.
     DataError
         A fatal fault, or data that do not support a result, with the likely cause.
     """
+    stated = {name: choices.pop(name) for name in READING_KEYS & set(choices)}
     options = chosen_options(options, choices)
+    recording = read(source, **stated)
     if not checks:
         result = estimate(recording, estimator, options, progress)
         return replace(result, warnings=(*result.warnings, UNCHECKED))
@@ -85,3 +89,31 @@ def calibrate(
         warnings=(*warnings, *result.warnings),
         diagnostics={**result.diagnostics, "faults": diagnosis.as_dicts()},
     )
+
+
+def inspect(source: Any, *, deep: bool = False, **stated: Any) -> Inspection:
+    """Inspect a recording: rate, gaps, noise at rest, stationary windows, rotations, recognised sequences, faults.
+
+    Parameters
+    ----------
+    source : Recording, path-like, or arrays
+        Recording, or what :func:`srt.read` makes one of.
+    deep : bool
+        Also calibrate, and look for faults that only a calibration shows.
+    **stated
+        Keywords of :func:`srt.read`.
+
+    Returns
+    -------
+    Inspection
+
+    Raises
+    ------
+    InputError
+        A source that cannot be read.
+    """
+    from srt.diagnosis import inspection
+
+    recording = read(source, **stated)
+    units = inspection.declared_units(recording.source) if recording.source else {}
+    return inspection.inspect(recording, calibrating=deep, units=units)

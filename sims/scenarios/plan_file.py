@@ -45,6 +45,7 @@ from srt.exceptions import InputError
 from srt.planning.conditions import Conditions
 from srt.planning.fixture_kinematics import AxisKinematics, FixtureKinematics
 from srt.planning.plan import PlanLimits
+from srt.planning.task import PlanTask
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -183,6 +184,12 @@ class PlanFile(TomlTable):
     targets: TargetsConfig
     plan: PlanOptions = PlanOptions()
     recording: RecordingConfig = RecordingConfig()
+
+    def task(self) -> PlanTask:
+        """Task for the planner."""
+        return PlanTask(
+            self.stand.kinematics(), self.conditions(), self.targets.sigma(), self.plan.total_time_s, self.plan.limits()
+        )
 
     def conditions(self) -> Conditions:
         """Noise of the unit, site and fixture in the planner's terms."""

@@ -75,10 +75,10 @@ def align_mount(
 
         mount = mount_from_calibration(calibration)
     else:
-        import srt
         from srt.mount.poses import mount_from_recording
+        from srt.recording.folder import load_recording
 
-        recording = srt.load_recording(recording_path)
+        recording = load_recording(recording_path)
         if not force:
             check_match(calibration, recording, calibration_file, recording_path)
         level, axis = (None if value is None else 1e-3 * value for value in sigmas.values())

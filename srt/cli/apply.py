@@ -64,9 +64,9 @@ def apply(
         header = c99_header(calibration)
     corrected, source_format = None, ""
     if recording_path is not None:
-        import srt
+        from srt.recording.folder import load_recording
 
-        recording = srt.load_recording(recording_path)
+        recording = load_recording(recording_path)
         source_format = samples_suffix(recording_path)
         if not force:
             check_match(calibration, recording, calibration_file, recording_path)

@@ -330,13 +330,14 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     Raises
     ------
     SrtError
-        Errors of :func:`srt.load_recording`, :func:`srt.calibrate` and of writing.
+        Errors of :func:`srt.read`, :func:`srt.calibrate` and of writing.
     """
     import srt
     from srt.cli.progress import iteration_progress
+    from srt.recording.folder import load_recording
     from srt.reports.text.calibration_summary import calibration_text
 
-    recording = srt.load_recording(job.recording)
+    recording = load_recording(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     if job.output is not None:

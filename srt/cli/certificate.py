@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import click
 
 from srt.cli.messages import say, show, warn
 from srt.cli.output_paths import check_directory, check_file, make_directory
 from srt.exceptions import DataError, InputError
-
-if TYPE_CHECKING:
-    from srt.reports.certificate import Certificate
 
 PAGE: Final = ".html"
 _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
@@ -56,8 +53,17 @@ def certificate(
     converge; 2 wrong usage, unreadable or edited input, or a recording or an earlier calibration of another unit.
     """
     page, document = check_places(calibration_file, output)
-    made = assemble(calibration_file, recording_path, limits, against, trust=trust)
-    write(made, page, document)
+    import srt
+    import srt.reports.certificate.html_page
+    import srt.reports.certificate.pdf  # a missing extra is reported before the samples are read
+    from srt.recording.folder import read_document
+    from srt.reports.certificate.issue import write_certificate
+
+    if recording_path is not None:
+        read_document(recording_path)  # a log in another format is to be converted
+    made = srt.certificate(calibration_file, recording_path, limits=limits, against=against, trust=trust)
+    make_directory(page.parent)
+    write_certificate(made, page)
     if made.change is not None and made.change.names:
         warn(f"{calibration_file}: changed significantly: {', '.join(made.change.names)}.")
     if not quiet:
@@ -104,55 +110,3 @@ def check_places(calibration_file: Path, output: Path | None) -> tuple[Path, Pat
         check_file(page, (PAGE,), "The certificate")
         check_file(document, (".pdf",), "The certificate")
     return page, document
-
-
-def assemble(
-    calibration_file: Path,
-    recording_path: Path | None,
-    limits: Path | None,
-    against: Path | None,
-    *,
-    trust: bool,
-) -> Certificate:
-    """Read the inputs and make the certificate.
-
-    Raises
-    ------
-    SrtError
-        Inputs that cannot be read or do not belong together.
-    """
-    import srt.reports.certificate.html_page
-    import srt.reports.certificate.pdf  # a missing extra is reported before the samples are read
-    from srt.reports.certificate import load_acceptance_limits, load_calibration_file, make_certificate
-    from srt.reports.certificate.parameter_changes import changes_since
-    from srt.reports.certificate.recording_history import check_recording, recording_history
-
-    source = load_calibration_file(calibration_file, trust=trust)
-    given = None if limits is None else load_acceptance_limits(limits)
-    change = None if against is None else changes_since(source, load_calibration_file(against, trust=trust))
-    course = None
-    if recording_path is not None and source.calibration.status in ("converged", "partial"):
-        import srt
-
-        recording = srt.load_recording(recording_path)
-        check_recording(source, recording, str(recording_path))
-        course = recording_history(source, recording, str(recording_path))
-    return make_certificate(source, course=course, limits=given, change=change)
-
-
-def write(made: Certificate, page: Path, document: Path) -> None:
-    """Write the page and the PDF, each complete or not at all, and neither unless both can be made.
-
-    Raises
-    ------
-    SrtError
-    """
-    from srt.recording.atomic_file import atomic_path, atomic_write_text
-    from srt.reports.certificate.html_page import html_page
-    from srt.reports.certificate.pdf import write_pdf
-
-    text = html_page(made)
-    make_directory(page.parent)
-    with atomic_path(document) as temporary:
-        write_pdf(made, temporary)
-    atomic_write_text(page, text)

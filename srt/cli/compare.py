@@ -141,29 +141,23 @@ def run(
     SrtError
         A recording that cannot be read, a truth that is not its own, fewer than two estimators that can run.
     """
-    import srt
     from srt.cli.progress import iteration_progress
+    from srt.comparison.comparison_run import runnable_estimators
     from srt.comparison.estimator_comparison import compare as compare_calibrations
-    from srt.comparison.estimator_comparison import default_estimators, run_estimators
+    from srt.comparison.estimator_comparison import run_estimators
+    from srt.recording.folder import load_recording
 
     true_errors = None
     if truth is not None:
         from srt.cli.truth import load_truth
 
         true_errors = load_truth(truth)
-    recording = srt.load_recording(path)
+    recording = load_recording(path)
     if truth is not None:
         check_truth(truth, recording)
-    left_out: dict[str, str] = {}
-    if not names:
-        names, left_out = default_estimators(recording)
-    reasons = "; ".join(f"{name} is left out: {reason.rstrip('.')}" for name, reason in left_out.items())
-    if reference in left_out:
-        raise InputError(f"The reference {reference} cannot run here: {left_out[reference]}")
-    if len(names) < 2:
-        raise DataError(f"Fewer than two estimators can run on {path}: {reasons}.")
-    if reasons:
-        warn(f"{path}: {reasons}.")
+    names, left_out = runnable_estimators(recording, names, reference)
+    for name, reason in left_out.items():
+        warn(f"{path}: {name} is left out: {reason}")
     calibrations: dict[str, Calibration] = {}
     seconds: dict[str, float] = {}
     failures: dict[str, str] = {}

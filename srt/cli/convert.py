@@ -13,9 +13,8 @@ from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
-    from srt.recording.import_options import ImportOptions
     from srt.recording.recording import Recording
 
 
@@ -148,9 +147,6 @@ def convert(
     output: Path,
     samples_format: str,
     like: Path | None,
-    serial: str | None,
-    date: str | None,
-    temperature_c: float | None,
     applied: str | None,
     force: bool,
     overwrite: bool,
@@ -171,31 +167,14 @@ def convert(
     check_target(output, source, second, samples_format, overwrite=overwrite)
     if source.suffix == ".toml" or (source / "recording.toml").is_file():
         raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
-    options = reading_options(rest, second)
-    document = surroundings(like, rest)
     from srt.exporters.applied_file import applied_of
-    from srt.recording.folder import read_metadata, write_recording
-    from srt.recording.imported_samples import to_recording
-    from srt.recording.importer_registry import import_file
+    from srt.recording.folder import write_recording
+    from srt.recording.reading import read_log
 
-    about = read_metadata("What was said of the recording" if like is None else str(like), document)
-    importer, imported = import_file(source, options, name)
-    try:
-        recording = to_recording(
-            imported,
-            about.site,
-            fixture=about.fixture,
-            noise=about.noise,
-            sequences=about.sequences,
-            serial=serial,
-            date=date,
-            temperature_c=temperature_c,
-            applied=None if applied is None else applied_of(applied, options.instance),
-        )
-        # RecordingArguments only when asked for, and here a rate that contradicts the stamps is still refused.
-        recording.timing  # noqa: B018
-    except InputError as error:
-        raise InputError(f"{source}: {error}", fault=error.fault) from None
+    given = {**rest, "second": second}
+    if applied is not None:
+        given["applied"] = applied_of(applied, rest["instance"])
+    recording, imported, importer = read_log(source, given, format=name, like=like)
     if not force:
         check_gravity(recording, source)
     # All checks are done: the recording is written.
@@ -230,79 +209,6 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
             raise InputError(f"{path} would be replaced by its own conversion: name another folder than {folder}.")
     if folder.is_dir() and not overwrite and any(folder.iterdir()):
         raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
-
-
-def reading_options(given: Mapping[str, Any], second: Path | None) -> ImportOptions:
-    """Options of the importer from those of the command line.
-
-    Parameters
-    ----------
-    given : mapping
-        Options of the command line by name.
-    second : Path or None
-
-    Returns
-    -------
-    ImportOptions
-
-    Raises
-    ------
-    InputError
-    """
-    from srt.recording.import_options import ImportOptions, parse_columns, parse_lsb, parse_offset
-
-    fields: dict[str, Any] = {name: given[name] for name in _READING}
-    for sensor in ("gyro", "accel"):
-        for what, parse in (("lsb", parse_lsb), ("offset", parse_offset)):
-            text = given[f"{sensor}_{what}"]
-            fields[f"{sensor}_{what}"] = None if text is None else parse(text, sensor)
-    columns = parse_columns(given["columns"]) if given["columns"] is not None else {}
-    return ImportOptions(columns=columns, second=second, **fields)
-
-
-def surroundings(like: Path | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of recording.toml beside the samples.
-
-    Parameters
-    ----------
-    like : Path or None
-        Recording whose tables are taken.
-    given : mapping
-        Options of the command line; they take precedence.
-
-    Returns
-    -------
-    dict
-        Tables [site], [fixture], [imu] and [[sequence]] in the units of the file.
-
-    Raises
-    ------
-    InputError
-        Gravity is not given, or a file cannot be read.
-    """
-    from srt.recording.folder import read_document
-
-    document = {} if like is None else {k: v for k, v in read_document(like).items() if k != "recording"}
-    if isinstance(document.get("imu"), dict):
-        # The other log may have been made under another calibration of the logger.
-        document["imu"] = {key: value for key, value in document["imu"].items() if key != "applied"}
-    for section, keys in (("site", _SITE_KEYS), ("fixture", _FIXTURE_KEYS), ("imu", _NOISE_KEYS)):
-        said = {key: given[key] for key in keys if given[key] is not None}
-        if not said:
-            continue
-        before = document.get(section, {})
-        if not isinstance(before, dict):
-            continue  # refused with its name when it is read
-        # Gravity that is given replaces all values from the other recording.
-        drop = {"gravity_m_s2", "height_m", "gravity_sigma_m_s2"} if {"gravity_m_s2", "height_m"} & set(said) else set()
-        document[section] = {key: value for key, value in before.items() if key not in drop} | said
-    site = document.get("site", {})
-    if isinstance(site, dict) and "gravity_m_s2" not in site and not {"latitude_deg", "height_m"} <= set(site):
-        raise InputError(
-            "Gravity is not known: give it with --gravity-m-s2, or --latitude-deg and --height-m for normal gravity, "
-            "or name a recording of the same place with --like."
-        )
-    return document
 
 
 def check_gravity(recording: Recording, source: Path) -> None:

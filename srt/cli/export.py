@@ -134,10 +134,10 @@ def _check_output(chosen: Exporter, output: Path, calibration: Path) -> None:
 def _readings(
     calibration: Calibration, calibration_file: Path, path: Path, *, force: bool
 ) -> tuple[Readings, float | None]:
-    import srt
     from srt.exporters.correction_difference import Readings
+    from srt.recording.folder import load_recording
 
-    recording = srt.load_recording(path)
+    recording = load_recording(path)
     if not force:
         check_match(calibration, recording, calibration_file, path)
     return Readings.of(recording, str(path)), 1.0 / recording.nominal_interval_s

@@ -31,12 +31,12 @@ def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | No
     if plot is not None:
         check_file(plot, PLOT_SUFFIXES, "The plot")
         require_matplotlib()
-    import srt
     from srt.diagnosis import inspection
     from srt.recording.atomic_file import atomic_write_text
+    from srt.recording.folder import load_recording
     from srt.reports.text.inspection import inspection_report
 
-    samples = srt.load_recording(recording)
+    samples = load_recording(recording)
     found = inspection.inspect(samples, calibrating=deep, units=inspection.declared_units(recording))
     if not quiet:
         show(inspection_report(found, title=str(recording)))

@@ -109,17 +109,17 @@ def plan(
 
 def make(chosen: PlanFile, files: PlanFiles, *, table_1: bool, quiet: bool) -> int:
     """Make a plan, write the files that are asked for, and print it."""
+    import srt
     from sims.scenarios.plan_file import scenario_toml
     from srt.planning.plan_document import operator_sheet, plan_document
     from srt.planning.plan_text import plan_text, table_1_text, unmet_targets_text
-    from srt.planning.planner import make_plan, table_1_plan
+    from srt.planning.planner import table_1_plan
     from srt.recording.atomic_file import atomic_write_text
     from srt.reports.text.tables import wrap
 
-    task = chosen.stand.kinematics(), chosen.conditions(), chosen.targets.sigma()
-    limits = chosen.plan.limits()
+    task = chosen.task()
     with _progress(quiet=quiet) as progress:
-        found = make_plan(*task, total_s=chosen.plan.total_time_s, limits=limits, progress=progress)
+        found = srt.plan(task, progress=progress)
     title = f"Rotation test of {chosen.imu.name} on {chosen.fixture.name}"
     if files.schedule is not None:
         head = f"# {title}: a plan, to be run by 'srt simulate'.\n"
@@ -137,7 +137,8 @@ def make(chosen: PlanFile, files: PlanFiles, *, table_1: bool, quiet: bool) -> i
         show(plan_text(found, title))
         if table_1:
             try:
-                comparison = table_1_text(found, table_1_plan(*task, found.total_s, limits))
+                rival = table_1_plan(task.fixture, task.conditions, found.targets, found.total_s, task.limits)
+                comparison = table_1_text(found, rival)
             except InputError as error:
                 comparison = "\n".join(wrap(f"Table 1 is no alternative: {error}"))
             show(comparison)

@@ -25,6 +25,7 @@ from srt.comparison.estimate_difference import (
 from srt.estimation.options import Options
 from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
 from srt.exceptions import DataError, InputError, SrtError
+from srt.presentation import Presented
 from srt.recording.atomic_file import atomic_write_text
 from srt.sensor_errors import NAMES, SYMBOLS, UNITS
 from srt.sequences.recognition import label_sequences
@@ -121,8 +122,8 @@ USABLE: Final = ("converged", "partial")
 """Statuses with valid values and sigmas."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Comparison(Presented):
     """Calibrations of one recording side by side.
 
     Attributes

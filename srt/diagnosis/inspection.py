@@ -17,6 +17,7 @@ from srt.model.rotations import from_rotation_vector, prefix_product, rotation_v
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS, TERMS, AllanDeviation, allan_deviation
 from srt.noise.noise_model import noise_model
+from srt.presentation import Presented
 from srt.recording.folder import TOML_NAME
 from srt.recording.recording import Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
@@ -432,8 +433,8 @@ class TemperatureSummary:
     recorded: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Inspection:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Inspection(Presented):
     """Content of ``srt inspect``.
 
     Attributes

@@ -7,6 +7,7 @@ other packages in the entry-point group ``srt.estimators``; any distribution can
 from __future__ import annotations
 
 import importlib
+import inspect
 from functools import cache
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Final, Protocol
@@ -14,17 +15,20 @@ from typing import TYPE_CHECKING, Final, Protocol
 from srt.estimation.options import Options
 from srt.exceptions import InputError, MissingExtraError
 from srt.model.table1 import SEQUENCES
+from srt.result.calibration import Calibration
 from srt.sequences.recognition import label_sequences
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from importlib.metadata import EntryPoint
 
     from srt.recording.recording import Recording
-    from srt.result.calibration import Calibration
 
     Progress = Callable[[int, float], None]
 
 GROUP: Final = "srt.estimators"
+OWN_PACKAGE: Final = "estimators"
+"""Package with the other estimators of this distribution; the extras that they need have their names."""
 BUILT_IN: Final = {
     "closed-form": "srt.estimation.closed_form_solver:estimate",
     "least-squares": "srt.estimation.least_squares_solver:estimate",
@@ -48,9 +52,9 @@ def estimators() -> tuple[str, ...]:
 
 
 @cache
-def _installed() -> dict[str, str]:
+def _installed() -> dict[str, EntryPoint]:
     """Entry points of the group by name; cached, as listing them takes a tenth of the time of a calibration."""
-    return {entry.name: entry.value for entry in entry_points(group=GROUP)}
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
 
 
 def find_estimator(name: str) -> Estimator:
@@ -59,20 +63,52 @@ def find_estimator(name: str) -> Estimator:
     Raises
     ------
     InputError
-        If no estimator of that name is registered, or a package that it needs is not installed.
+        If no estimator of that name is registered, a package that it needs is not installed, it cannot be loaded, or it
+        cannot be called as an estimator.
     """
-    target = BUILT_IN.get(name) or _installed().get(name)
-    if target is None:  # the package may have been installed since the last call
+    if name in BUILT_IN:
+        module, _, attribute = BUILT_IN[name].partition(":")
+        built_in: Estimator = getattr(importlib.import_module(module), attribute)
+        return built_in
+    if name not in _installed():  # the package may have been installed since the last call
         known = estimators()
-        target = _installed().get(name)
-        if target is None:
+        if name not in _installed():
             raise InputError(f"There is no estimator {name!r}; installed are {', '.join(known)}.")
-    module, _, attribute = target.partition(":")
+    entry = _installed()[name]
+    found = _load(entry)
     try:
-        found: Estimator = getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(str(error.name), "all", f"The estimator {name!r}") from None
+        inspect.signature(found).bind(None, None, None)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"The estimator {name!r} ({entry.value}) cannot be called with a recording, options and progress "
+            f"({error}): correct it, or uninstall {_distribution(entry)}."
+        ) from None
     return found
+
+
+def _load(entry: EntryPoint) -> Estimator:
+    """Object of an entry point. Raises InputError in a sentence, whatever its module raises."""
+    try:
+        module, _, attribute = entry.value.partition(":")
+        found: Estimator = getattr(importlib.import_module(module), attribute)
+    except Exception as error:  # code of others can fail in any way
+        # An estimator of this distribution has an extra of its own name, with the packages that it needs.
+        if isinstance(error, ModuleNotFoundError) and _is_ours(entry):
+            raise MissingExtraError(str(error.name), entry.name, f"The estimator {entry.name!r}") from None
+        raise InputError(
+            f"The estimator {entry.name!r} ({entry.value}) cannot be loaded ({type(error).__name__}: {error}): repair "
+            f"or uninstall {_distribution(entry)}."
+        ) from None
+    return found
+
+
+def _is_ours(entry: EntryPoint) -> bool:
+    return entry.value.partition(".")[0] == OWN_PACKAGE
+
+
+def _distribution(entry: EntryPoint) -> str:
+    """Name of the distribution of an entry point, as "the package x"."""
+    return "its package" if entry.dist is None else f"the package {entry.dist.name}"
 
 
 def estimate(
@@ -98,6 +134,11 @@ def estimate(
     recording, recognition = label_sequences(recording)
     name = automatic_estimator(recording) if estimator == "auto" else estimator
     calibration = find_estimator(name)(recording, options or Options(), progress)
+    if not isinstance(calibration, Calibration):
+        raise InputError(
+            f"The estimator {name!r} gave an object of type {type(calibration).__name__}, but a Calibration is "
+            "expected: correct the estimator."
+        )
     return calibration if recognition is None else recognition.told_in(calibration)
 
 

@@ -13,6 +13,7 @@ from srt.planning.order import best_order
 from srt.planning.prediction import Prediction, predict, prior_information, unknown_scales
 from srt.planning.selection import AccuracyCriterion
 from srt.planning.timetable import ScheduledSequence, timetable
+from srt.presentation import Presented
 from srt.sensor_errors import N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -71,8 +72,8 @@ class PlanLimits:
         return np.geomspace(self.shortest_window_s, self.longest_window_s, count)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Plan(Presented):
     """Plan of a test.
 
     Attributes

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from srt.planning.plan import MET
 from srt.planning.timetable import clock
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS
@@ -131,3 +133,17 @@ def format_sigma(value: float, k: int) -> str:
 def symbols(need: tuple[tuple[str, float], ...]) -> list[str]:
     """Symbols of the parameters that depend on a sequence; "!" marks those that no other sequence observes."""
     return [SYMBOLS[INDEX[name]] + ("!" if math.isinf(factor) else "") for name, factor in need]
+
+
+def plan_frame(plan: Plan) -> Any:
+    """Parameters by name, as a pandas DataFrame: expected sigma, target and their ratio."""
+    from srt.reports.frames import frame_by_parameter
+
+    factors = np.array(DISPLAY_FACTORS)
+    return frame_by_parameter(
+        symbol=list(SYMBOLS),
+        sigma=plan.prediction.sigma * factors,
+        target=plan.targets * factors,
+        ratio=plan.ratios,
+        unit=list(DISPLAY_UNITS),
+    )

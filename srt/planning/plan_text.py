@@ -27,7 +27,7 @@ _TERMS_WIDTH: Final = 60
 """Width of the terms of a signature, characters."""
 
 
-def plan_text(plan: Plan, title: str) -> str:
+def plan_text(plan: Plan, title: str = "Plan") -> str:
     """Tables of a plan: its sequences, its expected accuracy, and the worst target."""
     lines = [f"{title}: {len(plan.candidates)} sequences in {clock(plan.total_s)} (min:s),"]
     lines.append(f"{clock(plan.moves_s)} of them moves and waits between the sequences\n")

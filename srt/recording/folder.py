@@ -134,7 +134,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
             sequences=about.sequences,
             temperature=temperature,
             source=os.fspath(path),
-            data_sha256=_sha256(samples_path),
+            data_sha256=sha256_of(samples_path),
             applied=about.applied,
             **fields_of({"kind": kind, **main}, RECORDING_KEYS),
         )
@@ -359,7 +359,7 @@ def _import_recording(
             serial=main.get("serial"),
             date=main.get("date"),
             source=source,
-            data_sha256=_sha256(samples_path),
+            data_sha256=sha256_of(samples_path),
             temperature_c=main.get("temperature_c"),
             clock_sigma=fields_of(main, RECORDING_KEYS).get("clock_sigma"),
             applied=about.applied,
@@ -458,11 +458,12 @@ def _apply(values: Array, conversion: tuple[Array, Array]) -> None:
         values *= factor
 
 
-def _sha256(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, or of a folder's files."""
     if path.is_dir():
         # A bag may be a folder: hash of the hashes of its files, in the order of their names.
         files = sorted(each for each in path.iterdir() if each.is_file() and each.name != TOML_NAME)
-        return hashlib.sha256("\n".join(f"{_sha256(each)} {each.name}" for each in files).encode()).hexdigest()
+        return hashlib.sha256("\n".join(f"{sha256_of(each)} {each.name}" for each in files).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

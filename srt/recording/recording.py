@@ -18,6 +18,7 @@ import numpy as np
 from srt.constants import DEG
 from srt.exceptions import InputError
 from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES
+from srt.presentation import Presented
 from srt.recording.sample_checks import as_samples, require_finite, require_increasing
 from srt.recording.timing import SampleTiming, sample_timing
 
@@ -261,8 +262,8 @@ class SequenceLabel:
         return f"Sequence {self.id!r} at {self.start_static_s[0]:g} s"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Recording(Presented):
     """Recording of an IMU: samples, site, fixture, noise and sequence labels.
 
     Attributes

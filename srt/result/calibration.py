@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
 from srt.result.json_file import load_json_file, save_json_file
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
@@ -61,8 +62,8 @@ class Residual:
     sigma: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Calibration(Presented):
     """A calibrated unit.
 
     Attributes

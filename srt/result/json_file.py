@@ -32,8 +32,13 @@ def save_json_file(path: str | PathLike[str], document: Mapping[str, Any]) -> No
     InputError
         If the path cannot be written.
     """
+    atomic_write_text(path, json_text(document))
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Text of the file of a result, with its digest."""
     signed = {**document, _DIGEST: _digest(document)}
-    atomic_write_text(path, json.dumps(signed, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    return json.dumps(signed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def load_json_file(

@@ -348,7 +348,7 @@ def test_output_that_cannot_be_written_is_noticed_first(
     if output == "folder.json":
         (tmp_path / "folder.json").unlink()
         (tmp_path / "folder.json").symlink_to(tmp_path / "nowhere" / "x.json")
-    monkeypatch.setattr(srt, "load_recording", lambda path: pytest.fail(f"{path} was read first"))
+    monkeypatch.setattr("srt.recording.folder.load_recording", lambda path: pytest.fail(f"{path} was read first"))
     path = good if recording == "good" else tmp_path / "absent"
     before = sorted(tmp_path.iterdir())
 

@@ -300,6 +300,44 @@ def test_an_estimator_of_others_is_found_by_its_name(recording, calibration, mon
     assert "Largest sources of sigma" not in out
 
 
+@pytest.mark.parametrize(
+    ("source", "sentence"),
+    [
+        (
+            "import no_such_package_of_theirs",
+            "cannot be loaded (ModuleNotFoundError: No module named 'no_such",
+        ),
+        ("raise RuntimeError('no licence')", "cannot be loaded (RuntimeError: no licence): repair or uninstall"),
+        ("other = 1", "cannot be loaded (AttributeError"),
+        ("def estimate(recording): ...", "cannot be called with a recording, options and progress"),
+        ("estimate = 3", "cannot be called with a recording, options and progress"),
+        ("def estimate(recording, options, progress): return 3", "gave an object of type int, but a Calibration"),
+    ],
+)
+def test_a_defective_estimator_of_others_is_one_sentence(recording, monkeypatch, tmp_path, capfd, source, sentence):
+    from importlib.metadata import EntryPoint
+
+    (tmp_path / "their_defect.py").write_text(source + "\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "their_defect", raising=False)
+    entry = EntryPoint("theirs", "their_defect:estimate", "srt.estimators")
+    monkeypatch.setattr(srt.estimation.registry, "entry_points", lambda group: [entry])
+    srt.estimators()
+    assert main(["calibrate", str(recording), "--estimator", "theirs"]) == 2
+    err = capfd.readouterr().err
+    assert sentence in err
+    assert "pip install" not in err
+    assert err.count("\n") == 1
+
+
+def test_an_estimator_without_its_package_names_the_extra(recording, monkeypatch, capfd):
+    for name in [each for each in sys.modules if each.partition(".")[0] in ("estimators", "filterpy")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "filterpy", None)
+    assert main(["calibrate", str(recording), "--estimator", "ekf"]) == 2
+    assert "pip install 'strapdown-rotation-test[ekf]'" in capfd.readouterr().err
+
+
 def test_progress_on_a_terminal_is_one_moving_line(recording, monkeypatch, capfd):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert main(["calibrate", str(recording)]) == 0

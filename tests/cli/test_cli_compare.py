@@ -256,7 +256,7 @@ def test_wrong_usage_is_one_sentence_and_2_before_the_work(
     recording, arguments, fragments, tmp_path, monkeypatch, capfd
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(srt, "load_recording", lambda path: pytest.fail(f"{path} was read first"))
+    monkeypatch.setattr("srt.recording.folder.load_recording", lambda path: pytest.fail(f"{path} was read first"))
     assert main(["compare", str(recording), *arguments]) == 2
     out, err = capfd.readouterr()
     assert out == ""

@@ -10,20 +10,20 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.exceptions import InputError, clipped
 from srt.model.sensor_model import outside_model
-from srt.result.calibration import load_calibration
+from srt.result.calibration import Calibration, load_calibration
+from srt.result.json_file import json_text
 from srt.sensor_errors import INDEX, N_PARAMETERS, SYMBOLS, UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from srt.result.calibration import Calibration
+    from os import PathLike
 
 _ROUNDING: Final = 1e-6
 """Relative tolerance between values stated twice: numbers are written in full, so the difference is rounding."""
@@ -64,6 +64,17 @@ class CalibrationFile:
         provenance = self.calibration.provenance
         tables = provenance.get("recordings") or [provenance]
         return tuple(t["data_sha256"] for t in tables if t.get("data_sha256"))
+
+
+def calibration_file(source: Calibration | str | PathLike[str], *, trust: bool = False) -> CalibrationFile:
+    """Calibration of a certificate, from its file or from memory; the hash of the latter is that of its file."""
+    if not isinstance(source, Calibration):
+        return load_calibration_file(Path(source), trust=trust)
+    text = json_text(source.to_dict())
+    reason = _defect(source, json.loads(text))
+    if reason is not None:
+        raise InputError(f"The calibration is not consistent: {reason}.")
+    return CalibrationFile(source, "not saved", hashlib.sha256(text.encode()).hexdigest())
 
 
 def load_calibration_file(path: Path, *, trust: bool = False) -> CalibrationFile:

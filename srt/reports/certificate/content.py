@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import DataError
+from srt.presentation import Presented
 from srt.reports.certificate.parameter_changes import FALSE_ALARM
 from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
 from srt.reports.certificate.unit_description import (
@@ -40,8 +41,8 @@ _SOLVED: Final = 1e-3
 _STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Certificate:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Certificate(Presented):
     """Content of the certificate of one unit.
 
     Attributes

@@ -106,6 +106,8 @@ def check_recording(source: CalibrationFile, recording: Recording, name: str) ->
             f"{source.name} does not say which samples it was made from, so that {name} cannot be told to be its "
             "recording: leave the recording out, or calibrate it again."
         )
+    if recording.data_sha256 is None:
+        raise InputError(f"{name} was made in memory and has no SHA-256: write it, and calibrate what was written.")
     if recording.data_sha256 not in source.hashes:
         raise InputError(
             f"{name} holds other samples (SHA-256 {str(recording.data_sha256)[:12]}...) than {source.name} was made "

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
+from srt.diagnosis.inspection import inspect
 from srt.model.table1 import AXES
 from srt.noise.allan import TERMS
 from srt.reports.figures.style import (
@@ -69,14 +70,16 @@ _STEEP: Final[dict[str, Any]] = {
 }
 
 
-def inspection_figure(recording: Recording, inspection: Inspection, *, title: str | None = None) -> Figure:
+def inspection_figure(
+    recording: Recording, inspection: Inspection | None = None, *, title: str | None = None
+) -> Figure:
     """Draw a recording and its inspection.
 
     Parameters
     ----------
     recording : Recording
-    inspection : Inspection
-        Inspection of this recording.
+    inspection : Inspection, optional
+        Inspection of this recording; made if absent.
     title : str, optional
         Title of the recording.
 
@@ -85,6 +88,7 @@ def inspection_figure(recording: Recording, inspection: Inspection, *, title: st
     matplotlib.figure.Figure
         Not known to pyplot; :func:`save_figure` writes it.
     """
+    inspection = inspection or inspect(recording)
     layout = ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06, hspace=0.03, wspace=0.03)
     figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
     allan = inspection.allan

@@ -90,6 +90,14 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
     calibration : Calibration
     truth : SensorErrors, optional
     """
+    headers, rows, alignment = parameter_rows(calibration, truth)
+    return text_table(headers, rows, alignment, gap=1 if truth is not None else 2)
+
+
+def parameter_rows(
+    calibration: Calibration, truth: SensorErrors | None = None
+) -> tuple[list[str], list[list[str] | None], str]:
+    """Headings, rows and alignment of the table of the parameters; None between groups."""
     headers, alignment = ["symbol", "parameter", "value", "sigma", "unit"], "llrrl"
     if truth is not None:
         headers, alignment = (
@@ -119,7 +127,7 @@ def parameter_table(calibration: Calibration, truth: SensorErrors | None = None)
             over = math.nan if held or sigma == 0.0 else (value - true) / sigma
             row += [fixed(true, places), fixed(value - true, decimals), fixed(over, 2)]
         rows.append(row)
-    return text_table(headers, rows, alignment, gap=1 if truth is not None else 2)
+    return headers, rows, alignment
 
 
 def g_sensitivity_table(calibration: Calibration) -> str:

@@ -25,7 +25,7 @@ _STATED_NOISE: Final = {"gyro_noise": "gyro_noise_deg_per_sqrt_h", "accel_noise"
 
 
 def calibration_summary(
-    calibration: Calibration, *, title: str, truth: SensorErrors | None = None, source: str = ""
+    calibration: Calibration, *, title: str = "Calibration", truth: SensorErrors | None = None, source: str = ""
 ) -> str:
     """Status, verdict and advice, then the table of the parameters.
 
@@ -44,7 +44,7 @@ def calibration_summary(
     str
         Lines of at most 80 characters, without a line feed at the end.
     """
-    head = [line for text in _verdict(calibration, title) for line in wrap(text)]
+    head = [line for text in verdict_lines(calibration, title) for line in wrap(text)]
     advice = [line for text in _advice(calibration, source) for line in wrap(text)]
     notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
     lines = [*head, *_shortened(notes, _MOST_LINES - len(head) - len(advice)), *advice]
@@ -67,7 +67,7 @@ def calibration_text(
     return calibration_summary(calibration, title=title, truth=truth, source=source)
 
 
-def _verdict(calibration: Calibration, title: str) -> Iterator[str]:
+def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
     """Heading, status, and agreement of the measurements."""
     serial = calibration.provenance.get("serial")
     yield f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}"

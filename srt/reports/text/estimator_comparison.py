@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from srt.comparison.estimator_comparison import Comparison
 
 
-def comparison_text(comparison: Comparison, *, title: str) -> str:
+def comparison_text(comparison: Comparison, *, title: str = "Comparison") -> str:
     """Tables of a comparison, and its verdict.
 
     Parameters

@@ -26,7 +26,7 @@ _DISPLAY: Final = {"accel_quantization_m_s": ("µm/s", 1e6), "gyro_quantization_
 _EFFECTS: Final = {"exit 2": "Refused", "exit 1": "Refused", "warning": "Warning", "note": "Note"}
 
 
-def inspection_report(inspection: Inspection, *, title: str) -> str:
+def inspection_report(inspection: Inspection, *, title: str = "Inspection") -> str:
     """Text of the whole report.
 
     Parameters

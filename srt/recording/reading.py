@@ -1,0 +1,342 @@
+"""Reading of recordings, of logs in other formats and of arrays: one function for all, with what the data do not state.
+
+The words that state it are the keys of ``recording.toml`` and the fields of
+:class:`~srt.recording.import_options.ImportOptions`, with the unit in the name; ``srt convert`` has them as options.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError, did_you_mean
+from srt.recording.folder import TOML_NAME, load_recording, read_document, read_metadata, sha256_of
+from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions, parse_columns, parse_lsb, parse_offset
+from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_si, to_recording
+from srt.recording.importer_registry import AUTO, import_file
+from srt.recording.recording import Recording
+from srt.recording.schema import FIXTURE_KEYS, IMU_KEYS, SITE_KEYS, in_file_unit
+
+if TYPE_CHECKING:
+    from srt.recording.folder import RecordingMetadata
+    from srt.recording.import_options import Triple
+    from srt.recording.imported_samples import ImportedSamples
+    from srt.recording.importer_registry import Importer
+
+SECTION_KEYS: Final = {
+    section: tuple(key.name for key in keys)
+    for section, keys in (("site", SITE_KEYS), ("fixture", FIXTURE_KEYS), ("imu", IMU_KEYS))
+}
+"""Keys of the sections of ``recording.toml`` that can be stated beside the samples."""
+SAMPLES_KEYS: Final = tuple(item.name for item in fields(ImportOptions))
+IDENTIFICATION_KEYS: Final = ("serial", "date", "temperature_c", "applied")
+STATED_KEYS: Final = (*SAMPLES_KEYS, *IDENTIFICATION_KEYS, *(key for keys in SECTION_KEYS.values() for key in keys))
+"""Keywords of :func:`read` other than ``format`` and ``like``."""
+READING_KEYS: Final = frozenset((*STATED_KEYS, "format", "like"))
+
+_SI_UNITS: Final = {
+    "rate": StatedUnits("rad/s", "m/s^2", "s"),
+    "increment": StatedUnits("rad", "m/s", "s"),
+}
+"""Units of arrays by kind, unless others are stated: those of this package."""
+
+
+def read(
+    source: Any,
+    *,
+    format: str = AUTO,  # noqa: A002 - as the option
+    like: str | os.PathLike[str] | Recording | None = None,
+    **stated: Any,
+) -> Recording:
+    """Read a recording, a log in another format, or arrays.
+
+    Parameters
+    ----------
+    source : path-like, Recording, mapping, DataFrame or tuple
+        A folder with ``recording.toml``; a log in any format of ``srt convert --list``; arrays ``(time, gyro, accel)``,
+        with None for time stamps that do not exist; or a mapping with ``gyro`` and ``accel`` (or ``gyro_x`` and so on),
+        ``time`` and ``temperature``. Arrays are in SI units unless a unit is stated.
+    format : str
+        Format of a log; "auto" recognises it.
+    like : path-like or Recording, optional
+        Recording of which site, fixture, noise and sequences are taken. What is stated precedes it.
+    **stated
+        What the data do not state, with the unit in the name. Samples: ``kind``, ``gyro_unit``, ``accel_unit``,
+        ``time_unit``, ``gyro_lsb`` and ``accel_lsb`` (SI units per count, or a text as "1/131 deg/s"),
+        ``gyro_offset``, ``accel_offset``, ``sample_rate_hz``, ``columns``, ``map_gyro``, ``map_accel``, ``topic`` and
+        the other fields of :class:`~srt.recording.import_options.ImportOptions`. Place: ``latitude_deg``,
+        ``gravity_m_s2``, ``height_m``, ``gravity_sigma_m_s2``. Fixture: ``heading_deg``, ``alignment_sigma_mrad``,
+        ``rotation_sigma_mrad``, ``wobble_sigma_mrad``; without any of them there is none. Noise of the unit:
+        ``gyro_noise_deg_per_sqrt_h``, ``accel_noise_ug_per_sqrt_hz`` and the other keys of ``[imu]``. Unit:
+        ``serial``, ``date``, ``temperature_c``, and ``applied``, the
+        :class:`~srt.recording.applied.AppliedCorrection` that the readings had before they were logged.
+
+    Returns
+    -------
+    Recording
+        In SI units; the hash of arrays is that of their values in SI.
+
+    Raises
+    ------
+    InputError
+        A source that cannot be read, an unknown keyword, or something that has to be stated and is not.
+    MissingExtraError
+        If the format needs a package that is not installed.
+    """
+    unknown = sorted(set(stated) - set(STATED_KEYS))
+    if unknown:
+        raise InputError(
+            f"There is no keyword {unknown[0]!r}{did_you_mean(unknown[0], STATED_KEYS)}: "
+            f"use one of {', '.join(STATED_KEYS)}."
+        )
+    given = {key: value for key, value in stated.items() if value is not None}
+    try:
+        if isinstance(source, Recording):
+            return restated(source, given, like)
+        if isinstance(source, str | os.PathLike):
+            path = Path(source)
+            if path.suffix == ".toml" or (path / TOML_NAME).is_file() or not path.exists():
+                return restated(load_recording(path), given, like)
+            return read_log(path, given, format=format, like=like)[0]
+        return _from_arrays(source, given, like)
+    except InputError as error:
+        if type(error) is not InputError:  # a missing extra names a package, and no keyword
+            raise
+        raise InputError(_as_keywords(str(error)), fault=error.fault) from None
+
+
+def read_log(
+    path: Path,
+    given: Mapping[str, Any],
+    *,
+    format: str = AUTO,  # noqa: A002
+    like: str | os.PathLike[str] | Recording | None = None,
+) -> tuple[Recording, ImportedSamples, Importer]:
+    """Read a log in another format.
+
+    Parameters
+    ----------
+    path : Path
+    given : mapping
+        As the keywords of :func:`read`, without None.
+    format : str
+    like : path-like or Recording, optional
+
+    Returns
+    -------
+    recording : Recording
+    imported : ImportedSamples
+    importer : Importer
+
+    Raises
+    ------
+    InputError
+    """
+    options = import_options(given)
+    about = surroundings(given, like)
+    importer, imported = import_file(path, options, format)
+    origin = {"source": os.fspath(path), "data_sha256": sha256_of(path)}
+    try:
+        return _recording(imported, about, {**_identification(given), **origin}), imported, importer
+    except InputError as error:
+        raise InputError(f"{path}: {error}", fault=error.fault) from None
+
+
+def import_options(given: Mapping[str, Any]) -> ImportOptions:
+    """Options of the importers from keywords, of which columns, counts and offsets may be texts.
+
+    Raises
+    ------
+    InputError
+    """
+    chosen = {key: given[key] for key in SAMPLES_KEYS if given.get(key) is not None}
+    for sensor in TRIADS:
+        for name, parse in ((f"{sensor}_lsb", parse_lsb), (f"{sensor}_offset", parse_offset)):
+            if name in chosen:
+                chosen[name] = _triple(name, chosen[name], sensor, parse)
+    if isinstance(chosen.get("columns"), str):
+        chosen["columns"] = parse_columns(chosen["columns"])
+    if "second" in chosen:
+        chosen["second"] = Path(chosen["second"])
+    return ImportOptions(**chosen)
+
+
+def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None = None) -> RecordingMetadata:
+    """Site, fixture, noise and sequences, as stated and of another recording.
+
+    Parameters
+    ----------
+    given : mapping
+        As the keywords of :func:`read`; they precede the other recording.
+    like : path-like or Recording, optional
+
+    Raises
+    ------
+    InputError
+        Gravity is not given, a wrong value, or a file that cannot be read.
+    """
+    if isinstance(like, Recording):
+        document = _sections_of(like)
+    else:
+        document = {} if like is None else {k: v for k, v in read_document(Path(like)).items() if k != "recording"}
+    if isinstance(document.get("imu"), dict):
+        # The other log may have been made under another calibration of the logger.
+        document["imu"] = {key: value for key, value in document["imu"].items() if key != "applied"}
+    _state(document, given)
+    site = document.get("site", {})
+    if isinstance(site, dict) and "gravity_m_s2" not in site and not {"latitude_deg", "height_m"} <= set(site):
+        raise InputError(
+            "Gravity is not known: give it with --gravity-m-s2, or --latitude-deg and --height-m for normal gravity, "
+            "or name a recording of the same place with --like."
+        )
+    name = str(like) if isinstance(like, str | os.PathLike) else "What was said of the recording"
+    about = read_metadata(name, document)
+    return replace(about, sequences=like.sequences) if isinstance(like, Recording) else about
+
+
+def restated(
+    recording: Recording, given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None = None
+) -> Recording:
+    """Recording with another site, fixture, noise or identification, as stated.
+
+    Raises
+    ------
+    InputError
+        A keyword on the samples, which a recording states itself.
+    """
+    samples = sorted(set(given) & {*SAMPLES_KEYS, "temperature_c"} - {"sample_rate_hz"})
+    if samples:
+        raise InputError(
+            f"{samples[0]} is given, but the recording states it: leave it out, or correct recording.toml."
+        )
+    if not given and like is None:
+        return recording
+    document = _sections_of(recording)
+    if like is not None:
+        other = _sections_of(like if isinstance(like, Recording) else load_recording(like))
+        document |= other
+    _state(document, given)
+    about = read_metadata("What was said of the recording", document)
+    rest = {key: given[key] for key in ("serial", "date", "sample_rate_hz", "applied") if key in given}
+    return replace(recording, site=about.site, fixture=about.fixture, noise=about.noise, **rest)
+
+
+def _state(document: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Enter what is stated in the sections of ``recording.toml``."""
+    for section, keys in SECTION_KEYS.items():
+        said = {key: given[key] for key in keys if given.get(key) is not None}
+        before = document.get(section, {})
+        if not said or not isinstance(before, dict):  # the latter is refused with its name when it is read
+            continue
+        # Gravity that is given replaces all values from the other recording.
+        drop = {"gravity_m_s2", "height_m", "gravity_sigma_m_s2"} if {"gravity_m_s2", "height_m"} & set(said) else set()
+        document[section] = {key: value for key, value in before.items() if key not in drop} | said
+
+
+def _sections_of(recording: Recording) -> dict[str, Any]:
+    """Sections [site], [fixture] and [imu] of a recording, in the units of the file."""
+    parts = (("site", recording.site, SITE_KEYS), ("fixture", recording.fixture, FIXTURE_KEYS),
+             ("imu", recording.noise, IMU_KEYS))  # fmt: skip
+    document: dict[str, Any] = {}
+    for section, part, keys in parts:
+        if part is None:
+            continue
+        values = {key: getattr(part, key.attribute) for key in keys if key.attribute is not None}
+        document[section] = {k.name: in_file_unit(value, k.factor) for k, value in values.items() if value is not None}
+    return document
+
+
+def _from_arrays(source: Any, given: Mapping[str, Any], like: str | os.PathLike[str] | Recording | None) -> Recording:
+    """Recording of arrays."""
+    table = _arrays(source)
+    options = import_options(given)
+    refused = sorted(options.given - {"kind", "time_unit", "sample_rate_hz", "map_gyro", "map_accel"} - {
+        f"{sensor}_{what}" for sensor in TRIADS for what in ("unit", "lsb", "offset")})  # fmt: skip
+    if refused:
+        raise InputError(f"{refused[0]} is given, but arrays have none: leave it out.")
+    units = _SI_UNITS[options.kind or "rate"]
+    counts = {sensor: None for sensor in TRIADS if getattr(options, f"{sensor}_lsb") is not None}
+    imported = samples_in_si(
+        options,
+        gyro=_matrix("gyro", table["gyro"]),
+        accel=_matrix("accel", table["accel"]),
+        time=None if table.get("time") is None else np.asarray(table["time"]),
+        stated=replace(units, **counts),
+        temperature=None if table.get("temperature") is None else np.asarray(table["temperature"]),
+    )
+    imported = in_imu_axes(imported, options)
+    digest = hashlib.sha256()
+    for values in (imported.time, imported.gyro, imported.accel):
+        digest.update(b"" if values is None else np.ascontiguousarray(values).tobytes())
+    origin = {"data_sha256": digest.hexdigest()}
+    return _recording(imported, surroundings(given, like), {**_identification(given), **origin})
+
+
+def _arrays(source: Any) -> dict[str, Any]:
+    """Arrays by "time", "gyro", "accel" and "temperature"."""
+    if isinstance(source, tuple) and len(source) == 3:
+        return dict(zip(("time", "gyro", "accel"), source, strict=True))
+    if not isinstance(source, Mapping) and not hasattr(source, "columns"):
+        raise InputError(
+            f"{type(source).__name__} is no recording: give the path of a recording or of a log, a Recording, arrays "
+            "as (time, gyro, accel), or a mapping with gyro and accel."
+        )
+    names = source.keys() if isinstance(source, Mapping) else source.columns
+    table = {str(name): source[name] for name in names}
+    for sensor, channels in TRIADS.items():
+        if sensor not in table and all(channel in table for channel in channels):
+            table[sensor] = np.column_stack([np.asarray(table.pop(channel)) for channel in channels])
+    missing = [sensor for sensor in TRIADS if sensor not in table]
+    unknown = sorted(set(table) - {*TRIADS, *CHANNELS})
+    if missing or unknown:
+        wrong = f"there is no {missing[0]}" if missing else f"{unknown[0]!r} is no channel"
+        raise InputError(
+            f"The arrays are not complete: {wrong}; expected are gyro and accel (or gyro_x and so on), with time and "
+            "temperature where they exist."
+        )
+    return table
+
+
+def _matrix(name: str, values: Any) -> np.ndarray[Any, Any]:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is no array of numbers of shape (n, 3).") from None
+
+
+def _recording(imported: ImportedSamples, about: RecordingMetadata, rest: Mapping[str, Any]) -> Recording:
+    recording = to_recording(
+        imported, about.site, fixture=about.fixture, noise=about.noise, sequences=about.sequences, **rest
+    )
+    # Timing is found when it is first needed; a rate that contradicts the stamps is refused here already.
+    recording.timing  # noqa: B018
+    return recording
+
+
+def _identification(given: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: given[key] for key in IDENTIFICATION_KEYS if key in given}
+
+
+def _triple(name: str, value: Any, sensor: str, parse: Any) -> Triple:
+    if isinstance(value, str):
+        found: Triple = parse(value, sensor)
+        return found
+    numbers = np.asarray(value, dtype=np.float64).ravel()
+    if numbers.size not in (1, 3) or not np.all(np.isfinite(numbers)):
+        raise InputError(f"{name} is {value!r}, but one finite number, or three, is expected.")
+    x, y, z = np.broadcast_to(numbers, 3).tolist()
+    return x, y, z
+
+
+def _as_keywords(sentence: str) -> str:
+    """Sentence in which options of the command line are keywords of Python."""
+    names = {name.replace("_", "-"): name for name in READING_KEYS}
+    spelled = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
+    return re.sub(rf"--({spelled})(?![\w-])", lambda match: names[match[1]] + "=", sentence)
