@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.calibrate import CHOICES
+from srt.cli.calibrate import choice_option
 from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, require_matplotlib
 from srt.cli.progress import count_progress
@@ -30,13 +30,7 @@ if TYPE_CHECKING:
 )
 @click.option("--paper", is_flag=True, help="Analysis of Savage 2020, §9, with the noise of the scenario.")
 @click.option("--draws", type=click.IntRange(min=2), default=30, show_default=True, help="Draws of the fixture errors.")
-@click.option(
-    "--gyro-bias",
-    type=click.Choice(CHOICES["gyro_bias"]),
-    default="auto",
-    show_default=True,
-    help="Model of the gyro bias, as in calibrate.",
-)
+@choice_option("--gyro-bias", "Model of the gyro bias, as in calibrate.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json.")
 @click.option(
     "--plot",

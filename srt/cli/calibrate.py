@@ -17,7 +17,9 @@ from srt.cli.recording_arguments import find_recordings
 from srt.exceptions import DataError, InputError, SrtError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from click.decorators import FC
 
     from srt.estimation.options import Options
     from srt.model.prior import Prior
@@ -34,6 +36,13 @@ CHOICES = {
     "loss": ("squared", "huber", "cauchy"),
     "filter": ("iterated", "per-sequence", "one-pass", "covariance", "unscented"),
 }
+"""Values of the options of the estimators; the first is the default."""
+
+
+def choice_option(flag: str, text: str) -> Callable[[FC], FC]:
+    """Option of the estimators with its values and its help."""
+    values = CHOICES[flag.removeprefix("--").replace("-", "_")]
+    return click.option(flag, type=click.Choice(values), default=values[0], show_default=True, help=text)
 
 
 GROUPS = {
@@ -68,13 +77,7 @@ GROUPS = {
 @click.option(
     "--hold", multiple=True, metavar="NAME", help="Fix a parameter or a group, as gyro_scale_x or accel_bias."
 )
-@click.option(
-    "--gyro-bias",
-    type=click.Choice(CHOICES["gyro_bias"]),
-    default="auto",
-    show_default=True,
-    help="Model of the gyro bias; g-sensitive: closed-form and least-squares.",
-)
+@choice_option("--gyro-bias", "Model of the gyro bias; g-sensitive: closed-form and least-squares.")
 @click.option(
     "--no-fixture-states",
     is_flag=True,
@@ -89,54 +92,16 @@ GROUPS = {
     help="Units calibrated in parallel; 0: one on each core.",
 )
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786.")
-@click.option(
-    "--average",
-    type=click.Choice(CHOICES["average"]),
-    default="linear",
-    show_default=True,
-    help="Average over a stationary window.",
-)
-@click.option(
-    "--down",
-    type=click.Choice(CHOICES["down"]),
-    default="tilt-immune",
-    show_default=True,
-    help="Form of the down measurement.",
-)
-@click.option(
-    "--window-attitude",
-    type=click.Choice(CHOICES["window_attitude"]),
-    default="held",
-    show_default=True,
-    help="Attitude in the stationary windows: constant, or integrated.",
-)
-@click.option(
-    "--step",
-    type=click.Choice(CHOICES["step"]),
-    default="jacobian",
-    show_default=True,
-    help="Step of the closed form: full Jacobian, or the coefficients of the paper.",
-)
-@click.option(
-    "--start",
-    type=click.Choice(CHOICES["start"]),
-    default="auto",
-    show_default=True,
-    help="Initial estimate: from the fixture, or zero.",
-)
+@choice_option("--average", "Average over a stationary window.")
+@choice_option("--down", "Form of the down measurement.")
+@choice_option("--window-attitude", "Attitude in the stationary windows: constant, or integrated.")
+@choice_option("--step", "Step of the closed form: full Jacobian, or the coefficients of the paper.")
+@choice_option("--start", "Initial estimate: from the fixture, or zero.")
 @click.option(
     "--max-playbacks", type=click.IntRange(min=1), default=20, show_default=True, metavar="N", help="Most iterations."
 )
-@click.option(
-    "--loss", type=click.Choice(CHOICES["loss"]), default="squared", show_default=True, help="Loss function of graph."
-)
-@click.option(
-    "--filter",
-    type=click.Choice(CHOICES["filter"]),
-    default="iterated",
-    show_default=True,
-    help="Form of ekf, for comparison: iterated or not, covariance form, unscented.",
-)
+@choice_option("--loss", "Loss function of graph.")
+@choice_option("--filter", "Form of ekf, for comparison: iterated or not, covariance form, unscented.")
 @click.option(
     "--prior",
     type=click.Path(path_type=Path),
