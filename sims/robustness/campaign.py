@@ -24,11 +24,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from sims.physics.sequences import TABLE_1
 from sims.scenarios import library
-from sims.scenarios.scenario import Finite, Flag, Scenario, TomlTable, scenario_from_dict, validation_sentence
+from sims.scenarios.scenario import Finite, Flag, Scenario, TomlTable, scenario_from_dict, validated
 from srt.estimation.options import Options
 from srt.estimation.registry import find_estimator
 from srt.exceptions import InputError, did_you_mean
@@ -285,10 +285,7 @@ def load_campaign(path: str | Path) -> Campaign:
     """
     file = library.find("robustness", path)
     tables = library.read_toml(file)
-    try:
-        read = _CampaignFile.model_validate(tables)
-    except ValidationError as error:
-        raise InputError(f"{file.name}: {validation_sentence(error, _CampaignFile)}") from None
+    read = validated(_CampaignFile, tables, file.name)
     estimators = tuple(_estimator(table, file.name) for table in read.estimator)
     labels = [e.label for e in estimators]
     twice = next((label for label in labels if labels.count(label) > 1), None)

@@ -21,7 +21,7 @@ from collections.abc import Mapping  # noqa: TC003 - pydantic reads it
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from sims.scenarios import library
 from sims.scenarios.scenario import (
@@ -38,7 +38,7 @@ from sims.scenarios.scenario import (
     ScheduleConfig,
     SiteConfig,
     TomlTable,
-    validation_sentence,
+    validated,
 )
 from srt.constants import DEG
 from srt.exceptions import InputError
@@ -262,10 +262,7 @@ def load_plan_file(name_or_path: str | Path) -> PlanFile:
 
 def plan_file_from_dict(tables: dict[str, Any], *, name: str = "plan", near: Path | None = None) -> PlanFile:
     """Build a plan file from tables as TOML gives them, with ``from`` resolved; see :func:`load_plan_file`."""
-    try:
-        return PlanFile.model_validate(library.resolved(tables, name=name, near=near))
-    except ValidationError as error:
-        raise InputError(f"{name}: {validation_sentence(error, PlanFile)}") from None
+    return validated(PlanFile, library.resolved(tables, name=name, near=near), name)
 
 
 def scenario_toml(scenario: Scenario) -> str:

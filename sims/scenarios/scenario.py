@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -72,6 +72,9 @@ class TomlTable(BaseModel):
     """A table of a scenario, a plan or a campaign: frozen, and strict about its keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+_Table = TypeVar("_Table", bound=TomlTable)
 
 
 class NoiseConfig(TomlTable):
@@ -386,10 +389,15 @@ def scenario_from_dict(tables: dict[str, Any], *, name: str = "scenario", near: 
     near : Path, optional
         Folder that relative paths in ``from`` start from.
     """
+    return validated(Scenario, library.resolved(tables, name=name, near=near), name)
+
+
+def validated(model: type[_Table], tables: dict[str, Any], name: str) -> _Table:
+    """Check the tables of a file against their model. Raises InputError, which begins with the name of the file."""
     try:
-        return Scenario.model_validate(library.resolved(tables, name=name, near=near))
+        return model.model_validate(tables)
     except ValidationError as error:
-        raise InputError(f"{name}: {validation_sentence(error, Scenario)}") from None
+        raise InputError(f"{name}: {_validation_sentence(error, model)}") from None
 
 
 _EXPECTED = {
@@ -410,7 +418,7 @@ _EXPECTED = {
 """Expected value by pydantic's type of error; the names in braces are from its context."""
 
 
-def validation_sentence(error: ValidationError, root: type[BaseModel]) -> str:
+def _validation_sentence(error: ValidationError, root: type[BaseModel]) -> str:
     """Sentence on the first error of a validation.
 
     Parameters
