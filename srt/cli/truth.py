@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_write_text
+from srt.result.json_file import load_json_file
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
@@ -39,19 +40,15 @@ def load_truth(path: Path) -> SensorErrors:
     InputError
         If the file cannot be read, or is not one that ``srt simulate`` wrote.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"Cannot read the truth {path} ({error.strerror}): name the file that simulate wrote."
-        ) from None
-    except (ValueError, RecursionError):
-        raise InputError(f"The truth {path} is not valid JSON: was it cut short?") from None
-    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise InputError(f"{path} is no truth of version {VERSION}: name the {NAME} that simulate wrote.")
-    parameters = document.get("parameters")
-    if not isinstance(parameters, dict) or set(parameters) != set(NAMES):
-        raise InputError(f"The truth {path} does not hold the {len(NAMES)} sensor errors: let simulate write it again.")
+    return load_json_file(path, "truth", _errors)
+
+
+def _errors(document: dict[str, Any]) -> SensorErrors:
+    if document.get("format") != FORMAT or document.get("version") != VERSION:
+        raise InputError(f"it is no truth of version {VERSION}: name the {NAME} that simulate wrote.")
+    parameters = document["parameters"]
+    if set(parameters) != set(NAMES):
+        raise InputError(f"it does not hold the {len(NAMES)} sensor errors: let simulate write it again.")
     if not all(isinstance(value, int | float) for value in parameters.values()):
-        raise InputError(f"The truth {path} holds a sensor error that is no number: let simulate write it again.")
+        raise InputError("it holds a sensor error that is no number: let simulate write it again.")
     return SensorErrors.from_dict(parameters)

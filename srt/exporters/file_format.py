@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
+from srt.result.json_file import parse_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -180,9 +181,9 @@ def to_json(document: Mapping[str, Any]) -> str:
 def from_json(text: str) -> dict[str, Any]:
     """Read JSON that holds a mapping. Raises InputError."""
     try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"it is not valid JSON ({error}): is it truncated?") from None
+        document = parse_json(text)
+    except InputError as error:
+        raise InputError(f"it is {error}") from None
     return _mapping(document)
 
 

@@ -41,6 +41,14 @@ def json_text(document: Mapping[str, Any]) -> str:
     return json.dumps(signed, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def parse_json(text: str) -> Any:
+    """Read JSON. Raises InputError, a clause that follows "it is"."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not valid JSON ({error}): is it truncated?") from None
+
+
 def load_json_file(
     path: str | PathLike[str],
     noun: str,
@@ -67,11 +75,13 @@ def load_json_file(
     """
     try:
         with open(path, encoding="utf-8") as file:  # noqa: PTH123 - any path-like is welcome
-            document = json.load(file)
+            document = parse_json(file.read())
     except OSError as error:
         raise InputError(f"The {noun} {path} cannot be read: {error.strerror}.") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"The {noun} {path} is not valid JSON ({error}): is it truncated?") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"The {noun} {path} is not text in UTF-8 ({error.reason}): name a JSON file.") from None
+    except InputError as error:
+        raise InputError(f"The {noun} {path} is {error}") from None
     try:
         result = from_document(document)
     except InputError as error:
