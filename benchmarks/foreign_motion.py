@@ -75,6 +75,7 @@ def attitudes(turns: list[Turn], start: Rotation, first_rest_s: float, dt: float
     parts, attitude = [Rotation.from_quat(np.tile(start.as_quat(), (edges[0], 1)))], start
     for turn, begin, (a, b) in zip(turns, begins[:-1], pairwise(edges), strict=True):
         s = (t[a:b] - begin) / turn.duration_s
+        s = s[: np.searchsorted(s, 1.0) + 1]  # the first step at rest stands for all of them
         vector = np.array(turn.axis) / np.linalg.norm(turn.axis) * turn.angle_rad
         moved = attitude * Rotation.from_rotvec(angle_share(profile, s)[:, None] * vector)
         if profile == "hand":  # a hand leads the body astray by some degrees on the way, and comes back to rest
@@ -82,7 +83,7 @@ def attitudes(turns: list[Turn], start: Rotation, first_rest_s: float, dt: float
             waves = rng.normal(0.0, 0.05, (3, 3))
             stray = bump[:, None] * (np.sin(2.0 * np.pi * np.outer(np.clip(s, 0.0, 1.0), [1.0, 2.3, 3.7])) @ waves)
             moved = moved * Rotation.from_rotvec(stray)
-        parts.append(moved)
+        parts += [moved, Rotation.from_quat(np.tile(moved[-1].as_quat(), (b - a - len(s), 1)))]
         attitude = attitude * Rotation.from_rotvec(vector)
     whole = Rotation.concatenate(parts)
     assert len(whole) == n + 1, (len(whole), n + 1)
@@ -93,15 +94,20 @@ def true_samples(body: Rotation, dt: float, latitude_rad: float) -> tuple[np.nda
     """Mean rates of sub-steps and mean specific force of samples, body axes; the level axes are north, east, down."""
     step = dt / SUBSTEPS
     earth = EARTH_RATE_RAD_S * np.array([np.cos(latitude_rad), 0.0, -np.sin(latitude_rad)])
-    relative = (body[:-1].inv() * body[1:]).as_rotvec() / step
-    middle = body[:-1] * Rotation.from_rotvec(0.5 * step * relative)
+    # All steps of a rest are alike: one of them is computed.
+    quaternions = body.as_quat()
+    moving = np.any(quaternions[1:] != quaternions[:-1], axis=1)
+    own = moving | np.concatenate([[True], moving[:-1]])
+    computed, place = np.flatnonzero(own), np.cumsum(own) - 1
+    before, after = body[computed], body[computed + 1]
+    relative = (before.inv() * after).as_rotvec() / step
+    middle = before * Rotation.from_rotvec(0.5 * step * relative)
     rate = relative + middle.inv().apply(earth)
     up = np.array([0.0, 0.0, -GRAVITY_M_S2])
     # Simpson's rule over each sub-step.
-    ends = body.inv().apply(up)
-    force = (ends[:-1] + 4.0 * middle.inv().apply(up) + ends[1:]) / 6.0
-    n = len(rate) // SUBSTEPS
-    return rate.reshape(n, SUBSTEPS, 3), force.reshape(n, SUBSTEPS, 3).mean(axis=1)
+    force = (before.inv().apply(up) + 4.0 * middle.inv().apply(up) + after.inv().apply(up)) / 6.0
+    n = len(place) // SUBSTEPS
+    return rate[place].reshape(n, SUBSTEPS, 3), force[place].reshape(n, SUBSTEPS, 3).mean(axis=1)
 
 
 def readings(rate: np.ndarray, force: np.ndarray, errors: dict[str, float], grade: Grade | None, dt: float, rng):

@@ -60,7 +60,7 @@ def large(seed):
     return read_out(motion, truth), truth
 
 
-@sized(6, 200)
+@sized(4, 200)
 @pytest.mark.parametrize("estimator", JOINT)
 def test_large_errors_reach_the_optimum_of_the_truth(estimator, count):
     """In batch, every draw ends where an iteration from the true errors does, in the closed form's six iterations."""
@@ -69,7 +69,7 @@ def test_large_errors_reach_the_optimum_of_the_truth(estimator, count):
         found = srt.calibrate(recording, estimator)
         assert (seed, found.status) == (seed, "converged")
         assert len(found.corrections) <= 6
-        assert distance(found, srt.calibrate(recording, estimator, start=truth)) <= 1.0
+        assert distance(found, srt.calibrate(recording, estimator, start=truth, checks=False)) <= 1.0
 
 
 @sized(2, 200)
@@ -78,9 +78,9 @@ def test_from_zero_every_draw_arrives_too(estimator, count):
     """From no errors, without the fixture's angles: the same optimum, as the shortest turns are fitted first."""
     for seed in range(count):
         recording, truth = large(seed)
-        found = srt.calibrate(recording, estimator, start="zero")
+        found = srt.calibrate(recording, estimator, start="zero", checks=False)
         assert (seed, found.status) == (seed, "converged")
-        assert distance(found, srt.calibrate(recording, estimator, start=truth)) <= 1.0
+        assert distance(found, srt.calibrate(recording, estimator, start=truth, checks=False)) <= 1.0
 
 
 @sized(2, 200)
@@ -90,8 +90,8 @@ def test_from_a_bad_start_a_failure_is_called_one(estimator, count):
     rows = []
     for seed in range(count):
         recording, truth = large(seed)
-        found = srt.calibrate(recording, estimator, start=SensorErrors())
-        away = distance(found, srt.calibrate(recording, estimator, start=truth)) if found.observed.any() else np.inf
+        found = srt.calibrate(recording, estimator, start=SensorErrors(), checks=False)
+        away = distance(found, srt.calibrate(recording, estimator, start=truth, checks=False)) if found.observed.any() else np.inf
         rows.append((seed, found.status, len(found.corrections), away))
         assert found.status != "converged" or away <= 1.0, rows[-1]
     reached = sum(status == "converged" for _, status, _, _ in rows)
@@ -104,7 +104,7 @@ def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mo
     """The mounting's prior is renewed near the solution; as the start left it, the optimum moves with the start."""
     rng = np.random.default_rng(50)
     cases = []
-    for _ in range(4):
+    for _ in range(2):
         truth, _ = accuracy_trials.large_errors(rng)
         motion = table1_motion(
             site=SITE,
@@ -117,7 +117,10 @@ def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mo
 
     def farthest():
         return max(
-            distance(srt.calibrate(recording, "graph"), srt.calibrate(recording, "graph", start=truth))
+            distance(
+                srt.calibrate(recording, "graph", checks=False),
+                srt.calibrate(recording, "graph", start=truth, checks=False),
+            )
             for recording, truth in cases
         )
 
@@ -145,10 +148,10 @@ def fine(seed):
         stated_fixture=Fixture(0.0, 1e-3, 1e-3),
     )
     recording = read_out(motion, truth, ImuModel(gyro_noise=1e-9, accel_noise=1e-8 * STANDARD_GRAVITY_M_S2), rng)
-    return {e: accuracy_trials.score(srt.calibrate(recording, e), truth) for e in ("graph", "ekf", "closed-form")}
+    return {e: accuracy_trials.score(srt.calibrate(recording, e, checks=False), truth) for e in ("graph", "ekf", "closed-form")}
 
 
-@sized(5, 50)
+@sized(3, 50)
 def test_fine_noise_shows_what_joint_estimation_buys(count):
     """Below 1e-7 on every parameter, and five times below the closed form's worst."""
     trials = [fine(seed) for seed in range(count)]
@@ -206,13 +209,13 @@ def table(seed, *, latitude=True, heading=True, labels=True, U=None):
 
 TURNED = rotation(0.2 * np.array([1.0, 2.0, -2.0]) / 3.0)
 LESS_KNOWN = {
-    "free": (free, 3000, 5),
+    "free": (free, 3000, 3),
     "free without latitude": (partial(free, latitude=False), 3000, 2),
     "no heading": (partial(table, heading=False), 0, 2),
     "no latitude": (partial(table, latitude=False), 0, 2),
     "neither": (partial(table, heading=False, latitude=False), 0, 2),
-    "unlabelled": (partial(table, labels=False), 0, 3),
-    "turned 0.2 rad": (partial(table, U=TURNED), 0, 3),
+    "unlabelled": (partial(table, labels=False), 0, 2),
+    "turned 0.2 rad": (partial(table, U=TURNED), 0, 2),
 }
 
 
@@ -232,7 +235,7 @@ def test_filter_and_graph_are_consistent_and_agree(case, count):
     nees = {estimator: [] for estimator in JOINT}
     for seed in range(first, first + count):
         recording, truth = make(seed)
-        found = {e: srt.calibrate(recording, e) for e in JOINT}
+        found = {e: srt.calibrate(recording, e, checks=False) for e in JOINT}
         for estimator, calibration in found.items():
             assert calibration.status in ("converged", "partial"), calibration.message
             nees[estimator].append(accuracy_trials.score(calibration, truth).nees)

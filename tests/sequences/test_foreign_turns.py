@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from foreign_motion import (
@@ -25,15 +27,31 @@ from srt.sequences.stationary_windows import find_windows
 SEED = 20261122
 
 
-def calibrated(seed, grade, profile, estimator="least-squares", **changes):
-    """Normalised errors of one unit, NaN where a parameter is not observed."""
+def half_of_the_grid(full):
+    """Combinations of grade and profile, all of them or every second one: half the profiles of each grade."""
+    return [
+        (grade, profile)
+        for g, grade in enumerate(GRADES)
+        for p, profile in enumerate(PROFILES)
+        if full or (g + p) % 2 == 0
+    ]
+
+
+@lru_cache(maxsize=16)
+def unit(seed, grade, profile):
+    """A recording without labels and the true errors of its unit, shape (27,)."""
     rng = np.random.default_rng((SEED, seed))
     errors = drawn_errors(GRADES[grade], rng)
     turns = hand_turns(rng, shortest_s=0.5, longest_s=30.0)
-    unlabelled = recording(turns, 5.0, errors, GRADES[grade], rng, profile=profile, **changes)
+    unlabelled = recording(turns, 5.0, errors, GRADES[grade], rng, profile=profile)
+    return unlabelled, np.array([errors.get(name, 0.0) for name in NAMES])
+
+
+def normalised(seed, grade, profile, estimator="least-squares"):
+    """Normalised errors of one unit, NaN where a parameter is not observed."""
+    unlabelled, truth = unit(seed, grade, profile)
     found = srt.calibrate(unlabelled, estimator, checks=False)
     assert found.status in ("converged", "partial"), found.message
-    truth = np.array([errors.get(name, 0.0) for name in NAMES])
     z = np.full(len(NAMES), np.nan)
     z[found.observed] = (found.errors.vector - truth)[found.observed] / found.sigma[found.observed]
     return z
@@ -42,12 +60,12 @@ def calibrated(seed, grade, profile, estimator="least-squares", **changes):
 @pytest.mark.parametrize("units", [pytest.param(1, id="small"), pytest.param(20, id="full", marks=pytest.mark.slow)])
 def test_errors_of_hand_turned_units_match_their_sigmas(units):
     """Turns of 0.5-30 s, four profiles, four grades: the rms of each parameter in its family-wise 1 % band."""
+    grades, profiles = list(GRADES), list(PROFILES)
     z = np.array(
         [
-            calibrated(1000 * g + 100 * p + unit, grade, profile)
-            for g, grade in enumerate(GRADES)
-            for p, profile in enumerate(PROFILES)
-            for unit in range(units)
+            normalised(1000 * grades.index(grade) + 100 * profiles.index(profile) + number, grade, profile)
+            for grade, profile in half_of_the_grid(units > 1)
+            for number in range(units)
         ]
     )
     # Where the excess noise is estimated from the recording itself, its own uncertainty widens the errors: Student's
@@ -64,19 +82,24 @@ def test_joint_estimators_agree(estimator):
     """The same recordings by the joint estimators: one unit of each grade, within the band of 27 values of each."""
     pytest.importorskip("gtsam" if estimator == "graph" else "filterpy")
     for g, grade in enumerate(GRADES):
-        z = calibrated(1000 * g, grade, "raised-cosine", estimator)
+        z = normalised(1000 * g, grade, "raised-cosine", estimator)
         z = z[np.isfinite(z)]
         assert np.max(np.abs(z)) < np.sqrt(chi2.isf(0.01 / (4 * len(NAMES)), 1))
 
 
-@pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize(
+    ("grade", "profile"),
+    [
+        pytest.param(*pair, marks=[] if pair in half_of_the_grid(full=False) else pytest.mark.slow)
+        for pair in half_of_the_grid(full=True)
+    ],
+)
 def test_windows_hold_no_end_of_a_turn(grade, profile):
-    """What turns inside a found window is less than six sigma of the unit's noise over it."""
+    """The angle turned inside a found window is less than six sigma of the unit's noise over it."""
     rng = np.random.default_rng((SEED, 7))
     turns = hand_turns(rng, shortest_s=0.5, longest_s=30.0)
-    unit = recording(turns, 5.0, {}, GRADES[grade], rng, profile=profile)
-    found = find_windows(unit)
+    samples = recording(turns, 5.0, {}, GRADES[grade], rng, profile=profile)
+    found = find_windows(samples)
     rests = windows(turns, 5.0)
     begins = np.cumsum([5.0, *(turn.duration_s + turn.rest_s for turn in turns)])
     assert len(found) == len(rests)
@@ -86,7 +109,7 @@ def test_windows_hold_no_end_of_a_turn(grade, profile):
         return abs(turn.angle_rad) * float(angle_share(profile, np.array([(t - begin) / turn.duration_s]))[0])
 
     for w, (a, b) in enumerate(found.tolist()):
-        first, last = unit.time[a] - 0.01, unit.time[b - 1]
+        first, last = samples.time[a] - 0.01, samples.time[b - 1]
         inside = 0.0
         if w < len(turns):  # the turn after it has begun
             inside += turned(turns[w], begins[w], last)
@@ -96,17 +119,28 @@ def test_windows_hold_no_end_of_a_turn(grade, profile):
         assert inside < 6.0 * noise, (w, inside, noise)
 
 
-@pytest.mark.parametrize("profile", ["raised-cosine", "trapezoid"])
+FINE = Grade(0.001 * DEG / 60.0, 10e-6 * 9.80665, 3e-5, 1.5e-4, 0.2 * DEG / 3600.0, 2e-3)
+"""Unit of the comparison with PSINS: 0.001 °/√h and 10 µg/√Hz."""
+
+
+@lru_cache(maxsize=8)
+def nineteen(seed, grade, noise, profile):
+    """A recording of the 19-position test without labels, and the true errors of its unit, shape (27,)."""
+    rng = np.random.default_rng((SEED, seed))
+    errors = drawn_errors(grade, rng, asymmetry=False)
+    turns, first_rest_s = nineteen_positions()
+    unlabelled = recording(turns, first_rest_s, errors, noise, rng, profile=profile, start_deg=NINETEEN_START_DEG)
+    return unlabelled, np.array([errors.get(name, 0.0) for name in NAMES])
+
+
 @pytest.mark.parametrize("estimator", ["least-squares", "graph", "ekf"])
+@pytest.mark.parametrize("profile", ["raised-cosine", "trapezoid"])
 def test_nineteen_positions_without_labels_and_without_noise(profile, estimator):
     """The 19-position test (Xie Bo 2011) with soft ends, heading unknown: 0.05 ppm, 0.1 µrad and 1 µg."""
     pytest.importorskip({"graph": "gtsam", "ekf": "filterpy"}.get(estimator, "numpy"))
-    rng = np.random.default_rng((SEED, 19))
-    errors = drawn_errors(GRADES["tactical"], rng, asymmetry=False)
-    turns, first_rest_s = nineteen_positions()
-    unlabelled = recording(turns, first_rest_s, errors, None, rng, profile=profile, start_deg=NINETEEN_START_DEG)
+    unlabelled, truth = nineteen(19, GRADES["tactical"], None, profile)
     found = srt.calibrate(unlabelled, estimator, hold=("gyro_asymmetry", "accel_asymmetry"), checks=False)
-    difference = np.abs(found.errors.vector - np.array([errors.get(name, 0.0) for name in NAMES]))
+    difference = np.abs(found.errors.vector - truth)
     observed = found.observed
     for group, limit in (
         ("gyro_scale", 0.05e-6),
@@ -118,20 +152,15 @@ def test_nineteen_positions_without_labels_and_without_noise(profile, estimator)
         assert np.all(difference[part][observed[part]] < limit), group
 
 
-@pytest.mark.parametrize("units", [pytest.param(5, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [pytest.param(3, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("estimator", ["least-squares", "graph"])
 def test_nineteen_positions_with_noise(estimator, units):
     """0.001 °/√h and 10 µg/√Hz, no labels: the rms of each error group in the family-wise 1 % band of its sigma."""
     pytest.importorskip("gtsam" if estimator == "graph" else "numpy")
-    grade = Grade(0.001 * DEG / 60.0, 10e-6 * 9.80665, 3e-5, 1.5e-4, 0.2 * DEG / 3600.0, 2e-3)
-    turns, first_rest_s = nineteen_positions()
     z = []
-    for unit in range(units):
-        rng = np.random.default_rng((SEED, 1900 + unit))
-        errors = drawn_errors(grade, rng, asymmetry=False)
-        unlabelled = recording(turns, first_rest_s, errors, grade, rng, start_deg=NINETEEN_START_DEG)
+    for number in range(units):
+        unlabelled, truth = nineteen(1900 + number, FINE, FINE, "raised-cosine")
         found = srt.calibrate(unlabelled, estimator, hold=("gyro_asymmetry", "accel_asymmetry"), checks=False)
-        truth = np.array([errors.get(name, 0.0) for name in NAMES])
         z.append(np.where(found.observed, (found.errors.vector - truth) / np.nan_to_num(found.sigma, nan=1.0), np.nan))
     tail = 0.01 / (2 * len(NAMES))
     for i, name in enumerate(NAMES):

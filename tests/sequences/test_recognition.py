@@ -1,6 +1,7 @@
 """Sequences of Table 1 recognised in recordings without labels, and what that costs in the result."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,6 +14,11 @@ from sims.faults.injection import GRADES, Case
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sequences.manoeuvres import face_vector, quarter_turn
 from srt.sequences.recognition import label_sequences, recognise
+
+
+@cache
+def standard():
+    return unlabelled()
 
 
 def unlabelled(grade="tactical-fog", seed=5, **sections):
@@ -29,13 +35,13 @@ def assert_recognised(test):
             assert overlap > 0.5 * (given_[1] - given_[0])
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(8))
 def test_any_order_with_repeats_moves_and_joins_of_units_off_by_30_percent(seed):
     assert_recognised(recognition_trials.hard_test(seed))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1000, 1300))
+@pytest.mark.parametrize("seed", [*range(8, 16), *range(1000, 1300)])
 def test_many_orders_with_repeats_moves_and_joins(seed):
     assert_recognised(recognition_trials.hard_test(seed))
 
@@ -57,7 +63,7 @@ def assert_labels_hardly_matter(pairs):
 @pytest.mark.parametrize("grade", GRADES)
 def test_labels_hardly_matter(grade):
     assert_labels_hardly_matter(
-        [recognition_trials.label_effect(recognition_trials.fair_test(seed, grade)) for seed in range(100, 104)]
+        [recognition_trials.label_effect(recognition_trials.fair_test(seed, grade)) for seed in range(100, 103)]
     )
 
 
@@ -138,7 +144,7 @@ SIGNED = [np.diag(s)[list(p)] for p in ((0, 1, 2), (1, 0, 2), (2, 0, 1)) for s i
 @pytest.mark.parametrize("signs", [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (-1.0, 1.0)], ids=str)
 def test_misnamed_axes_are_found(wrong, signs):
     # Gyros and accelerometers read so, times a sign; 0: read rightly. (-1, 1) is turns counted by the other hand.
-    recording = unlabelled()
+    recording = standard()
     right = [sign * wrong.T if sign else np.eye(3) for sign in signs]
     gyro, accel = recording.gyro @ right[0], recording.accel @ right[1]
     found = recognise(replace(recording, gyro=gyro, accel=accel))
