@@ -246,7 +246,7 @@ def recordings(seed, count=3):
 
 @cache
 def calibrations_of(seed, estimator="closed-form"):
-    return tuple(srt.calibrate(r, estimator) for r in recordings(seed)[0])
+    return tuple(srt.calibrate(r, estimator, checks=False) for r in recordings(seed)[0])
 
 
 def sum_is_chi_square(total, freedom):
@@ -289,7 +289,7 @@ def test_merged_units_are_consistent(estimator, count):
 def test_estimators_may_be_mixed():
     """A filter's and a closed form's calibration, of two recordings: gravity is common to them all the same."""
     pytest.importorskip("filterpy")
-    both = [srt.calibrate(r, e) for r, e in zip(recordings(2, 2)[0], ("ekf", "closed-form"), strict=True)]
+    both = [srt.calibrate(r, e, checks=False) for r, e in zip(recordings(2, 2)[0], ("ekf", "closed-form"), strict=True)]
     gravity = [np.array(c.noise["gravity_effect"]) for c in both]
     np.testing.assert_allclose(gravity[0][SCALE], gravity[1][SCALE], rtol=0.02)
     merged = merge_calibrations(both, between=False)
@@ -297,7 +297,7 @@ def test_estimators_may_be_mixed():
 
 
 def test_held_in_all_stays_held():
-    partial = [srt.calibrate(r, asymmetry=False) for r in recordings(1, 2)[0]]
+    partial = [srt.calibrate(r, asymmetry=False, checks=False) for r in recordings(1, 2)[0]]
     merged = merge_calibrations(partial)
     assert merged.status == "partial"
     assert set(merged.held) == set(NAMES[GROUP_SLICES["gyro_asymmetry"]])

@@ -121,7 +121,7 @@ def test_of_sequence_1_the_rest_rate_misleads(mode):
     What the sequence's own rest rate takes off is thus an error g Γyz of the bias, and g Γyz / β̇ of the asymmetry.
     """
     recording = read_out(motion_of(rate_hz=100.0), SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA))
-    found = srt.calibrate(recording, "closed-form", gyro_bias=mode, start=SensorErrors())
+    found = srt.calibrate(recording, "closed-form", gyro_bias=mode, start=SensorErrors(), checks=False)
     k = recording.sequences.index(next(s for s in recording.sequences if s.id == "1"))
     data = prepare(recording, recording.sequences)
     T = float(data.rotation[k, 1] - data.rotation[k, 0]) / 100.0
@@ -158,16 +158,16 @@ def test_without_noise_nothing_is_left_over(estimator, options):
     chosen = dict(options)
     truth, kind = unit(size=chosen.pop("size", 1e-3)), chosen.pop("kind", "rate")
     motion = motion_of()
-    plain = srt.calibrate(read_out(motion, truth, kind=kind), estimator, **chosen)
+    plain = srt.calibrate(read_out(motion, truth, kind=kind), estimator, **chosen, checks=False)
     recording = read_out(motion, truth, ImuModel(gyro_g_sensitivity=GAMMA), kind=kind)
-    found = srt.calibrate(recording, estimator, gyro_bias="g-sensitive", **chosen)
+    found = srt.calibrate(recording, estimator, gyro_bias="g-sensitive", **chosen, checks=False)
     assert found.status == plain.status == "converged"
     longest = max(s.end_static_s[1] - s.start_static_s[0] for s in recording.sequences)
     limit = CONVERGED_CORRECTION * longest
     assert np.abs((found.errors.vector - plain.errors.vector) / IN_G)[:24].max() < limit
     matrix = np.array(found.diagnostics["g_sensitivity"]["matrix"])
     assert np.abs(matrix - GAMMA).max() * SITE.gravity_m_s2 < limit
-    wrong = srt.calibrate(recording, estimator, gyro_bias="pooled", **chosen)
+    wrong = srt.calibrate(recording, estimator, gyro_bias="pooled", **chosen, checks=False)
     assert np.abs((wrong.errors.vector - truth.vector) / IN_G)[:24].max() > 1e3 * limit
 
 
@@ -179,7 +179,7 @@ def test_on_a_real_fixture_the_earth_rate_is_left_over():
     """
     truth, sigma = unit(), 1e-3
     recording = read_out(motion_of(fixture=sigma), truth, ImuModel(gyro_g_sensitivity=GAMMA))
-    found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
+    found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive", checks=False)
     matrix = np.array(found.diagnostics["g_sensitivity"]["matrix"])
     left = np.abs(matrix - GAMMA).max() * SITE.gravity_m_s2
     assert left < 2.0 * EARTH_RATE_RAD_S * 3.5 * sigma * math.sqrt(5.0)
@@ -248,7 +248,7 @@ def test_a_bias_that_wanders_besides():
             recording.window_indices(*label.start_static_s).start, recording.window_indices(*label.end_static_s).stop
         )
         gyro[part] += rng.standard_normal(3) * size
-    found = srt.calibrate(replace(recording, gyro=gyro), "closed-form", gyro_bias="g-sensitive")
+    found = srt.calibrate(replace(recording, gyro=gyro), "closed-form", gyro_bias="g-sensitive", checks=False)
     wander = np.sqrt(np.mean(np.array(found.noise["gyro_bias_wander_rad_s"]) ** 2))
     assert abs(wander / size - 1.0) < 3.5 / math.sqrt(78.0) + 0.1
     stated = found.diagnostics["g_sensitivity"]
@@ -264,7 +264,7 @@ def test_with_one_vertical_nothing_is_taken_and_it_says_so():
     """z down throughout: bias and Γ are one thing, in the windows; the directions that are not seen are told."""
     motion = motion_of(sequences=("1", "2", "1a", "2a"), earth_rate=False)
     recording = read_out(motion, SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA))
-    found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
+    found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive", checks=False)
     stated = found.diagnostics["g_sensitivity"]
     assert not np.array(stated["matrix"]).any()
     unseen = np.array(stated["not_seen_along"])

@@ -46,7 +46,7 @@ def noisy(seed):
 
 @cache
 def calibrated(seed, estimator):
-    return srt.calibrate(noisy(seed), estimator)
+    return srt.calibrate(noisy(seed), estimator, checks=False)
 
 
 def without(recording, title, occurrence=1):
@@ -185,7 +185,7 @@ def again_without(calibration, recording, row, estimator, **options):
     """Calibrate without the sequence; what is lost is held at the value found."""
     hold = () if estimator == "closed-form" else tuple(row["lost_without"])
     rest = without(recording, row["sequence"], row["occurrence"])
-    return srt.calibrate(rest, estimator, start=calibration.errors, hold=hold, **options)
+    return srt.calibrate(rest, estimator, start=calibration.errors, hold=hold, **options, checks=False)
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_influence_is_that_of_calibrating_without_the_sequence(estimator, count)
 
 @pytest.mark.parametrize("options", [{"gyro_bias": "per-sequence"}, {"window_attitude": "integrated"}], ids=str)
 def test_influence_with_other_gyro_biases_and_windows(options):
-    calibration = srt.calibrate(noisy(12), "least-squares", **options)
+    calibration = srt.calibrate(noisy(12), "least-squares", **options, checks=False)
     for k in (0, 8, 15):
         row = calibration.verdict["sequences"][k]
         again = again_without(calibration, noisy(12), row, "least-squares", **options)
@@ -229,7 +229,7 @@ def test_influence_with_other_gyro_biases_and_windows(options):
 def test_influence_where_the_bias_wanders_in_part():
     """A stated instability takes a sequence's own rest rate in part: what is pooled hangs on all sequences."""
     recording, _ = accuracy_trials.noisy_recording(13, "tactical", sigma_rad=1e-5, instability=True)
-    calibration = srt.calibrate(recording, "least-squares")
+    calibration = srt.calibrate(recording, "least-squares", checks=False)
     wander = np.array(calibration.noise["gyro_bias_wander_rad_s"])
     assert np.all(wander > 0.0)
     for k in (1, 6, 12):
@@ -244,7 +244,7 @@ def test_a_repeated_sequence_is_two_witnesses():
     motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=100.0, sequences=(*TABLE_1, "10"))
     recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], np.random.default_rng(14))
     for estimator in PLAYBACK:
-        calibration = srt.calibrate(recording, estimator)
+        calibration = srt.calibrate(recording, estimator, checks=False)
         first, second = (r for r in calibration.verdict["sequences"] if r["sequence"] == "10")
         assert (first["occurrence"], second["occurrence"]) == (1, 2)
         assert first["lost_without"] == second["lost_without"] == []
@@ -273,7 +273,7 @@ def test_turns_that_share_windows():
     )
     recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], rng)
     recording = recording.with_sequences(srt.find_turns(recording))
-    calibration = srt.calibrate(recording, "least-squares")
+    calibration = srt.calibrate(recording, "least-squares", checks=False)
     rows = calibration.verdict["sequences"]
     # 30 turns, 31 windows: two horizontal components each, and the two ends of the chain a down component of their own.
     directions = [row["degrees_of_freedom"] for row in rows]
@@ -281,7 +281,9 @@ def test_turns_that_share_windows():
     assert max(directions[0], directions[-1]) <= 3
     for k in (0, 14):
         rest = recording.with_sequences(tuple(s for i, s in enumerate(recording.sequences) if i != k))
-        again = srt.calibrate(rest, "least-squares", start=calibration.errors, hold=tuple(rows[k]["lost_without"]))
+        again = srt.calibrate(
+            rest, "least-squares", start=calibration.errors, hold=tuple(rows[k]["lost_without"]), checks=False
+        )
         assert distance(calibration, rows[k], again) < 1.0
 
 
@@ -290,7 +292,7 @@ def test_turns_that_share_windows():
 
 def clean(seed, estimator):
     recording, _ = accuracy_trials.noisy_recording(4000 + seed, "navigation")
-    return srt.calibrate(recording, estimator).verdict
+    return srt.calibrate(recording, estimator, checks=False).verdict
 
 
 @pytest.mark.parametrize(
@@ -337,7 +339,7 @@ def test_a_disturbed_sequence_stands_out(estimator, name):
     label = next(s for s in recording.sequences if s.id == name)
     accel = recording.accel.copy()
     accel[recording.window_indices(*label.end_static_s)] += 50e-6 * 9.80665
-    result = srt.calibrate(replace(recording, accel=accel), estimator).verdict
+    result = srt.calibrate(replace(recording, accel=accel), estimator, checks=False).verdict
     worst = most_contradicted(result["sequences"])
     assert worst is not None
     assert worst["sequence"] == name
@@ -462,7 +464,7 @@ def test_no_verdict_outside_the_model():
     recording = noisy(11)
     n = np.ones(3) / np.sqrt(3.0)
     flat = replace(recording, accel=recording.accel @ (np.eye(3) - 0.9 * np.outer(n, n)))
-    result = srt.calibrate(flat)
+    result = srt.calibrate(flat, checks=False)
     assert result.status == "outside_model"
     assert result.verdict == {}
 

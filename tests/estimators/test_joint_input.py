@@ -150,16 +150,16 @@ def test_a_prior_of_another_kind_is_refused(unit):
 def test_a_calibration_with_held_parameters_is_a_prior(unit, estimator):
     """What it held gets the wide default, so that everything is observed and nothing is worse than before."""
     recording, truth = unit
-    earlier = srt.calibrate(recording, estimator, hold=("gyro_asymmetry",))
+    earlier = srt.calibrate(recording, estimator, hold=("gyro_asymmetry",), checks=False)
     assert earlier.status == "partial"
     assert len(earlier.held) == 3
     prior = Prior.from_calibration(earlier)
     assert np.all(np.isfinite(prior.covariance))
-    calibration = srt.calibrate(recording, estimator, prior=prior)
+    calibration = srt.calibrate(recording, estimator, prior=prior, checks=False)
     assert calibration.status == "converged"
     assert calibration.observed.all()
     assert_whole(calibration)
-    alone = srt.calibrate(recording, estimator)
+    alone = srt.calibrate(recording, estimator, checks=False)
     assert np.all(calibration.sigma < 1.001 * alone.sigma)
     # The data counted twice: the errors are the same, in sigmas that are at best smaller by a root of two.
     assert np.abs((calibration.errors.vector - truth.vector) / calibration.sigma).max() < 4.6 * np.sqrt(2.0)
@@ -167,8 +167,10 @@ def test_a_calibration_with_held_parameters_is_a_prior(unit, estimator):
 
 def test_a_prior_carries_what_two_sequences_cannot_show(unit, estimator):
     recording, _ = unit
-    full = srt.calibrate(recording, estimator)
-    few = srt.calibrate(only(recording, "4", "13"), estimator, prior=Prior.from_calibration(full, growth=2.0))
+    full = srt.calibrate(recording, estimator, checks=False)
+    few = srt.calibrate(
+        only(recording, "4", "13"), estimator, prior=Prior.from_calibration(full, growth=2.0), checks=False
+    )
     assert few.status == "converged"
     assert few.observed.all()
     assert np.all(np.abs(few.errors.vector - full.errors.vector) < 3.5 * 2.0 * full.sigma)
@@ -184,7 +186,7 @@ def test_a_prior_carries_what_two_sequences_cannot_show(unit, estimator):
 def test_too_few_sequences_name_what_they_do_not_show(unit, estimator, ids):
     """Partial, whatever the sequences show; held parameters are named and keep the start's values."""
     recording, truth = unit
-    calibration = srt.calibrate(only(recording, *ids), estimator)
+    calibration = srt.calibrate(only(recording, *ids), estimator, checks=False)
     assert_whole(calibration)
     assert calibration.status == "partial", calibration.message
     # A sequence has two windows of three forces and three rates, and one turn: 15 numbers, of which its end attitude

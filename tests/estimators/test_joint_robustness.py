@@ -91,7 +91,11 @@ def test_from_a_bad_start_a_failure_is_called_one(estimator, count):
     for seed in range(count):
         recording, truth = large(seed)
         found = srt.calibrate(recording, estimator, start=SensorErrors(), checks=False)
-        away = distance(found, srt.calibrate(recording, estimator, start=truth, checks=False)) if found.observed.any() else np.inf
+        away = (
+            distance(found, srt.calibrate(recording, estimator, start=truth, checks=False))
+            if found.observed.any()
+            else np.inf
+        )
         rows.append((seed, found.status, len(found.corrections), away))
         assert found.status != "converged" or away <= 1.0, rows[-1]
     reached = sum(status == "converged" for _, status, _, _ in rows)
@@ -148,7 +152,10 @@ def fine(seed):
         stated_fixture=Fixture(0.0, 1e-3, 1e-3),
     )
     recording = read_out(motion, truth, ImuModel(gyro_noise=1e-9, accel_noise=1e-8 * STANDARD_GRAVITY_M_S2), rng)
-    return {e: accuracy_trials.score(srt.calibrate(recording, e, checks=False), truth) for e in ("graph", "ekf", "closed-form")}
+    return {
+        e: accuracy_trials.score(srt.calibrate(recording, e, checks=False), truth)
+        for e in ("graph", "ekf", "closed-form")
+    }
 
 
 @sized(3, 50)
@@ -256,12 +263,12 @@ def test_filter_and_graph_are_consistent_and_agree(case, count):
 def test_mars_turned_from_the_mount_is_noted_and_found(estimator):
     """0.2 rad: told in the warnings, and U comes out to the milliradian that mounting and angles are known to."""
     recording, _ = table(0, U=TURNED)
-    calibration = srt.calibrate(recording, estimator)
+    calibration = srt.calibrate(recording, estimator, checks=False)
     assert calibration.status == "converged"
     assert any("rotated by" in w and "mounting" in w for w in calibration.warnings)
     away = 0.5 * np.linalg.norm(calibration.U @ TURNED.T - TURNED @ calibration.U.T) / np.sqrt(2.0)
     assert away < 3.5e-3 * np.sqrt(3.0)
-    straight = srt.calibrate(table(0)[0], estimator)
+    straight = srt.calibrate(table(0)[0], estimator, checks=False)
     assert not any("mounting" in w for w in straight.warnings)
 
 
@@ -284,9 +291,9 @@ def cut_off(recording, left):
 def test_a_lost_end_window_leaves_the_start_window(estimator):
     """One sample is no window: the start window counts all the same, and is worth something."""
     recording, truth = table(1)
-    calibration = srt.calibrate(cut_off(recording, 1), estimator)
+    calibration = srt.calibrate(cut_off(recording, 1), estimator, checks=False)
     assert calibration.status == "converged"
-    without = srt.calibrate(recording.with_sequences(recording.sequences[:-1]), estimator)
+    without = srt.calibrate(recording.with_sequences(recording.sequences[:-1]), estimator, checks=False)
     # Another pose is information about something and takes none from anything; rounding, and noise that is
     # estimated from windows, are a part in a thousand.
     assert np.all(calibration.sigma < 1.002 * without.sigma)
@@ -300,7 +307,7 @@ def test_a_lost_end_window_leaves_the_start_window(estimator):
 @pytest.mark.parametrize("estimator", JOINT)
 def test_a_short_end_window_is_a_window(estimator, left):
     recording, truth = table(1)
-    calibration = srt.calibrate(cut_off(recording, left), estimator)
+    calibration = srt.calibrate(cut_off(recording, left), estimator, checks=False)
     assert calibration.status == "converged"
     assert np.abs((calibration.errors.vector - truth.vector) / calibration.sigma).max() < 4.6
 
@@ -329,7 +336,7 @@ def test_axes_not_square_do_no_harm(lean_mrad, count):
         square, leaning = lean(seed, 0.0), lean(seed, lean_mrad * 1e-3)
         moved = {}
         for estimator in ("closed-form", *JOINT):
-            there, here = (srt.calibrate(r, estimator) for r in (square, leaning))
+            there, here = (srt.calibrate(r, estimator, checks=False) for r in (square, leaning))
             assert here.status == "converged"
             z = np.abs(here.errors.vector - there.errors.vector) / there.sigma
             moved[estimator] = (round(float(z.max()), 3), NAMES[int(z.argmax())])
@@ -338,6 +345,12 @@ def test_axes_not_square_do_no_harm(lean_mrad, count):
 
 
 WOBBLE = 10e-6
+
+
+def contradictions(recording, estimator):
+    """Calibration without the diagnosis, and its warnings but the one that says so."""
+    found = srt.calibrate(recording, estimator, checks=False)
+    return found, [w for w in found.warnings if "not checked for faults" not in w]
 
 
 def wobbling(seed):
@@ -352,7 +365,7 @@ def wobbling(seed):
     return read_out(motion.stated_as(site=SITE), truth, accuracy_trials.GRADES["navigation"], rng), truth
 
 
-@sized(4, 200)
+@sized(3, 200)
 @pytest.mark.parametrize("estimator", [pytest.param("ekf", marks=pytest.mark.slow), "graph"])
 def test_a_fixture_that_wobbles(estimator, count):
     """A wobble of 2 seconds of arc is what is allowed for where none is stated; stated as none, it is contradicted.
@@ -360,20 +373,20 @@ def test_a_fixture_that_wobbles(estimator, count):
     The mean of NEES / 27 has a standard error of √(2 / 27 n). Warnings of contradiction come by chance in one unit of a
     thousand.
     """
-    nees, contradicted = [], 0
+    nees, contradicted, stated_still = [], 0, 2 if count < 200 else 4
     for seed in range(700, 700 + count):
         recording, truth = wobbling(seed)
         assert recording.fixture.wobble == pytest.approx(WOBBLE)
-        found = srt.calibrate(recording, estimator)
+        found, told = contradictions(recording, estimator)
         assert found.status == "converged"
         error = found.errors.vector - truth.vector
         nees.append(float(error @ np.linalg.solve(found.covariance, error)) / 27.0)
-        if seed < 704:
+        if seed < 700 + stated_still:
             still = replace(recording, fixture=replace(recording.fixture, wobble_sigma_rad=0.0))
-            contradicted += bool(srt.calibrate(still, estimator).warnings)
-            assert not found.warnings
+            contradicted += bool(contradictions(still, estimator)[1])
+            assert not told
     assert abs(np.mean(nees) - 1.0) < 3.5 * math.sqrt(2.0 / 27.0 / count)
-    assert contradicted >= 2
+    assert contradicted >= stated_still / 2
 
 
 # Recorded data

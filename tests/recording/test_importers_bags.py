@@ -10,6 +10,8 @@ from srt.exceptions import InputError
 from srt.recording.imported_samples import to_recording
 from srt.recording.recording import Site
 
+pytestmark = pytest.mark.usefixtures("forked_readers")
+
 # ROS bags
 
 

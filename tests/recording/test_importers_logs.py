@@ -10,6 +10,8 @@ from srt.exceptions import InputError
 from srt.recording.importer_registry import find_importer, import_file
 from srt.recording.importers import child_process
 
+pytestmark = pytest.mark.usefixtures("forked_readers")
+
 # PX4
 
 
