@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from srt.planning.task import plan
     from srt.presentation import plot, to_frame
     from srt.procedure import calibrate, inspect
-    from srt.recording.folder import write_recording
     from srt.recording.reading import read
     from srt.recording.reading import read as import_file
     from srt.recording.reading import read as load_recording
     from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
+    from srt.recording.writing import write_recording
     from srt.reports.certificate.issue import certificate
     from srt.result.applier import Applier
     from srt.result.calibration import Calibration, load_calibration
@@ -67,7 +67,7 @@ _HOME = {
     "SequenceLabel": "recording.recording",
     "Site": "recording.recording",
     "load_recording": "recording.reading:read",
-    "write_recording": "recording.folder",
+    "write_recording": "recording.writing",
     "find_turns": "sequences.stationary_windows",
     "INDEX": "sensor_errors",
     "NAMES": "sensor_errors",

@@ -74,7 +74,7 @@ def apply(
     # All checks are done: the results are written.
     written = []
     if corrected is not None and output is not None:
-        from srt.recording.folder import write_recording
+        from srt.recording.writing import write_recording
 
         samples_format = samples_format or source_format
         write_recording(corrected, output, samples_format=samples_format, overwrite=overwrite)

@@ -168,8 +168,8 @@ def convert(
     if source.suffix == ".toml" or (source / "recording.toml").is_file():
         raise InputError(f"{source} is a recording already: name the log that it was made of, or use it as it is.")
     from srt.exporters.applied_file import applied_of
-    from srt.recording.folder import write_recording
     from srt.recording.reading import read_log
+    from srt.recording.writing import write_recording
 
     given = {**rest, "second": second}
     if applied is not None:

@@ -1,4 +1,4 @@
-"""Recordings on disk: a folder with ``recording.toml`` and the samples file that it names.
+"""Reading of a recording folder: ``recording.toml`` and the samples file that it names.
 
 This module and the importers of foreign formats convert units: files state their units, in names of keys or as keys;
 values in memory are in SI.
@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
-from contextlib import suppress
 from dataclasses import dataclass
-from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,10 +17,9 @@ import numpy as np
 from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
 from srt.recording.applied import AppliedCorrection, applied_correction
-from srt.recording.atomic_file import atomic_write_text, unwritable
 from srt.recording.importer_registry import is_foreign
 from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site, require_bounded
-from srt.recording.samples import SAMPLES_FORMATS, Samples, read_samples, write_samples
+from srt.recording.samples import read_samples
 from srt.recording.schema import (
     ACCEL_UNITS,
     COUNTS,
@@ -35,10 +31,8 @@ from srt.recording.schema import (
     SEQUENCE_KEYS,
     SITE_KEYS,
     TIME_UNITS,
-    emit_section,
     fields_of,
     read_section,
-    toml_value,
 )
 from srt.recording.toml_text import read_toml
 
@@ -196,98 +190,6 @@ def read_document(toml: Path) -> dict[str, Any]:
     InputError
     """
     return _read_toml(_find_toml(toml))
-
-
-def write_recording(
-    recording: Recording,
-    directory: str | os.PathLike[str],
-    *,
-    samples_format: str = "csv",
-    overwrite: bool = False,
-) -> None:
-    """Write a recording in SI units, samples exact to the last bit.
-
-    Parameters
-    ----------
-    recording : Recording
-    directory : path-like
-        Folder; created if absent.
-    samples_format : str
-        "csv", "npz", "parquet" or "h5".
-    overwrite : bool
-        Write to a folder that has files already. Files of other names remain.
-
-    Raises
-    ------
-    InputError
-        A folder with files in it, an unknown format, a path that cannot be written. The folder then has
-        the same complete recording as before, and no incomplete file.
-    MissingExtraError
-        If the format needs a package that is not installed.
-    """
-    if samples_format not in SAMPLES_FORMATS:
-        raise InputError(
-            f"There is no samples format {samples_format!r}{did_you_mean(samples_format, SAMPLES_FORMATS)}: "
-            f"use one of {', '.join(SAMPLES_FORMATS)}."
-        )
-    folder = Path(directory)
-    created = _prepare(folder, overwrite=overwrite)
-    name, usual, old_name = _unused_name(folder, samples_format), f"samples.{samples_format}", _old_name(folder)
-    temperature = recording.temperature
-    constant = temperature is not None and temperature.strides == (0,)
-    # Writers copy one column or block at a time.
-    samples = Samples(recording.gyro, recording.accel, recording.time, None if constant else temperature)
-    try:
-        write_samples(folder / name, samples)
-        try:
-            # Until this renaming, the folder has the old recording; from then on, the new one.
-            atomic_write_text(folder / TOML_NAME, _emit(recording, name))
-        except BaseException:
-            with suppress(OSError):
-                (folder / name).unlink(missing_ok=True)
-            raise
-    except BaseException:
-        if created and not any(folder.iterdir()):
-            folder.rmdir()
-        raise
-    if re.fullmatch(rf"samples-\d+\.{samples_format}", old_name):  # left by an overwriting without the last renaming
-        with suppress(OSError):
-            (folder / old_name).unlink()
-    if name != usual:
-        _rename_samples(folder, name, usual, _emit(recording, usual))
-
-
-def _old_name(folder: Path) -> str:
-    """Name of the samples file of the recording in a folder, empty if there is none."""
-    main: object = None
-    with suppress(InputError):
-        main = _read_toml(folder / TOML_NAME).get("recording")
-    return str(main.get("samples", "")) if isinstance(main, dict) else ""
-
-
-def _unused_name(folder: Path, samples_format: str) -> str:
-    """Name for the new samples file that no file in the folder has."""
-    numbered = (f"samples-{number}.{samples_format}" for number in count(2))
-    return next(name for name in chain([f"samples.{samples_format}"], numbered) if not os.path.lexists(folder / name))
-
-
-def _rename_samples(folder: Path, name: str, usual: str, toml_text: str) -> None:
-    """Rename the new samples to the usual name, which the old ones have.
-
-    ``recording.toml`` names a complete file throughout. The recording is complete under either name, so errors end the
-    renaming silently; the old samples are then removed, and the next overwriting takes their name.
-    """
-    link = folder / f".{name}.link"
-    superseded = name
-    try:
-        link.hardlink_to(folder / name)
-        link.replace(folder / usual)
-        atomic_write_text(folder / TOML_NAME, toml_text)
-    except (OSError, NotImplementedError, InputError):  # some file systems have no links
-        superseded = usual
-    for path in (link, folder / superseded):
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
 
 
 def _find_toml(path: Path) -> Path:
@@ -466,42 +368,3 @@ def sha256_of(path: Path) -> str:
         return hashlib.sha256("\n".join(f"{sha256_of(each)} {each.name}" for each in files).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _prepare(folder: Path, *, overwrite: bool) -> bool:
-    """Create the folder if absent; True if it was created."""
-    try:
-        if folder.exists():
-            if not folder.is_dir():
-                raise InputError(f"{folder} is a file, but a recording is a folder: name another place.")
-            if any(folder.iterdir()) and not overwrite:
-                raise InputError(f"The folder {folder} holds files already: name another, or allow overwriting.")
-            return False
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(unwritable(folder, error)) from None
-    return True
-
-
-def _emit(recording: Recording, samples_name: str) -> str:
-    rate = recording.kind == "rate"
-    lines = ["[recording]", f"samples = {toml_value(samples_name)}"]
-    lines.append(f"gyro_unit = {toml_value('rad/s' if rate else 'rad')}")
-    lines.append(f"accel_unit = {toml_value('m/s^2' if rate else 'm/s')}")
-    lines.append('time_unit = "s"')
-    lines += emit_section(recording, RECORDING_KEYS)
-    temperature = recording.temperature
-    if temperature is not None and temperature.strides == (0,):
-        lines.append(f"temperature_c = {toml_value(float(temperature[0]))}")
-    lines += ["", "[site]", *emit_section(recording.site, SITE_KEYS)]
-    if recording.fixture is not None:
-        lines += ["", "[fixture]", *emit_section(recording.fixture, FIXTURE_KEYS)]
-    imu = emit_section(recording.noise, IMU_KEYS)
-    if imu:
-        lines += ["", "[imu]", *imu]
-    if recording.applied is not None:
-        applied = recording.applied.document()
-        lines += ["", "[imu.applied]", *(f"{name} = {toml_value(value)}" for name, value in applied.items())]
-    for label in recording.sequences:
-        lines += ["", "[[sequence]]", *emit_section(label, SEQUENCE_KEYS)]
-    return "\n".join(lines) + "\n"

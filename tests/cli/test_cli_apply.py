@@ -268,7 +268,7 @@ def test_a_failure_leaves_nothing(unit, recording, tmp_path, capfd, monkeypatch)
     def fail(*args, **options):
         raise srt.InputError("The disk is full.")
 
-    monkeypatch.setattr("srt.recording.folder.write_samples", fail)
+    monkeypatch.setattr("srt.recording.writing.write_samples", fail)
     line = [unit, recording, "-o", tmp_path / "out", "--c-header", tmp_path / "imu.h"]
     assert refused(capfd, *line) == "srt: The disk is full.\n"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["raw", "unit.json"]

@@ -19,7 +19,8 @@ import sims
 import srt
 from sims.physics.imu import read_out
 from srt.model.table1 import SIGNED_AXES, RotationSequence, axis_vector
-from srt.recording.folder import load_recording, write_recording
+from srt.recording.folder import load_recording
+from srt.recording.writing import write_recording
 from srt.sensor_errors import SensorErrors
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, sequence_of_label

@@ -17,9 +17,10 @@ from hypothesis.extra.numpy import arrays
 
 from srt.constants import ARCSEC, DEG, STANDARD_GRAVITY_M_S2, normal_gravity_m_s2
 from srt.exceptions import InputError, MissingExtraError
-from srt.recording.folder import load_recording, write_recording
+from srt.recording.folder import load_recording
 from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site
 from srt.recording.samples import SAMPLES_FORMATS, Samples, read_samples, write_samples
+from srt.recording.writing import write_recording
 
 REQUIRES = {"parquet": "pyarrow", "h5": "h5py"}
 FORMATS = [

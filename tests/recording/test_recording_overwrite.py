@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from srt.exceptions import InputError
-from srt.recording.folder import load_recording, write_recording
+from srt.recording.folder import load_recording
 from srt.recording.recording import Recording, Site
 from srt.recording.samples import SAMPLES_FORMATS
+from srt.recording.writing import write_recording
 
 OLD, NEW = 40, 60
 

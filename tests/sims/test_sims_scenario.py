@@ -13,7 +13,8 @@ from sims.scenarios import library
 from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 from srt.exceptions import InputError
-from srt.recording.folder import load_recording, write_recording
+from srt.recording.folder import load_recording
+from srt.recording.writing import write_recording
 from srt.sensor_errors import GROUP_SLICES, SensorErrors
 
 SMALL = {
