@@ -1,10 +1,11 @@
-"""Fixtures of the tests of the equations: the symbolic derivation, and derivatives taken through the simulator."""
+"""Fixtures: symbolic derivation, derivatives taken through the simulator, and readers of logs in a fork."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib.util
 import math
+import os
 import sys
 from dataclasses import dataclass, field
 from functools import cache
@@ -125,3 +126,14 @@ def simulated():
         return Simulated(data, z, np.stack(columns, axis=1), component_rows(data))
 
     return make
+
+
+@pytest.fixture
+def forked_readers(monkeypatch):
+    """Readers of logs in a fork of this process: a new interpreter takes 0.3 s, and test_importers_child starts it."""
+    import fuzz
+
+    from srt.recording.importers import child_process
+
+    if hasattr(os, "fork"):
+        monkeypatch.setattr(child_process, "spawn", fuzz.Fork)
