@@ -11,6 +11,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sims.robustness.convergence import percent
+from srt.reports.figures.parameter_columns import (
+    PLAIN,
+    column_places,
+    draw_rings,
+    frame_columns,
+    label_columns,
+    ring_handle,
+    title_groups,
+)
 from srt.reports.figures.style import (
     DPI,
     FAINT,
@@ -18,11 +27,9 @@ from srt.reports.figures.style import (
     INK,
     MEDIUM,
     SMALL,
-    SYMBOL,
     Axes,
     ConstrainedLayoutEngine,
     Figure,
-    FuncFormatter,
     Line2D,
     LogLocator,
     MaxNLocator,
@@ -30,9 +37,8 @@ from srt.reports.figures.style import (
     Patch,
     estimator_styles,
     style,
-    symbol,
 )
-from srt.sensor_errors import GROUP_SLICES, GROUPS, N_PARAMETERS, SYMBOLS
+from srt.sensor_errors import GROUPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,15 +51,12 @@ if TYPE_CHECKING:
 
 _PANELS: Final = 3
 """Largest number of maps in a row."""
-_ROOM: Final = 0.72
-"""Width of the marks of all estimators, as a share of the width of a column."""
 _MOST_LABELS: Final = 14
 """Maximum number of labels of an axis; with more levels, every second (third, ...) level is labelled."""
 _LINEAR_TO: Final = 4.0
 """Largest error / sigma on a linear axis; with larger values, the axis is logarithmic."""
 _COLOURS: Final = "cividis"
 """Colour map readable with any colour vision; light for large shares."""
-_PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 
 def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
@@ -204,7 +207,7 @@ def _against(axes: Axes, at: Array, rms: Array, largest: Array, estimators: Sequ
 def _log_ticks(axis: Any, ratio: float) -> None:
     """Label 1, 2, 5 on an axis of few decades, which may otherwise have no labelled tick."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 200.0 else (1.0,), numticks=8))
-    axis.set_major_formatter(_PLAIN)
+    axis.set_major_formatter(PLAIN)
     axis.set_minor_locator(NullLocator())
 
 
@@ -218,22 +221,18 @@ def consistency_figure(found: SigmaConsistency, estimators: Sequence[str]) -> Fi
     """
     figure = _figure(12.5, 4.8)
     axes = figure.subplots()
-    style(axes)
-    width = _ROOM / max(len(estimators), 1)
-    first = np.arange(N_PARAMETERS) - 0.5 * width * (len(estimators) - 1)
+    frame_columns(axes)
+    places, width = column_places(len(estimators))
     table = found.parameters
-    for k, (name, (colour, marker)) in enumerate(zip(estimators, estimator_styles(estimators).values(), strict=True)):
+    for name, (colour, marker), at in zip(estimators, estimator_styles(estimators).values(), places, strict=True):
         own = table.loc[name]
-        at, half, rms = first + width * k, own["half_width"].to_numpy(), own["rms"].to_numpy()
+        half, rms = own["half_width"].to_numpy(), own["rms"].to_numpy()
         seen = np.isfinite(rms)
         low = np.maximum(1.0 - half[seen], 0.0)
         axes.bar(at[seen], 1.0 + half[seen] - low, 0.95 * width, bottom=low, color=colour, alpha=0.25)
         axes.plot(at[seen], rms[seen], marker, color=colour, markersize=5.0)
         off = (own["too_small"] | own["too_large"]).to_numpy()
-        axes.plot(at[off], rms[off], "o", markersize=12.0, markerfacecolor="none", markeredgecolor=INK)
-    for group in GROUP_SLICES.values():
-        if group.start:
-            axes.axvline(group.start - 0.5, color=GREY, linewidth=0.7)
+        draw_rings(axes, at[off], rms[off])
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     low = np.nanmin(np.minimum(table["rms"], np.maximum(1.0 - table["half_width"], 0.0)), initial=1.0)
     high = np.nanmax(np.maximum(table["rms"], 1.0 + table["half_width"]), initial=1.0)
@@ -245,16 +244,11 @@ def consistency_figure(found: SigmaConsistency, estimators: Sequence[str]) -> Fi
     else:
         room = 0.12 * (high - low)
         axes.set_ylim(max(low - room, 0.0), high + room)
-    for name, group in GROUP_SLICES.items():
-        middle = 0.5 * (group.start + group.stop - 1)
-        axes.text(middle, 1.0, name.replace("_", "\n"), transform=axes.get_xaxis_transform(), ha="center",
-                  va="bottom", fontsize=MEDIUM, color=INK)  # fmt: skip
-    axes.set_xlim(-0.6, N_PARAMETERS - 0.4)
-    axes.set_xticks(range(N_PARAMETERS), [symbol(name) for name in SYMBOLS], fontsize=SYMBOL)
+    title_groups(axes)
+    label_columns(axes)
     axes.set_ylabel("rms of error / sigma", fontsize=MEDIUM)
     handles = [*_handles(estimators), Patch(color=GREY, alpha=0.25, label="3.5 standard errors about 1")]
-    ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": INK}
-    handles.append(Line2D([], [], linestyle="none", label="beyond the limits of all tests", **ring))  # type: ignore[arg-type]
+    handles.append(ring_handle("beyond the limits of all tests"))
     _legend(figure, handles)
     return figure
 

@@ -11,27 +11,32 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError
+from srt.reports.figures.parameter_columns import (
+    PLAIN,
+    column_places,
+    draw_rings,
+    frame_columns,
+    label_columns,
+    ring_handle,
+    title_groups,
+)
 from srt.reports.figures.style import (
     DPI,
     GREY,
     INK,
     LARGE,
     MEDIUM,
-    SYMBOL,
     Axes,
     ConstrainedLayoutEngine,
     Figure,
-    FuncFormatter,
     Line2D,
     LogLocator,
     MaxNLocator,
     NullLocator,
     Patch,
     estimator_styles,
-    style,
-    symbol,
 )
-from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SYMBOLS
+from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
     from srt.comparison.estimator_comparison import Comparison
@@ -42,11 +47,6 @@ _SIZE_INCHES: Final = (14.0, 8.5)
 _HEADING_WIDTH: Final = 140
 _LINEAR_TO: Final = 12.0
 """Largest difference, in sigma, on a linear axis; beyond, the axis is logarithmic so that small ones stay visible."""
-
-_ROOM: Final = 0.72
-"""Fraction of the column of a parameter that the marks of the estimators take up."""
-
-_PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 
 
 def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Figure:
@@ -75,14 +75,12 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
     differences, ratios = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
     names = [comparison.reference, *comparison.differences]
     styles = estimator_styles(names)
-    width = _ROOM / len(names)
-    first = np.arange(N_PARAMETERS, dtype=np.float64) - 0.5 * width * (len(names) - 1)
-    places: dict[str, Array] = {name: first + width * k for k, name in enumerate(names)}
+    places, width = column_places(len(names))
     for axes in (differences, ratios):
-        _frame(axes)
-    for name in names:
-        _differences(differences, comparison, name, places[name], width, styles[name])
-        _ratios(ratios, comparison, name, places[name], styles[name])
+        frame_columns(axes)
+    for name, at in zip(names, places, strict=True):
+        _differences(differences, comparison, name, at, width, styles[name])
+        _ratios(ratios, comparison, name, at, styles[name])
     _finish_differences(differences, comparison)
     _finish_ratios(ratios)
     heading = textwrap.fill(f"{title}: {comparison.verdict}" if title else comparison.verdict, _HEADING_WIDTH)
@@ -95,13 +93,6 @@ def comparison_figure(comparison: Comparison, *, title: str | None = None) -> Fi
         frameon=False,
     )
     return figure
-
-
-def _frame(axes: Axes) -> None:
-    style(axes)
-    for group in GROUP_SLICES.values():
-        if group.start:
-            axes.axvline(group.start - 0.5, color=GREY, linewidth=0.7)
 
 
 def _differences(
@@ -119,7 +110,7 @@ def _differences(
         spread = pair.expected_sigma / unit
         axes.bar(at[seen], 2.0 * spread[seen], 0.95 * width, bottom=-spread[seen], color=colour, alpha=0.25)
         wrong = pair.differing
-        axes.plot(at[wrong], value[wrong], "o", markersize=13.0, markerfacecolor="none", markeredgecolor=INK)
+        draw_rings(axes, at[wrong], value[wrong])
     sigma = (calibration.sigma / unit)[seen]
     bars: dict[str, Any] = {"fmt": marker, "color": colour, "markersize": 5.0, "elinewidth": 1.1, "capsize": 2.0}
     axes.errorbar(at[seen], value[seen], sigma, **bars)
@@ -147,14 +138,10 @@ def _finish_differences(axes: Axes, comparison: Comparison) -> None:
     if largest > _LINEAR_TO:
         axes.set_yscale("symlog", linthresh=3.0, linscale=1.5)
         axes.set_ylim(-2.0 * largest, 2.0 * largest)
-        axes.yaxis.set_major_formatter(_PLAIN)
+        axes.yaxis.set_major_formatter(PLAIN)
     else:
         axes.yaxis.set_major_locator(MaxNLocator(10, integer=True))
-    for name, group in GROUP_SLICES.items():
-        words = name.replace("_", "\n")
-        middle = 0.5 * (group.start + group.stop - 1)
-        axes.text(middle, 1.0, words, transform=axes.get_xaxis_transform(), ha="center", va="bottom",
-                  fontsize=MEDIUM, color=INK)  # fmt: skip
+    title_groups(axes)
 
 
 def _finish_ratios(axes: Axes) -> None:
@@ -163,11 +150,10 @@ def _finish_ratios(axes: Axes) -> None:
     axes.set_ylim(min(low, 0.8), max(high, 2.2))
     # A few ticks within the one octave that is usual, decades where there are many.
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high < 20.0 * low else (1.0,)))
-    axes.yaxis.set_major_formatter(_PLAIN)
+    axes.yaxis.set_major_formatter(PLAIN)
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylabel("ratio of sigmas", fontsize=MEDIUM)
-    axes.set_xlim(-0.6, N_PARAMETERS - 0.4)
-    axes.set_xticks(range(N_PARAMETERS), [symbol(name) for name in SYMBOLS], fontsize=SYMBOL)
+    label_columns(axes)
 
 
 def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[str, str]]) -> list[Any]:
@@ -180,8 +166,7 @@ def _handles(comparison: Comparison, names: list[str], styles: dict[str, tuple[s
     if comparison.differences:
         handles.append(Patch(color=GREY, alpha=0.25, label="expected difference, ±1σ"))
     if any(pair.differing.any() for pair in comparison.differences.values()):
-        ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgecolor": INK}
-        handles.append(Line2D([], [], linestyle="none", label="beyond the limit", **ring))  # type: ignore[arg-type]
+        handles.append(ring_handle("beyond the limit"))
     if comparison.calibrations[names[0]].held:
         handles.append(Line2D([], [], color="none", marker="x", markeredgecolor=GREY, label=f"fixed by {names[0]}"))
     if comparison.truth is not None:
