@@ -56,7 +56,7 @@ PRESENTATIONS: Final = {
         "planning.plan_text:plan_text", None, "planning.plan_figure:plan_figure", "planning.plan_document:plan_frame"
     ),
     "Certificate": Presentation(
-        "reports.text.certificate:certificate_text", frame="reports.frames:certificate_frame",
+        "reports.certificate.content:certificate_text", frame="reports.frames:certificate_frame",
     ),
 }  # fmt: skip
 """Presentations by the name of the class."""

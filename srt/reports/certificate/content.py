@@ -21,7 +21,7 @@ from srt.reports.certificate.unit_description import (
     unit_description,
 )
 from srt.reports.text.leave_one_out import overall, probability
-from srt.reports.text.tables import decimals_for, fixed
+from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
@@ -374,3 +374,11 @@ def _limit(limits: AcceptanceLimits, i: int) -> str:
 
 def _signed(value: float) -> str:
     return f"{value:+.2f}" if abs(value) < 1e4 else f"{value:+.2e}"
+
+
+def certificate_text(certificate: Certificate) -> str:
+    """Title, main results and parameters of a certificate, as text."""
+    table = certificate.parameters
+    rows = [[cell.text for cell in row] for row in table.rows]
+    lines = [certificate.title, *(line for sentence in certificate.summary for line in wrap(sentence))]
+    return "\n".join([*lines, "", text_table(list(table.head), rows, table.alignment, gap=1)])
