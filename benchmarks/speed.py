@@ -12,12 +12,17 @@ import argparse
 import time
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import accuracy_trials
 import numpy as np
 import recorded_sets
 
 import srt
+from sims.physics.imu import read_out
+from sims.physics.sequences import TABLE_1
+from sims.physics.table_motion import table1_motion
 from srt.comparison.estimator_comparison import default_estimators, run_estimators
 from srt.model.analytic_platform import gyro_stream, integrate_attitude
 from srt.model.sensor_model import gyro_triad
@@ -26,13 +31,13 @@ REPEATS = 15
 """Repeats of each timing; figures are medians."""
 
 
-def timed(call: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Median wall time, s."""
+def timed(call: Callable[[], object], repeats: int = REPEATS, clock: Callable[[], float] = time.perf_counter) -> float:
+    """Median time, s; wall time by default."""
     spans = []
     for _ in range(repeats):
-        began = time.perf_counter()
+        began = clock()
         call()
-        spans.append(time.perf_counter() - began)
+        spans.append(clock() - began)
     return float(np.median(spans))
 
 
@@ -59,6 +64,27 @@ def side_by_side() -> None:
     print(f"the estimators side by side, {len(recording.time)} samples at 200 Hz: {together:.2f} s ({each})")
     for name, reason in left_out.items():
         print(f"  {name} left out: {reason}")
+
+
+def with_drift() -> None:
+    """Joint estimation with and without stated bias instability, Table 1 once and four times over; CPU time."""
+    rng = np.random.default_rng(3)
+    gyro, accel = accuracy_trials.INSTABILITY["navigation"]
+    imu = replace(accuracy_trials.GRADES["navigation"], gyro_bias_instability=gyro, accel_bias_instability=accel)
+    for times in (1, 4):
+        motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=50.0, sequences=tuple(TABLE_1) * times)
+        drifting = read_out(motion, accuracy_trials.normal_errors(rng), imu, rng)
+        still = replace(drifting.noise, gyro_bias_instability=None, accel_bias_instability=None)
+        quiet = replace(drifting, noise=still)
+        for name in ("ekf", "graph"):
+            spans = [
+                timed(partial(srt.calibrate, r, name, checks=False, gyro_bias=bias), 5, time.process_time)
+                for r, bias in ((drifting, "auto"), (quiet, "pooled"))
+            ]
+            print(
+                f"{name}, {17 * times} sequences: {spans[0]:.2f} s with bias instability, {spans[1]:.2f} s without, "
+                f"ratio {spans[0] / spans[1]:.2f}"
+            )
 
 
 def play_back() -> None:
@@ -125,6 +151,7 @@ def main() -> None:
     arguments = parser.parse_args()
     table_1()
     side_by_side()
+    with_drift()
     play_back()
     free_recording()
     scaling((100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000))

@@ -10,7 +10,7 @@ Variables:
 - ``e``: unknown part of the Earth's rate in each level frame;
 - ``a``: attitude in each stationary window;
 - ``q``: quantization error at each window edge;
-- ``d``: bias instability, one variable, as its effects on all windows are correlated.
+- ``d``, ``n``; ``c``, ``m``: states and white unknowns of the bias instability of gyros and accelerometers, by step.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, D, E, F, G, Q, U, X
+from gtsam.symbol_shorthand import A, B, C, D, E, F, G, M, N, Q, U, X
 
 from estimators import factors
 from estimators.linear_system import N_ERRORS, total
@@ -31,12 +31,15 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from estimators.drift_states import DriftStates
     from estimators.joint_model import JointModel
     from estimators.joint_state import CompensatedData, JointState
     from srt.model.prior import Prior
     from srt.types import Array, Indices, Mask
 
 
+DRIFT_KEYS: Final = {"gyro": (D, N), "accel": (C, M)}
+"""Variables of the states and of the white unknowns of the bias instability, by sensor."""
 _HEADING_SIGMA: Final = 1e-8
 """Standard deviation of a fixed heading, rad; its effect via the Earth's rate is far below any noise."""
 _FIXED_RATE: Final = 1e-6
@@ -123,8 +126,10 @@ class FactorGraph:
             self.values.insert(A(w), gtsam.Rot3(attitude))
         for number in range(int(self.edges.max()) + 1):
             self.values.insert(Q(number), np.zeros(3))
-        if self.compensated.instability.size:
-            self.values.insert(D(0), np.zeros(self.compensated.instability.size))
+        for sensor, drift in self.compensated.drift.items():
+            for key, size in zip(DRIFT_KEYS[sensor], (drift.states, drift.unknowns), strict=True):
+                for step in range(joint.data.K):
+                    self.values.insert(key(step), np.zeros(size))
         for c in range(len(joint.level_frames)):
             if self.earth_key(c) is not None:
                 self.values.insert(E(c), state.earth_rate[c])
@@ -152,9 +157,13 @@ class FactorGraph:
             out.append((self.bias_key(sequence), jacobian[:, N_ERRORS + self.axes]))
         return out
 
-    def _instability(self, effect: Array) -> list[tuple[int, Array]]:
-        """Linear term of the bias instability, if specified."""
-        return [(int(D(0)), effect)] if self.compensated.instability.size else []
+    def _drift(self, sensor: str, kind: str, number: int) -> list[tuple[int, Array]]:
+        """Linear terms of the bias instability of a sensor in a measurement, if specified."""
+        drift = self.compensated.drift.get(sensor)
+        if drift is None:
+            return []
+        step, effects = int(drift.steps[kind][number]), (drift.by_state[kind], drift.by_noise[kind])
+        return [(int(key(step)), J[number]) for key, J in zip(DRIFT_KEYS[sensor], effects, strict=True)]
 
     def _windows(self) -> None:
         """Add one factor per window for force and rate together, as a disturbance affects both."""
@@ -177,9 +186,8 @@ class FactorGraph:
         for w in range(len(T)):
             jacobian = -np.concatenate([compensated.force_jacobian[w], compensated.rate_jacobian[w]])
             linear = self._linear(jacobian, int(joint.window_sequence[w]))
-            linear += self._instability(
-                -np.concatenate([compensated.instability.force[w], compensated.instability.rate[w]])
-            )
+            linear += [(key, -np.concatenate([J, np.zeros_like(J)])) for key, J in self._drift("accel", "force", w)]
+            linear += [(key, -np.concatenate([np.zeros_like(J), J])) for key, J in self._drift("gyro", "rate", w)]
             slope = compensated.edge_slope / T[w]
             linear += [
                 (int(Q(number)), np.concatenate([np.zeros((3, 3)), sign * slope]))
@@ -207,9 +215,7 @@ class FactorGraph:
         self.kinds.append(rotations)
         for k in range(data.K):
             start, end = int(data.start[k]), int(data.end[k])
-            linear = self._linear(compensated.rotation_jacobian[k], k) + self._instability(
-                compensated.instability.rotation[k]
-            )
+            linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("gyro", "turn", k)
             if self.edges[start, 1] >= 0:
                 linear.append((int(Q(self.edges[start, 1])), -compensated.edge_slope))
             if self.edges[end, 0] >= 0:
@@ -264,12 +270,8 @@ class FactorGraph:
         unit = isotropic(3, 1.0)
         for number in range(int(self.edges.max()) + 1):
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
-        if self.compensated.instability.size:
-            graph.add(
-                gtsam.PriorFactorVector(
-                    D(0), np.zeros(self.compensated.instability.size), isotropic(self.compensated.instability.size, 1.0)
-                )
-            )
+        for sensor, drift in self.compensated.drift.items():
+            self._drift_chain(sensor, drift)
         if joint.bias_walks and len(self.axes):
             step = joint.bias_walk_sigma()[:, self.axes]
             for i, (before, after) in enumerate(zip(joint.order[:-1].tolist(), joint.order[1:].tolist(), strict=True)):
@@ -278,6 +280,20 @@ class FactorGraph:
                 graph.add(gtsam.BetweenFactorVector(B(before), B(after), -done[self.axes], noise))
         if prior is not None:
             self._error_prior(prior)
+
+    def _drift_chain(self, sensor: str, drift: DriftStates) -> None:
+        """Add the distribution of the states at the start, that of the white unknowns, and the transitions."""
+        state, unknown = DRIFT_KEYS[sensor]
+        X, U, K = drift.states, drift.unknowns, self.joint.data.K
+        white = gtsam.noiseModel.Unit.Create(X)
+        self.graph.add(gtsam.PriorFactorVector(state(0), np.zeros(X), white))
+        for i in range(K):
+            unit = gtsam.noiseModel.Unit.Create(U)
+            self.graph.add(gtsam.PriorFactorVector(unknown(i), np.zeros(U), unit))
+        for i, coefficients in enumerate(drift.transition):
+            by_state, by_noise, by_next = np.split(coefficients, [X, X + U], axis=1)
+            keys = (state(i), by_state, unknown(i), by_noise, state(i + 1), by_next)
+            self.graph.add(gtsam.LinearContainerFactor(gtsam.JacobianFactor(*keys, np.zeros(X), white), self.values))
 
     def _error_prior(self, prior: Prior) -> None:
         """Add the prior of the sensor errors; with one gyro bias per sequence, the prior applies to their mean."""

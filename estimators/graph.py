@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, D, F, G, Q, U, X
+from gtsam.symbol_shorthand import A, F, G, Q, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
-from estimators.factor_graph import FactorGraph
+from estimators.factor_graph import DRIFT_KEYS, FactorGraph
 from estimators.iteration import default_prior, run
 from estimators.joint_model import open_joint_model
 from estimators.solver import JointSolver, LinearSolution
@@ -236,8 +236,10 @@ def _columns(built: FactorGraph, system: LinearSystem, values: Any) -> Array:
         earth = built.earth_key(c)
         if earth is not None:
             delta[system.of("earth_rate").reshape(-1, 3)[c]] = values.atVector(earth) - state.earth_rate[c]
-    if len(instability := system.of("instability")):
-        delta[instability] = values.atVector(D(0))
+    for sensor in built.compensated.drift:
+        for symbol, name in zip(DRIFT_KEYS[sensor], (f"{sensor}_drift", f"{sensor}_drift_noise"), strict=True):
+            by_step = [values.atVector(symbol(step)) for step in range(joint.data.K)]
+            delta[system.columns[name]] = np.concatenate(by_step)
     edges = system.of("edge").reshape(-1, 3)
     for number in range(len(edges)):
         delta[edges[number]] = values.atVector(Q(number))

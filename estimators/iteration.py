@@ -11,10 +11,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.sparse import hstack
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.dense_solution import solve
+from estimators.block_solution import BlockSolution, eliminate
+from estimators.elimination_steps import global_columns
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import deletion_table, unmodelled_noise
@@ -217,16 +219,23 @@ def default_prior() -> Prior:
 
 def observable_parameters(system: LinearSystem, requested: Mask) -> Mask:
     """Mask of the sensor errors that are observable if all other unknowns are estimated, too, shape (27,)."""
-    A = system.A
     bias = system.columns["bias"]
     number = (bias.stop - bias.start) // 3
-    mean = A[:, bias].reshape(len(A), number, 3).sum(axis=1)
-    wanted = np.concatenate([A[:, system.columns["errors"]], mean], axis=1)
-    others = system.active.copy()
-    others[: bias.start + 3] = False  # biases are re-parametrised as their mean and K − 1 deviations
-    B = A[:, others]
-    Q, R = np.linalg.qr(B / np.maximum(np.linalg.norm(B, axis=0), 1e-300))
-    Q = Q[:, np.abs(np.diag(R)) > _INDEPENDENT]  # dependent columns add rounding errors only
+    active = system.active.copy()
+    active[system.columns["errors"]] = True
+    A = system.A
+    if number > 1:  # the biases are re-parametrised as their mean, in the columns of the first, and K − 1 deviations
+        mean = sum(A[:, bias.start + 3 * k : bias.start + 3 * k + 3] for k in range(number))
+        A = hstack([A[:, : bias.start], mean, A[:, bias.start + 3 :]]).tocsr()
+    active[bias.start : bias.start + 3] = True
+    again = replace(system, A=A, active=active)
+    columns = global_columns(again)
+    R = eliminate(again, columns)[2][:, :-1]
+    parameters = np.concatenate([system.of("errors"), system.of("bias")[:3]])
+    others = R[:, ~np.isin(columns, parameters)]
+    wanted = R[:, np.searchsorted(columns, parameters)]
+    Q, T = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))
+    Q = Q[:, np.abs(np.diag(T)) > _INDEPENDENT]  # dependent columns add rounding errors only
     left = wanted - Q @ (Q.T @ wanted)
     return admit(left * admission_sigma(), ~requested)
 
@@ -288,8 +297,8 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
     if solver.weights():
         return False
     system = with_prior(joint, solver, iteration)
-    solution = solve(system)
-    residual = system.b + system.A @ solution.delta
+    solution = BlockSolution(system)
+    residual = solution.residual
     statistic, freedom = float(residual @ residual), len(residual) - int(system.active.sum())
     # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
     if not any(joint.unmodelled_sigma):
@@ -298,7 +307,7 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
         # chi² = chi² without sequence k + contribution of sequence k.
         without = [
             (statistic - row["chi_square"], freedom - row["degrees_of_freedom"])
-            for row in deletion_table(joint, system, solution)
+            for row in deletion_table(joint, solution)
         ]
         if any(rest < _ONE_FAULT * statistic or not is_misfit(rest, number) for rest, number in without):
             return False

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from estimators.bias_instability import bias_instability
+from estimators.drift_states import drift_chain, drift_states
 from estimators.joint_state import CompensatedData, JointState, LevelFrame
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
@@ -25,7 +25,7 @@ from srt.estimation.measurement_covariance import earth_rate_sigma, excess_varia
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError, InputError
 from srt.model import measurement_model as model
-from srt.model.analytic_platform import integrate_attitude
+from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
 from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
@@ -37,6 +37,8 @@ from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
+    from estimators.drift_states import DriftChain, DriftStates
+    from estimators.linear_system import LinearSystem
     from srt.estimation.options import Options
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.table1 import RotationSequence
@@ -262,14 +264,32 @@ class JointModel:
             rotation_jacobian=model.attitude_error_jacobian(integrals),
             duration_s=integrals.weight_s,
             edge_slope=A * float(separate_edges),
-            instability=bias_instability(
-                data,
-                integrals,
-                (D_rate, D_force),
-                (self.rank[self.window_sequence], self.rank),
-                of_gyros=self.options.gyro_bias != "pooled",
-            ),
+            drift=self._drift(integrals, D_rate, D_force),
         )
+
+    def _drift(self, integrals: RotationIntegrals, D_rate: Array, D_force: Array) -> dict[str, DriftStates]:
+        """Bias instability as specified, by sensor; the derivatives are those of compensated rate and force."""
+        noise, out = self.data.noise, {}
+        if self._gyro_chain is not None and noise.gyro_flicker is not None:
+            out["gyro"] = drift_states(self._gyro_chain, noise.gyro_flicker, ("rate", D_rate), integrals.time_parts)
+        if self._accel_chain is not None:
+            out["accel"] = drift_states(self._accel_chain, noise.accel_flicker, ("force", D_force))
+        return out
+
+    @cached_property
+    def _gyro_chain(self) -> DriftChain | None:
+        """Steps of the drift of the gyros; None if none is specified, or one bias is asked for."""
+        flicker = None if self.options.gyro_bias == "pooled" else self.data.noise.gyro_flicker
+        if flicker is None or not flicker.any():
+            return None
+        return drift_chain(self.data, self.rank[self.window_sequence], self.rank, parts_per_rotation(self.data.K))
+
+    @cached_property
+    def _accel_chain(self) -> DriftChain | None:
+        """Steps of the drift of the accelerometers; None if none is specified."""
+        if not self.data.noise.accel_flicker.any():
+            return None
+        return drift_chain(self.data, self.rank[self.window_sequence], self.rank, 0)
 
     def _integrate(self, state: JointState, deviation: Array, force: Array) -> tuple[RotationIntegrals, Array, Array]:
         """Integrals of the rotations, rotations relative to inertial space, and mean specific forces of the windows.
@@ -395,9 +415,14 @@ class JointModel:
             weights[np.arange(self.data.K), which] = T[which]
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
-    def instability_by_sequence(self, compensated: CompensatedData, unknowns: Array) -> Array:
+    def instability_by_sequence(self, system: LinearSystem, delta: Array) -> Array:
         """Bias instability of the raw gyros in the windows of each sequence, minus its mean, shape (K, 3), rad/s."""
-        raw = np.linalg.solve(compensated.rate_slope, (compensated.instability.rate @ unknowns)[:, :, None])[:, :, 0]
+        compensated = system.compensated
+        drift = compensated.drift.get("gyro")
+        if drift is None:
+            return np.zeros((self.data.K, 3))
+        x, u = (delta[system.columns[name]].reshape(self.data.K, -1) for name in ("gyro_drift", "gyro_drift_noise"))
+        raw = np.linalg.solve(compensated.rate_slope, drift.effect("rate", x, u)[:, :, None])[:, :, 0]
         own = self.rest_rate_weights @ raw
         return np.asarray(own - own.mean(axis=0))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from estimators.bias_instability import BiasInstability
+    from estimators.drift_states import DriftStates
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
 
@@ -81,8 +81,8 @@ class CompensatedData:
     edge_slope : ndarray, shape (3, 3), rad
         Derivative of the compensated angle with respect to a normalised (1-sigma) error of the raw angle at a window
         edge; zero if edge errors are not estimated.
-    instability : BiasInstability
-        Effect of the bias instability on all measurements.
+    drift : dict of str to DriftStates
+        Effect of the bias instability on all measurements, by sensor ("gyro", "accel"), if specified.
     """
 
     force: Array
@@ -97,4 +97,4 @@ class CompensatedData:
     rotation_jacobian: Array
     duration_s: Array
     edge_slope: Array
-    instability: BiasInstability
+    drift: dict[str, DriftStates]

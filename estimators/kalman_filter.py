@@ -1,9 +1,10 @@
 """Kalman filter (filterpy) over the sequences of a linearised recording, and its use as a solver.
 
 State: sensor errors, gyro bias with a random walk between sequences, levelling and north of the base, orientation of
-MARS on the table, gravity, the unknown part of the Earth's rate, the end attitude from which the next sequence of a
-free recording starts, and the bias instability up to the present sequence. Every iteration restarts from the prior and
-keeps only the linearisation point; otherwise the data would count twice.
+MARS on the table, gravity, the unknown part of the Earth's rate, and what one sequence hands on to the next: the
+states of the bias instability and, in a free recording, the end attitude from which the next sequence starts. Their
+number does not change during the test. Every iteration restarts from the prior and keeps only the linearisation point;
+otherwise the data would count twice.
 
 The state is in units in which the prior is white. Forms of the filter: square-root
 (:mod:`estimators.square_root_filter`) or covariance (:mod:`estimators.covariance_filter`).
@@ -19,10 +20,11 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
 from estimators.accuracy_targets import targets_met
+from estimators.elimination_steps import global_columns
 from estimators.iteration import apply_correction
 from estimators.linear_system import N_ERRORS, attitude_columns
 from estimators.linearisation import linearise
-from estimators.nuisance_elimination import eliminate_nuisances, global_columns
+from estimators.nuisance_elimination import eliminate_nuisances, smoothed
 from estimators.solver import JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
 from srt.sensor_errors import N_PARAMETERS
@@ -43,8 +45,6 @@ _NEAR: Final = 1e-5
 """Correction (SI units) below which the attitudes are relinearised without new compensation of the data."""
 _SETTLED_SIGMAS: Final = 1e-3
 """The relinearisation has converged if the correction, in sigmas, is below this."""
-_POSE: Final = 3
-"""Number of states of an end attitude."""
 _MEAN: Final = 3
 """Number of states of the mean gyro bias of the sequences so far."""
 
@@ -105,48 +105,39 @@ def run_filter(
     numpy.linalg.LinAlgError
         If the covariance form loses positive definiteness.
     """
-    everything = global_columns(system)
-    # States of the bias instability are appended with the first sequence that depends on them.
-    shared = everything[everything < system.columns["instability"].start]
+    shared, parts = global_columns(system), eliminate_nuisances(system)
     L, start = prior_root(system, state, prior, shared)
-    n = len(shared)
-    size = n + _POSE + _MEAN
+    n, handed = len(shared), max(len(part.after) for part in parts)
+    size = n + handed + _MEAN
     inverse = solve_triangular(L, np.eye(n), lower=True)
     root = np.zeros((size, size))
     root[:n, :n] = np.eye(n)
-    ekf = form(np.concatenate([inverse @ start, np.zeros(_POSE + _MEAN)]), root)
+    ekf = form(np.concatenate([inverse @ start, np.zeros(size - n)]), root)
     bias = np.flatnonzero((shared >= system.columns["bias"].start) & (shared < system.columns["bias"].stop))
     axes = shared[bias] - system.columns["bias"].start
     walk = joint.bias_walk_sigma() if joint.bias_walks else None
-    E = _report_map(shared, axes, L, bias if walk is None else None)
-    parts = eliminate_nuisances(joint, system)
+    E = _report_map(shared, axes, L, handed, bias if walk is None else None)
     innovations, history = [], []
     for i, part in enumerate(parts):
         if i and walk is not None:
-            step = np.zeros((len(ekf.x), len(axes)))
+            step = np.zeros((size, len(axes)))
             step[:n] = inverse[:, bias] * walk[i - 1][axes]
             # The bias states are corrections to the bias deviation at which a sequence was linearised.
-            shift = np.zeros(len(ekf.x))
+            shift = np.zeros(size)
             before, after = parts[i - 1].sequence, part.sequence
             change = state.bias_deviation[after] - state.bias_deviation[before]
             shift[:n] = -inverse[:, bias] @ change[axes]
-            ekf.propagate(np.eye(len(ekf.x)), shift, noise_root=step)
-        needed = np.flatnonzero(part.H[:, n:].any(axis=0))
-        ekf.grow(max(0, size + int(needed.max(initial=-1)) + 1 - len(ekf.x)))
-        by_instability = part.H[:, n : n + len(ekf.x) - size]
-        H = np.concatenate([part.H[:, :n] @ L, part.H_pose, np.zeros((len(part.b), _MEAN)), by_instability], axis=1)
-        ekf.correct(-part.b, H)
+            ekf.propagate(np.eye(size), shift, noise_root=step)
+        ekf.correct(-part.b, padded(np.concatenate([part.H @ L, part.H_handed], axis=1), size))
         innovations.append(ekf.whitened)
-        if part.pose is not None:
-            _hand_on(ekf, part, L, n)
+        if handed and i + 1 < len(parts):
+            hand_on(ekf, part, L, handed)
         if walk is not None:
-            _take_mean(ekf, L[bias], axes, i, n)
+            _take_mean(ekf, L[bias], axes, i, n + handed)
         covariance = ekf.project(E)
         history.append(np.sqrt(np.diag(covariance)))
-    g = np.zeros(len(everything))
-    g[:n], g[n : n + len(ekf.x) - size] = L @ ekf.x[:n], ekf.x[size:]
-    delta = _all_columns(system, parts, g)
-    correction = E @ ekf.x[:size]
+    delta = _all_columns(system, parts, L @ ekf.x[:n])
+    correction = E @ ekf.x
     delta[system.columns["bias"]].reshape(-1, 3)[:] = correction[N_ERRORS:]
     return FilterRun(
         delta,
@@ -158,15 +149,19 @@ def run_filter(
     )
 
 
+def padded(H: Array, size: int) -> Array:
+    """Matrix with columns of zeros up to a number of columns."""
+    return np.pad(H, ((0, 0), (0, size - H.shape[1])))
+
+
 def _all_columns(system: LinearSystem, parts: list[SequenceEquations], g: Array) -> Array:
     """Correction of all columns: that of the shared ones is g, that of the nuisance parameters follows from g."""
     delta = np.zeros(system.A.shape[1])
     delta[global_columns(system)] = g
-    previous = np.zeros(_POSE)
-    for part in parts:
-        nuisances, end = part.nuisances(g, previous)
-        delta[part.local[0]], delta[part.pose_columns] = nuisances, end[part.pose_active]
-        previous = end
+    handed_in = np.zeros(0)
+    for part, handed_on in zip(parts, smoothed(parts, g), strict=True):
+        delta[part.local[0]] = part.nuisances(g, handed_in, handed_on)
+        delta[part.after] = handed_in = handed_on
     return delta
 
 
@@ -181,52 +176,59 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
     for rows in system.rows:
         if rows.kind in {"base", "mounting", "gravity"} or rows.kind.startswith("earth_rate"):
             members = rows.index.ravel()
-            columns = np.flatnonzero(system.A[members].any(axis=0))
-            inverse = np.linalg.inv(system.A[np.ix_(members, columns)])
+            block = system.A[members].toarray()
+            columns = np.flatnonzero(block.any(axis=0))
+            inverse = np.linalg.inv(block[:, columns])
             P[np.ix_(columns, columns)] = inverse @ inverse.T
             mean[columns] = -inverse @ system.b[members]
     return np.asarray(np.linalg.cholesky(P[np.ix_(shared, shared)]), dtype=np.float64), mean[shared]
 
 
-def _report_map(shared: Indices, axes: Indices, L: Array, bias: Indices | None) -> Array:
-    """Matrix from the state to the reported parameters, shape (27, n + 6).
+def _report_map(shared: Indices, axes: Indices, L: Array, handed: int, bias: Indices | None) -> Array:
+    """Matrix from the state to the reported parameters, shape (27, number of states).
 
     ``bias`` are the states of a constant gyro bias; None for a random walk, of which the mean over the sequences is
     reported.
     """
-    E = np.zeros((N_PARAMETERS, len(shared) + _POSE + _MEAN))
+    E = np.zeros((N_PARAMETERS, len(shared) + handed + _MEAN))
     errors = np.flatnonzero(shared < N_ERRORS)
     E[shared[errors], : len(shared)] = L[errors]
     if bias is None:
-        E[N_ERRORS + axes, len(shared) + _POSE + axes] = 1.0
+        E[N_ERRORS + axes, len(shared) + handed + axes] = 1.0
     else:
         E[N_ERRORS + axes, : len(shared)] = L[bias]
     return E
 
 
-def _hand_on(ekf: SquareRootFilter | CovarianceFilter, part: SequenceEquations, L: Array, n: int) -> None:
-    """Replace the previous end attitude by that of this sequence."""
-    assert part.pose is not None
-    R, G, G_pose, c = part.pose
-    inverse = np.linalg.inv(R)
-    at = n + np.flatnonzero(part.pose_active)
-    first = n + _POSE + _MEAN
+def hand_on(ekf: SquareRootFilter | CovarianceFilter, part: SequenceEquations, L: Array, handed: int) -> None:
+    """Replace what the previous sequence handed on by what this one hands on.
+
+    Parameters
+    ----------
+    ekf : SquareRootFilter or CovarianceFilter
+    part : SequenceEquations
+        The sequence.
+    L : ndarray, shape (n, n)
+        Cholesky factor of the prior covariance of the global columns, the first n states.
+    handed : int
+        Number of states that hold what is handed on.
+    """
+    by_g, by_p, constant, noise_root = part.advance()
+    n, after, before = len(L), len(by_p), by_p.shape[1]
     F = np.eye(len(ekf.x))
-    F[n : n + _POSE] = 0.0
-    F[at, :n] = -inverse @ G[:, :n] @ L
-    F[at, first:] = -inverse @ G[:, n : n + len(ekf.x) - first]
-    F[np.ix_(at, np.arange(n, n + _POSE))] = -inverse @ G_pose
-    noise, constant = np.zeros((len(ekf.x), len(at))), np.zeros(len(ekf.x))
-    noise[at], constant[at] = inverse, -inverse @ c
-    ekf.propagate(F, constant, noise_root=noise)
+    F[n : n + handed] = 0.0
+    F[n : n + after, :n], F[n : n + after, n : n + before] = by_g @ L, by_p
+    noise, shift = np.zeros((len(ekf.x), noise_root.shape[1])), np.zeros(len(ekf.x))
+    noise[n : n + after], shift[n : n + after] = noise_root, constant
+    ekf.propagate(F, shift, noise_root=noise)
 
 
-def _take_mean(ekf: SquareRootFilter | CovarianceFilter, bias: Array, axes: Indices, count: int, n: int) -> None:
-    """Update the mean gyro bias of the sequences processed so far."""
+def _take_mean(ekf: SquareRootFilter | CovarianceFilter, bias: Array, axes: Indices, count: int, first: int) -> None:
+    """Update the mean gyro bias of the sequences processed so far, in the states from ``first`` on."""
     F = np.eye(len(ekf.x))
-    at = n + _POSE + axes
+    at = first + axes
     F[at, at] = count / (count + 1.0)
-    F[at, :n] = bias / (count + 1.0)
+    F[at, : bias.shape[1]] = bias / (count + 1.0)
     ekf.propagate(F)
 
 

@@ -8,7 +8,7 @@ measurements share, such as the quantization at a window edge or the bias instab
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class RowGroup:
         First row of the group in A.
     owner : ndarray of int, shape (n,)
         Sequence of each member; −1 for priors of the recording.
+    step : ndarray of int, shape (n,)
+        Step of the elimination, in the order of time, that processes each member; −1: after all steps.
     sources : dict of str to ndarray, shape (n, d, d)
         Share of each source of error in the whitened (unit) covariance of each member.
     size : int
@@ -43,6 +45,7 @@ class RowGroup:
     kind: str
     first: int
     owner: Indices
+    step: Indices
     sources: dict[str, Array]
     size: int = 3
 
@@ -58,11 +61,12 @@ class LinearSystem:
 
     Attributes
     ----------
-    A : ndarray, shape (m, n)
+    A : scipy.sparse.csr_array, shape (m, n)
     b : ndarray, shape (m,)
     columns : dict of str to slice
         "errors" (24), "bias" (3, or 3 per sequence), "base", "mounting", "gravity", "earth_rate" (3 per level frame),
-        "instability" (:attr:`BiasInstability.size`), "attitude" (3 per window), "edge" (3 per edge that is an unknown).
+        "attitude" (3 per window), "edge" (3 per edge that is an unknown), and the states and white unknowns of the
+        bias instability of every sequence: "gyro_drift", "gyro_drift_noise", "accel_drift", "accel_drift_noise".
     active : ndarray of bool, shape (n,)
         Columns that are estimated.
     rows : tuple of RowGroup
@@ -72,9 +76,11 @@ class LinearSystem:
         Whitening matrices of the residuals, by kind of rows.
     compensated : CompensatedData
         Compensated data that were linearised.
+    order : ndarray of int, shape (K,)
+        Sequences in the order of time.
     """
 
-    A: Array
+    A: Any
     b: Array
     columns: dict[str, slice]
     active: Mask
@@ -82,6 +88,7 @@ class LinearSystem:
     free: Mask
     whitening: dict[str, Array]
     compensated: CompensatedData
+    order: Indices
 
     def of(self, name: str) -> Indices:
         """Column numbers by name."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from estimators.joint_model import pose_nominal
 from estimators.linear_system import N_ERRORS, LinearSystem, RowGroup, total, whiten
@@ -46,16 +47,25 @@ def linearise(
     builder.add_windows()
     builder.add_rotations()
     builder.add_fixture_starts()
-    builder.add_instability()
+    builder.add_drift()
     builder.add_alignment()
     builder.add_site()
     builder.add_bias_walk()
     builder.add_edges()
     if prior is not None:
         builder.add_prior(prior)
-    A, b = np.concatenate(builder.A), np.concatenate(builder.b)
     active = _active_columns(joint, builder.columns, free)
-    return LinearSystem(A, b, builder.columns, active, tuple(builder.rows), free, builder.whitening, compensated)
+    return LinearSystem(
+        A=builder.matrix(),
+        b=np.concatenate(builder.b),
+        columns=builder.columns,
+        active=active,
+        rows=tuple(builder.rows),
+        free=free,
+        whitening=builder.whitening,
+        compensated=compensated,
+        order=joint.order,
+    )
 
 
 def edge_numbers(joint: JointModel, compensated: CompensatedData) -> Indices:
@@ -100,10 +110,13 @@ def _columns(joint: JointModel, compensated: CompensatedData, edges: Indices) ->
         "mounting": 3,
         "gravity": 1,
         "earth_rate": 3 * len(joint.level_frames),
-        "instability": compensated.instability.size,
         "attitude": 3 * len(compensated.force),
         "edge": 3 * int(edges.max() + 1),
     }
+    for sensor in ("gyro", "accel"):
+        drift = compensated.drift.get(sensor)
+        sizes[f"{sensor}_drift"] = joint.data.K * drift.states if drift else 0
+        sizes[f"{sensor}_drift_noise"] = joint.data.K * drift.unknowns if drift else 0
     stops = np.cumsum(list(sizes.values())).tolist()
     return {name: slice(stop - size, stop) for (name, size), stop in zip(sizes.items(), stops, strict=True)}
 
@@ -131,30 +144,49 @@ class _Builder:
         self.edges = edge_numbers(joint, compensated)
         self.columns = _columns(joint, compensated, self.edges)
         self.n = max(c.stop for c in self.columns.values())
-        self.A: list[Array] = []
+        self.entries: list[tuple[Array, Array, Array]] = []
         self.b: list[Array] = []
         self.rows: list[RowGroup] = []
         self.whitening: dict[str, Array] = {}
         self.m = 0
 
-    def add(self, kind: str, owner: Indices, residual: Array, noise: dict[str, Array], blocks: list[Block]) -> None:
-        """Add a group of rows with their sequences, residuals (n, d), covariances by source and blocks of Jacobians."""
+    def matrix(self) -> Any:
+        """Jacobian of all rows, sparse."""
+        row, column, value = (np.concatenate(part) for part in zip(*self.entries, strict=True))
+        return csr_array((value, (row, column)), shape=(self.m, self.n))
+
+    def add(
+        self,
+        kind: str,
+        owner: Indices,
+        residual: Array,
+        noise: dict[str, Array],
+        blocks: list[Block],
+        step: Indices | None = None,
+    ) -> None:
+        """Add a group of rows with their sequences, residuals (n, d), covariances by source and blocks of Jacobians.
+
+        ``step`` is the step of the elimination of each member; default that of its sequence.
+        """
         count, size = residual.shape
         if count == 0:
             return
         W = whiten(total(noise))
-        J = np.zeros((count, size, self.n))
+        index = self.m + np.arange(count * size).reshape(count, size, 1)
         for name, number, jacobian in blocks:
             width = jacobian.shape[2]
             at = np.broadcast_to(np.asarray(number), count)
             members = np.flatnonzero(at >= 0)
-            columns = self.columns[name].start + width * at[members, None] + np.arange(width)
-            J[members[:, None, None], np.arange(size)[:, None], columns[:, None, :]] += (W @ jacobian)[members]
-        self.A.append(J.reshape(count * size, -1))
+            columns = self.columns[name].start + width * at[members, None, None] + np.arange(width)
+            value = np.broadcast_to(W @ jacobian, (count, size, width))[members]
+            row, column = np.broadcast_arrays(index[members], columns)
+            self.entries.append((row.ravel(), column.ravel(), value.ravel()))
         self.b.append(np.einsum("nij,nj->ni", W, residual).ravel())
         self.whitening[kind] = W
         shares = {s: W @ R @ np.swapaxes(W, 1, 2) for s, R in noise.items() if np.any(R)}
-        self.rows.append(RowGroup(kind, self.m, np.asarray(owner), shares, size))
+        if step is None:
+            step = np.where(np.asarray(owner) >= 0, self.joint.rank[owner], -1)
+        self.rows.append(RowGroup(kind, self.m, np.asarray(owner), step, shares, size))
         self.m += count * size
 
     def add_prior_of(self, name: str, number: int, value: Array, covariance: dict[str, Array], kind: str = "") -> None:
@@ -178,7 +210,7 @@ class _Builder:
                 ("errors", 0, -compensated.force_jacobian[:, :, :N_ERRORS]),
                 ("attitude", windows, by_attitude @ to_body),
                 ("gravity", 0, by_gravity[:, :, None]),
-                ("instability", 0, -compensated.instability.force),
+                *self.drift_blocks("accel", "force", -1.0),
             ],
         )
         residual, by_attitude, by_earth = model.angular_rate_residual(compensated.rate, A, joint.earth_rate(self.state))
@@ -195,7 +227,7 @@ class _Builder:
                 ("earth_rate", joint.window_frame, by_earth),
                 ("edge", self.edges[:, 0], per_rate),
                 ("edge", self.edges[:, 1], -per_rate),
-                ("instability", 0, -compensated.instability.rate),
+                *self.drift_blocks("gyro", "rate", -1.0),
             ],
         )
 
@@ -221,7 +253,7 @@ class _Builder:
                 ("earth_rate", joint.sequence_frame, by_earth),
                 ("edge", self.edges[data.start, 1], -by_rotation @ slope),
                 ("edge", self.edges[data.end, 0], by_rotation @ compensated.rotation @ slope),
-                ("instability", 0, by_rotation @ compensated.instability.rotation),
+                *self.drift_blocks("gyro", "turn", by_rotation),
             ],
         )
 
@@ -248,14 +280,38 @@ class _Builder:
             ],
         )
 
-    def add_instability(self) -> None:
-        """Unknowns of the bias instability by sensor: independent, with unit variance."""
-        is_gyro = self.compensated.instability.is_gyro
-        for sensor, numbers in (("gyro", np.flatnonzero(is_gyro)), ("accel", np.flatnonzero(~is_gyro))):
-            unit = np.broadcast_to(np.eye(3), (len(numbers), 3, 3))
-            zero, owner = np.zeros((len(numbers), 3)), np.full(len(numbers), -1, dtype=np.intp)
-            noise = {f"{sensor}_bias_instability": unit}
-            self.add(f"{sensor}_instability", owner, zero, noise, [("instability", numbers, unit)])
+    def drift_blocks(self, sensor: str, kind: str, by_drift: Array | float) -> list[Block]:
+        """Blocks of the drift of a sensor; ``by_drift`` is the derivative of the residual by the drift's effect."""
+        drift = self.compensated.drift.get(sensor)
+        if drift is None:
+            return []
+        effects = (f"{sensor}_drift", drift.by_state[kind]), (f"{sensor}_drift_noise", drift.by_noise[kind])
+        return [
+            (name, drift.steps[kind], by_drift * J if isinstance(by_drift, float) else by_drift @ J)
+            for name, J in effects
+        ]
+
+    def add_drift(self) -> None:
+        """States of the bias instability: their distribution at the start, white unknowns, and transitions."""
+        for sensor, drift in self.compensated.drift.items():
+            K, name = self.joint.data.K, f"{sensor}_drift"
+            groups: list[tuple[str, int, int, list[Block]]] = [
+                (f"{name}_start", 1, drift.states, [(name, 0, np.eye(drift.states)[None])]),
+                (f"{name}_noise", K, drift.unknowns, [(f"{name}_noise", np.arange(K), np.eye(drift.unknowns)[None])]),
+                (f"{name}_step", K - 1, drift.states, self._transition(sensor)),
+            ]
+            for kind, count, size, blocks in groups:
+                unit = np.broadcast_to(np.eye(size), (count, size, size))
+                zero, nobody = np.zeros((count, size)), np.full(count, -1)
+                noise = {f"{sensor}_bias_instability": unit}
+                self.add(kind, nobody, zero, noise, blocks, step=np.arange(count))
+
+    def _transition(self, sensor: str) -> list[Block]:
+        drift = self.compensated.drift[sensor]
+        now = np.arange(self.joint.data.K - 1)
+        name, ends = f"{sensor}_drift", [drift.states, drift.states + drift.unknowns]
+        by_state, by_noise, by_next = np.split(drift.transition, ends, axis=2)
+        return [(name, now, by_state), (f"{name}_noise", now, by_noise), (name, now + 1, by_next)]
 
     def add_alignment(self) -> None:
         """Priors of base and mounting."""
@@ -288,18 +344,22 @@ class _Builder:
         unit = np.broadcast_to(np.eye(3), (len(before), 3, 3))
         covariance = {"gyro_bias_instability": (joint.bias_walk_sigma() ** 2)[:, :, None] * np.eye(3)}
         owner, blocks = np.full(len(before), -1), [("bias", after, unit), ("bias", before, -unit)]
-        self.add("walk", owner, deviation[after] - deviation[before], covariance, list(blocks))
+        step = np.arange(len(before))
+        self.add("walk", owner, deviation[after] - deviation[before], covariance, list(blocks), step)
 
     def add_edges(self) -> None:
         """Unknowns of the quantization at window edges: independent, with unit variance."""
         data, count = self.joint.data, int(self.edges.max() + 1)
         unit = np.broadcast_to(np.eye(3), (count, 3, 3))
-        owner = np.empty(count, dtype=np.intp)
+        owner, step = np.empty((2, count), dtype=np.intp)
         if count:
-            owner[self.edges[data.end, 0]] = np.arange(data.K)
-            owner[self.edges[data.start, 1]] = np.arange(data.K)
+            # Rotation and window share an edge; its prior belongs to the earlier of the two.
+            first = self.joint.rank[self.joint.window_sequence]
+            for windows, side in ((data.end, 0), (data.start, 1)):
+                owner[self.edges[windows, side]] = np.arange(data.K)
+                step[self.edges[windows, side]] = np.minimum(self.joint.rank, first[windows])
         zero = np.zeros((count, 3))
-        self.add("edge", owner, zero, {"gyro_quantization": unit}, [("edge", np.arange(count), unit)])
+        self.add("edge", owner, zero, {"gyro_quantization": unit}, [("edge", np.arange(count), unit)], step)
 
     def add_prior(self, prior: Prior) -> None:
         """Add the prior of the sensor errors; the prior of the gyro bias applies to its mean over the sequences."""

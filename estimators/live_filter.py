@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import compare_with_targets
-from estimators.dense_solution import solve
+from estimators.block_solution import BlockSolution
 from estimators.iteration import default_prior, iterate
 from estimators.joint_model import JointModel
 from estimators.kalman_filter import KalmanSolver
@@ -193,8 +193,7 @@ def _rank(solution: tuple[JointModel, KalmanSolver, IterationState]) -> tuple[bo
     joint, solver, iteration = solution
     if iteration.system is None or iteration.status == "outside_model":
         return True, math.inf
-    system = with_prior(joint, solver, iteration)
-    residual = system.b + system.A @ solve(system).delta
+    residual = BlockSolution(with_prior(joint, solver, iteration)).residual
     return iteration.status != "converged", float(residual @ residual)
 
 

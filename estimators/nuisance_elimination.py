@@ -1,8 +1,10 @@
 """Measurements of each sequence for a filter, after elimination of the nuisance parameters.
 
-An orthogonal transformation (QR) of the rows of a sequence concentrates its nuisance parameters, attitudes and edge
-errors, in the first rows. The other rows are white measurements of the filter's state. Where the next sequence starts
-from the end attitude, the rows of this attitude become the transition of the filter's attitude states.
+An orthogonal transformation (QR) of the rows of a sequence concentrates its nuisance parameters, such as attitudes,
+edge errors and the white part of the drift, in the first rows. The other rows are white measurements of the filter's
+state.
+What the next sequence needs, the states of the drift and an attitude or edge error that both share, is handed on: the
+rows of these columns become the transition of the filter's states.
 """
 
 from __future__ import annotations
@@ -12,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from estimators.elimination_steps import elimination_steps, global_columns
+
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
     from estimators.linear_system import LinearSystem
     from srt.types import Array, Indices, Mask
 
@@ -22,101 +25,120 @@ if TYPE_CHECKING:
 class SequenceEquations:
     """Whitened equations of one sequence, with noise of unit covariance.
 
+    The columns p are those handed on by the previous sequence, p' those handed on by this one. A column in both keeps
+    its value.
+
     Attributes
     ----------
     sequence : int
     H : ndarray, shape (m, n)
-        Measurements of the global columns g and the previous end attitude p: ``0 = b + H g + H_pose p + noise``.
-    H_pose : ndarray, shape (m, 3)
-        Zero if the sequence does not start from the previous end attitude.
+        Measurements of the global columns g and of p: ``0 = b + H g + H_handed p + noise``.
+    H_handed : ndarray, shape (m, p)
     b : ndarray, shape (m,)
-    pose : tuple of ndarray, or None
-        R (p, p), G (p, n), G_pose (p, 3), c (p) of the end attitude p' that the next sequence starts from:
-        ``0 = c + R p' + G g + G_pose p + noise``; None if the next sequence does not start from it.
-    pose_columns : ndarray of int, shape (p,)
-        Columns of the end attitude in the system.
-    pose_active : ndarray of bool, shape (3,)
-        Directions of the end attitude that are estimated.
+    transition : tuple of ndarray
+        R (q, q), G (q, n), P (q, p), c (q) of the new columns among p': ``0 = c + R p' + G g + P p + noise``.
+    before, after : ndarray of int, shape (p,) and (p',)
+        Columns p and p' in the system.
+    is_new : ndarray of bool, shape (p',)
+        True: a column of p' that is not among p.
     local : tuple of ndarray
-        Columns of the nuisance parameters y (l), R (l, l), S (l, p), G (l, n), G_pose (l, 3), c (l):
-        ``0 = c + R y + S p' + G g + G_pose p + noise``.
+        Columns of the nuisance parameters y (l), R (l, l), S (l, q), G (l, n), P (l, p), c (l):
+        ``0 = c + R y + S p' + G g + P p + noise``.
     """
 
     sequence: int
     H: Array
-    H_pose: Array
+    H_handed: Array
     b: Array
-    pose: tuple[Array, Array, Array, Array] | None
-    pose_columns: Indices
-    pose_active: Mask
+    transition: tuple[Array, Array, Array, Array]
+    before: Indices
+    after: Indices
+    is_new: Mask
     local: tuple[Indices, Array, Array, Array, Array, Array]
 
-    def nuisances(self, g: Array, pose: Array) -> tuple[Array, Array]:
-        """Nuisance parameters (l) and end attitude (3) for given global columns and previous end attitude."""
-        _, R, S, G, G_pose, c = self.local
-        new: Array = np.zeros(len(self.pose_columns))
-        if self.pose is not None:
-            R_new, G_new, P_new, c_new = self.pose
-            new = -np.asarray(np.linalg.solve(R_new, G_new @ g + P_new @ pose + c_new), dtype=np.float64)
-        handed_on = np.zeros(3)
-        handed_on[self.pose_active] = new
-        own: Array = -np.asarray(np.linalg.solve(R, S @ new + G @ g + G_pose @ pose + c), dtype=np.float64)
-        return own, handed_on
+    def advance(self) -> tuple[Array, Array, Array, Array]:
+        """Columns p' from g and p: matrices (p', n) and (p', p), constant (p',), and root of their noise (p', q)."""
+        R, G, P, c = self.transition
+        new = self.is_new
+        inverse = np.linalg.inv(R)
+        by_g, by_p = np.zeros((len(new), G.shape[1])), np.zeros((len(new), P.shape[1]))
+        constant, noise = np.zeros(len(new)), np.zeros((len(new), len(R)))
+        by_g[new], by_p[new], constant[new], noise[new] = -inverse @ G, -inverse @ P, -inverse @ c, inverse
+        by_p[np.flatnonzero(~new), np.searchsorted(self.before, self.after[~new])] = 1.0
+        return by_g, by_p, constant, noise
+
+    def nuisances(self, g: Array, p: Array, handed_on: Array) -> Array:
+        """Nuisance parameters (l) for given global columns, columns handed in, and columns handed on."""
+        _, R, S, G, P, c = self.local
+        new = handed_on[self.is_new]
+        return -np.asarray(np.linalg.solve(R, S @ new + G @ g + P @ p + c), dtype=np.float64)
 
 
-def global_columns(system: LinearSystem) -> Indices:
-    """Estimated columns shared by all sequences, in the order of the filter's state; one gyro bias represents all.
+def smoothed(parts: list[SequenceEquations], g: Array) -> list[Array]:
+    """Columns handed on by every sequence, from the measurements of all sequences, for given global columns."""
+    solved: list[tuple[Array, Indices, Indices]] = []
+    carry = np.zeros((0, 1))
+    for part in parts[:-1]:
+        p = len(part.before)
+        R, G, P, c = part.transition
+        # Columns that end here, columns of both p and p', new columns, and the constant.
+        old = np.searchsorted(part.before, part.after[~part.is_new])
+        order = np.concatenate([np.setdiff1d(np.arange(p), old), old])
+        known = np.concatenate([carry, np.column_stack([part.H_handed, part.H @ g + part.b])])
+        step = np.column_stack([P[:, order], R, G @ g + c])
+        rows = np.zeros((len(known) + len(step), p + len(R) + 1))
+        rows[: len(known), :p], rows[: len(known), -1] = known[:, order], known[:, -1]
+        rows[len(known) :] = step
+        T, n = np.asarray(np.linalg.qr(rows, mode="r")), p - len(old)
+        place = np.concatenate([np.flatnonzero(~part.is_new), np.flatnonzero(part.is_new)])
+        solved.append((T[:n], order, place))
+        carry = np.zeros((max(len(T) - n, 0), len(part.after) + 1))
+        carry[:, place], carry[:, -1] = T[n:, n:-1], T[n:, -1]
+    last = parts[-1]
+    rows = np.concatenate([carry, np.column_stack([last.H_handed, last.H @ g + last.b])])
+    value: Array = np.zeros(0)
+    if len(last.before):
+        value = -np.asarray(np.linalg.lstsq(rows[:, :-1], rows[:, -1])[0], dtype=np.float64)
+    out: list[Array] = [np.zeros(0)]
+    for part, (top, order, place) in zip(reversed(parts[:-1]), reversed(solved), strict=True):
+        out.insert(0, value)
+        n, before = len(top), np.empty(len(part.before))
+        before[order[n:]] = value[~part.is_new]
+        before[order[:n]] = -np.linalg.solve(top[:, :n], top[:, n:-1] @ value[place] + top[:, -1])
+        value = before
+    return out
 
-    The columns of the bias instability are the last, ordered by the first sequence that depends on each.
-    """
-    names = ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "instability")
-    kept = [system.of(name)[:3] if name == "bias" else system.of(name) for name in names]
-    columns = np.concatenate(kept)
-    return columns[system.active[columns]]
 
-
-def eliminate_nuisances(joint: JointModel, system: LinearSystem) -> list[SequenceEquations]:
+def eliminate_nuisances(system: LinearSystem) -> list[SequenceEquations]:
     """Equations of all sequences in time order."""
-    shared = global_columns(system)
-    bias = system.columns["bias"]
-    data = joint.data
-    rows_of: list[list[Indices]] = [[] for _ in range(data.K)]
-    edges = next((r.index for r in system.rows if r.kind == "edge"), np.empty((0, 3), dtype=np.intp))
-    for rows in system.rows:
-        if rows.kind == "edge":
-            continue
-        for member, owner in zip(rows.index, rows.owner.tolist(), strict=True):
-            if owner >= 0:
-                rows_of[owner].append(member)
-    attitude = system.of("attitude").reshape(-1, 3)
-    later = {int(data.start[k]): i for i, k in enumerate(joint.order.tolist())}
     out = []
-    carried = -1
-    for i, k in enumerate(joint.order.tolist()):
-        at = np.concatenate(rows_of[k])
-        # Each sequence adds the priors of its edge errors; an edge shared with the next rotation is independent there.
-        used = system.A[np.ix_(at, system.of("edge"))].any(axis=0).reshape(-1, 3).any(axis=1)
-        at = np.concatenate([at, edges[used].ravel()])
-        A, b = system.A[at], system.b[at]
-        end = int(data.end[k])
-        onward = end if later.get(end, -1) > i else -1
-        own = np.flatnonzero(A.any(axis=0) & system.active)
-        own = own[own >= system.columns["attitude"].start]
-        handed_in = attitude[carried] if carried >= 0 else np.empty(0, dtype=np.intp)
-        handed_on = attitude[onward][system.active[attitude[onward]]] if onward >= 0 else np.empty(0, dtype=np.intp)
-        local = own[~np.isin(own, np.concatenate([handed_in, handed_on]))]
-        mine = shared.copy()
-        if bias.stop - bias.start > 3:
-            of_bias = (shared >= bias.start) & (shared < bias.stop)
-            mine[of_bias] += 3 * k
-        G = A[:, mine]
-        P = A[:, handed_in] if carried >= 0 else np.zeros((len(at), 3))
-        Q, R = np.linalg.qr(A[:, np.concatenate([local, handed_on])], mode="complete")
-        G, P, c = Q.T @ G, Q.T @ P, Q.T @ b
-        n, p = len(local), len(handed_on)
-        pose = (R[n : n + p, n:], G[n : n + p], P[n : n + p], c[n : n + p]) if p else None
-        active = np.isin(attitude[onward], handed_on) if onward >= 0 else np.zeros(3, dtype=np.bool_)
-        own_rows = (local, R[:n, :n], R[:n, n:], G[:n], P[:n], c[:n])
-        out.append(SequenceEquations(k, G[n + p :], P[n + p :], c[n + p :], pose, handed_on, active, own_rows))
-        carried = onward
+    before = np.empty(0, dtype=np.intp)
+    is_before = np.zeros(len(system.active), dtype=np.bool_)
+    for step in elimination_steps(system, global_columns(system), own_bias=True)[0]:
+        own = np.concatenate([step.local, step.onward])
+        is_before[:] = False
+        is_before[before] = True
+        is_old = is_before[own]
+        is_new = ~is_old
+        n, q = int(is_new[: len(step.local)].sum()), int(is_new[len(step.local) :].sum())
+        A, G = step.A[:, : len(own)], step.A[:, len(own) :]
+        P = np.zeros((len(A), len(before)))
+        P[:, np.searchsorted(before, own[is_old])] = A[:, is_old]
+        Q, R = np.linalg.qr(A[:, is_new], mode="complete")
+        G, P, c = Q.T @ G, Q.T @ P, Q.T @ step.b
+        middle, rest = slice(n, n + q), slice(n + q, None)
+        out.append(
+            SequenceEquations(
+                sequence=step.sequence,
+                H=G[rest],
+                H_handed=P[rest],
+                b=c[rest],
+                transition=(R[middle, n:], G[middle], P[middle], c[middle]),
+                before=before,
+                after=step.onward,
+                is_new=is_new[len(step.local) :],
+                local=(own[is_new][:n], R[:n, :n], R[:n, n:], G[:n], P[:n], c[:n]),
+            )
+        )
+        before = step.onward
     return out

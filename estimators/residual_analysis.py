@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.sparse.linalg import splu
 from scipy.special import chdtrc
 
 from srt.estimation.leave_one_out import (
@@ -23,7 +24,7 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Sequence as SequenceOf
 
-    from estimators.dense_solution import DenseSolution
+    from estimators.block_solution import BlockSolution
     from estimators.joint_model import JointModel
     from estimators.linear_system import LinearSystem
     from srt.types import Indices
@@ -38,14 +39,13 @@ _NO_RESIDUAL: Final = 1e-6
 """Smallest sigma of a residual relative to that of its measurement; below it, the residual is a rounding error."""
 
 
-def residuals(joint: JointModel, system: LinearSystem, solution: DenseSolution) -> tuple[Residual, ...]:
+def residuals(joint: JointModel, solution: BlockSolution) -> tuple[Residual, ...]:
     """Residuals of force, rate and rotation in units of the measurement's sigma, each with its expected sigma."""
     data = joint.data
-    residual = system.b + system.A @ solution.delta
-    leverage = np.einsum("ij,ij->i", system.A @ solution.root, system.A @ solution.root)
+    residual, leverage = solution.residual, solution.leverage
     out = []
     for kind in _KINDS:
-        rows = system.rows_of(kind)
+        rows = solution.system.rows_of(kind)
         for member, index in enumerate(rows.index):
             k = int(rows.owner[member])
             name = kind if kind == "turn" else f"{_role(joint, k, member)}_{kind}"
@@ -63,30 +63,28 @@ def _role(joint: JointModel, k: int, window: int) -> str:
     return "end" if window == joint.data.end[k] else "lone"
 
 
-def contradictions(joint: JointModel, system: LinearSystem, solution: DenseSolution) -> list[ConsistencyTest]:
+def contradictions(joint: JointModel, solution: BlockSolution) -> list[ConsistencyTest]:
     """Chi-square of each sequence as predicted from all others, in time order."""
-    residual = system.b + system.A @ solution.delta
-    root = system.A @ solution.root
-    reported = system.parameter_map() @ solution.root
-    sigma = np.linalg.norm(reported, axis=1)
-    reported = reported / np.where(sigma > 0.0, sigma, 1.0)[:, None]
-    owned, out = _owned(system), []
-    for k in joint.order.tolist():
+    residual = solution.residual
+    sigma = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
+    reported = solution.rows_with_parameters / np.where(sigma > 0.0, sigma, 1.0)
+    owned, out = _owned(solution.system), []
+    for step, k in enumerate(joint.order.tolist()):
         at = owned[k]
-        v, H = residual[at], root[at]
+        v, H = residual[at], solution.predicted_root(step, at)
         # Directions that only this sequence determines, such as its own attitudes, have no residual.
         values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T)
         seen = values > LEAST_PREDICTED_SHARE
         statistic = float(np.sum((vectors[:, seen].T @ v) ** 2 / values[seen]))
         # The other sequences cannot check the reported parameters that depend on these directions.
-        alone, effect, _ = np.linalg.svd(reported @ (H.T @ vectors[:, ~seen]), full_matrices=False)
+        alone, effect, _ = np.linalg.svd(reported[at].T @ vectors[:, ~seen], full_matrices=False)
         unchecked = alone[:, effect > _SMALLEST_LEVERAGE]
         out.append(ConsistencyTest(statistic, int(seen.sum()), unchecked.shape[1], participating(unchecked)))
     return out
 
 
 def deletion_table(
-    joint: JointModel, system: LinearSystem, solution: DenseSolution, against: SequenceOf[ConsistencyTest] | None = None
+    joint: JointModel, solution: BlockSolution, against: SequenceOf[ConsistencyTest] | None = None
 ) -> list[dict[str, Any]]:
     """Results of :func:`contradictions` as JSON values.
 
@@ -104,31 +102,27 @@ def deletion_table(
             "degrees_of_freedom": row.degrees_of_freedom,
             "probability": float(chdtrc(row.degrees_of_freedom, row.chi_square)) if row.degrees_of_freedom else 1.0,
         }
-        for k, row in zip(joint.order.tolist(), against or contradictions(joint, system, solution), strict=True)
+        for k, row in zip(joint.order.tolist(), against or contradictions(joint, solution), strict=True)
     ]
 
 
-def leave_one_out_estimates(
-    joint: JointModel, system: LinearSystem, solution: DenseSolution
-) -> list[LeaveOneOutEstimate]:
+def leave_one_out_estimates(joint: JointModel, solution: BlockSolution) -> list[LeaveOneOutEstimate]:
     """Estimates with each sequence omitted, in time order; windows shared with other sequences are kept."""
-    residual = system.b + system.A @ solution.delta
-    root = system.A @ solution.root
-    reported = system.parameter_map() @ solution.root
+    system, residual = solution.system, solution.residual
     free = np.flatnonzero(system.free)
-    sigma = np.linalg.norm(reported[free], axis=1)
-    unit = reported[free] / sigma[:, None]
+    sigma = np.sqrt(np.diag(solution.covariance)[free])
+    unit = solution.rows_with_parameters[:, free] / sigma
     back = np.zeros((N_PARAMETERS, len(free)))
     back[free, np.arange(len(free))] = 1.0 / sigma
-    full = np.linalg.inv(unit @ unit.T)
+    full = np.linalg.inv(solution.covariance[np.ix_(free, free)] / np.outer(sigma, sigma))
     shared, out = _shared_rows(joint, system), []
     owned = _owned(system)
-    for k in joint.order.tolist():
+    for step, k in enumerate(joint.order.tolist()):
         at = np.setdiff1d(owned[k], shared)
-        H = root[at]
-        effect = full @ (unit @ H.T)
+        H = solution.predicted_root(step, at)
+        effect = full @ unit[at].T
         # Woodbury identity in information form: without the sequence the covariance may not exist.
-        values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T + H @ unit.T @ effect)
+        values, vectors = np.linalg.eigh(np.eye(len(at)) - H @ H.T + unit[at] @ effect)
         there = values > _INDEPENDENT
         seen = effect @ vectors[:, there] / np.sqrt(values[there])
         rest = full - seen @ seen.T
@@ -139,12 +133,12 @@ def leave_one_out_estimates(
 
 
 def sequence_diagnostics(
-    joint: JointModel, system: LinearSystem, solution: DenseSolution, against: SequenceOf[ConsistencyTest]
+    joint: JointModel, solution: BlockSolution, against: SequenceOf[ConsistencyTest]
 ) -> tuple[SequenceDiagnostics, ...]:
     """Consistency and leave-one-out estimate by sequence, in time order; empty if the covariance is singular."""
     data = joint.data
     try:
-        estimates = leave_one_out_estimates(joint, system, solution)
+        estimates = leave_one_out_estimates(joint, solution)
     except np.linalg.LinAlgError:
         return ()
     return tuple(
@@ -192,9 +186,17 @@ def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, fl
     tuple of float
         rad, m/s², rad/s.
     """
-    m = len(system.b)
-    parts = []
+    # The states of the bias instability are part of the known covariance, not unknowns.
+    drift = np.concatenate([np.arange(c.start, c.stop) for n, c in system.columns.items() if "_drift" in n])
+    priors = [rows.index.ravel() for rows in system.rows if "_drift" in rows.kind]
+    kept = np.setdiff1d(np.arange(len(system.b)), np.concatenate([drift[:0], *priors]))
+    m = len(kept)
     known = np.eye(m)
+    if len(drift):
+        root = splu(system.A[np.concatenate(priors)][:, drift].tocsc()).solve(np.eye(len(drift)))
+        effect = system.A[kept][:, drift] @ root
+        known += effect @ effect.T
+    parts = []
     for kind, present, source in (
         ("turn", joint.unmodelled_sigma[0], "turn_excess"),
         ("force", joint.unmodelled_sigma[1], "pose_excess"),
@@ -204,10 +206,13 @@ def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, fl
         W = system.whitening[kind]
         unit = W @ np.swapaxes(W, 1, 2)
         part = np.zeros((m, m))
-        for index, block in zip(rows.index, unit, strict=True):
+        for index, block in zip(np.searchsorted(kept, rows.index), unit, strict=True):
             part[np.ix_(index, index)] = block
         if source in rows.sources:
             known = known - present**2 * part
         parts.append(part)
-    rotation, force, rate = np.sqrt(restricted_likelihood(system.b, system.A[:, system.active], known, tuple(parts)))
+    others = system.active.copy()
+    others[drift] = False
+    H = system.A[kept][:, np.flatnonzero(others)].toarray()
+    rotation, force, rate = np.sqrt(restricted_likelihood(system.b[kept], H, known, tuple(parts)))
     return float(rotation), float(force), float(rate)

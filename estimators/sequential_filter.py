@@ -20,12 +20,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.dense_solution import solve
+from estimators.block_solution import BlockSolution
+from estimators.elimination_steps import global_columns
 from estimators.iteration import apply_correction
-from estimators.kalman_filter import FilterRun, filter_diagnostics, prior_root
+from estimators.kalman_filter import FilterRun, filter_diagnostics, hand_on, padded, prior_root
 from estimators.linear_system import attitude_columns
 from estimators.linearisation import linearise
-from estimators.nuisance_elimination import eliminate_nuisances, global_columns
+from estimators.nuisance_elimination import eliminate_nuisances
 from estimators.solution_analysis import FixedParameters, make_calibration, with_prior
 from estimators.solver import IterationState, JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
@@ -158,28 +159,36 @@ class SequentialFilter(JointSolver):
         total: Array | float = 0.0
         for _ in range(_ITERATIONS[self.form]):
             system = linearise(joint, state, joint.compensate(state), self.free)
-            part = eliminate_nuisances(joint, system)[number]
+            part = eliminate_nuisances(system)[number]
             columns = global_columns(system)
-            n = int(np.sum(columns < system.columns["instability"].start))
+            n, handed = len(columns), max(len(part.before), len(part.after))
             if previous is None:
-                root, mean = np.eye(len(columns)), np.zeros(len(columns))
-                root[:n, :n], mean[:n] = prior_root(system, state, self.prior, columns[:n])
+                root, mean = np.zeros((n + handed, n + handed)), np.zeros(n + handed)
+                root[:n, :n], mean[:n] = prior_root(system, state, self.prior, columns)
             else:
                 root, mean = previous.root, previous.x.copy()
                 mean[:n] -= total  # predicted state relative to the present linearisation point
             ekf = SquareRootFilter(mean, root)
-            ekf.correct(-part.b, part.H)
+            ekf.correct(-part.b, padded(np.concatenate([part.H, part.H_handed], axis=1), len(mean)))
             delta = np.zeros(system.A.shape[1])
-            delta[columns], delta[part.local[0]] = ekf.x, part.nuisances(ekf.x, np.zeros(3))[0]
+            delta[columns] = ekf.x[:n]
+            # The attitudes are those expected before the drift of the next sequence is known.
+            handed_in = ekf.x[n : n + len(part.before)]
+            by_g, by_p, constant, _ = part.advance()
+            handed_on = by_g @ ekf.x[:n] + by_p @ handed_in + constant
+            delta[part.local[0]] = part.nuisances(ekf.x[:n], handed_in, handed_on)
             state = apply_correction(state, system, delta)
             require_valid(state)
             total = total + ekf.x[:n]
             if np.all(np.abs(ekf.x[:n]) <= _SETTLED_SIGMAS * np.linalg.norm(ekf.root[:n], axis=1)):
                 break
+        E = padded(system.parameter_map()[:, columns], len(ekf.x))
+        covariance, innovations = ekf.project(E), ekf.whitened
+        if len(part.after):
+            hand_on(ekf, part, np.eye(n), handed)
         x = ekf.x.copy()
         x[:n] = 0.0
-        E = system.parameter_map()[:, columns]
-        return SequenceUpdate(state, x, ekf.root, E[:, :n] @ total, ekf.project(E), ekf.whitened)
+        return SequenceUpdate(state, x, ekf.root, E[:, :n] @ total, covariance, innovations)
 
     def _compare_with_optimum(self, joint: JointModel, iteration: IterationState) -> None:
         """Set the status by the distance of the estimate from the optimum of all measurements and the prior."""
@@ -187,13 +196,13 @@ class SequentialFilter(JointSolver):
         for _ in range(_ATTITUDE_PASSES):
             iteration.linearisation_point, iteration.compensated = state, compensated
             iteration.system = linearise(joint, state, compensated, self.free)
-            solution = solve(with_prior(joint, self, iteration))
+            solution = BlockSolution(with_prior(joint, self, iteration))
             kept = np.where(attitude_columns(iteration.system), solution.delta, 0.0)
             state = apply_correction(state, iteration.system, kept)
         assert iteration.system is not None
         assert iteration.covariance is not None
         E = iteration.system.parameter_map()
-        sigma = np.maximum(np.linalg.norm(E @ solution.root, axis=1), np.finfo(float).tiny)
+        sigma = np.sqrt(np.maximum(np.diag(solution.covariance), np.finfo(float).tiny))
         distance = np.where(self.free, np.abs(E @ solution.delta) / sigma, 0.0)
         worst = int(np.argmax(distance))
         ratio = (np.sqrt(np.diag(iteration.covariance)) / sigma)[self.free]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimators.dense_solution import apply_weights, covariance_by_source, solve
+from estimators.block_solution import BlockSolution, apply_weights, covariance_by_source
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import (
@@ -24,7 +24,6 @@ from srt.estimation.solver_result import SolverResult
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
-    from estimators.dense_solution import DenseSolution
     from estimators.joint_model import JointModel
     from estimators.linear_system import LinearSystem
     from estimators.solver import IterationState, JointSolver
@@ -139,16 +138,16 @@ def analyse_solution(
         return SolutionAnalysis({"none": nothing}, nothing)
     system = with_prior(joint, solver, iteration)
     try:
-        solution = solve(system)
+        solution = BlockSolution(system)
     except np.linalg.LinAlgError:
         return SolutionAnalysis({"none": nothing}, iteration.covariance)
-    against = contradictions(joint, system, solution)
-    table = tuple(deletion_table(joint, system, solution, against))
+    against = contradictions(joint, solution)
+    table = tuple(deletion_table(joint, solution, against))
     if solver.weights():
         system = apply_weights(system, solver.weights())
-        solution = solve(system)
-    covariance = covariance_by_source(system, solution)
-    covariance["held_values"] = _fixed_values(system, solution, uncertain, iteration.free)
+        solution = BlockSolution(system)
+    covariance = covariance_by_source(solution)
+    covariance["held_values"] = _fixed_values(solution, uncertain, iteration.free)
     total = iteration.covariance + covariance["held_values"]
     # With "per-sequence" the scatter is no property of the unit; an instability as specified is in the solution.
     if joint.data.noise.gyro_flicker is None and joint.options.gyro_bias != "per-sequence":
@@ -157,13 +156,15 @@ def analyse_solution(
         # The bias of this test is one sample of the bias of the unit, which is reported.
         part[at, at] += joint.bias_scatter**2
         total[at, at] += joint.bias_scatter**2
-    residual = system.b + system.A @ solution.delta
-    root = system.A @ solution.root
+    residual = solution.residual
     measured = np.ones(len(residual), dtype=np.bool_)
+    prior_leverage = 0.0
     if solver.prior is not None:  # a prior takes a non-integer number of degrees of freedom
-        measured[system.rows_of("prior").index.ravel()] = False
+        prior = system.rows_of("prior").index.ravel()
+        measured[prior] = False
+        prior_leverage = float(np.sum(solution.rows_with_parameters[prior] * system.whitening["prior"][0]))
     chi_square = float(residual[measured] @ residual[measured])
-    freedom = round(float(measured.sum()) - float(np.sum(root[measured] ** 2)))
+    freedom = round(float(measured.sum()) - float(system.active.sum()) + prior_leverage)
     force = system.rows_of("force").index
     raw = np.linalg.solve(system.whitening["force"], residual[force][..., None])
     gross = chi_square > GROSS_RATIO * max(freedom, 1) and float(np.sqrt(np.mean(raw**2))) > (
@@ -172,13 +173,13 @@ def analyse_solution(
     return SolutionAnalysis(
         covariance,
         total,
-        residuals=residuals(joint, system, solution),
+        residuals=residuals(joint, solution),
         table=table,
         chi_square=chi_square,
         degrees_of_freedom=freedom,
         gross_misfit=gross,
-        sequences=sequence_diagnostics(joint, system, solution, against),
-        instability=joint.instability_by_sequence(system.compensated, solution.delta[system.columns["instability"]]),
+        sequences=sequence_diagnostics(joint, solution, against),
+        instability=joint.instability_by_sequence(system, solution.delta),
     )
 
 
@@ -192,12 +193,13 @@ def with_prior(joint: JointModel, solver: JointSolver, iteration: IterationState
     return linearise(joint, iteration.linearisation_point, iteration.compensated, iteration.free, solver.prior)
 
 
-def _fixed_values(system: LinearSystem, solution: DenseSolution, uncertain: Array, free: Mask) -> Array:
+def _fixed_values(solution: BlockSolution, uncertain: Array, free: Mask) -> Array:
     """Covariance of the estimated parameters due to errors of the fixed values with sigma ``uncertain``."""
+    system = solution.system
     E = system.parameter_map()
     effect = system.A @ E.T * np.where(free, 0.0, uncertain)
     bias = system.columns["bias"]
     # The map averages the biases, but a fixed bias has the same error in every sequence.
     effect[:, N_ERRORS:] *= (bias.stop - bias.start) // 3
-    root = (E @ solution.root) @ (solution.root.T @ (system.A.T @ effect))
+    root = solution.rows_with_parameters.T @ effect
     return np.asarray(root @ root.T)

@@ -1,7 +1,8 @@
 """Unscented filter (filterpy) over the sequences of a recording, for comparison with the extended filters.
 
 The measurement function of a sequence compensates its data with a sigma point and returns the whitened residuals
-without the directions of the nuisance parameters. The bias instability enters linearly. Sigma points are those of
+without the directions of the nuisance parameters. The bias instability enters linearly: its states and its white
+unknowns of the present sequence are states of the filter. Sigma points are those of
 van der Merwe with α = 1e-3, β = 2, κ = 0, in units in which the prior is white. filterpy's filter is unchanged; loss
 of positive definiteness is reported.
 
@@ -15,17 +16,18 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
+from estimators.elimination_steps import global_columns
 from estimators.iteration import apply_correction
 from estimators.joint_model import JointModel
 from estimators.kalman_filter import prior_root
 from estimators.linearisation import linearise
-from estimators.nuisance_elimination import global_columns
 from estimators.sequential_filter import SequenceUpdate, SequentialFilter, require_valid
 from srt.sequences.preparation import prepare_checked
 
 if TYPE_CHECKING:
+    from estimators.drift_states import DriftStates
     from estimators.joint_state import JointState
     from estimators.linear_system import LinearSystem
     from srt.model.prior import Prior
@@ -65,23 +67,25 @@ class UnscentedFilter(SequentialFilter):
         if previous is None:
             self.origin = state
             self.root = prior_root(model.system, state, self.prior, model.columns)[0]
-            n = len(model.columns) + model.by_instability.shape[1]
-            points = MerweScaledSigmaPoints(n, ALPHA, BETA, KAPPA)
-            self.filter = UnscentedKalmanFilter(n, 1, 1.0, None, lambda x, _: x, points)
-            self.filter.Q = np.zeros((n, n))
+            size = len(model.columns) + model.by_drift.shape[1]
+            points = MerweScaledSigmaPoints(size, ALPHA, BETA, KAPPA)
+            self.filter = UnscentedKalmanFilter(size, 1, 1.0, None, None, points)
+            self.F, self.filter.Q = np.eye(size), np.zeros((size, size))
         assert self.filter is not None
         ukf, L, n = self.filter, self.root, len(model.columns)
+        transition = self.F
+        ukf.fx = lambda x, _: transition @ x
         before = ukf.x.copy()
-        known: dict[bytes, Array] = {}  # most sigma points differ only in the bias instability
+        known: dict[bytes, Array] = {}  # most sigma points differ only in the drift
 
         def measurement(x: Array) -> Array:
             key = x[:n].tobytes()
             if key not in known:
                 known[key] = model.residual(model.at(self.origin, L @ x[:n]))
-            return np.asarray(known[key] + model.by_instability @ x[n:])
+            return np.asarray(known[key] + model.by_drift @ x[n:])
 
         ukf.predict()
-        m = len(model.by_instability)
+        m = len(model.by_drift)
         ukf.update(np.zeros(m), R=np.eye(m), hx=measurement)
         E = model.system.parameter_map()[:, model.columns] @ L
         covariance = E @ ukf.P[:n, :n] @ E.T
@@ -89,6 +93,8 @@ class UnscentedFilter(SequentialFilter):
             raise np.linalg.LinAlgError("the covariance of the unscented filter lost positive definiteness")
         innovations = solve_triangular(np.linalg.cholesky(ukf.S), ukf.y, lower=True)
         updated = model.at(self.origin, L @ ukf.x[:n])
+        F, Q = model.next_drift
+        self.F, ukf.Q = block_diag(np.eye(n), F), block_diag(np.zeros((n, n)), Q)
         found = replace(updated, bias_deviation=state.bias_deviation, attitude=None)
         return SequenceUpdate(found, ukf.x, L, E @ (ukf.x - before)[:n], covariance, innovations)
 
@@ -114,19 +120,22 @@ class SequenceModel:
         self.joint, self.free = JointModel(data, joint.options, (state.errors, state.U)), free
         self.joint.U_prior = joint.U_prior
         self.system = self._linearise(replace(state, bias_deviation=np.zeros((1, 3)), attitude=None))
-        shared = global_columns(self.system)
-        self.columns = shared[shared < self.system.columns["instability"].start]
+        self.columns = global_columns(self.system)
         self.rows = np.concatenate([rows.index.ravel() for rows in self.system.rows if np.all(rows.owner >= 0)])
         self.basis = self._complement(self.system)
-        # The bias instability is correlated between sequences: its states come from the model of the whole recording.
+        # The drift is correlated between sequences: its states come from the model of the whole recording.
         whole = linearise(joint, *joint.placed(replace(state, attitude=None)), free)
         windows = [int(joint.data.start[k]), int(joint.data.end[k])]
         rows = [whole.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")]
         rows.append(whole.rows_of("turn").index[k])
-        # The rows of starts and edges, which follow, do not depend on the bias instability.
+        # The rows of starts and edges, which follow, do not depend on the drift.
         affected = slice(0, sum(len(r) for r in rows))
-        effect = whole.A[np.concatenate(rows)][:, whole.columns["instability"]]
-        self.by_instability = self.basis[affected].T @ effect
+        step, drift = int(joint.rank[k]), whole.compensated.drift
+        names = [f"{sensor}_drift" for sensor in drift] + [f"{sensor}_drift_noise" for sensor in drift]
+        columns = [whole.of(name).reshape(joint.data.K, -1)[step] for name in names]
+        at = np.concatenate([*columns, np.empty(0, dtype=np.intp)])
+        self.by_drift = self.basis[affected].T @ whole.A[np.concatenate(rows)][:, at].toarray()
+        self.next_drift = _next_drift(list(drift.values()), min(step, joint.data.K - 2))
 
     def at(self, origin: JointState, delta: Array) -> JointState:
         """State at a correction of the filter's columns from ``origin``, without attitudes.
@@ -155,8 +164,27 @@ class SequenceModel:
 
     def _complement(self, system: LinearSystem) -> Array:
         """Orthonormal basis of the residuals that nuisance parameters do not affect, shape (rows, m)."""
-        A = system.A[self.rows]
-        nuisance = np.flatnonzero(A.any(axis=0) & system.active)
-        nuisance = nuisance[nuisance >= system.columns["attitude"].start]
+        A = system.A[self.rows].toarray()
+        nuisance = np.concatenate([system.of("attitude"), system.of("edge")])
+        nuisance = nuisance[A[:, nuisance].any(axis=0) & system.active[nuisance]]
         Q: Array = np.linalg.qr(A[:, nuisance], mode="complete")[0]
         return Q[:, len(nuisance) :]
+
+
+def _next_drift(drifts: list[DriftStates], step: int) -> tuple[Array, Array]:
+    """Matrix from states and white unknowns of the drift to those of the next sequence, and their new covariance.
+
+    The states of all sensors come first, then their unknowns, which are new in every sequence.
+    """
+    X, U = sum(d.states for d in drifts), sum(d.unknowns for d in drifts)
+    F, Q = np.zeros((X + U, X + U)), np.zeros((X + U, X + U))
+    Q[X:, X:] = np.eye(U)
+    x, u = 0, X
+    for drift in drifts if step >= 0 else []:
+        n, m = drift.states, drift.unknowns
+        by_state, by_noise, by_next = np.split(drift.transition[step], [n, n + m], axis=1)
+        inverse = np.linalg.inv(by_next)
+        F[x : x + n, x : x + n], F[x : x + n, u : u + m] = -inverse @ by_state, -inverse @ by_noise
+        Q[x : x + n, x : x + n] = inverse @ inverse.T
+        x, u = x + n, u + m
+    return F, Q

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 CORRELATION_TIMES_S: Final = tuple(10.0**decade for decade in range(-1, 5))
 """Correlation times of all processes, s."""
+PROCESS_VARIANCE: Final = math.log(10.0) / (2.0 * math.log(2.0))
+"""Variance of one process for an Allan floor of one."""
 _SLOWEST_S: Final = 1000.0
 """Slowest correlation time that is used in any test, s."""
 _ROUNDING: Final = 1e-12
@@ -47,33 +49,34 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
 
     Parameters
     ----------
-    start, end : ndarray, shape (n,), s
+    start, end : ndarray, shape (..., n), s
         Start and end of the averages, which may overlap.
     times_s : sequence of float, s
         Correlation times of the processes, a decade apart.
 
     Returns
     -------
-    ndarray, shape (n, n)
+    ndarray, shape (..., n, n)
     """
     # An interval without length is a value at its time; rounding must not make adjoining intervals overlap.
     T = np.maximum(end - start, _NO_TIME_S)
-    gap = np.maximum(start[:, None] - end, start - end[:, None])
-    i, j = np.nonzero(gap < -_NO_TIME_S)
-    out = np.zeros((len(T), len(T)))
+    gap = np.maximum(start[..., :, None] - end[..., None, :], start[..., None, :] - end[..., :, None])
+    overlap = np.nonzero(gap < -_NO_TIME_S)
+    i, j = (*overlap[:-2], overlap[-2]), (*overlap[:-2], overlap[-1])
+    out = np.zeros(gap.shape)
     for tau in times_s:
         x = T / tau
         mean = -np.expm1(-x) / x
-        part = np.exp(-np.maximum(gap, 0.0) / tau) * np.outer(mean, mean)
+        part = np.exp(-np.maximum(gap, 0.0) / tau) * (mean[..., :, None] * mean[..., None, :])
         # Overlapping intervals: the second integral of the correlation at the four differences of their ends.
-        part[i, j] = (
+        part[overlap] = (
             _twice_integrated(end[i] - start[j], tau)
             - _twice_integrated(start[i] - start[j], tau)
             - _twice_integrated(end[i] - end[j], tau)
             + _twice_integrated(start[i] - end[j], tau)
         ) / (T[i] * T[j])
         out += part
-    out *= math.log(10.0) / (2.0 * math.log(2.0))
+    out *= PROCESS_VARIANCE
     return out
 
 
@@ -136,15 +139,20 @@ def window_draws(windows: Indices, time_s: Array) -> Array:
 
 def _root(spans: Indices, time_s: Array) -> tuple[Array, Array]:
     """Lower triangular root of the covariance of the means over sample spans (n, 2), and the lengths of these, s."""
-    # A sample represents the interval before its time; a part without samples has no length.
-    length = float(np.median(np.diff(time_s)))
-    end = time_s[np.minimum(spans[:, 1], len(time_s)) - 1]
-    start = np.minimum(time_s[spans[:, 0]] - length, end)
+    start, end = interval_times(spans, time_s)
     covariance = flicker_covariance(start, end, correlation_times(float(end.max() - start.min())))
     root: Array = np.asarray(
         np.linalg.cholesky(covariance + _ROUNDING * np.diag(np.diag(covariance))), dtype=np.float64
     )
     return root, end - start
+
+
+def interval_times(spans: Indices, time_s: Array) -> tuple[Array, Array]:
+    """Start and end, s, of sample spans (n, 2)."""
+    # A sample represents the interval before its time; a part without samples has no length.
+    length = float(np.median(np.diff(time_s)))
+    end = time_s[np.minimum(spans[:, 1], len(time_s)) - 1]
+    return np.minimum(time_s[np.minimum(spans[:, 0], len(time_s) - 1)] - length, end), end
 
 
 def shares_within(spacing_s: float) -> Array:
@@ -163,7 +171,7 @@ def common_variance(shares: Array, test_s: float) -> float:
     """
     times = correlation_times(test_s)
     own = [2.0 * float(_twice_integrated(np.array(test_s), tau)) / test_s**2 for tau in times]
-    return float(shares[: len(times)] @ np.array(own)) * math.log(10.0) / (2.0 * math.log(2.0))
+    return float(shares[: len(times)] @ np.array(own)) * PROCESS_VARIANCE
 
 
 def adjoining_covariance(lengths_s: Array, shares: Array) -> Array:
@@ -192,5 +200,5 @@ def adjoining_covariance(lengths_s: Array, shares: Array) -> Array:
         own = 2.0 * _twice_integrated(lengths_s, tau) / lengths_s**2
         part[:, np.arange(m), np.arange(m)] = own
         out += share * part
-    out *= math.log(10.0) / (2.0 * math.log(2.0))
+    out *= PROCESS_VARIANCE
     return out

@@ -11,7 +11,8 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")
-from estimators.dense_solution import solve
+from dense_solution import solve
+
 from estimators.iteration import iterate
 from estimators.linearisation import linearise
 from estimators.solver import IterationState, JointSolver, LinearSolution

@@ -1,0 +1,190 @@
+"""Least-squares solution of the linearised system, sequence by sequence, and covariances from it.
+
+A QR decomposition of the rows of a step (:mod:`estimators.elimination_steps`) and of what earlier steps left
+
+    ``R v + S s + c = noise``
+
+eliminates its local columns v; s are the columns handed on and those of the whole recording. What remains goes to the
+next step. Marginal covariances follow backwards in time as square roots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.sparse import diags_array
+
+from estimators.elimination_steps import elimination_steps, global_columns
+
+if TYPE_CHECKING:
+    from estimators.elimination_steps import EliminationStep
+    from estimators.linear_system import LinearSystem
+    from srt.types import Array, Indices
+
+
+_SINGULAR: Final = 1e-13
+"""Diagonal element of R, as a share of the norm of its column, below which columns are linearly dependent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Conditional:
+    """Columns eliminated in one step: ``R v + S s + c`` is white noise of unit variance."""
+
+    columns: Indices
+    given: Indices
+    R: Array
+    S: Array
+    c: Array
+
+
+class BlockSolution:
+    """Least-squares solution of all columns together.
+
+    Parameters
+    ----------
+    system : LinearSystem
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the active columns are linearly dependent.
+
+    Attributes
+    ----------
+    delta : ndarray, shape (n,)
+        Correction; zero for columns that are not active.
+    """
+
+    def __init__(self, system: LinearSystem) -> None:
+        self.system = system
+        shared = global_columns(system)
+        if system.columns["bias"].stop - system.columns["bias"].start > 3:  # a bias walk is handed on
+            shared = shared[~np.isin(shared, system.of("bias"))]
+        self.steps, self._conditionals, rest = eliminate(system, shared)
+        if len(rest) < len(shared):
+            raise np.linalg.LinAlgError("a column without any measurement")
+        R, n = np.asarray(np.linalg.qr(rest, mode="r")), len(shared)
+        self._conditionals.append(_Conditional(shared, shared[:0], R[:n, :n], np.zeros((n, 0)), R[:n, -1]))
+        norm = np.sqrt(np.asarray(system.A.multiply(system.A).sum(axis=0)).ravel())
+        for part in self._conditionals:
+            if np.any(np.abs(np.diag(part.R)) <= _SINGULAR * norm[part.columns]):
+                raise np.linalg.LinAlgError("dependent columns, or a column without any measurement")
+        self.delta = np.zeros(len(system.active))
+        for part in reversed(self._conditionals):
+            self.delta[part.columns] = -solve_triangular(part.R, part.S @ self.delta[part.given] + part.c)
+
+    @property
+    def residual(self) -> Array:
+        """Whitened residuals at the solution, shape (m,)."""
+        return np.asarray(self.system.b + self.system.A @ self.delta)
+
+    @cached_property
+    def with_parameters(self) -> Array:
+        """Covariance of all columns with the reported parameters, shape (n, 27)."""
+        out = np.asarray(self.system.parameter_map().T)
+        out[~self.system.active] = 0.0
+        for part in self._conditionals:
+            out[part.columns] = solve_triangular(part.R, out[part.columns], trans="T")
+            out[part.given] -= part.S.T @ out[part.columns]
+        for part in reversed(self._conditionals):
+            out[part.columns] = solve_triangular(part.R, out[part.columns] - part.S @ out[part.given])
+        return out
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the reported parameters, shape (27, 27)."""
+        found = self.system.parameter_map() @ self.with_parameters
+        return np.asarray(0.5 * (found + found.T))
+
+    @cached_property
+    def rows_with_parameters(self) -> Array:
+        """Covariance of the predicted rows A δ with the reported parameters, shape (m, 27)."""
+        return np.asarray(self.system.A @ self.with_parameters)
+
+    @cached_property
+    def _roots(self) -> list[tuple[Indices, Array]]:
+        """Columns that each step involves, and a square root of their covariance."""
+        last = self._conditionals[-1]
+        columns, root = last.columns, solve_triangular(last.R, np.eye(len(last.columns)))
+        out = []
+        for part in reversed(self._conditionals[:-1]):
+            at = np.searchsorted(columns, part.given)
+            # The square root of the given columns, made square again.
+            given = np.asarray(np.linalg.qr(root[at].T, mode="r")).T
+            inverse = solve_triangular(part.R, np.eye(len(part.columns)))
+            n, r = len(part.columns), given.shape[1]
+            root = np.zeros((n + len(given), n + r))
+            root[:n, :n], root[:n, n:], root[n:, n:] = inverse, -inverse @ (part.S @ given), given
+            columns = np.concatenate([part.columns, part.given])
+            order = np.argsort(columns)
+            columns, root = columns[order], root[order]
+            out.append((columns, root))
+        return out[::-1]
+
+    def predicted_root(self, step: int, rows: Indices) -> Array:
+        """Square root H of the covariance H Hᵀ of the predicted rows A δ of one step."""
+        columns, root = self._roots[step]
+        return np.asarray(self.system.A[rows][:, columns] @ root)
+
+    @cached_property
+    def leverage(self) -> Array:
+        """Variance of the predicted rows A δ of all sequences, shape (m,); zero for rows that belong to no step."""
+        out = np.zeros(len(self.system.b))
+        for i, step in enumerate(self.steps):
+            H = self.predicted_root(i, step.rows)
+            out[step.rows] = np.einsum("ij,ij->i", H, H)
+        return out
+
+
+def eliminate(system: LinearSystem, shared: Indices) -> tuple[list[EliminationStep], list[_Conditional], Array]:
+    """Steps, conditionals of the local columns of each, and rows that remain of the shared columns and of b."""
+    out: list[_Conditional] = []
+    carry, handed = np.empty((0, len(shared) + 1)), np.empty(0, dtype=np.intp)
+    steps, rows = elimination_steps(system, shared)
+    place = np.empty(len(system.active), dtype=np.intp)
+    for step in steps:
+        columns = np.concatenate([step.local, step.onward, shared])
+        place[columns] = np.arange(len(columns))
+        old = np.zeros((len(carry), len(columns) + 1))
+        old[:, np.append(place[np.concatenate([handed, shared])], len(columns))] = carry
+        R = np.asarray(np.linalg.qr(np.concatenate([np.column_stack([step.A, step.b]), old]), mode="r"))
+        n = len(step.local)
+        if len(R) < n:
+            raise np.linalg.LinAlgError("dependent columns")
+        out.append(_Conditional(step.local, columns[n:], R[:n, :n], R[:n, n:-1], R[:n, -1]))
+        carry, handed = R[n:, n:], step.onward
+    rest = np.column_stack([system.A[rows][:, shared].toarray(), system.b[rows]])
+    return steps, out, np.concatenate([rest, carry])
+
+
+def covariance_by_source(solution: BlockSolution) -> dict[str, Array]:
+    """Covariance of the reported parameters by source of error, shape (27, 27) each."""
+    out: dict[str, Array] = {}
+    for rows in solution.system.rows:
+        G = solution.rows_with_parameters[rows.index]
+        for source, share in rows.sources.items():
+            out[source] = out.get(source, 0.0) + np.einsum("rdp,rde,req->pq", G, share, G, optimize=True)
+    return out
+
+
+def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -> LinearSystem:
+    """Scale rows by the square roots of their weights.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    weights : dict of (str, int) to float
+        Weights by kind and number: "window" (force and rate), "turn", and "start" by window, in the order of the rows.
+    """
+    factor = np.ones(len(system.b))
+    for group in {kind for kind, _ in weights}:
+        numbers = [n for kind, n in weights if kind == group]
+        root = np.sqrt([weights[group, n] for n in numbers])[:, None]
+        for kind in ("force", "rate") if group == "window" else (group,):
+            rows = system.rows_of(kind).index
+            factor[rows if group == "start" else rows[numbers]] = root
+    return replace(system, A=(diags_array(factor) @ system.A).tocsr(), b=system.b * factor)

@@ -1,0 +1,160 @@
+"""Bias instability (flicker noise), as specified, in the joint model: Markov states from sequence to sequence.
+
+The windows and rotations of a recording are a chain of steps in time, one for each sequence. In every step the drift
+has states x at the start and white unknowns u of unit variance. Its effects on the measurements of the step are
+``y = A x + L u``, and the states at the start of the next step are ``x⁺ = Φ x + B u + Γ w``, see
+:mod:`srt.noise.markov_drift`. The number of states does not depend on the number of sequences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srt.model.analytic_platform import equal_parts
+from srt.noise.bias_instability import correlation_times, interval_times
+from srt.noise.markov_drift import MarkovSteps, markov_steps, regular_root
+
+if TYPE_CHECKING:
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftChain:
+    """Steps of the drift of one channel with an Allan floor of one, and the place of every interval in them.
+
+    Attributes
+    ----------
+    window_step, rotation_step : ndarray of int, shape (W,) and (K,)
+        Step of each window and of each rotation.
+    window_slot : ndarray of int, shape (W,)
+        Place of each window among the n windows of its step.
+    slots : int
+        Largest number of windows of a step, n.
+    markov : MarkovSteps
+        Steps of the means over the n windows, then over the P parts of the rotation.
+    """
+
+    window_step: Indices
+    rotation_step: Indices
+    window_slot: Indices
+    slots: int
+    markov: MarkovSteps
+
+
+def drift_chain(data: PreparedRecording, window_step: Indices, rotation_step: Indices, parts: int) -> DriftChain:
+    """Chain of steps of a recording.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    window_step, rotation_step : ndarray of int, shape (W,) and (K,)
+        Rank in time of the sequence of each window and of each rotation.
+    parts : int
+        Number of parts of every rotation; none for the accelerometers, whose drift acts in the windows.
+    """
+    K, W = data.K, len(window_step)
+    edges = equal_parts(data.rotation, parts) if parts else np.empty((K, 1), dtype=np.intp)
+    spans = np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)
+    start, end = interval_times(np.concatenate([data.windows.samples, spans]), data.recording.time)
+    times = correlation_times(float(end.max() - start.min()))
+    # Slots of a step: its windows, then the parts of its rotation. An empty slot repeats the first window.
+    slots = int(np.bincount(window_step, minlength=K).max())
+    slot = np.zeros(W, dtype=np.intp)
+    interval = np.empty((K, slots + parts), dtype=np.intp)
+    for k in range(K):
+        i, own = int(rotation_step[k]), np.flatnonzero(window_step == rotation_step[k])
+        slot[own] = np.arange(len(own))
+        interval[i, :slots] = np.resize(own if own.size else [int(data.end[k])], slots)
+        interval[i, : len(own)] = own
+        interval[i, slots:] = W + parts * k + np.arange(parts)
+    # A step that begins before the one before it has ended keeps the state of that end.
+    latest = np.concatenate([[-np.inf], np.maximum.accumulate(end[interval].max(axis=1))])
+    begins = np.maximum(start[interval].min(axis=1), latest[:-1])
+    ends = np.append(begins[1:], latest[-1])
+    steps = markov_steps(start[interval], end[interval], (begins, ends), times)
+    return DriftChain(window_step, rotation_step, slot, slots, steps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftStates:
+    """Drift of one triad: effects on the measurements, and transitions, in K steps.
+
+    Attributes
+    ----------
+    steps : dict of str to ndarray of int, shape (n,)
+        Step of every member by kind of measurement: "rate" and "turn" (gyros), or "force" (accelerometers).
+    by_state, by_noise : dict of str to ndarray, shape (n, 3, X) and (n, 3, U)
+        Effects of the X states and of the U white unknowns of the step on compensated means (rad/s, m/s²) and on
+        attitude errors of rotations (rad).
+    transition : ndarray, shape (K − 1, X, X + U + X)
+        Γ⁻¹ [−Φ, −B, I] of every step but the last: coefficients of x, u and x⁺ in the white noise w.
+    """
+
+    steps: dict[str, Indices]
+    by_state: dict[str, Array]
+    by_noise: dict[str, Array]
+    transition: Array
+
+    @property
+    def states(self) -> int:
+        """Number of states of a step, X."""
+        return int(next(iter(self.by_state.values())).shape[2])
+
+    @property
+    def unknowns(self) -> int:
+        """Number of white unknowns of a step, U."""
+        return int(next(iter(self.by_noise.values())).shape[2])
+
+    def effect(self, kind: str, x: Array, u: Array) -> Array:
+        """Effect on the measurements of a kind, shape (n, 3), of states (K, X) and unknowns (K, U)."""
+        at = self.steps[kind]
+        return np.asarray(
+            np.einsum("nax,nx->na", self.by_state[kind], x[at]) + np.einsum("nau,nu->na", self.by_noise[kind], u[at])
+        )
+
+
+def drift_states(chain: DriftChain, floor: Array, window: tuple[str, Array], parts: Array | None = None) -> DriftStates:
+    """Drift of a triad.
+
+    Parameters
+    ----------
+    chain : DriftChain
+    floor : ndarray, shape (3,)
+        Bias instability (Allan floor) of the channels, rad/s or m/s².
+    window : (str, ndarray of shape (W, 3, 3))
+        Kind of the means of the windows, and their derivatives with respect to biases of the raw channels.
+    parts : ndarray, shape (K, P, 3, 3), optional
+        Attitude error of each rotation by the biases in its parts, s.
+    """
+    markov = chain.markov
+    K, n, M = markov.by_state.shape
+    kind, slope = window
+    rows = chain.slots + (parts is not None)
+    # Effects (rows of three) on the measurements of a step by the biases of the channels in its intervals.
+    G = np.zeros((K, rows, 3, n, 3))
+    G[chain.window_step, chain.window_slot, :, chain.window_slot] = slope * floor
+    if parts is not None:
+        G[chain.rotation_step, -1, :, chain.slots :] = np.swapaxes(parts * floor, 1, 2)
+    effects = G.reshape(K, 3 * rows, n, 3)
+    X, U = 3 * M, 3 * rows
+    by_state = np.einsum("kdnb,knm->kdmb", effects, markov.by_state).reshape(K, U, X)
+    noise = np.einsum("kdnb,knr->kdbr", effects, markov.root[:, :n]).reshape(K, U, -1)
+    final = np.einsum("kmr,bc->kmbcr", markov.root[:, n:], np.eye(3)).reshape(K, X, -1)
+    joint = np.concatenate([noise, final], axis=1)
+    root = regular_root(joint @ np.swapaxes(joint, 1, 2))
+    L, B, Gamma = root[:, :U, :U], root[:-1, U:, :U], root[:-1, U:, U:]
+    decay = np.repeat(markov.decay[:-1], 3, axis=1)
+    phi = decay[:, :, None] * np.eye(X)
+    unit = np.broadcast_to(np.eye(X), phi.shape)
+    transition = np.linalg.solve(Gamma, np.concatenate([-phi, -B, unit], axis=2))
+    at = chain.window_step, chain.window_slot
+    split_state, split_noise = (a.reshape(K, rows, 3, -1) for a in (by_state, L))
+    steps, states, noises = {kind: chain.window_step}, {kind: split_state[at]}, {kind: split_noise[at]}
+    if parts is not None:
+        steps["turn"] = chain.rotation_step
+        states["turn"], noises["turn"] = (a[chain.rotation_step, -1] for a in (split_state, split_noise))
+    return DriftStates(steps, states, noises, transition)
