@@ -1,6 +1,6 @@
-"""Analytic platform: attitude from gyro samples, and the integrals that the measurement model needs.
+"""Analytic platform ([P] eq. 2): attitude from gyro samples, and the integrals that the measurement model needs.
 
-The platform solves ``dĈ/dt = Ĉ (ω̂×) − (ω̂e×) Ĉ`` with Ĉ = I at the start ([P] eq. 2; [P]: Savage 2020). As ω̂e is
+The platform solves ``dĈ/dt = Ĉ (ω̂×) − (ω̂e×) Ĉ`` with Ĉ = I at the start ([P]: Savage 2020). As ω̂e is
 constant in B_Strt, the solution is ``Ĉ(t) = exp(−ω̂e× t) Ĉ_I(t)`` with Ĉ_I the attitude relative to inertial space. The
 Earth's rotation is exact. The inertial attitude is a product of rotation vectors, one per sampling interval, each with
 its coning correction:

@@ -1,6 +1,6 @@
-"""Measurement model: SRT measurements as linear functions of the sensor errors, for any rotations and any vertical.
+"""Measurement model ([P] eqs. 3-5): SRT measurements as linear functions of the sensor errors, for any rotations.
 
-For every sequence ([P] eqs. 3-5; ``u`` down, ``f = -g u`` the specific force at rest; [P]: Savage 2020)::
+For every sequence and any vertical (``u`` down, ``f = -g u`` the specific force at rest; [P]: Savage 2020)::
 
     φ         = ∫ F Ĉ (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias) dt
     Δa_H      = horizontal part of  [ φ × â + C_End δf_End − δf_Strt ]          (φ × (−g u) = g u × φ)

@@ -58,9 +58,11 @@ def moved_windows(
     -------
     ndarray of bool, shape (W,)
     """
-    moved = _fails(data, gyro, accel, rest_rate, wander, probability, np.ones((2, len(rest_rate), 3)))
+    stated = np.ones((2, len(rest_rate), 3))
+    moved = _fails(data, gyro, accel, rest_rate, wander, probability=probability, ratio=stated)
     if moved.any():
-        moved &= _fails(data, gyro, accel, rest_rate, wander, probability, _own_noise(data, moved))
+        own = _own_noise(data, moved)
+        moved &= _fails(data, gyro, accel, rest_rate, wander, probability=probability, ratio=own)
     return moved
 
 
@@ -70,6 +72,7 @@ def _fails(
     accel: Triad,
     rest_rate: Array,
     wander: Array,
+    *,
     probability: float,
     ratio: Array,
 ) -> Mask:
