@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from srt.cli.messages import figure_title, say, show, warn
@@ -82,9 +83,11 @@ def run_fleet(
                 unwritten[unit.name] = error
             progress(unit)
 
-        fleet = calibrate_fleet(paths, estimator, options=options, engine=processes, force=force, finished=finished)
+        fleet = calibrate_fleet(
+            paths, estimator, options=options, engine=processes, force=force, finished=finished, details=False
+        )
     if output is not None:
-        atomic_write_text(output / "fleet.csv", fleet.to_csv())
+        fleet.save_csv(output / "fleet.csv")
         document = json.dumps(fleet.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
         atomic_write_text(output / "fleet.json", document + "\n")
     if not quiet:
@@ -130,10 +133,12 @@ def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:
     partial = [unit.name for unit in fleet.units if unit.status == "partial"]
     if partial:
         warn(f"some parameters are held, not observed, in {len(partial)} of {len(fleet.units)}: {', '.join(partial)}.")
-    serials = [unit.serial for unit in fleet.units if unit.serial is not None and unit.sound]
-    for serial in dict.fromkeys(s for s in serials if serials.count(s) > 1):
+    serials = Counter(unit.serial for unit in fleet.units if unit.serial is not None and unit.sound)
+    for serial, count in serials.items():
+        if count == 1:
+            continue
         warn(
-            f"{serials.count(serial)} recordings have the serial {serial}, and each counts as a unit of the fleet: "
+            f"{count} recordings have the serial {serial}, and each counts as a unit of the fleet: "
             "--merge makes one calibration of them."
         )
     for number, unit in enumerate(fleet.units):

@@ -80,7 +80,8 @@ def unit_names(paths: Sequence[Path]) -> tuple[str, ...]:
         A recording that is named twice, or two whose results would have one name.
     """
     folders = [recording_folder(path).resolve() for path in paths]
-    twice = next((path for n, path in enumerate(paths) if folders[n] in folders[:n]), None)
+    first = {folder: n for n, folder in reversed(list(enumerate(folders)))}
+    twice = next((path for n, path in enumerate(paths) if first[folders[n]] < n), None)
     if twice is not None:
         raise InputError(f"The recording {twice} is named twice, and one unit must not count twice.")
     for depth in range(1, max(len(folder.parts) for folder in folders) + 1):

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import numpy as np
 
 from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, find_outliers
 from srt.exceptions import DataError, InputError, SrtError
+from srt.recording.atomic_file import atomic_path
 from srt.sensor_errors import N_PARAMETERS, NAMES, SYMBOLS, UNITS
 
 if TYPE_CHECKING:
@@ -139,10 +141,18 @@ class Fleet:
     def to_csv(self) -> str:
         """Long table as CSV; unknown values are empty cells."""
         text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        self._write_rows(text)
+        return text.getvalue()
+
+    def save_csv(self, path: str | PathLike[str]) -> None:
+        """Write the long table as CSV row by row, completely or not at all. Raises InputError if it cannot be."""
+        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+            self._write_rows(file)
+
+    def _write_rows(self, file: TextIO) -> None:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(self.rows())
-        return text.getvalue()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form: units, parameters and the long table, without NaN."""
@@ -198,6 +208,7 @@ def calibrate_fleet(
     engine: Engine | None = None,
     force: bool = False,
     finished: Callable[[FleetUnit], None] | None = None,
+    details: bool = True,
 ) -> Fleet:
     """Calibrate many units and test each against all others.
 
@@ -214,6 +225,9 @@ def calibrate_fleet(
         Calibrate in spite of faults.
     finished : callable, optional
         Called with every finished unit, in no particular order. An exception of the function ends the run.
+    details : bool
+        Keep every calibration as a whole. Without, its residuals, diagnostics and sources of sigma are dropped after
+        ``finished``: a large fleet then needs a tenth of the memory.
 
     Returns
     -------
@@ -230,21 +244,35 @@ def calibrate_fleet(
     from srt.estimation.options import Options as _Options
 
     if not isinstance(recordings, Mapping):
-        paths = [str(path) for path in recordings]
-        twice = next((path for n, path in enumerate(paths) if path in paths[:n]), None)
-        if twice is not None:
-            raise InputError(f"The recording {twice} is named twice, and one unit must not count twice.")
-        recordings = dict(zip(paths, paths, strict=True))
+        paths = Counter(map(str, recordings))
+        if len(paths) < len(recordings):
+            raise InputError(
+                f"The recording {paths.most_common(1)[0][0]} is named twice, and one unit must not count twice."
+            )
+        recordings = {path: path for path in paths}
     chosen = _Options() if options is None else options
     tasks = [
         UnitTask(n, name, str(path), estimator, chosen, force) for n, (name, path) in enumerate(recordings.items())
     ]
     done: dict[int, FleetUnit] = {}
     for number, unit in _run(tasks, engine):
-        done[number] = unit
         if finished is not None:
             finished(unit)
+        done[number] = unit if details else _without_details(unit)
     return assemble_fleet([done[n] for n in range(len(tasks))])
+
+
+def _without_details(unit: FleetUnit) -> FleetUnit:
+    """Unit with what the tables of a fleet show of its calibration."""
+    if unit.calibration is None:
+        return unit
+    verdict = {key: value for key, value in unit.calibration.verdict.items() if not isinstance(value, list | dict)}
+    kept = replace(
+        unit.calibration,
+        corrections=(), contributions={}, residuals=(), site={}, noise={}, alignment={}, temperature=None,
+        provenance={}, diagnostics={}, verdict=verdict,
+    )  # fmt: skip
+    return replace(unit, calibration=kept)
 
 
 def assemble_fleet(units: Sequence[FleetUnit]) -> Fleet:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -37,9 +37,11 @@ from srt.exceptions import InputError
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
-    from srt.types import Array, Mask
+    from srt.types import Array, Counts, Mask
 
 
 FALSE_ALARMS: Final = 0.01
@@ -57,6 +59,8 @@ _LIMITS: Final = (
 
 _SCATTER_FROM: Final = 3
 """Smallest number of units for which a scatter is defined."""
+_FEW_UNITS: Final = 200
+"""Number of units up to which all pairs are listed, about where both ways take the same time."""
 _CHUNK: Final = 2_000_000
 """Numbers in one work array, 16 MB."""
 
@@ -130,12 +134,12 @@ def find_outliers(values: ArrayLike, sigmas: ArrayLike) -> FleetOutliers:
         for part in (columns[k : k + step] for k in range(0, len(columns) if len(rows) else 0, step)):
             at = np.ix_(rows, part)
             least = sigma[at].min(axis=0)
-            median[part], scatter[part] = middle_and_scatter(y[at].T)
+            median[part], scatter[part] = _of_columns(middle_and_scatter, _of_large_fleet, y[at])
             scatter[part] = np.maximum(scatter[part], least)
             if len(rows) < MINIMUM_UNITS:
                 continue
             limit[part] = critical_value(len(rows))
-            m, S = (found.T for found in _without_each(y[at].T))
+            m, S = _of_columns(_without_each, _without_each_of_many, y[at])
             S = np.maximum(S, least)
             z = (y[at] - m) / np.sqrt(S**2 * _with_median(len(rows)) + sigma[at] ** 2 - least**2)
             for whole, found in zip(others, (m, S, z), strict=True):
@@ -254,3 +258,98 @@ def _without_each(y: Array) -> tuple[Array, Array]:
     halves = (np.take_along_axis(y, order[:, k + (np.arange(n) <= k)], axis=1) for k in ((n - 2) // 2, (n - 1) // 2))
     np.put_along_axis(middle, order, 0.5 * sum(halves), axis=1)
     return middle, scatter
+
+
+# Large fleets: the same numbers to the last bit, without a list of all pairs
+
+
+def _of_columns(
+    listed: Callable[[Array], tuple[Array, Array]], counted: Callable[[Array], tuple[Any, Any]], y: Array
+) -> tuple[Array, Array]:
+    """Results for the columns of a table by a list of all pairs, and in large fleets by counting them."""
+    if len(y) <= _FEW_UNITS:
+        first, second = listed(y.T)
+    else:
+        first, second = (np.array(found) for found in zip(*map(counted, y.T), strict=True))
+    return first.T, second.T
+
+
+def _of_large_fleet(y: Array) -> tuple[float, float]:
+    """Median and scatter of one fleet, as :func:`middle_and_scatter`."""
+    rank, quantile = _good_pairs(len(y))
+    return float(np.median(y)), _kth_difference(np.sort(y), rank) / (math.sqrt(2.0) * quantile)
+
+
+def _pairs_within(y: Array, size: float) -> Counts:
+    """Number of later values that differ from each value by at most ``size``, for sorted values of shape (n,).
+
+    A rounded difference grows with the later value, so the count is a position in the sorted values. The sum with the
+    size finds it but for the rounding of the sum, which the two loops undo.
+    """
+    end = np.searchsorted(y, y + size, side="right")
+    while np.any(more := (end < len(y)) & (y[np.minimum(end, len(y) - 1)] - y <= size)):
+        end += more
+    while np.any(less := y[end - 1] - y > size):
+        end -= less
+    return np.asarray(end - np.arange(1, len(y) + 1))
+
+
+def _kth_difference(y: Array, rank: int) -> float:
+    """Difference of the given rank, from 0, among all pairs of sorted values, by bisection over all floats.
+
+    Positive floats have the order of their bits as integers, so at most 64 counts of order n log n find it exactly.
+    """
+    low, high = -1, int(np.float64(y[-1] - y[0]).view(np.int64))
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _pairs_within(y, float(np.int64(middle).view(np.float64))).sum() > rank:
+            high = middle
+        else:
+            low = middle
+    return float(np.int64(high).view(np.float64))
+
+
+def _without_each_of_many(values: Array) -> tuple[Array, Array]:
+    """Median and scatter of all but each of n values, shape (n,), in time n log n and memory n.
+
+    Without a unit, the difference of a rank moves up by the number of the unit's own pairs before it, at most n − 1.
+    So it is the one of that rank among all pairs, or lies between it and the one n − 1 ranks above, which leaves at
+    most n − 2 pairs to sort.
+    """
+    n = len(values)
+    order = np.argsort(values)
+    y = values[order]
+    rank, quantile = _good_pairs(n - 1)
+    low, high = _kth_difference(y, rank), _kth_difference(y, rank + n - 1)
+    within = _pairs_within(y, low)
+    after = np.arange(n) + 1
+    as_later = np.cumsum(np.bincount(after, minlength=n + 1) - np.bincount(after + within, minlength=n + 1))[:n]
+    # Pairs with a difference between the two, sorted by it.
+    first = after + within
+    count = np.maximum(_pairs_within(y, float(np.nextafter(high, 0.0))) - within, 0)
+    i, j = np.repeat(np.arange(n), count), _spans(first, count)
+    size = y[j] - y[i]
+    by_size = np.argsort(size, kind="stable")
+    # Number of these pairs, of all units, that must come before: the k-th pair of the unit itself (from 0) at place p
+    # counts if p − k of others before it do not suffice.
+    missing = rank + 1 - (within.sum() - within - as_later)
+    unit = np.concatenate([i[by_size], j[by_size]])
+    place = np.tile(np.arange(len(size)), 2)
+    sort = np.lexsort((place, unit))
+    unit, place = unit[sort], place[sort]
+    earlier = np.arange(len(unit)) - np.searchsorted(unit, unit)
+    skipped = np.bincount(unit[place - earlier < missing[unit]], minlength=n)
+    ladder = np.concatenate([[low], size[by_size], [high]])
+    found = ladder[np.clip(np.where(missing > 0, missing + skipped, 0), 0, len(ladder) - 1)]
+    scatter, middle = np.empty(n), np.empty(n)
+    scatter[order] = found / (math.sqrt(2.0) * quantile)
+    # The same holds for the median: without a unit, the values after it move up by one.
+    halves = (y[k + (np.arange(n) <= k)] for k in ((n - 2) // 2, (n - 1) // 2))
+    middle[order] = 0.5 * sum(halves)
+    return middle, scatter
+
+
+def _spans(start: Counts, length: Counts) -> Counts:
+    """Concatenated ranges of the given starts and lengths."""
+    before = np.cumsum(length) - length
+    return np.asarray(np.repeat(start - before, length) + np.arange(length.sum()))

@@ -264,3 +264,24 @@ def test_an_empty_fleet_has_a_document():
     document = calibrate_fleet([]).to_dict()
     assert document["units"] == document["rows"] == []
     assert [row["name"] for row in document["parameters"]] == list(NAMES)
+
+
+@pytest.mark.parametrize("kind", ["normal", "rounded", "ties", "outliers"])
+def test_large_fleets_get_the_numbers_of_the_list_of_all_pairs(kind, monkeypatch):
+    """Counting pairs instead of listing them gives the same result to the last bit, ties included."""
+    rng = np.random.default_rng(20261122)
+    for units in (6, 7, 8, 13, 40, 100):
+        y = rng.standard_normal((units, 4)) * 10.0 ** rng.integers(-9, 6)
+        if kind == "rounded":
+            y = np.round(y / np.abs(y).max(), 1)
+        elif kind == "ties":
+            y = rng.integers(0, 3, y.shape).astype(float)
+        elif kind == "outliers":
+            y[rng.integers(units)] *= 1e6
+        sigma = np.abs(rng.standard_normal(y.shape)) + 1e-3
+        listed = find_outliers(y, sigma)
+        with monkeypatch.context() as patch:
+            patch.setattr("srt.comparison.outliers._FEW_UNITS", 0)
+            counted = find_outliers(y, sigma)
+        for name in ("median", "scatter", "limit", "others_median", "others_scatter", "z"):
+            np.testing.assert_array_equal(getattr(listed, name), getattr(counted, name), err_msg=f"{name}, {units}")
