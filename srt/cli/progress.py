@@ -12,10 +12,23 @@ from srt.cli.messages import printable, progress_line
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from rich.console import Console
+
     from srt.comparison.fleet import FleetUnit as Unit
 
 _LINE_EVERY_S: Final = 30.0
 """Time between lines of progress where there is no terminal, s."""
+
+
+def _console() -> Console | None:
+    """Console of the terminal on standard error; None if there is no terminal, or no rich."""
+    if not sys.stderr.isatty():
+        return None
+    try:
+        from rich.console import Console
+    except ModuleNotFoundError:
+        return None
+    return Console(stderr=True, highlight=False)
 
 
 @contextmanager
@@ -27,16 +40,13 @@ def status_line(first: str) -> Iterator[Callable[[str], None] | None]:
     first : str
         Text before the first call.
     """
-    if not sys.stderr.isatty():
+    console = _console()
+    if console is None:
         yield None
         return
-    try:
-        from rich.console import Console
-        from rich.text import Text
-    except ModuleNotFoundError:
-        yield None
-        return
-    with Console(stderr=True, highlight=False).status(Text(printable(first))) as status:
+    from rich.text import Text
+
+    with console.status(Text(printable(first))) as status:
         yield lambda text: status.update(Text(printable(text)))
 
 
@@ -61,19 +71,16 @@ def iteration_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, flo
 @contextmanager
 def bar(label: str, total: int | None = None) -> Iterator[Callable[[int, int, str], None] | None]:
     """Yield a function of count, total and label that moves a bar; None if there is no terminal, or no rich."""
-    if not sys.stderr.isatty():
+    console = _console()
+    if console is None:
         yield None
         return
-    try:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-    except ModuleNotFoundError:
-        yield None
-        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (
         TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
     )  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True, highlight=False), transient=True) as progress:
+    with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(printable(label), total=total)
         yield lambda done, size, text: progress.update(task, completed=done, total=size, description=printable(text))
 
