@@ -43,11 +43,11 @@ def load_truth(path: Path) -> SensorErrors:
     return load_json_file(path, "truth", _errors)
 
 
-def _errors(document: dict[str, Any]) -> SensorErrors:
-    if document.get("format") != FORMAT or document.get("version") != VERSION:
+def _errors(document: Any) -> SensorErrors:
+    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         raise InputError(f"it is no truth of version {VERSION}: name the {NAME} that simulate wrote.")
-    parameters = document["parameters"]
-    if set(parameters) != set(NAMES):
+    parameters = document.get("parameters")
+    if not isinstance(parameters, dict) or set(parameters) != set(NAMES):
         raise InputError(f"it does not hold the {len(NAMES)} sensor errors: let simulate write it again.")
     if not all(isinstance(value, int | float) for value in parameters.values()):
         raise InputError("it holds a sensor error that is no number: let simulate write it again.")
