@@ -19,6 +19,7 @@ SECTIONS: Final = {
         "demo": ("srt.cli.demo:demo", "Simulate a unit, calibrate it, and compare with the truth."),
         "convert": ("srt.cli.convert:convert", "Convert a log in another format to a recording."),
         "inspect": ("srt.cli.inspect:inspect", "Show what a recording holds, and look for faults."),
+        "noise": ("srt.cli.noise:noise", "Show the noise terms of a unit at rest."),
         "calibrate": ("srt.cli.calibrate:calibrate", "Calibrate IMUs from their recordings."),
         "apply": ("srt.cli.apply:apply", "Correct a recording, or write the correction in C."),
         "export": ("srt.cli.export:export", "Write a calibration in the format of another tool."),

@@ -42,6 +42,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option("--rate-hz", type=float, help="Sample rate; default: the recording's.")
 @click.option("--gyro-random-walk", type=float, help="Random walk of the gyro biases, rad/s^2/sqrt(Hz).")
 @click.option("--accel-random-walk", type=float, help="Random walk of the accelerometer biases, m/s^3/sqrt(Hz).")
+@click.option("--inflate", type=float, help="Factor on noise densities and random walks.  [default: 1]")
 @click.option("--instance", type=int, help="Number of the IMU of an autopilot, from 0; default: that of the log.")
 @click.option(
     "--applied",
@@ -63,6 +64,7 @@ def export(
     rate_hz: float | None,
     gyro_random_walk: float | None,
     accel_random_walk: float | None,
+    inflate: float | None,
     instance: int | None,
     applied: str | None,
     force: bool,
@@ -104,7 +106,7 @@ def export(
         readings=readings,
         frame=frame,
         asymmetry="fit" if fit_asymmetry else "leave",
-        settings=ExportSettings(topic, rate_hz, gyro_random_walk, accel_random_walk, instance),
+        settings=ExportSettings(topic, rate_hz, gyro_random_walk, accel_random_walk, instance, inflate),
         applied=None if applied is None else applied_of(applied, instance),
     )
     written = () if output is None else save(made, output)

@@ -23,7 +23,7 @@ from srt.recording.recording import Recording
 from srt.recording.schema import IMU_KEYS, in_file_unit
 from srt.sequences.plausibility import check_interval
 from srt.sequences.recognition import recognise
-from srt.sequences.rest_detection import blocks_of, find_rest, still_runs
+from srt.sequences.rest_detection import longest_rest
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -63,7 +63,8 @@ def inspect(recording: Recording, *, calibrating: bool = False, units: dict[str,
         windows, summary = recognition.windows, _summary(recording, recognition)
     except DataError as error:
         recognition, summary = None, str(error)
-        windows = _only_rest(recording)
+        rest = longest_rest(recording)
+        windows = np.array([] if rest is None else [rest], dtype=np.intp).reshape(-1, 2)
     noise, allan = _noise(recording, windows)
     turns = () if recognition is None else tuple(_turn(recording, turn) for turn in recognition.turns)
     if recognition is not None and _is_free(recording, recognition):
@@ -119,22 +120,6 @@ def _summary(recording: Recording, recognition: Recognition) -> str:
     if recording.fixture is None:
         return f"{recognition.summary} No fixture is stated, without which they are taken as free turns."
     return recognition.summary
-
-
-def _only_rest(recording: Recording) -> Indices:
-    """Longest stationary window of a recording without rotations, such as a log on a shelf; shape (0 or 1, 2)."""
-    try:
-        check_interval(recording)
-        blocks = blocks_of(recording)
-    except DataError:
-        return np.zeros((0, 2), dtype=np.intp)
-    # The first and last block of a run may contain motion.
-    runs = [(a + 1, b - 1) for a, b in still_runs(find_rest(blocks).still, blocks) if b - a > 2]
-    longest = max(runs, key=lambda run: run[1] - run[0], default=None)
-    if longest is None:
-        return np.zeros((0, 2), dtype=np.intp)
-    first: Indices = blocks.first[np.array([longest])]
-    return first
 
 
 def _stamps(recording: Recording) -> TimeStampSummary:

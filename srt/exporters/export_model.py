@@ -72,6 +72,8 @@ class ExportSettings:
         Rate random walk of the gyro bias, rad/s²/√Hz.
     accel_random_walk : float or None
         Random walk of the accelerometer bias, m/s³/√Hz.
+    inflate : float or None
+        Factor on noise densities and random walks; default 1.
     instance : int or None
         Which IMU of the autopilot, from 0; default 0.
 
@@ -86,9 +88,10 @@ class ExportSettings:
     gyro_random_walk: float | None = None
     accel_random_walk: float | None = None
     instance: int | None = None
+    inflate: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("rate_hz", "gyro_random_walk", "accel_random_walk"):
+        for name in ("rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"The setting {name} is {value:g}: give a positive number, or leave it out.")

@@ -33,7 +33,7 @@ from srt.exporters.file_format import (
     triangular,
 )
 from srt.exporters.linear_model import lower_rotation
-from srt.exporters.noise_fields import DEFAULT_TOPIC, OPTIONS, named
+from srt.exporters.noise_fields import DEFAULT_TOPIC, OPTIONS, named, statement
 
 if TYPE_CHECKING:
     from srt.exporters.export_model import ExportModel
@@ -80,7 +80,7 @@ def _write_kalibr(model: ExportModel) -> dict[str, str]:
         }
     }
     flat = {**named(model, NOISE_NAMES), "rostopic": model.settings.topic or DEFAULT_TOPIC}
-    heading = comment(model.heading(KALIBR))
+    heading = comment([*model.heading(KALIBR), *statement(model)])
     return {"": to_yaml(document, heading), _KALIBR_INPUT: to_yaml(flat, heading)}
 
 

@@ -38,7 +38,7 @@ from srt.exporters.file_format import (
 )
 from srt.exporters.forward_models import chain_fields
 from srt.exporters.linear_model import lower_rotation
-from srt.exporters.noise_fields import OPTIONS, named
+from srt.exporters.noise_fields import OPTIONS, named, statement
 
 if TYPE_CHECKING:
     from srt.exporters.export_model import ExportModel
@@ -63,7 +63,7 @@ def _write_openvins(model: ExportModel) -> dict[str, str]:
             "Tg": model.g_sensitivity.tolist(),
         }
     }
-    return {"": to_yaml(document, "%YAML:1.0\n" + comment(model.heading(OPENVINS)))}
+    return {"": to_yaml(document, "%YAML:1.0\n" + comment([*model.heading(OPENVINS), *statement(model)]))}
 
 
 def _read_openvins(texts: Texts) -> Fields:
@@ -240,7 +240,7 @@ def _write_basalt(model: ExportModel) -> dict[str, str]:
         "calib_gyro_bias": [*(model.gyro.inverse @ model.gyro.bias).tolist(), *S_g.T.ravel().tolist()],
         **{name: value if name == "imu_update_rate" else [value] * 3 for name, value in noise.items()},
     }
-    heading = model.heading(BASALT)
+    heading = [*model.heading(BASALT), *statement(model)]
     return {"": to_json({"comment": heading, "value0": document})}
 
 

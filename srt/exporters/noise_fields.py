@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.noise.allan import RANDOM_WALK, TERMS
+
 if TYPE_CHECKING:
     from srt.exporters.export_model import ExportModel
 
-OPTIONS: Final = frozenset({"topic", "rate_hz", "gyro_random_walk", "accel_random_walk"})
+OPTIONS: Final = frozenset({"topic", "rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"})
 DEFAULT_TOPIC: Final = "/imu0"
+
+_BIAS_WALK: Final = [term.name for term in TERMS].index("bias_random_walk")
 
 
 def known_figures(model: ExportModel) -> dict[str, float]:
@@ -21,20 +25,48 @@ def known_figures(model: ExportModel) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Any of "gyro_noise", "accel_noise" (white, rad/s/√Hz and m/s²/√Hz, that of the noisiest axis),
-        "gyro_random_walk", "accel_random_walk" and "rate_hz". Unknown values are absent: a rotation test
-        is too short to determine the random walk of a bias.
+        Any of "gyro_noise", "accel_noise" (white, rad/s/√Hz and m/s²/√Hz), "gyro_random_walk", "accel_random_walk" and
+        "rate_hz". Settings come first, then the terms of ``srt noise``, then the white noise of the test; unknown
+        values are absent. All but the rate are multiplied by the inflation of the settings.
     """
     found: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
         white = model.white_noise(sensor)
+        terms = {
+            f"{sensor}_noise": _worst(model, sensor, RANDOM_WALK),
+            f"{sensor}_random_walk": _worst(model, sensor, _BIAS_WALK),
+        }
         if white is not None:
             found[f"{sensor}_noise"] = float(white.max())
-    for name in ("gyro_random_walk", "accel_random_walk", "rate_hz"):
+        found |= {name: term[0] for name, term in terms.items() if term is not None}
+    for name in ("gyro_random_walk", "accel_random_walk"):
         value = getattr(model.settings, name)
         if value is not None:
             found[name] = float(value)
+    found = {name: value * (model.settings.inflate or 1.0) for name, value in found.items()}
+    if model.settings.rate_hz is not None:
+        found["rate_hz"] = float(model.settings.rate_hz)
     return found
+
+
+def statement(model: ExportModel) -> list[str]:
+    """Lines on the origin of the noise figures: inflation, and upper limits in place of values."""
+    lines = [f"noise densities and random walks: multiplied by {model.settings.inflate or 1.0:g} (--inflate)"]
+    for sensor in ("gyro", "accel"):
+        term = _worst(model, sensor, _BIAS_WALK)
+        if term is not None and term[1] and getattr(model.settings, f"{sensor}_random_walk") is None:
+            lines.append(f"{sensor} random walk: upper limit (97.5 %), as the log of srt noise does not resolve it")
+    return lines
+
+
+def _worst(model: ExportModel, sensor: str, term: int) -> tuple[float, bool] | None:
+    """Largest figure of a term over the three axes, SI, and True if it is an upper limit; None without srt noise."""
+    s = ("gyro", "accel").index(sensor)
+    channels = model.calibration.noise.get("terms", {}).get("channels", {})
+    key = TERMS[term].keys[s]
+    figures = [row[key] for name, row in channels.items() if name.startswith(sensor) and key in row]
+    values = [(float(f.get("value", f.get("below"))) * TERMS[term].scales[s], "below" in f) for f in figures]
+    return max(values, default=None)
 
 
 def named(model: ExportModel, names: dict[str, str]) -> dict[str, Any]:
@@ -49,8 +81,8 @@ def unknown(model: ExportModel) -> tuple[str, ...]:
     words = {
         "gyro_noise": "gyro noise",
         "accel_noise": "accelerometer noise",
-        "gyro_random_walk": "gyro random walk (--gyro-random-walk)",
-        "accel_random_walk": "accelerometer random walk (--accel-random-walk)",
+        "gyro_random_walk": "gyro random walk (srt noise LOG --into UNIT.json, or --gyro-random-walk)",
+        "accel_random_walk": "accelerometer random walk (likewise, or --accel-random-walk)",
         "rate_hz": "sample rate (--rate-hz, or --recording)",
     }
     return tuple(text for key, text in words.items() if key not in figures)

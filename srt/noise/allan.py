@@ -134,7 +134,7 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
     shortest = SHORTEST_WINDOW_S / dt - 2.0
     longest = float((windows[:, 1] - windows[:, 0]).max(initial=0)) * dt
     candidates = [(a, b) for a, b in windows.tolist() if b - a >= shortest]
-    pieces = [piece for a, b in candidates for piece in _undisturbed(recording, a, b)]
+    pieces = [piece for a, b in candidates for piece in undisturbed(recording, a, b)]
     long = np.array([(a, b) for a, b in pieces if b - a >= shortest], dtype=np.intp).reshape(-1, 2)
     if len(long) == 0:
         longest = max(((b - a) * dt for a, b in pieces), default=longest)
@@ -179,7 +179,7 @@ def allan_deviation(recording: Recording, windows: Indices) -> AllanDeviation:
     )
 
 
-def _undisturbed(recording: Recording, a: int, b: int) -> list[tuple[int, int]]:
+def undisturbed(recording: Recording, a: int, b: int) -> list[tuple[int, int]]:
     """Parts of a window between knocks, which would add variance at all averaging times."""
     far = np.zeros(b - a, dtype=np.bool_)
     for table in (recording.gyro, recording.accel):

@@ -20,6 +20,7 @@ from scipy.special import chdtri
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
 from srt.noise.noise_model import smallest_step
+from srt.sequences.plausibility import check_interval
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -268,3 +269,28 @@ def still_runs(still: Mask, blocks: Blocks) -> list[tuple[int, int]]:
     key = np.where(filled, blocks.piece, -1)
     edges = np.flatnonzero(np.diff(key, prepend=-2, append=-2))
     return [(a, b) for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if filled[a]]
+
+
+def longest_rest(recording: Recording) -> tuple[int, int] | None:
+    """Longest stationary window of a recording without rotations, such as a log on a shelf.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    (int, int) or None
+        First sample and one past the last; None if there is no such window.
+    """
+    try:
+        check_interval(recording)
+        blocks = blocks_of(recording)
+    except DataError:
+        return None
+    # The first and last block of a run may contain motion.
+    runs = [(a + 1, b - 1) for a, b in still_runs(find_rest(blocks).still, blocks) if b - a > 2]
+    if not runs:
+        return None
+    first, last = max(runs, key=lambda run: run[1] - run[0])
+    return int(blocks.first[first]), int(blocks.first[last])

@@ -11,6 +11,7 @@ from srt.constants import DEG, DEG_PER_H, MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.inspection import inspect
 from srt.model.table1 import AXES
 from srt.noise.allan import TERMS
+from srt.noise.noise_terms import ALL_TERMS
 from srt.reports.figures.style import (
     BLUE,
     DPI,
@@ -36,10 +37,11 @@ from srt.reports.figures.style import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from srt.diagnosis.inspection import Inspection, ManoeuvreSummary
-    from srt.noise.allan import AllanDeviation
+    from srt.noise.allan import AllanDeviation, Term
+    from srt.noise.noise_terms import NoiseTerms
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
 
@@ -67,6 +69,7 @@ _STEEP: Final[dict[str, Any]] = {
     "random_walk": "--",
     "bias_instability": "-.",
     "bias_random_walk": (0, (1, 4)),
+    "rate_ramp": (0, (6, 2)),
 }
 
 
@@ -111,7 +114,7 @@ def inspection_figure(
     _name_turns(grid[0, 0], inspection, scale)
     if allan is not None:
         for sensor, (axes, si, label) in enumerate(zip(grid[:, 1], (DEG_PER_H, MICRO_G), ("°/h", "µg"), strict=True)):
-            _allan(axes, allan, sensor, si, label)
+            allan_panel(axes, allan, sensor, si, label)
         grid[0, 1].set_title("Allan deviation at rest", fontsize=MEDIUM, color=INK, loc="left")
         grid[1, 1].set_xlabel("averaged over, s", fontsize=MEDIUM, color=INK)
     heading = inspection.summary if title is None else f"{title}: {inspection.summary}"
@@ -212,11 +215,27 @@ def _turn_texts(turns: tuple[ManoeuvreSummary, ...]) -> Iterator[tuple[float, st
             yield middle, f"{abs(leg.angle_deg):.0f}°", GREY
 
 
-def _allan(axes: Axes, allan: AllanDeviation, sensor: int, si: float, unit: str) -> None:
+def allan_panel(
+    axes: Axes, allan: AllanDeviation, sensor: int, si: float, unit: str, terms: NoiseTerms | None = None
+) -> None:
+    """Draw the Allan deviation of one sensor with the curve and slopes of its terms.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    allan : AllanDeviation
+    sensor : int
+        0 for gyros, 1 for accelerometers.
+    si : float
+        SI per unit.
+    unit : str
+    terms : NoiseTerms, optional
+        Terms by maximum likelihood in place of those of the Allan fit.
+    """
     style(axes, grid="both")
     tau = allan.tau_s
     fine = np.geomspace(tau[0], tau[-1], 100)
-    fitted = allan.fitted(fine) / si
+    fitted = (allan.fitted(fine) if terms is None else terms.deviation(fine)) / si
     for axis, (colour, marker) in enumerate(zip(_COLOURS, _MARKERS, strict=True)):
         c = 3 * sensor + axis
         if not np.isfinite(allan.deviation[c]).any():
@@ -228,7 +247,11 @@ def _allan(axes: Axes, allan: AllanDeviation, sensor: int, si: float, unit: str)
     axes.set_yscale("log")
     axes.set_ylabel(f"{('gyros', 'accelerometers')[sensor]}, {unit}", fontsize=MEDIUM, color=INK)
     limits = axes.get_ylim()
-    _slopes(axes, allan, sensor, fine, si)
+    values: Array = allan.value
+    drawn: tuple[Term, ...] = TERMS
+    if terms is not None:
+        values, drawn = np.where(terms.resolved, np.abs(terms.value), np.nan), ALL_TERMS
+    _slopes(axes, values[3 * sensor : 3 * sensor + 3], drawn, sensor, fine, si)
     axes.set_ylim(limits)
     for which in (axes.xaxis, axes.yaxis):
         low, high = which.get_view_interval()
@@ -238,11 +261,10 @@ def _allan(axes: Axes, allan: AllanDeviation, sensor: int, si: float, unit: str)
         which.set_minor_locator(NullLocator())
 
 
-def _slopes(axes: Axes, allan: AllanDeviation, sensor: int, tau: Array, si: float) -> None:
+def _slopes(axes: Axes, coefficients: Array, terms: Sequence[Term], sensor: int, tau: Array, si: float) -> None:
     """Draw the slope of every term that was identified, by the median of the axes that show it."""
-    coefficients = allan.value[3 * sensor : 3 * sensor + 3]
     handles = []
-    for t, term in enumerate(TERMS):
+    for t, term in enumerate(terms):
         seen = coefficients[np.isfinite(coefficients[:, t]), t]
         if seen.size == 0:
             continue

@@ -1,0 +1,90 @@
+"""Coverage of the intervals of ``srt noise`` over simulated logs of six channels with all five noise terms.
+
+The generator shares nothing with the fit: white noise and a random walk by sums, 1/f noise by Kasdin's fractional
+difference with a warm-up of three records, quantization by rounding of the integral. Each channel draws where its
+terms cross, so that a short log resolves some of them and a long one most.
+
+    python benchmarks/noise_terms.py [--logs 200] [--lengths 600 10800 86400]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+import srt
+from srt.noise.noise_terms import ALL_TERMS, noise_terms
+
+SAMPLES = 30_000
+"""Samples of a log, so that 24 hours take no longer than 10 minutes; the rate follows."""
+SEED = 20
+
+
+def coefficients(rng: np.random.Generator, dt: float) -> np.ndarray:
+    """ε, N, B, K, R of one channel with N = 1: pulses of 1.5 sigma of a sample's angle, and where the terms cross."""
+    flat, walk, ramp = np.exp(rng.uniform(np.log([30.0, 300.0, 3e3]), np.log([1e3, 3e4, 3e5])))
+    B = 1.0 / np.sqrt(flat)
+    K = B * np.sqrt(3.0 / walk)
+    return np.array([1.5 * np.sqrt(dt), 1.0, B, K, rng.choice((-1.0, 1.0)) * K * np.sqrt(2.0 / (3.0 * ramp))])
+
+
+def flicker(rng: np.random.Generator, n: int) -> np.ndarray:
+    """1/f noise of spectral density 1/(2 π f dt) dt, by the fractional difference of order 1/2."""
+    k = np.arange(1, 4 * n)
+    response = np.concatenate([[1.0], np.cumprod((k - 0.5) / k)])
+    return fftconvolve(rng.standard_normal(4 * n), response)[3 * n : 4 * n]
+
+
+def channel(rng: np.random.Generator, terms: np.ndarray, n: int, dt: float) -> np.ndarray:
+    """Rates of one channel, means over dt."""
+    pulse, N, B, K, R = terms
+    rate = N / np.sqrt(dt) * rng.standard_normal(n)
+    # B²/(4 ln 2 f) against σ²/(2 π f): σ² = π B²/(2 ln 2)
+    rate += B * np.sqrt(np.pi / (2.0 * np.log(2.0))) * flicker(rng, n)
+    rate += np.cumsum(K * np.sqrt(dt) * rng.standard_normal(n)) + R * dt * np.arange(n)
+    angle = np.concatenate([[0.0], np.cumsum(rate * dt)]) + rng.uniform(0.0, pulse)
+    return np.diff(pulse * np.floor(angle / pulse)) / dt
+
+
+def trial(rng: np.random.Generator, length_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """One log: covered and resolved, shape (6, 5)."""
+    dt = length_s / SAMPLES
+    truth = np.array([coefficients(rng, dt) for _ in range(6)])
+    x = np.stack([channel(rng, terms, SAMPLES, dt) for terms in truth], axis=1)
+    t = dt * np.arange(1, SAMPLES + 1)
+    found = noise_terms(srt.Recording(t, x[:, :3], x[:, 3:], srt.Site(9.8)), (0, SAMPLES))
+    low = np.where(found.resolved, found.low, -np.inf)
+    # The sign of a ramp counts only where it is resolved.
+    value = np.where(found.resolved, truth, np.abs(truth))
+    return (low <= value) & (value <= found.high), found.resolved.astype(bool)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--logs", type=int, default=200)
+    parser.add_argument("--lengths", type=float, nargs="+", default=[600.0, 10800.0, 86400.0])
+    given = parser.parse_args()
+    band = 1.96 * np.sqrt(0.95 * 0.05 / (6 * given.logs))
+    print(
+        f"{given.logs} logs of 6 channels; coverage of 95 % intervals, 95 % band {0.95 - band:.3f} to {0.95 + band:.3f}"
+    )
+    for length in given.lengths:
+        rng = np.random.default_rng([SEED, round(length)])
+        start = time.perf_counter()
+        covered, resolved = map(np.array, zip(*(trial(rng, length) for _ in range(given.logs)), strict=True))
+        spent = (time.perf_counter() - start) / given.logs
+        print(f"{length:.0f} s ({spent:.2f} s a log):")
+        for t, term in enumerate(ALL_TERMS):
+            seen = resolved[..., t]
+            print(
+                f"  {term.title:18s} covered {covered[..., t].mean():.3f}  resolved {seen.mean():.2f}  "
+                f"covered where resolved {covered[..., t][seen].mean() if seen.any() else np.nan:.3f}"
+            )
+        print(f"  all                covered {covered.mean():.4f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""``srt noise``: noise terms of a unit at rest, for data sheets and navigation filters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from srt.cli.messages import announce, figure_title, show
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
+from srt.exceptions import DataError
+
+if TYPE_CHECKING:
+    from srt.recording.recording import Recording
+
+
+@click.command()
+@click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
+@click.option("--into", type=click.Path(path_type=Path), metavar="UNIT", help="Calibration UNIT.json of the same unit "
+              "that the terms are written into, for exports.")  # fmt: skip
+@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE", help="Result: FILE.json.")
+@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
+@click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
+@click.option("-q", "--quiet", is_flag=True, help="No table.")
+def noise(log: Path, into: Path | None, json_file: Path | None, plot: Path | None, force: bool, quiet: bool) -> int:
+    """Show the noise terms in the longest stationary window of LOG: a recording, or a log in a format with units.
+
+    Quantization, random walk, bias instability, bias random walk and rate ramp of the six channels, with 95 %
+    intervals: by maximum likelihood, and by a fit of the overlapping Allan deviation. A term that the log does not
+    resolve is an upper limit. The record length that each term needs is shown.
+
+    Exit codes: 0 success; 1 no stationary window of 30 s; 2 wrong usage or unreadable input.
+    """
+    import json
+
+    import numpy as np
+
+    from srt.cli.apply import check_match, load_fit
+    from srt.noise.allan import allan_deviation, undisturbed
+    from srt.noise.noise_terms import noise_terms
+    from srt.recording.atomic_file import atomic_write_text
+    from srt.sequences.rest_detection import longest_rest
+
+    for file, suffixes, what in (
+        (json_file, RESULT_SUFFIXES, "The result"),
+        (plot, PLOT_SUFFIXES, "The plot"),
+        (into, RESULT_SUFFIXES, "The calibration"),
+    ):
+        if file is not None:
+            check_file(file, suffixes, what)
+    if plot is not None:
+        require_matplotlib()
+    recording = _samples(log)
+    calibration = None if into is None else load_fit(into, force=force)
+    if calibration is not None and into is not None and not force:
+        check_match(calibration, recording, into, log)
+    rest = longest_rest(recording)
+    pieces = undisturbed(recording, *rest) if rest is not None else []
+    if not pieces:
+        raise DataError(f"{log} has no stationary window: log the unit at rest.")
+    window = max(pieces, key=lambda piece: piece[1] - piece[0])
+    terms = noise_terms(recording, window)
+    allan = allan_deviation(recording, np.array([window], dtype=np.intp))
+    if not quiet:
+        from srt.reports.text.noise import noise_report
+
+        show(noise_report(terms, allan, title=str(log)))
+    document = {"length_s": terms.length_s, "samples_sha256": recording.data_sha256, "channels": terms.figures()}
+    if json_file is not None:
+        atomic_write_text(json_file, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    if calibration is not None and into is not None:
+        from dataclasses import replace
+
+        replace(calibration, noise={**calibration.noise, "terms": document}).save(into)
+    if plot is not None:
+        from srt.reports.figures.noise import noise_figure
+        from srt.reports.figures.style import save_figure
+
+        save_figure(noise_figure(terms, allan, title=figure_title(recording_folder(log).resolve().name)), plot)
+    announce(json_file, plot, into, quiet=quiet)
+    return 0
+
+
+def _samples(log: Path) -> Recording:
+    """Recording, or the samples of a log; noise needs no site."""
+    import srt
+    from srt.constants import STANDARD_GRAVITY_M_S2
+
+    if log.suffix == ".toml" or (log / "recording.toml").is_file():
+        return srt.load_recording(log)
+    from srt.recording.imported_samples import to_recording
+    from srt.recording.importer_registry import import_file
+
+    return to_recording(import_file(log)[1], srt.Site(STANDARD_GRAVITY_M_S2))

@@ -1,0 +1,367 @@
+"""Noise terms of a unit at rest by maximum likelihood, with 95 % intervals and the record length that each needs.
+
+The readings of a channel, means over dt, are modelled as a constant and::
+
+    ε   quantization: differences of independent errors of variance ε²/12 of the integral
+    N   angular or velocity random walk: white, variance N²/dt
+    B   bias instability: power spectral density B²/(4 ln 2 |f|), the flat part of the Allan deviation at B
+    K   rate random walk: steps of variance K² dt
+    R   rate ramp: R t
+
+Type-II discrete cosines diagonalise the covariance of white noise and of a random walk whose start is unknown exactly:
+with s = sin(π j / 2n), coefficient j has the variance::
+
+    λ = ε²/12 · 4 s²/dt² + N²/dt + B² n/(2 ln 2 j) + K² dt/(4 s²)
+
+Quantization and 1/f noise are nearly diagonal. The coefficients are then independent normal numbers of mean R u, u the
+transform of t, and the likelihood of the record, restricted for R and the constant, is a sum over them. Terms have
+profile-likelihood intervals. The ramp has a t interval with Satterthwaite's degrees of freedom; where K is not
+resolved, at least that of a walk of K's upper limit, which looks like a ramp. A term whose interval reaches zero is an
+upper limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log, pi
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.fft import dct
+from scipy.optimize import brentq, nnls
+from scipy.special import chdtri, stdtrit
+
+from srt.constants import DEG_PER_H, HOUR_S, MICRO_G
+from srt.exceptions import DataError
+from srt.noise.allan import CHANNELS, CONFIDENCE, TERMS, Term
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srt.recording.recording import Recording
+    from srt.types import Array, Indices, Mask
+
+
+RAMP_TERM: Final = Term(
+    "rate_ramp", "rate ramp", 0.5, 2.0, -4,
+    ("gyro_rate_ramp_deg_per_h_per_h", "accel_rate_ramp_ug_per_h"),
+    ("°/h/h", "µg/h"), (DEG_PER_H / HOUR_S, MICRO_G / HOUR_S),
+)  # fmt: skip
+ALL_TERMS: Final = (*TERMS, RAMP_TERM)
+"""Terms of the columns of :class:`NoiseTerms`."""
+
+SHORTEST_S: Final = 30.0
+"""Shortest record, s."""
+FEWEST: Final = 64
+"""Smallest number of samples."""
+
+_RAMP: Final = len(TERMS)
+_WALK: Final = [term.name for term in TERMS].index("bias_random_walk")
+_SINGLE_BINS: Final = 256
+"""Coefficients that are kept one by one; slow terms show in few of them."""
+_BINS_PER_E: Final = 25
+"""Bins per factor e beyond them: λ changes by up to 8 % within one."""
+_PASSES: Final = 200
+_STILL: Final = 1e-7
+"""Relative change of λ at which the fit has converged."""
+_PRECISION: Final = 0.5
+"""Relative half-width of the 95 % interval at which a term counts as known, for the record length needed."""
+_LENGTHS_S: Final = np.geomspace(10.0, 1e8, 64)
+"""Record lengths that are tried; the longest is three years."""
+_QUADRATURE: Final = 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseTerms:
+    """Noise terms of the six channels, SI.
+
+    Attributes
+    ----------
+    value, low, high : ndarray, shape (6, 5)
+        Coefficients of :data:`ALL_TERMS` (for quantization ε; the ramp has a sign) and their 95 % intervals. A term
+        that is not resolved has the interval from zero to its upper limit. NaN for a channel that does not change.
+    resolved : ndarray of bool, shape (6, 5)
+        True where the interval excludes zero.
+    needed_s : ndarray, shape (6, 5), s
+        Record length from which the 95 % interval is within ± 50 % of the coefficient; for a term that is not resolved,
+        of its upper limit: a smaller term needs more. Infinite beyond three years.
+    length_s, interval_s : float, s
+    """
+
+    value: Array
+    low: Array
+    high: Array
+    resolved: Mask
+    needed_s: Array
+    length_s: float
+    interval_s: float
+
+    def deviation(self, tau_s: Array) -> Array:
+        """Allan deviation by the resolved terms, shape (6, k), for times of shape (k,), s."""
+        squares = np.where(self.resolved, np.nan_to_num(self.value), 0.0) ** 2
+        return np.asarray(np.sqrt(squares @ np.stack([t.factor * tau_s**t.exponent for t in ALL_TERMS])))
+
+    def figures(self) -> dict[str, dict[str, Any]]:
+        """Figures by channel and key, in the units of their keys, as JSON values: value, low, high, or below."""
+        out: dict[str, dict[str, Any]] = {}
+        for c, channel in enumerate(CHANNELS):
+            rows = out.setdefault(channel, {})
+            for t, term in enumerate(ALL_TERMS):
+                scale = term.scales[c // 3]
+                if self.resolved[c, t]:
+                    names = ("value", "low", "high")
+                    rows[term.keys[c // 3]] = {name: float(getattr(self, name)[c, t] / scale) for name in names}
+                elif np.isfinite(self.high[c, t]):
+                    rows[term.keys[c // 3]] = {"below": float(self.high[c, t] / scale)}
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spectrum:
+    """Sums over bins of coefficients: number, c², c u, u²; mean variance by each term of coefficient 1, (b, 4)."""
+
+    count: Array
+    cc: Array
+    cu: Array
+    uu: Array
+    design: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Squared coefficients, ramp, its variance, −2 ln(restricted likelihood), λ by bin."""
+
+    squares: Array
+    ramp: float
+    ramp_variance: float
+    loss: float
+    variance: Array
+
+
+def noise_terms(recording: Recording, window: tuple[int, int]) -> NoiseTerms:
+    """Fit the noise terms of all channels over one stationary window.
+
+    Parameters
+    ----------
+    recording : Recording
+    window : (int, int)
+        First sample and one past the last.
+
+    Returns
+    -------
+    NoiseTerms
+
+    Raises
+    ------
+    DataError
+        A window of less than :data:`SHORTEST_S` or :data:`FEWEST` samples.
+    """
+    a, b = window
+    dt, n = recording.nominal_interval_s, b - a
+    if n < FEWEST or n * dt < SHORTEST_S:
+        raise DataError(
+            f"The longest stationary window lasts {n * dt:.3g} s ({n} samples), but noise terms need {SHORTEST_S:g} s "
+            f"and {FEWEST} samples: log the unit at rest, for hours if its bias instability is wanted."
+        )
+    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    shape = (len(CHANNELS), len(ALL_TERMS))
+    found = NoiseTerms(
+        np.full(shape, np.nan),
+        np.full(shape, np.nan),
+        np.full(shape, np.nan),
+        np.zeros(shape, dtype=np.bool_),
+        np.full(shape, np.nan),
+        n * dt,
+        dt,
+    )
+    edges, design, u = _bins(n), _design(0.5 * pi * np.arange(1, n) / n, n, dt), _ramp(n, dt)
+    design = np.stack([_mean(column, edges) for column in design.T], axis=1)
+    for c in range(len(CHANNELS)):
+        x = (recording.gyro, recording.accel)[c // 3][a:b, c % 3]
+        if not np.ptp(x) > 1e-15 * np.abs(x).max():
+            continue
+        spectrum = _spectrum((x - x.mean()) * factor, edges, design, u)
+        for name, row in zip(("value", "low", "high", "resolved", "needed_s"), _channel(spectrum, dt), strict=True):
+            getattr(found, name)[c] = row
+    return found
+
+
+def _bins(n: int) -> Indices:
+    """First coefficient of each bin, less 1 (coefficient 0, the constant, is left out)."""
+    count = max(2, round(_BINS_PER_E * log(n / _SINGLE_BINS))) if n > _SINGLE_BINS else 2
+    coarse = np.geomspace(min(_SINGLE_BINS, n - 1), n - 1, count)
+    return (
+        np.unique(np.concatenate([np.arange(1, min(_SINGLE_BINS, n - 1)), np.round(coarse)[:-1]]).astype(np.intp)) - 1
+    )
+
+
+def _design(x: Array, n: int, dt: float) -> Array:
+    """Variance of the coefficients by each term of coefficient 1, shape (n, 4), for x = π j / 2n."""
+    s = np.sin(x)
+    # The readings' first and last error of the integral have no neighbour, hence the cosine.
+    pulses = (s**2 + np.cos(x) ** 2 / n) / (3.0 * dt**2)
+    return np.stack([pulses, np.full_like(s, 1.0 / dt), pi / (4.0 * log(2.0) * x), dt / (4.0 * s**2)], axis=1)
+
+
+def _ramp(n: int, dt: float) -> Array:
+    return np.asarray(dct((np.arange(n) - 0.5 * (n - 1)) * dt, norm="ortho")[1:])
+
+
+def _sum(values: Array, edges: Indices) -> Array:
+    return np.asarray(np.add.reduceat(values, edges))
+
+
+def _mean(values: Array, edges: Indices) -> Array:
+    return _sum(values, edges) / np.diff(np.append(edges, len(values)))
+
+
+def _spectrum(x: Array, edges: Indices, design: Array, u: Array) -> _Spectrum:
+    c = np.asarray(dct(x, norm="ortho")[1:])
+    count = np.diff(np.append(edges, len(c))).astype(np.float64)
+    return _Spectrum(count, _sum(c**2, edges), _sum(c * u, edges), _sum(u**2, edges), design)
+
+
+def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.0) -> _Fit:
+    """Restricted maximum likelihood by iterated non-negative least squares, one squared coefficient fixed if stated."""
+    A, count = spectrum.design, spectrum.count
+    free = np.array([k for k in range(A.shape[1]) if k != fixed])
+    offset = np.zeros(len(A)) if fixed is None else A[:, fixed] * square
+    variance = np.maximum(spectrum.cc / count, 1e-300) + offset
+    # Smoothed for the first weights: single coefficients scatter by more than their mean.
+    variance = np.exp(np.convolve(np.log(variance), np.ones(9) / 9.0, mode="same"))
+    squares = np.zeros(A.shape[1])
+    for _ in range(_PASSES):
+        weight_u = spectrum.uu / variance
+        ramp_variance = 1.0 / weight_u.sum()
+        ramp = float((spectrum.cu / variance).sum() * ramp_variance)
+        # The last term restores the power that the estimate of the ramp takes away (restricted likelihood).
+        power = (spectrum.cc - 2.0 * ramp * spectrum.cu + (ramp**2 + ramp_variance) * spectrum.uu) / count
+        weight = np.sqrt(count) / variance
+        weighted = A[:, free] * weight[:, None]
+        scale = np.linalg.norm(weighted, axis=0)
+        squares[free] = nnls(weighted / scale, (power - offset) * weight)[0] / scale
+        if fixed is not None:
+            squares[fixed] = square
+        new = np.maximum(A @ squares, 1e-12 * variance)
+        change = float(np.abs(np.log(new / variance)).max())
+        variance = new
+        if change < _STILL:
+            break
+    ramp_variance = 1.0 / float((spectrum.uu / variance).sum())
+    ramp = float((spectrum.cu / variance).sum() * ramp_variance)
+    power = spectrum.cc - 2.0 * ramp * spectrum.cu + ramp**2 * spectrum.uu
+    loss = float(np.sum(count * np.log(variance) + power / variance) - np.log(ramp_variance))
+    return _Fit(squares, ramp, ramp_variance, loss, variance)
+
+
+def _channel(spectrum: _Spectrum, dt: float) -> tuple[Array, Array, Array, Mask, Array]:
+    """Value, low, high, resolved and needed length of the terms of one channel."""
+    best = _likeliest(spectrum)
+    allowed = float(chdtri(1.0, 1.0 - CONFIDENCE))
+    doubt = np.sqrt(np.diag(np.linalg.inv(_information(spectrum, best.variance))))
+    low, high = np.zeros(len(ALL_TERMS)), np.zeros(len(ALL_TERMS))
+    for k in range(_RAMP):
+        low[k], high[k] = _profile(spectrum, best, k, max(best.squares[k], doubt[k]), allowed)
+    value: Array = np.append(np.sqrt(best.squares), best.ramp)
+    low[:_RAMP], high[:_RAMP] = np.sqrt(low[:_RAMP]), np.sqrt(high[:_RAMP])
+    half = _ramp_half_width(spectrum, best, high[_WALK] ** 2 if low[_WALK] == 0.0 else 0.0)
+    low[_RAMP], high[_RAMP] = best.ramp - half, best.ramp + half
+    resolved: Mask = np.asarray(low > 0.0, dtype=np.bool_)
+    resolved[_RAMP] = low[_RAMP] * high[_RAMP] > 0.0
+    if not resolved[_RAMP]:
+        low[_RAMP], high[_RAMP] = 0.0, max(-low[_RAMP], high[_RAMP])
+    assumed: Array = np.where(resolved, np.abs(value), high)
+    return value, low, high, resolved, _needed(assumed, resolved, dt)
+
+
+def _profile(spectrum: _Spectrum, best: _Fit, k: int, start: float, allowed: float) -> tuple[float, float]:
+    """Limits of one squared coefficient where −2 ln(likelihood), the others refitted, is larger by ``allowed``."""
+
+    def excess(logarithm: float) -> float:
+        return _likeliest(spectrum, k, float(np.exp(logarithm))).loss - best.loss - allowed
+
+    upper = log(start)
+    step = 0.5
+    while excess(upper + step) < 0.0:
+        step *= 2.0
+    high = float(np.exp(brentq(excess, upper if excess(upper) < 0.0 else upper - 20.0, upper + step, xtol=1e-3)))
+    if best.squares[k] == 0.0 or _likeliest(spectrum, k, 0.0).loss - best.loss < allowed:
+        return 0.0, high
+    middle = log(best.squares[k])
+    step = 0.5
+    while excess(middle - step) < 0.0:
+        step *= 2.0
+    return float(np.exp(brentq(excess, middle - step, middle, xtol=1e-3))), high
+
+
+def _ramp_half_width(spectrum: _Spectrum, best: _Fit, walk: float) -> float:
+    """Half-width of the ramp's interval.
+
+    Parameters
+    ----------
+    spectrum : _Spectrum
+    best : _Fit
+    walk : float
+        Squared upper limit of a bias random walk that is not resolved, else 0: such a walk looks like a ramp.
+    """
+    quantile = float(stdtrit(_ramp_freedom(spectrum, best), 0.5 * (1.0 + CONFIDENCE)))
+    half = quantile * float(np.sqrt(best.ramp_variance))
+    if walk == 0.0:
+        return half
+    normal = float(stdtrit(1e9, 0.5 * (1.0 + CONFIDENCE)))
+    return max(half, normal * float(np.sqrt(_likeliest(spectrum, _WALK, walk).ramp_variance)))
+
+
+def _information(spectrum: _Spectrum, variance: Array) -> Array:
+    """Fisher information of the squared coefficients, shape (4, 4), lightly loaded so that it has an inverse."""
+    weighted = spectrum.design * (np.sqrt(0.5 * spectrum.count) / variance)[:, None]
+    information = weighted.T @ weighted
+    return information + 1e-12 * np.diag(np.diag(information))
+
+
+def _ramp_freedom(spectrum: _Spectrum, fit: _Fit) -> float:
+    """Satterthwaite's degrees of freedom of the variance of the ramp: 2 V² / var(V)."""
+    gradient = fit.ramp_variance**2 * (spectrum.design.T @ (spectrum.uu / fit.variance**2))
+    kept = fit.squares > 0.0
+    covariance = np.linalg.inv(_information(spectrum, fit.variance)[np.ix_(kept, kept)])
+    return max(2.0 * fit.ramp_variance**2 / float(gradient[kept] @ covariance @ gradient[kept]), 1.0)
+
+
+def _needed(coefficients: Array, resolved: Mask, dt: float) -> Array:
+    """Record length from which each term is known, s; a term that is not resolved is added to those that are."""
+    out = np.full(len(coefficients), np.inf)
+    for t in range(len(coefficients)):
+        present = resolved.copy()
+        present[t] = present[1] = True
+        if not coefficients[t] > 0.0:
+            continue
+        for length, doubts in _predicted(np.where(present, coefficients, 0.0), dt):
+            if doubts[t] <= _PRECISION:
+                out[t] = length
+                break
+    return out
+
+
+def _predicted(coefficients: Array, dt: float) -> Iterator[tuple[float, Array]]:
+    """Relative half-widths of the 95 % intervals, by record length."""
+    width = float(stdtrit(1e9, 0.5 * (1.0 + CONFIDENCE)))
+    squares = coefficients[:_RAMP] ** 2
+    kept = squares > 0.0
+    for length in _LENGTHS_S[FEWEST * dt <= _LENGTHS_S].tolist():
+        n = round(length / dt)
+        # Midpoints of logarithmic cells of coefficients, each with its width as weight; the first ones singly.
+        edges = np.unique(np.concatenate([np.arange(1, 65), np.geomspace(64, n, _QUADRATURE)]).round()) - 0.5
+        edges = edges[edges <= n - 0.5]
+        j, count = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+        design = _design(0.5 * pi * j / n, n, dt)
+        variance = design @ squares
+        # Transform of t: only odd coefficients, -(2/n)^(1/2) dt / (4 sin²) there in the limit of many samples.
+        odd = np.where(j < 64, np.round(j) % 2.0, 0.5)
+        uu = count * odd * (2.0 / n) * (dt * np.cos(0.5 * pi * j / n) / (2.0 * np.sin(0.5 * pi * j / n) ** 2)) ** 2
+        spectrum = _Spectrum(count, variance, variance, uu, design)
+        doubts = np.full(len(coefficients), np.inf)
+        covariance = np.linalg.inv(_information(spectrum, variance)[np.ix_(kept, kept)])
+        doubts[:_RAMP][kept] = 0.5 * width * np.sqrt(np.diag(covariance)) / squares[kept]
+        if coefficients[_RAMP]:
+            doubts[_RAMP] = width / np.sqrt((uu / variance).sum()) / abs(coefficients[_RAMP])
+        yield length, doubts

@@ -1,0 +1,163 @@
+"""Noise terms by maximum likelihood: coverage of intervals, record lengths, the command, exports that use them."""
+
+from __future__ import annotations
+
+import json
+
+import noise_terms as simulated
+import numpy as np
+import pytest
+
+import srt
+from srt.cli import main
+from srt.exporters import ExportSettings, export
+from srt.noise.noise_terms import ALL_TERMS, noise_terms
+from srt.sensor_errors import SensorErrors
+
+pytest.importorskip("allantools")
+
+LENGTH_S = 10800.0
+DT = LENGTH_S / simulated.SAMPLES
+NAMES = [term.name for term in ALL_TERMS]
+
+
+def log(channels, dt=DT):
+    x = np.stack(channels, axis=1)
+    return srt.Recording(dt * np.arange(1, len(x) + 1), x[:, :3], x[:, 3:], srt.Site(9.8))
+
+
+def six(rng, terms, n=simulated.SAMPLES, dt=DT):
+    return log([simulated.channel(rng, np.array(terms), n, dt) for _ in range(6)], dt)
+
+
+def test_intervals_cover_as_stated():
+    """8 logs of six channels and five terms, 240 intervals of 95 %: at least 95 % less 3.5 standard errors of 1.4 %.
+
+    Too wide an interval shows in the widths of the next test; benchmarks/noise_terms.py has both sides of the band.
+    """
+    rng = np.random.default_rng(1)
+    covered = np.array([simulated.trial(rng, LENGTH_S)[0] for _ in range(8)])
+    assert covered.mean() >= 0.95 - 3.5 * 0.014
+
+
+@pytest.mark.parametrize(
+    ("term", "coefficients"),
+    [("random_walk", [0, 1, 0, 0, 0]), ("bias_random_walk", [0, 1, 0, 1e-2, 0]), ("rate_ramp", [0, 1, 0, 0, 1e-4])],
+)
+def test_estimates_have_the_known_limits(term, coefficients):
+    """White noise to N²·√(2/n); a walk alone well above white noise; a ramp in white noise to N √(12/T³)."""
+    k = NAMES.index(term)
+    rng = np.random.default_rng(2)
+    terms = list(coefficients)
+    terms[0] = 1e-6  # no pulses to speak of
+    found = noise_terms(six(rng, terms), (0, simulated.SAMPLES))
+    assert found.resolved[:, k].all()
+    half = 0.5 * (found.high - found.low)[:, k]
+    if term == "random_walk":
+        expected = 1.96 * 0.5 * np.sqrt(2.0 / simulated.SAMPLES)
+        # With pulses and flicker to be told from it, the interval is wider than that of white noise alone.
+        assert np.all(half > 0.97 * expected)
+        assert np.all(half < 3.0 * expected)
+    if term == "rate_ramp":
+        # A walk that is not resolved widens the interval.
+        assert np.all(half > 0.97 * 1.96 * np.sqrt(12.0 / LENGTH_S**3))
+    assert np.all(np.abs(found.value[:, k] - coefficients[k]) < 3.5 / 1.96 * 1.3 * half)
+
+
+def test_a_term_is_known_after_the_length_that_it_needs():
+    """Predicted from a log that resolves it: at that length the relative half-width is a half, on the mean of six."""
+    rng = np.random.default_rng(3)
+    terms = [1e-6, 1.0, 0.0, 4e-3, 0.0]
+    k = NAMES.index("bias_random_walk")
+    long = noise_terms(six(rng, terms), (0, simulated.SAMPLES))
+    needed = float(np.median(long.needed_s[:, k]))
+    n = round(needed / DT)
+    assert 100 < n < simulated.SAMPLES
+    widths = []
+    for _ in range(4):
+        found = noise_terms(six(rng, terms, n), (0, n))
+        widths += (0.5 * (found.high - found.low) / terms[k])[:, k].tolist()
+    # A grid of lengths with steps of 29 %, an expansion for small widths: within a factor of 1.7.
+    assert 0.3 < np.median(widths) < 0.85
+
+
+def test_constant_channels_and_short_logs():
+    rng = np.random.default_rng(4)
+    channels = [simulated.channel(rng, np.array([1e-6, 1.0, 0.0, 0.0, 0.0]), 2000, 0.1) for _ in range(6)]
+    channels[1] = np.full(2000, 0.3)
+    record = log(channels, 0.1)
+    found = noise_terms(record, (0, 2000))
+    assert np.isnan(found.value[1]).all()
+    assert found.figures()["gyro_y"] == {}
+    with pytest.raises(srt.DataError, match="lasts 10 s"):
+        noise_terms(record, (0, 100))
+    increments = srt.Recording(record.time, record.gyro * 0.1, record.accel * 0.1, srt.Site(9.8), kind="increment")
+    np.testing.assert_allclose(noise_terms(increments, (0, 2000)).value, found.value, rtol=1e-6, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory):
+    """Half an hour of a MEMS unit at 50 Hz on a shelf: N, K and pulses in SI, as a recording."""
+    folder = tmp_path_factory.mktemp("shelf")
+    rng = np.random.default_rng(5)
+    n, dt = 90_000, 0.02
+    gyro = [simulated.channel(rng, np.array([2e-5, 1e-4, 0.0, 2e-6, 0.0]), n, dt) for _ in range(3)]
+    accel = [simulated.channel(rng, np.array([1e-4, 1e-3, 0.0, 3e-5, 0.0]), n, dt) for _ in range(3)]
+    x = np.stack([*gyro, *accel], axis=1) + np.array([0.01, -0.02, 0.005, 0.1, -0.1, 9.8])
+    recording = srt.Recording(dt * np.arange(1, n + 1), x[:, :3], x[:, 3:], srt.Site(9.8), serial="SN-7")
+    srt.write_recording(recording, folder / "rec", samples_format="npz")
+    calibration = srt.Calibration(
+        "hand", "converged", "Done.", SensorErrors(np.full(27, 1e-3)), 1e-12 * np.eye(27), provenance={"serial": "SN-7"}
+    )
+    calibration.save(folder / "unit.json")
+    assert main(["noise", str(folder / "rec"), "--into", str(folder / "unit.json"), "--json", str(folder / "n.json"),
+                 "--plot", str(folder / "n.png"), "-q"]) == 0  # fmt: skip
+    return folder
+
+
+def test_the_command_finds_what_was_put_in(shelf, capfd):
+    assert main(["noise", str(shelf / "rec")]) == 0
+    out = capfd.readouterr().out
+    for part in ("30 min at rest, 50 Hz", "random walk, °/√h", "Allan fit", "record"):
+        assert part in out
+    assert max(map(len, out.splitlines())) <= 100
+    found = json.loads((shelf / "n.json").read_text())["channels"]
+    N = np.degrees(1e-4) * 60.0
+    for axis in "xyz":
+        row = found[f"gyro_{axis}"]["gyro_noise_deg_per_sqrt_h"]
+        # The interval has a half-width of 1.96 sigma: 4 sigma for six such figures.
+        assert abs(row["value"] - N) < 2.1 * (row["high"] - row["low"]) / 2.0
+    assert (shelf / "n.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_exports_have_no_empty_noise_field(shelf, capfd):
+    pytest.importorskip("yaml")
+    calibration = srt.load_calibration(shelf / "unit.json")
+    channels = calibration.noise["terms"]["channels"]
+    key = "gyro_bias_random_walk_deg_per_h_per_sqrt_h"
+    worst = max(row[key].get("value", row[key].get("below")) for name, row in channels.items() if name in
+                ("gyro_x", "gyro_y", "gyro_z"))  # fmt: skip
+    made = export(calibration, "kalibr", settings=ExportSettings(rate_hz=50.0, inflate=5.0))
+    assert made.unknown == ()
+    yaml = pytest.importorskip("yaml")
+    flat = yaml.safe_load(made.texts["-imu"])
+    # 1 °/h/√h in rad/s/√s
+    assert flat["gyroscope_random_walk"] == pytest.approx(5.0 * worst * np.radians(1.0) / 3600.0 / 60.0)
+    assert "multiplied by 5 (--inflate)" in made.texts["-imu"]
+    assert flat["gyroscope_noise_density"] == pytest.approx(5e-4, rel=0.2)
+    line = ["export", str(shelf / "unit.json"), "--to", "openvins", "--rate-hz", "50", "-o", str(shelf / "o.yaml")]
+    assert main(line) == 0
+    assert capfd.readouterr().err == ""
+    assert "multiplied by 1 (--inflate)" in (shelf / "o.yaml").read_text()
+
+
+def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, capfd):
+    calibration = srt.load_calibration(shelf / "unit.json")
+    other = {**calibration.provenance, "serial": "SN-8"}
+    from dataclasses import replace
+
+    replace(calibration, provenance=other).save(tmp_path / "other.json")
+    before = (tmp_path / "other.json").read_bytes()
+    assert main(["noise", str(shelf / "rec"), "--into", str(tmp_path / "other.json")]) == 2
+    assert "SN-8" in capfd.readouterr().err
+    assert (tmp_path / "other.json").read_bytes() == before
