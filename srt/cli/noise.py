@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 @click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE", help="Result: FILE.json.")
 @click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
+@click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No table.")
-def noise(log: Path, into: Path | None, json_file: Path | None, plot: Path | None, force: bool, quiet: bool) -> int:
+def noise(
+    log: Path, into: Path | None, json_file: Path | None, plot: Path | None, force: bool, trust: bool, quiet: bool
+) -> int:
     """Show the noise terms in the longest stationary window of LOG: a recording, or a log in a format with units.
 
     Quantization, random walk, bias instability, bias random walk and rate ramp of the six channels, with 95 %
@@ -52,7 +55,7 @@ def noise(log: Path, into: Path | None, json_file: Path | None, plot: Path | Non
     if plot is not None:
         require_matplotlib()
     recording = _samples(log)
-    calibration = None if into is None else load_fit(into, force=force)
+    calibration = None if into is None else load_fit(into, force=force, trust=trust)
     if calibration is not None and into is not None and not force:
         check_match(calibration, recording, into, log)
     rest = longest_rest(recording)
