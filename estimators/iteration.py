@@ -19,11 +19,11 @@ from estimators.block_solution import BlockSolution, eliminate
 from estimators.elimination_steps import global_columns
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
-from estimators.residual_analysis import deletion_table, unmodelled_noise
+from estimators.residual_analysis import contradictions, unmodelled_noise
 from estimators.solution_analysis import FixedParameters, analyse_solution, make_calibration, with_prior
 from estimators.solver import IterationState, JointSolver
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
-from srt.estimation.goodness_of_fit import is_misfit
+from srt.estimation.goodness_of_fit import is_misfit, one_group_explains
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.model.prior import Prior
@@ -48,11 +48,6 @@ _SCATTER_UPDATES: Final = 2
 """Number of updates of the bias scatter. Further updates could alternate between zero and a small scatter."""
 _INDEPENDENT: Final = 1e-10
 """Columns are scaled to norm 1. A smaller diagonal element of R marks a linearly dependent column."""
-_ONE_FAULT: Final = 0.05
-"""A sequence explains the misfit if the other sequences have a smaller share of chi-square than this.
-
-The threshold is not zero because the linearisation about a gross fault is not exact.
-"""
 _NEAR: Final = 1e-2
 """The noise is assessed once the correction (dimensionless, rad, bias in g) is below this."""
 _SAME_NOISE: Final = (0.1, 1e-6)
@@ -304,12 +299,8 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
     if not any(joint.unmodelled_sigma):
         if not is_misfit(statistic, freedom):
             return False
-        # chi² = chi² without sequence k + contribution of sequence k.
-        without = [
-            (statistic - row["chi_square"], freedom - row["degrees_of_freedom"])
-            for row in deletion_table(joint, solution)
-        ]
-        if any(rest < _ONE_FAULT * statistic or not is_misfit(rest, number) for rest, number in without):
+        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+        if one_group_explains(tests, statistic, freedom):
             return False
     new = unmodelled_noise(joint, system)
     if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):

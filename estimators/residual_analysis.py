@@ -14,7 +14,6 @@ from srt.estimation.leave_one_out import (
     LeaveOneOutEstimate,
     SequenceDiagnostics,
     leave_one_out_estimate,
-    most_contradicted,
     participating,
 )
 from srt.noise.variance_components import restricted_likelihood
@@ -163,19 +162,6 @@ def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
     uses = np.bincount(np.concatenate([data.start, data.end]), minlength=len(data.windows.duration_s))
     windows = np.flatnonzero(uses > 1)
     return np.concatenate([system.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")])
-
-
-def contradiction_warnings(table: SequenceOf[dict[str, Any]]) -> list[str]:
-    """Warning about the sequence that is least consistent with the others, if its p-value is small."""
-    worst = most_contradicted(table)
-    if worst is None:
-        return []
-    again = f" (occurrence {worst['occurrence']})" if worst["occurrence"] > 1 else ""
-    return [
-        f"Sequence {worst['sequence']}{again} contradicts all the others (chi-square {worst['chi_square']:.3g} for "
-        f"{worst['degrees_of_freedom']} degrees of freedom): check its windows and rotation, leave it out, or use a "
-        "robust loss."
-    ]
 
 
 def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, float, float]:

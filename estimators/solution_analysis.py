@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,14 +11,12 @@ from estimators.block_solution import BlockSolution, apply_weights, covariance_b
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import (
-    contradiction_warnings,
     contradictions,
     deletion_table,
     residuals,
     sequence_diagnostics,
 )
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.goodness_of_fit import GROSS_G, GROSS_RATIO
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
@@ -64,13 +62,6 @@ def make_calibration(
         for i in np.flatnonzero(weak):
             reasons.setdefault(NAMES[i], "the sequences of this recording cannot separate it from other parameters")
     analysis = analyse_solution(joint, solver, iteration, fixed.sigma)
-    warnings += contradiction_warnings(analysis.table)
-    if any(joint.unmodelled_sigma):
-        rotation, force, rate = joint.unmodelled_sigma
-        warnings.append(
-            f"Residuals are larger than the sensor noise explains: errors of {np.degrees(rotation):.2g}° per rotation, "
-            f"{force:.2g} m/s² and {rate:.2g} rad/s per pose were added, and the sigmas include them."
-        )
     # Parameters that are not observable keep the initial value, not the one from a prior and correlations.
     identity = np.tile(np.eye(3), (data.K, 1, 1))
     not_observed = np.array([name in reasons for name in NAMES])
@@ -84,7 +75,8 @@ def make_calibration(
         residuals=analysis.residuals,
         chi_square=analysis.chi_square,
         degrees_of_freedom=analysis.degrees_of_freedom,
-        gross_misfit=analysis.gross_misfit,
+        sensor_noise_fit=analysis.sensor_noise_fit,
+        unmodelled=joint.unmodelled_sigma,
         integrated=tuple(np.flatnonzero(joint.integrated).tolist()),
         wander=joint.bias_scatter,
         bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
@@ -111,8 +103,8 @@ class SolutionAnalysis:
         Chi-square of every sequence as predicted from the others; see :func:`deletion_table`.
     chi_square, degrees_of_freedom : float, int
         Goodness of fit.
-    gross_misfit : bool
-        True if the misfit is far larger than any noise, for example because of a wrong label.
+    sensor_noise_fit : tuple of float and int
+        Goodness of fit with the noise of the sensors alone.
     sequences : tuple of SequenceDiagnostics
     instability : ndarray, shape (K, 3), rad/s
         Bias instability of the gyros by sequence, minus its mean.
@@ -124,7 +116,7 @@ class SolutionAnalysis:
     table: tuple[dict[str, Any], ...] = ()
     chi_square: float = 0.0
     degrees_of_freedom: int = 0
-    gross_misfit: bool = False
+    sensor_noise_fit: tuple[float, int] = (0.0, 0)
     sequences: tuple[SequenceDiagnostics, ...] = ()
     instability: Array | float = 0.0
 
@@ -156,6 +148,22 @@ def analyse_solution(
         # The bias of this test is one sample of the bias of the unit, which is reported.
         part[at, at] += joint.bias_scatter**2
         total[at, at] += joint.bias_scatter**2
+    chi_square, freedom = _goodness_of_fit(solver, solution, system)
+    return SolutionAnalysis(
+        covariance,
+        total,
+        residuals=residuals(joint, solution),
+        table=table,
+        chi_square=chi_square,
+        degrees_of_freedom=freedom,
+        sensor_noise_fit=_fit_to_sensor_noise(joint, solver, iteration) or (chi_square, freedom),
+        sequences=sequence_diagnostics(joint, solution, against),
+        instability=joint.instability_by_sequence(system, solution.delta),
+    )
+
+
+def _goodness_of_fit(solver: JointSolver, solution: BlockSolution, system: LinearSystem) -> tuple[float, int]:
+    """Chi-square of the residuals and its degrees of freedom."""
     residual = solution.residual
     measured = np.ones(len(residual), dtype=np.bool_)
     prior_leverage = 0.0
@@ -164,23 +172,26 @@ def analyse_solution(
         measured[prior] = False
         prior_leverage = float(np.sum(solution.rows_with_parameters[prior] * system.whitening["prior"][0]))
     chi_square = float(residual[measured] @ residual[measured])
-    freedom = round(float(measured.sum()) - float(system.active.sum()) + prior_leverage)
-    force = system.rows_of("force").index
-    raw = np.linalg.solve(system.whitening["force"], residual[force][..., None])
-    gross = chi_square > GROSS_RATIO * max(freedom, 1) and float(np.sqrt(np.mean(raw**2))) > (
-        GROSS_G * joint.data.gravity
+    return chi_square, round(float(measured.sum()) - float(system.active.sum()) + prior_leverage)
+
+
+def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> tuple[float, int] | None:
+    """Goodness of fit without unmodelled errors in the noise; None if there are none, or the system is singular."""
+    if not any(joint.unmodelled_sigma):
+        return None
+    assert iteration.compensated is not None
+    assert iteration.linearisation_point is not None
+    whole = iteration.compensated
+    force, rate, rotation = (
+        {source: R for source, R in noise.items() if not source.endswith("excess")}
+        for noise in (whole.force_noise, whole.rate_noise, whole.rotation_noise)
     )
-    return SolutionAnalysis(
-        covariance,
-        total,
-        residuals=residuals(joint, solution),
-        table=table,
-        chi_square=chi_square,
-        degrees_of_freedom=freedom,
-        gross_misfit=gross,
-        sequences=sequence_diagnostics(joint, solution, against),
-        instability=joint.instability_by_sequence(system, solution.delta),
-    )
+    compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
+    system = linearise(joint, iteration.linearisation_point, compensated, iteration.free, solver.prior)
+    try:
+        return _goodness_of_fit(solver, BlockSolution(system), system)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def with_prior(joint: JointModel, solver: JointSolver, iteration: IterationState) -> LinearSystem:

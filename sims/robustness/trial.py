@@ -13,6 +13,7 @@ from sims.physics.imu import is_imu
 from sims.scenarios.simulation import simulate
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import SrtError
+from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ OUTCOMES: Final = {
     "converged": "the estimator reports convergence, and its result equals the one reached from the true errors",
     "wrong_minimum": "the estimator reports convergence, but to another result",
     "not_converged": "the estimator reports that it did not converge",
+    "inconsistent": "the estimator reports that the measurements contradict its result",
     "outside_model": "the estimator reports that its estimate is no possible unit",
     "crashed": "the estimator raised an unexpected error: a defect of the estimator",
     "refused": "the estimator stopped with an error message on the input",
@@ -36,7 +38,6 @@ OUTCOMES: Final = {
 }
 """Outcomes of a trial and their meaning; the last one is excluded from every rate."""
 
-_SUCCESS: Final = ("converged", "partial")
 _EXACT: Final = np.full(N_PARAMETERS, 1e-8)
 _EXACT[GROUP_SLICES["accel_bias"]] *= STANDARD_GRAVITY_M_S2
 """Tolerance of equal results if sigmas are below rounding errors: 1e-8; accelerometer bias: 1e-8 g."""
@@ -104,12 +105,12 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
         "estimator": choice.label,
         "status": found.status,
         "message": found.message,
-        "outcome": "converged" if found.status in _SUCCESS else found.status,
+        "outcome": "converged" if found.status in USABLE else found.status,
         "playbacks": len(found.corrections),
         "calibrate_s": time.thread_time() - began,
         **errors_of(found, truth),
     }
-    if found.status in _SUCCESS and fixed_point:
+    if found.status in USABLE and fixed_point:
         if choice.from_truth:
             row["distance"] = 0.0
             return row
@@ -118,7 +119,7 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
         except Exception as error:  # any failure leaves no reference result
             row["message"] = f"{found.message} From the true errors: {error}"
             reference = None
-        if reference is None or reference.status not in _SUCCESS:
+        if reference is None or reference.status not in USABLE:
             row["outcome"] = "unverified"
         else:
             row["distance"] = distance(found, reference)

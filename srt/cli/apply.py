@@ -166,13 +166,14 @@ def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:
     """
     from srt.model.sensor_model import outside_model
     from srt.result.calibration import load_calibration
+    from srt.result.verdict import USABLE
 
     calibration = load_calibration(path, trust=trust)
     if not isinstance(calibration.provenance, dict) or not isinstance(calibration.estimator, str):
         raise InputError(f"The calibration {path} does not say where it comes from: it was edited or truncated.")
     if force:
         return calibration
-    if calibration.status not in ("converged", "partial"):
+    if calibration.status not in USABLE:
         raise InputError(
             f"The calibration {path} has the status {calibration.status}: give one that converged, or add --force."
         )

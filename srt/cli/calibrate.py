@@ -145,8 +145,11 @@ def calibrate(
     does not stop the others, and the exit code is the worst. --merge takes recordings of one unit and gives one result
     with their repeatability.
 
-    Exit codes: 0 converged, or partial (some parameters fixed, with a warning); 1 not converged or outside the model
-    (written with that status), or data that cannot support a result; 2 wrong usage or unreadable input.
+    The verdict is sound (the residuals agree with the sensors' own noise), doubtful (they do not, and the sigmas were
+    enlarged) or failed (the measurements contradict each other, not converged, or outside the model).
+
+    Exit codes: 0 sound, or doubtful or partial (some parameters fixed) with a warning; 1 failed (written with that
+    status), or data that cannot support a result; 2 wrong usage or unreadable input.
     """
     found = find_recordings(recordings, files=RESULT_SUFFIXES if merge else ())
     shared = scheduler is not None or (workers != 1 and len(found.paths) > 1)
@@ -249,9 +252,10 @@ def load_prior(path: Path, *, trust: bool) -> Prior:
     """
     from srt.model.prior import Prior
     from srt.result.calibration import load_calibration
+    from srt.result.verdict import FAILED
 
     calibration = load_calibration(path, trust=trust)
-    if calibration.status not in ("converged", "partial"):
+    if calibration.judgement.word == FAILED:
         raise InputError(f"The prior {path} has the status {calibration.status}: give a calibration that converged.")
     return Prior.from_calibration(calibration)
 
@@ -330,11 +334,15 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
 def report_problems(job: Job, calibration: Calibration) -> int:
     """Print what is wrong with a result; give the exit code of its status."""
     from srt.reports.text.calibration import held_summary
+    from srt.result.verdict import DOUBTFUL, FAILED
 
-    if calibration.status not in ("converged", "partial"):
+    judgement = calibration.judgement
+    if judgement.word == FAILED:
         kept = f"; {job.output} holds it with that status" if job.output is not None else ""
         say(f"{job.recording}: {calibration.message.rstrip('.')}{kept}.")
         return DataError.exit_code
+    if judgement.word == DOUBTFUL:
+        warn(f"{job.recording}: {judgement}")
     voided = calibration.provenance.get("voided", {})
     clauses = [f"{title} is void ({reason})" for title, reason in voided.items()]
     if calibration.held:

@@ -49,9 +49,12 @@ def certificate(
     accel_bias_ug, gyro_bias_deg_per_h, or gyro_scale_x_ppm for one parameter: the largest absolute value, and the
     largest sigma.
 
-    Exit codes: 0 success; 1 a limit is not met (the certificate is written and says so), or the calibration did not
-    converge; 2 wrong usage, unreadable or edited input, or a recording or an earlier calibration of another unit.
+    Exit codes: 0 success; 1 a limit is not met, or limits are given and the verdict on the calibration is doubtful (the
+    certificate is written and says so), or the verdict is failed; 2 wrong usage, unreadable or edited input, or a
+    recording or an earlier calibration of another unit.
     """
+    from srt.result.verdict import DOUBTFUL
+
     page, document = check_places(calibration_file, output)
     import srt
     import srt.reports.certificate.html_page
@@ -72,6 +75,9 @@ def certificate(
         show(f"Written: {page}, {document}")
     if made.failed:
         say(f"{calibration_file}: the limits of {limits} are not met by {', '.join(made.failed)}.")
+        return DataError.exit_code
+    if made.outcome == DOUBTFUL:
+        say(f"{calibration_file}: the limits of {limits} cannot be passed by a doubtful calibration.")
         return DataError.exit_code
     return 0
 

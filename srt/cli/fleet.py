@@ -128,11 +128,15 @@ def _write(unit: FleetUnit, job: Job) -> None:
 
 def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:
     """Print one sentence for each unit with a problem; give the worst exit code."""
+    from srt.result.verdict import DOUBTFUL
     from srt.sensor_errors import NAMES
 
     partial = [unit.name for unit in fleet.units if unit.status == "partial"]
     if partial:
         warn(f"some parameters are held, not observed, in {len(partial)} of {len(fleet.units)}: {', '.join(partial)}.")
+    doubtful = [u.name for u in fleet.units if u.calibration is not None and u.calibration.judgement.word == DOUBTFUL]
+    if doubtful:
+        warn(f"{len(doubtful)} of {len(fleet.units)} are doubtful (each alone says why): {', '.join(doubtful)}.")
     serials = Counter(unit.serial for unit in fleet.units if unit.serial is not None and unit.sound)
     for serial, count in serials.items():
         if count == 1:

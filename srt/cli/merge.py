@@ -51,6 +51,7 @@ def run_merging(
     from srt.reports.text.calibration import held_summary
     from srt.reports.text.calibration_summary import calibration_text
     from srt.reports.text.repeatability import repeatability_text
+    from srt.result.verdict import DOUBTFUL
 
     found: dict[str, Calibration] = {}
     for job in jobs:
@@ -87,6 +88,8 @@ def run_merging(
     announce(output, plot, quiet=display.quiet)
     if output is None and plot is None and not display.quiet:
         show("\nNothing was written: -o FILE.json keeps the result.")
+    if merged.judgement.word == DOUBTFUL:
+        warn(str(merged.judgement))
     if merged.held:
         warn(f"held, not observed: {held_summary(merged)}.")
     repeated = merged.diagnostics["repeatability"]

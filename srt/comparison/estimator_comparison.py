@@ -27,6 +27,7 @@ from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estima
 from srt.exceptions import DataError, InputError, SrtError
 from srt.presentation import Presented
 from srt.recording.atomic_file import atomic_write_text
+from srt.result.verdict import DOUBTFUL, USABLE
 from srt.sensor_errors import NAMES, SYMBOLS, UNITS
 from srt.sequences.recognition import label_sequences
 
@@ -117,9 +118,6 @@ def run_estimators(
 
 FORMAT: Final = "srt-comparison"
 VERSION: Final = 1
-
-USABLE: Final = ("converged", "partial")
-"""Statuses with valid values and sigmas."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -219,6 +217,8 @@ class Comparison(Presented):
             "name": name,
             "status": calibration.status,
             "message": calibration.message,
+            "judgement": calibration.judgement.word,
+            "reason": calibration.judgement.reason,
             "playbacks": len(calibration.corrections),
             "seconds": self.seconds.get(name),
             "observed": int(calibration.observed.sum()),
@@ -322,6 +322,8 @@ def _notes(
         if calibration.status not in USABLE:
             status = calibration.status.replace("_", " ")
             yield f"{name} is not compared, because its status is {status}: {calibration.message}"
+        elif calibration.verdict and calibration.judgement.word == DOUBTFUL:
+            yield f"{name} is doubtful: {calibration.judgement.reason}"
     for name, pair in differences.items():
         if pair.smaller_sigma:
             yield (

@@ -19,6 +19,7 @@ import numpy as np
 from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, find_outliers
 from srt.exceptions import DataError, InputError, SrtError
 from srt.recording.atomic_file import atomic_path
+from srt.result.verdict import USABLE
 from srt.sensor_errors import N_PARAMETERS, NAMES, SYMBOLS, UNITS
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 FORMAT: Final = "srt-fleet"
 VERSION: Final = 1
 FAILED: Final = "failed"
-SOUND: Final = ("converged", "partial")
-"""Statuses of calibrations in the fleet statistics."""
 
 COLUMNS: Final = (
     *("unit", "serial", "recording", "status", "message", "parameter", "unit_si", "value", "sigma"),
@@ -85,7 +84,7 @@ class FleetUnit:
     @property
     def sound(self) -> bool:
         """True if its values count in the fleet statistics."""
-        return self.calibration is not None and self.status in SOUND
+        return self.calibration is not None and self.status in USABLE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,6 +195,8 @@ class Fleet:
         if unit.calibration is not None:
             verdict = unit.calibration.verdict
             out |= {key: verdict.get(key) for key in ("chi_square", "degrees_of_freedom", "probability")}
+            judgement = unit.calibration.judgement
+            out |= {"verdict": judgement.word, "reason": judgement.reason}
             out |= {"estimator": unit.calibration.estimator, "warnings": list(unit.calibration.warnings)}
         return out
 
@@ -306,7 +307,7 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
             "report it as a defect.",
             DataError.exit_code,
         )
-    code = 0 if result.status in SOUND else DataError.exit_code
+    code = 0 if result.status in USABLE else DataError.exit_code
     return task.number, unit(serial, result.status, result.message, code, result)
 
 

@@ -15,6 +15,7 @@ from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests,
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
 from srt.result.calibration import Calibration, software
+from srt.result.verdict import DOUBTFUL, USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 
 ESTIMATOR: Final = "merged"
-USABLE: Final = ("converged", "partial")
 UNLIKELY: Final = 1e-3
 """p-value below which recordings disagree: one false alarm in 1000 merged calibrations."""
 
@@ -123,7 +123,11 @@ def _merged(
             observed,
             statistic,
             freedom,
-        ),
+        )
+        | {
+            "between_recordings": bool(sizes.any()),
+            "doubtful_recordings": [title for title, c in used.items() if c.judgement.word == DOUBTFUL],
+        },
         warnings=_warnings(used, left_out, sizes, p_value, U_note),
     )
 

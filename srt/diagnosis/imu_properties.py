@@ -23,6 +23,7 @@ from srt.estimation.options import Options
 from srt.exceptions import DataError
 from srt.model.table1 import AXES
 from srt.noise.noise_model import smallest_step
+from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -134,10 +135,10 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
         return
     held = evidence.result
     fit = stationary_rate_fit(evidence)
-    if held is None or held.status not in ("converged", "partial") or fit is None:
+    if held is None or held.status not in USABLE or fit is None:
         return
     free = _with_asymmetry(evidence, fit)
-    if free is None or free.status not in ("converged", "partial"):
+    if free is None or free.status not in USABLE:
         return
     part = GROUP_SLICES["gyro_asymmetry"]
     chi_square, freedom = free.noise["chi_square"], free.noise["degrees_of_freedom"]

@@ -470,6 +470,7 @@ class Inspection(Presented):
             "summary": self.summary,
             "calibrated": self.calibrated,
             "findings": self.diagnosis.as_dicts(),
+            "verdict": None if self.diagnosis.judgement is None else asdict(self.diagnosis.judgement),
         }
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.result.verdict import Verdict
     from srt.sequences.recognition import Recognition
 
 _MODULES: Final = (
@@ -50,9 +51,12 @@ class Diagnosis:
     ----------
     findings : tuple of Finding
         Causes before consequences.
+    judgement : Verdict or None
+        Verdict on the calibration of the recording; None without one.
     """
 
     findings: tuple[Finding, ...]
+    judgement: Verdict | None = None
 
     @property
     def first(self) -> Finding | None:
@@ -116,7 +120,8 @@ class StagedDiagnosis:
                 for check in stage_checks(stage):
                     if check.needs_result:
                         self._findings += check.run(self.evidence)
-        return Diagnosis(sort_by_cause(self._findings))
+        found = None if self._refused else self.evidence.result
+        return Diagnosis(sort_by_cause(self._findings), None if found is None else found.judgement)
 
     @property
     def _refused(self) -> bool:

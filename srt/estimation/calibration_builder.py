@@ -8,8 +8,9 @@ import numpy as np
 
 from srt.estimation import g_sensitivity_report
 from srt.estimation.goodness_of_fit import is_misfit
-from srt.estimation.leave_one_out import verdict
+from srt.estimation.leave_one_out import chi_square_probability, verdict
 from srt.result.calibration import Calibration, software
+from srt.result.verdict import LARGEST_RATIO, USABLE, probability_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 from srt.sequences.manoeuvres import wrong_rotation_angles
 
@@ -47,7 +48,7 @@ def build_calibration(
         fixed = dict.fromkeys(NAMES, "the iteration ended where the model does not hold")
     observed = np.array([name not in fixed for name in NAMES])
     mask = np.outer(observed, observed)
-    status, message, misfit_warnings, inflation = _status(result, fixed)
+    inflation = _birge_ratio(result)
     total = sum(result.covariance.values()) if result.total is None else result.total
     clock = clock_effect(data)
     # An error of the time scale is common to all measurements: the residuals do not show it, so the Birge ratio does
@@ -56,6 +57,10 @@ def build_calibration(
     covariance = 0.5 * (covariance + covariance.T)
     fixture = data.recording.fixture
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
+    evidence = verdict(result.sequences, covariance, observed, chi_square, freedom) if observed.any() else {}
+    if evidence:
+        evidence |= _agreement(data, result, covariance, observed, inflation)
+    status, message = _status(result, fixed, evidence, free=fixture is None)
     return Calibration(
         estimator=estimator,
         status=status,
@@ -80,8 +85,8 @@ def build_calibration(
         temperature=_temperature(data),
         provenance=_provenance(data, options),
         diagnostics=result.diagnostics,
-        verdict=verdict(result.sequences, covariance, observed, chi_square, freedom) if observed.any() else {},
-        warnings=(*warnings, *misfit_warnings, *_warnings(data, result, observed)),
+        verdict=evidence,
+        warnings=(*warnings, *_warnings(data, result, observed)),
     )
 
 
@@ -100,35 +105,83 @@ def clock_effect(data: PreparedRecording) -> Array:
     return out
 
 
-def _status(result: SolverResult, fixed: Mapping[str, str]) -> tuple[str, str, tuple[str, ...], float]:
-    """Status and message, warnings about residuals that the noise does not explain, and the factor on all sigmas.
-
-    The factor is the Birge ratio √(χ² / degrees of freedom) where the residuals are larger than the noise explains.
-    """
-    status, message = result.status, result.message
+def _birge_ratio(result: SolverResult) -> float:
+    """Factor √(χ² / degrees of freedom) on all sigmas if the residuals exceed the noise, else 1."""
     chi_square, freedom = result.chi_square, result.degrees_of_freedom
-    misfit = status == "converged" and is_misfit(chi_square, freedom)
-    warnings: tuple[str, ...] = ()
-    inflation = 1.0
-    if misfit and result.gross_misfit:
-        status = "not_converged"
-        message = (
-            f"The corrections became negligible after {len(result.corrections)} iterations, but the residuals are far "
-            f"too large (chi-square {chi_square:.2g} for {freedom} degrees of freedom): wrong minimum, wrong label, "
-            "or a unit that the sensor model does not describe."
+    misfit = result.status == "converged" and is_misfit(chi_square, freedom)
+    return float(np.sqrt(chi_square / freedom)) if misfit else 1.0
+
+
+def _status(
+    result: SolverResult, fixed: Mapping[str, str], evidence: Mapping[str, Any], *, free: bool
+) -> tuple[str, str]:
+    """Status and message: outside_model, not_converged, inconsistent, partial, converged, in this order.
+
+    Without a fixture nothing bounds the errors of a rotation, and added noise that explains the residuals of several
+    rotations is no contradiction, however large.
+    """
+    if result.status != "converged":
+        return result.status, result.message
+    suspect = evidence.get("contradicting")
+    robust = "weights" in result.diagnostics  # a robust loss has reduced the weight of what contradicts
+    if suspect is not None and not robust:
+        again = f" (occurrence {suspect['occurrence']})" if suspect["occurrence"] > 1 else ""
+        return "inconsistent", (
+            f"Sequence {suspect['sequence']}{again} contradicts all others (p = "
+            f"{probability_text(suspect['probability'])}): check its label, windows and rotation, and leave it out or "
+            "repeat it."
         )
-    elif misfit:
-        inflation = float(np.sqrt(chi_square / freedom))
-        warnings = (
-            f"The residuals are larger than the noise explains (chi-square {chi_square:.0f} for {freedom} degrees of "
-            f"freedom, p < 0.001): an error source is missing from the noise model. All sigmas were multiplied by "
-            f"{inflation:.2g}. Possible causes: bias instability, g-sensitivity, a disturbed window; state "
-            "gyro_bias_instability_deg_per_h and accel_bias_instability_ug in [imu] if they are known.",
+    explained = robust or not evidence or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
+    statistic, freedom = result.sensor_noise_fit
+    if freedom > 0 and statistic > LARGEST_RATIO**2 * freedom and is_misfit(statistic, freedom) and not explained:
+        return "inconsistent", (
+            f"The residuals are {np.sqrt(statistic / freedom):.2g} times as large as the sensors' own noise explains "
+            f"(chi-square {statistic:.4g} for {freedom} degrees of freedom): a wrong label, motion in windows, a wrong "
+            f"minimum, {'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or a unit "
+            "that the sensor model does not describe."
         )
-    if status == "converged" and fixed:
-        status = "partial"
-        message = f"{message} Fixed, not observed: {', '.join(fixed)}."
-    return status, message, warnings, inflation
+    if fixed:
+        return "partial", f"{result.message} Fixed, not observed: {', '.join(fixed)}."
+    return result.status, result.message
+
+
+def _agreement(
+    data: PreparedRecording, result: SolverResult, covariance: Array, observed: Mask, inflation: float
+) -> dict[str, Any]:
+    """Agreement of the residuals with the noise of the sensors, and what was added to it, as JSON values."""
+    statistic, freedom = result.sensor_noise_fit
+    out: dict[str, Any] = {
+        "own_noise": {
+            "chi_square": statistic,
+            "degrees_of_freedom": freedom,
+            "probability": chi_square_probability(statistic, freedom),
+        }
+    }
+    if any(result.unmodelled):
+        own = _sensor_noise(data)
+        out["added_noise"] = {
+            kind: {"added": size, "own": own[kind]} for kind, size in zip(own, result.unmodelled, strict=True)
+        }
+    added = sum((P for source, P in result.covariance.items() if source.endswith("excess")), np.zeros_like(covariance))
+    variance = np.diag(covariance)[observed]
+    own_part = np.maximum(variance / inflation**2 - np.diag(added)[observed], 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.sqrt(variance / own_part)
+    factor = factor[np.isfinite(factor)]
+    out["sigma_factor"] = [float(factor.min()), float(factor.max())] if factor.size else [1.0, 1.0]
+    return out
+
+
+def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
+    """1-sigma noise of the sensors in a rotation (rad), and in the mean force and rate of a window (m/s², rad/s)."""
+    noise, windows = data.noise, data.windows.duration_s
+    turning = np.diff(data.rotation, axis=1) * data.recording.nominal_interval_s
+    window = float(np.median(windows))
+    return {
+        "rotation_rad": float(noise.gyro_white.max() * np.sqrt(np.median(turning))),
+        "force_m_s2": float(np.hypot(noise.accel_white / np.sqrt(window), noise.accel_flicker).max()),
+        "rate_rad_s": float(noise.gyro_white.max() / np.sqrt(window)),
+    }
 
 
 def _provenance(data: PreparedRecording, options: Options) -> dict[str, Any]:
@@ -229,9 +282,9 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
         messages.append(
             f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
         )
-    if result.status in ("converged", "partial", "not_converged"):
+    if result.status in (*USABLE, "not_converged"):
         messages += wrong_rotation_angles(data, result.end_attitude, result.U)
-    if result.solution is not None and result.status in ("converged", "partial"):
+    if result.solution is not None and result.status in USABLE:
         messages += g_sensitivity_report.warnings(data, result.solution.measurements)
     if data.recording.site.latitude_rad is None:
         messages.append("No latitude is given: the gyro-bias sigma includes the whole Earth rate as an unknown.")

@@ -15,9 +15,9 @@ import numpy as np
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import LeaveOneOutEstimate, pooling_weights_without
 from srt.estimation.solver_result import solver_result
+from srt.estimation.unmodelled_errors import iterate_with_unmodelled_errors
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import AXES, SEQUENCES
@@ -145,10 +145,10 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             "use the least-squares estimator."
         )
     data = prepare_checked(recording, labels, options.average)
-    solver = ClosedFormSolver(data, options)
-    start, U = initial_estimate(data, options)
+    first = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
-    solution = iterate(data, options, solver, start, U, progress, fixed_sigma=uncertain)
+    solver = ClosedFormSolver(data, options)
+    solution, _, unmodelled = iterate_with_unmodelled_errors(data, options, lambda: solver, first, uncertain, progress)
     fixed = {name: reason_on_request(name, uncertain) for name in options.fixed_names}
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
@@ -156,7 +156,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         fixed[name] = f"sequence {', '.join(absent)} is missing or void; the value is {source}"
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    result = solver_result(data, options, solution, fixed, without_sequences)
+    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled)
     return build_calibration("closed-form", data, options, result, fixed, warnings=warnings)
 
 

@@ -13,6 +13,7 @@ is computed once, for u.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -21,14 +22,12 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from srt.estimation import measurement_covariance
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
-from srt.estimation.goodness_of_fit import chi_square, is_misfit
 from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import LeaveOneOutEstimate, leave_one_out_estimate, pooling_weights_without
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.estimation.solver_result import solver_result
+from srt.estimation.unmodelled_errors import iterate_with_unmodelled_errors
 from srt.model import measurement_model as model
-from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import N_PARAMETERS, NAMES
 from srt.sequences.preparation import prepare_checked
 from srt.sequences.stationary_windows import find_turns
@@ -41,13 +40,12 @@ if TYPE_CHECKING:
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
-    from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array, Mask
+    from srt.types import Array
 
 
 _ROUNDS: Final = 3
-"""Largest number of rounds that select anew which parameters are fixed, and that estimate the unmodelled errors."""
+"""Largest number of rounds that select anew which parameters are fixed."""
 
 
 class LeastSquaresSolver:
@@ -107,7 +105,10 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     uncertain = fixed_sigma(data, options)
     fixed = {n: reason_on_request(n, uncertain) for n in options.fixed_names}
     for _ in range(_ROUNDS):
-        solution, solver, excess = _solve(data, options, tuple(fixed), first, uncertain, progress)
+        requested = tuple(fixed)
+        solution, solver, unmodelled = iterate_with_unmodelled_errors(
+            data, options, partial(LeastSquaresSolver, requested), first, uncertain, progress
+        )
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
         weak = ~solver.fixed & (sigma > OBSERVED_BELOW * admission_sigma())
         for n, is_fixed, is_weak in zip(NAMES, solver.fixed, weak, strict=True):
@@ -115,65 +116,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
                 fixed[n] = "not distinguishable from the other parameters by the poses and rotations of this recording"
         if solution.status != "converged" or not weak.any():
             break
-    warnings: tuple[str, ...] = ()
-    if any(excess):
-        warnings = (
-            f"The residuals are larger than the sensor noise explains: an unmodelled rotation error of "
-            f"{np.degrees(excess[0]):.2g}° and an unmodelled specific-force error of {excess[1]:.2g} m/s² per window "
-            "(1-sigma) were estimated, and the sigmas include them.",
-        )
-    result = solver_result(data, options, solution, fixed, without_sequences)
-    return build_calibration("least-squares", data, options, result, fixed, warnings=warnings)
-
-
-def _solve(
-    data: PreparedRecording,
-    options: Options,
-    requested: tuple[str, ...],
-    first: tuple[SensorErrors, Array],
-    uncertain: Array,
-    progress: Progress | None,
-) -> tuple[Solution, LeastSquaresSolver, tuple[float, float]]:
-    """Iterate with given parameters fixed; repeat with unmodelled errors if the residuals contradict the noise."""
-    solver = LeastSquaresSolver(requested)
-    solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
-    excess = (0.0, 0.0)
-    for _ in range(_ROUNDS):
-        if solution.status != "converged" or not _misfit(solution, solver.fixed):
-            break
-        new = _excess(solution, data, solver.fixed, excess)
-        if np.allclose(new, excess, rtol=0.1, atol=1e-6):
-            break
-        excess = new
-        solver = LeastSquaresSolver(requested)
-        solution = iterate(
-            data,
-            options,
-            solver,
-            first[0],
-            solution.U,
-            progress,
-            excess=excess,
-            resume=solution,
-            fixed_sigma=uncertain,
-        )
-    return solution, solver, excess
-
-
-def _misfit(solution: Solution, fixed: Mask) -> bool:
-    return is_misfit(*chi_square(solution, fixed))
-
-
-def _excess(
-    solution: Solution, data: PreparedRecording, fixed: Mask, present: tuple[float, float]
-) -> tuple[float, float]:
-    """Unmodelled rotation error, rad, and specific-force error per window, m/s², 1-sigma, by restricted likelihood."""
-    measurements = solution.measurements
-    unit = measurement_covariance.covariances(measurements, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
-    parts = (unit["turn_excess"], unit["pose_excess"])
-    known = solution.measurement_covariance - sum(size**2 * part for size, part in zip(present, parts, strict=True))
-    a, b = restricted_likelihood(measurements.z, measurements.H[:, ~fixed], known, parts)
-    return float(np.sqrt(a)), float(np.sqrt(b))
+    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled)
+    return build_calibration("least-squares", data, options, result, fixed)
 
 
 def without_sequences(

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
+from srt.estimation.goodness_of_fit import contradicting_group
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.model.prior import prior_sigma
 from srt.sensor_errors import N_PARAMETERS, NAMES
@@ -39,9 +40,6 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
     SequenceRows = tuple[Indices, Indices]
-
-SUSPECT_PROBABILITY: Final = 1e-4
-"""p-value below which a sequence contradicts the others: over 17 sequences, one false alarm in about 600 recordings."""
 
 _LOST: Final = 100.0
 """Growth of a sigma above which a parameter counts as lost without a sequence."""
@@ -279,7 +277,8 @@ def verdict(
     -------
     dict
         "chi_square", "degrees_of_freedom", "probability" (p-value of chi-square; None without degrees of freedom),
-        "sequences", "parameters" (those observed), "weakest_combination".
+        "contradicting" (the sequence that contradicts all others, with the p-value, or None), "sequences",
+        "parameters" (those observed), "weakest_combination".
     """
     # Far from a solution, where an iteration did not converge, the linear algebra may fail.
     rows = list(evidence)
@@ -289,24 +288,25 @@ def verdict(
     return {
         "chi_square": statistic,
         "degrees_of_freedom": freedom,
-        "probability": _probability(statistic, freedom),
+        "probability": chi_square_probability(statistic, freedom),
+        "contradicting": _contradicting(rows, statistic, freedom),
         "sequences": [_sequence(row, sigma, observed) for row in rows],
         "parameters": _parameters(rows, covariance, seen),
         "weakest_combination": _weakest(covariance, seen),
     }
 
 
-def most_contradicted(sequences: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
-    """Sequence that contradicts the others most, if its p-value is at most :data:`SUSPECT_PROBABILITY`."""
-    checked = [row for row in sequences if row["degrees_of_freedom"]]
-    if not checked:
+def _contradicting(rows: Sequence[SequenceDiagnostics], statistic: float, freedom: int) -> dict[str, Any] | None:
+    tests = [(row.consistency.chi_square, row.consistency.degrees_of_freedom) for row in rows]
+    worst = contradicting_group(tests, statistic, freedom)
+    if worst is None:
         return None
-    # p-values underflow; chi-square per degree of freedom still gives an order.
-    worst = max(checked, key=lambda row: row["chi_square"] / row["degrees_of_freedom"])
-    return worst if worst["probability"] <= SUSPECT_PROBABILITY else None
+    row = rows[worst[0]]
+    return {"sequence": row.title, "occurrence": row.occurrence, "probability": worst[1]}
 
 
-def _probability(statistic: float, freedom: int) -> float | None:
+def chi_square_probability(statistic: float, freedom: int) -> float | None:
+    """p-value of a chi-square; None without degrees of freedom."""
     return float(chdtrc(freedom, statistic)) if freedom > 0 else None
 
 
@@ -322,7 +322,7 @@ def _sequence(row: SequenceDiagnostics, sigma: Array, observed: Mask) -> dict[st
         "occurrence": row.occurrence,
         "chi_square": against.chi_square,
         "degrees_of_freedom": against.degrees_of_freedom,
-        "probability": _probability(against.chi_square, against.degrees_of_freedom),
+        "probability": chi_square_probability(against.chi_square, against.degrees_of_freedom),
         "checkable": checkable,
         "only_witness_of": _names(against.determined & observed),
         "lost_without": _names(without.lost & observed),

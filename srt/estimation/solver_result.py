@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.estimation import g_sensitivity_report
-from srt.estimation.goodness_of_fit import chi_square, is_gross
+from srt.estimation.goodness_of_fit import chi_square
 from srt.estimation.leave_one_out import sequence_diagnostics
+from srt.estimation.unmodelled_errors import fit_to_sensor_noise
 from srt.result.calibration import Residual
 from srt.sensor_errors import NAMES
 
@@ -46,8 +47,11 @@ class SolverResult:
     chi_square : float
         Smallest weighted square sum of the residuals.
     degrees_of_freedom : int
-    gross_misfit : bool
-        True if the residuals are too large for any noise.
+    sensor_noise_fit : tuple of float and int
+        Chi-square and degrees of freedom with the noise of the sensors alone.
+    unmodelled : tuple of float
+        1-sigma of the unmodelled errors that were added to the noise: of a rotation, rad, of a window's specific force,
+        m/s², and of its rate, rad/s.
     integrated : tuple of int
         Windows whose attitude was integrated.
     wander : ndarray, shape (3,), rad/s
@@ -74,7 +78,8 @@ class SolverResult:
     residuals: tuple[Residual, ...]
     chi_square: float
     degrees_of_freedom: int
-    gross_misfit: bool
+    sensor_noise_fit: tuple[float, int]
+    unmodelled: tuple[float, float, float]
     integrated: tuple[int, ...]
     wander: Array
     bias_by_sequence: Array
@@ -91,6 +96,7 @@ def solver_result(
     solution: Solution,
     fixed_reasons: Mapping[str, str],
     leave_one_out: LeaveOneOutEstimator,
+    unmodelled: tuple[float, float],
 ) -> SolverResult:
     """Solver result of an iterated solution.
 
@@ -103,6 +109,8 @@ def solver_result(
         Parameters not observed, with the reason.
     leave_one_out : LeaveOneOutEstimator
         Leave-one-out estimator of the solver.
+    unmodelled : tuple of float
+        Unmodelled errors of rotations, rad, and specific forces, m/s².
     """
     fixed = np.array([name in fixed_reasons for name in NAMES])
     statistic, freedom = chi_square(solution, fixed)
@@ -117,7 +125,10 @@ def solver_result(
         residuals=_residuals(data, solution),
         chi_square=statistic,
         degrees_of_freedom=freedom,
-        gross_misfit=is_gross(solution, statistic, freedom, data.gravity),
+        sensor_noise_fit=fit_to_sensor_noise(solution, data, fixed, unmodelled)
+        if any(unmodelled)
+        else (statistic, freedom),
+        unmodelled=(*unmodelled, 0.0),
         integrated=solution.integrated,
         wander=solution.wander,
         bias_by_sequence=solution.bias_by_sequence,

@@ -17,6 +17,7 @@ from srt.exceptions import InputError
 from srt.presentation import Presented
 from srt.result.applier import BLOCK, Applier
 from srt.result.json_file import load_json_file, save_json_file
+from srt.result.verdict import Verdict, verdict_on
 from srt.sensor_errors import INDEX, N_PARAMETERS, NAMES, SYMBOLS, UNITS, SensorErrors
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 FORMAT: Final = "srt-calibration"
 VERSION: Final = 1
-STATUSES: Final = ("converged", "partial", "not_converged", "outside_model")
+STATUSES: Final = ("converged", "partial", "inconsistent", "not_converged", "outside_model")
 
 FORMULA: Final = (
     "Readings are y = M v + s*|v| + b, with v the true value in MARS axes and * element by element. "
@@ -70,7 +71,8 @@ class Calibration(Presented):
     ----------
     estimator : str
     status : str
-        "converged", "partial" (some parameters held), "not_converged" or "outside_model".
+        "converged", "partial" (some parameters fixed), "inconsistent" (the measurements contradict each other),
+        "not_converged" or "outside_model". Only the first two are usable.
     message : str
         The status in a sentence.
     errors : SensorErrors
@@ -93,6 +95,7 @@ class Calibration(Presented):
         Further output of the estimator, such as the innovations of every sequence; JSON values.
     verdict : dict
         Consistency of the measurements, :func:`srt.estimation.leave_one_out.verdict`; JSON values, empty if unknown.
+        :attr:`judgement` states it in words.
     warnings : tuple of str
     """
 
@@ -122,6 +125,11 @@ class Calibration(Presented):
         out: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         out[[INDEX[name] for name in self.held]] = np.nan
         return out
+
+    @property
+    def judgement(self) -> Verdict:
+        """Verdict in words: sound, doubtful or failed, with the reason."""
+        return verdict_on(self)
 
     @property
     def observed(self) -> Mask:
@@ -227,8 +235,12 @@ class Calibration(Presented):
             ],
             "provenance": dict(self.provenance),
             "diagnostics": dict(self.diagnostics),
-            "verdict": dict(self.verdict),
+            "verdict": self._verdict_dict(),
         }
+
+    def _verdict_dict(self) -> dict[str, Any]:
+        judgement = self.judgement
+        return {"word": judgement.word, "reason": judgement.reason, **self.verdict} if self.verdict else {}
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON form with its digest, whole or not at all. Raises InputError if the path cannot be written."""
@@ -293,7 +305,7 @@ def _from_dict(document: dict[str, Any]) -> Calibration:
         temperature=document["temperature"],
         provenance=document["provenance"],
         diagnostics=document.get("diagnostics", {}),
-        verdict=document.get("verdict", {}),
+        verdict={k: v for k, v in document.get("verdict", {}).items() if k not in ("word", "reason")},
         warnings=tuple(document.get("warnings", ())),
     )
 

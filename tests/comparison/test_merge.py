@@ -297,10 +297,10 @@ def test_estimators_may_be_mixed():
 
 
 def test_held_in_all_stays_held():
-    partial = [srt.calibrate(r, asymmetry=False, checks=False) for r in recordings(1, 2)[0]]
+    partial = [srt.calibrate(r, hold=("accel_scale",), checks=False) for r in recordings(1, 2)[0]]
     merged = merge_calibrations(partial)
     assert merged.status == "partial"
-    assert set(merged.held) == set(NAMES[GROUP_SLICES["gyro_asymmetry"]])
+    assert set(merged.held) == set(NAMES[GROUP_SLICES["accel_scale"]])
     assert np.all(merged.covariance[~merged.observed] == 0.0)
     assert "Fixed, not observed" in merged.message
 

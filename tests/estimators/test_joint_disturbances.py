@@ -161,9 +161,9 @@ def spoiled(case, seed, name, which):
 
 
 def named_sequence(calibration):
-    """The sequence that the warnings accuse of contradicting the others."""
-    accused = [w for w in calibration.warnings if "contradicts all the others" in w]
-    return accused[0].split()[1] if accused else None
+    """The sequence that contradicts the others; None if there is none."""
+    worst = calibration.verdict["contradicting"]
+    return None if worst is None else worst["sequence"]
 
 
 def named_windows(calibration, recording):

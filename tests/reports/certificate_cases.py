@@ -51,6 +51,13 @@ def calibration(seed=1, held=(), sequences=3, **changes):
             "options": {"hold": []},
             "voided": {},
         },
+        "verdict": {
+            "chi_square": 44.0,
+            "degrees_of_freedom": 44,
+            "probability": 0.47,
+            "sequences": [],
+            "parameters": [],
+        },
     }
     return srt.Calibration(**(given | changes))
 

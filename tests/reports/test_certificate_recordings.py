@@ -93,7 +93,7 @@ def test_windows_that_moved_are_no_sign_of_an_edit(recordings, saved):
         gyro[middle : middle + 10, 2] += 5e-3  # 1 mrad in 0.2 s
     moved = replace(recording, gyro=gyro)
     result = srt.calibrate(moved, "least-squares")
-    assert result.status == "converged"
+    assert any("attitude was integrated" in warning for warning in result.warnings)
     recording_history(saved(result), moved, "there")
 
 

@@ -19,6 +19,7 @@ from srt.exceptions import InputError, clipped
 from srt.model.sensor_model import outside_model
 from srt.result.calibration import Calibration, load_calibration
 from srt.result.json_file import json_text
+from srt.result.verdict import USABLE
 from srt.sensor_errors import INDEX, N_PARAMETERS, SYMBOLS, UNITS
 
 if TYPE_CHECKING:
@@ -130,7 +131,11 @@ def _defect(calibration: Calibration, document: Mapping[str, Any]) -> str | None
             value = value.get(step) if isinstance(value, dict) else None
         if not fits(value):
             return f"{key} is not {expected}"
-    return _inconsistent_row(document) or _inconsistent_covariance(calibration) or _inconsistent_verdict(calibration)
+    return (
+        _inconsistent_row(document)
+        or _inconsistent_covariance(calibration)
+        or _inconsistent_verdict(calibration, document.get("verdict", {}))
+    )
 
 
 def _inconsistent_row(document: Mapping[str, Any]) -> str | None:
@@ -169,11 +174,14 @@ def _inconsistent_status(calibration: Calibration) -> str | None:
         return "frame.U is no rotation"
     if calibration.status == "converged" and calibration.held:
         return "it says converged, but parameters are held"
-    reason = outside_model(calibration.errors) if calibration.status in ("converged", "partial") else None
+    reason = outside_model(calibration.errors) if calibration.status in USABLE else None
     return None if reason is None else f"it says {calibration.status}, but {reason}"
 
 
-def _inconsistent_verdict(calibration: Calibration) -> str | None:
+def _inconsistent_verdict(calibration: Calibration, written: Mapping[str, Any]) -> str | None:
+    word = written.get("word")
+    if calibration.status in USABLE and word is not None and word != calibration.judgement.word:
+        return f"its verdict is {clipped(repr(word))} instead of {calibration.judgement.word!r}"
     sigma = calibration.sigma
     for row in calibration.verdict.get("parameters", ()):
         if str(row.get("name")) not in INDEX or not _is_number(row.get("sigma")):

@@ -20,8 +20,8 @@ from srt.reports.certificate.unit_description import (
     temperature,
     unit_description,
 )
-from srt.reports.text.leave_one_out import overall, probability
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
+from srt.result.verdict import DOUBTFUL, USABLE, probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ _DIGITS: Final = 7
 """Largest number of significant digits of a value; the sigma of noise-free data would require more."""
 _SOLVED: Final = 1e-3
 """Fraction of sigma below which a component is solved exactly."""
+_VERDICT_LENGTH: Final = 1000
+"""Largest length of the verdict, characters."""
 _STARTS: Final = frozenset(part.start for part in GROUP_SLICES.values())
 
 
@@ -50,7 +52,7 @@ class Certificate(Presented):
     unit : str
         Serial of the unit.
     outcome : str
-        "passed", "failed", or empty without limits.
+        "passed", "failed", "doubtful" (limits are met, but the verdict is doubtful), or empty without limits.
     summary : tuple of str
         Main results, in sentences.
     description : tuple of (str, str)
@@ -132,7 +134,7 @@ def make_certificate(
         If the calibration did not converge.
     """
     calibration = source.calibration
-    if calibration.status not in ("converged", "partial"):
+    if calibration.status not in USABLE:
         raise DataError(
             f"{source.name} has the status {calibration.status.replace('_', ' ')}, and nothing can be certified by it: "
             "calibrate the unit again."
@@ -140,7 +142,9 @@ def make_certificate(
     failed: tuple[str, ...] = ()
     if limits is not None:
         failed = tuple(NAMES[i] for i in np.flatnonzero(~limits.met(calibration)))
-    outcome = "" if limits is None else "failed" if failed else "passed"
+    # A limit is passed by a value with a sigma that holds; a doubtful calibration has none.
+    passed = DOUBTFUL if calibration.judgement.word == DOUBTFUL else "passed"
+    outcome = "" if limits is None else "failed" if failed else passed
     return Certificate(
         plain(source.serial, SERIAL_LENGTH) or "no serial",
         outcome,
@@ -174,6 +178,7 @@ def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = 
     """
     head = ("symbol", "parameter", "value", "sigma", "unit", *(("result", "limit") if limits is not None else ()))
     met = None if limits is None else limits.met(calibration)
+    passed = DOUBTFUL if calibration.judgement.word == DOUBTFUL else "passed"
     rows = []
     for i, name in enumerate(NAMES):
         held = name in calibration.held
@@ -186,7 +191,7 @@ def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = 
             CertificateCell(DISPLAY_UNITS[i]),
         ]
         if limits is not None and met is not None:
-            result = "" if not limits.given[i] else "passed" if met[i] else "failed"
+            result = "" if not limits.given[i] else passed if met[i] else "failed"
             shown = "failed (not measured)" if result == "failed" and held else result
             row += [CertificateCell(shown, mark=result), CertificateCell(_limit(limits, i))]
         rows.append(tuple(row))
@@ -280,7 +285,7 @@ def residual_table(calibration: Calibration) -> CertificateTable | None:
                 CertificateCell(f"{row['chi_square']:.1f} / {freedom}")
                 if row and freedom
                 else CertificateCell("not checkable"),
-                CertificateCell(probability(row["probability"]) or "-") if row else CertificateCell("-"),
+                CertificateCell(probability_text(row["probability"]) or "-") if row else CertificateCell("-"),
             ]
         rows.append(tuple(cells))
     note = "left over: components that are not solved exactly; a residual of about 1 sigma is expected for each." + (
@@ -298,6 +303,8 @@ def _summary(
         yield (
             f"{len(failed)} of {count} limited parameters failed: {_symbols(failed)}."
             if failed
+            else f"All {count} limited parameters lie within their limits, but the calibration is doubtful."
+            if calibration.judgement.word == DOUBTFUL
             else f"All {count} limited parameters passed."
         )
     elif calibration.status == "converged":
@@ -305,8 +312,7 @@ def _summary(
     measured = int(calibration.observed.sum())
     status = calibration.status.replace("_", " ")
     yield f"{measured} of {len(NAMES)} parameters were measured (estimator {plain(calibration.estimator)}, {status})."
-    if calibration.verdict:
-        yield overall(calibration.verdict)
+    yield f"Verdict: {plain(str(calibration.judgement), _VERDICT_LENGTH)}"
     if change is not None:
         names = change.names
         yield (

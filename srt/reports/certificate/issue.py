@@ -13,6 +13,7 @@ from srt.reports.certificate.calibration_file import calibration_file
 from srt.reports.certificate.content import make_certificate
 from srt.reports.certificate.parameter_changes import changes_since
 from srt.reports.certificate.recording_history import check_recording, recording_history
+from srt.result.verdict import USABLE
 
 if TYPE_CHECKING:
     import os
@@ -68,7 +69,7 @@ def certificate(
     given = None if limits is None else load_acceptance_limits(Path(limits))
     change = None if against is None else changes_since(source, calibration_file(against, trust=trust))
     course = None
-    if recording is not None and source.calibration.status in ("converged", "partial"):
+    if recording is not None and source.calibration.status in USABLE:
         samples = read(recording, **stated)
         title = samples.source or "the recording"
         check_recording(source, samples, title)

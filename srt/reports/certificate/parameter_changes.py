@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from srt.exceptions import InputError, clipped
+from srt.result.verdict import USABLE
 from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def changes_since(new: CalibrationFile, old: CalibrationFile) -> ParameterChange
             f"{old.name} is of the unit {clipped(str(old.serial))}, but {new.name} of {clipped(str(new.serial))}: "
             "give an earlier calibration of the same unit."
         )
-    if old.calibration.status not in ("converged", "partial"):
+    if old.calibration.status not in USABLE:
         raise InputError(
             f"{old.name} has the status {old.calibration.status}: give an earlier calibration that converged."
         )

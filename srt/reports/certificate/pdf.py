@@ -38,7 +38,8 @@ _LEADING: Final = 1.35 * 25.4 / 72.0
 _PADDING: Final = 1.3
 """Space on either side of the text of a cell."""
 _QUIET: Final = "#555555"
-_COLOURS: Final = {"passed": "#00694d", "failed": "#b03a00", "changed": "#b03a00", "held": _QUIET, "": INK}
+_BAD: Final = "#b03a00"
+_COLOURS: Final = {"passed": "#00694d", "failed": _BAD, "doubtful": _BAD, "changed": _BAD, "held": _QUIET, "": INK}
 _UNDATED: Final = datetime(2000, 1, 1, tzinfo=UTC)
 """Time of creation that every file states, so that the same certificate makes the same file."""
 _FONTS: Final = {"": "DejaVuSans.ttf", "B": "DejaVuSans-Bold.ttf", "I": "DejaVuSans-Oblique.ttf"}

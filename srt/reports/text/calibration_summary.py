@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from srt.reports.text.calibration import held_summary, parameter_table, report
-from srt.reports.text.leave_one_out import overall
 from srt.reports.text.tables import WIDTH, wrap
+from srt.result.verdict import FAILED, SOUND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -73,8 +73,9 @@ def verdict_lines(calibration: Calibration, title: str) -> Iterator[str]:
     yield f"{title}{f' (serial {serial})' if serial else ''}: {calibration.estimator}"
     message = calibration.message.split(" Fixed, not observed:")[0].split(" Held, not observed:")[0]
     yield message if calibration.status == "converged" else f"Status {calibration.status.replace('_', ' ')}: {message}"
-    if calibration.verdict:
-        yield f"Verdict: {overall(calibration.verdict)}"
+    judgement = calibration.judgement
+    # A failed status is its own reason, and the line before it holds that.
+    yield f"Verdict: {judgement.word}" if judgement.word == FAILED else f"Verdict: {judgement}"
 
 
 def _notes(calibration: Calibration) -> Iterator[str]:
@@ -92,8 +93,7 @@ def _advice(calibration: Calibration, source: str) -> Iterator[str]:
             f"To do: state {' and '.join(estimated)} in [imu] of recording.toml; now the noise is estimated from the "
             "stationary windows, and bias instability is not in the sigmas."
         )
-    usable = calibration.status in ("converged", "partial")
-    if source and (not usable or (calibration.verdict and calibration.warnings)):
+    if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
 
 

@@ -50,8 +50,8 @@ def comparison_text(comparison: Comparison, *, title: str = "Comparison") -> str
 def estimator_table(comparison: Comparison) -> str:
     """Table of the estimators: status, time, and comparison with the reference."""
     truth = ["error/\nsigma"] if comparison.truth is not None else []
-    headers = ["estimator", "status", "play-\nbacks", "seconds", "ob-\nserved", *truth]
-    headers += ["sigma\nratio", "largest\ndiff.", "chi-\nsquare", "proba-\nbility", "verdict"]
+    headers = ["estimator", "status", "verdict", "play-\nbacks", "seconds", "ob-\nserved", *truth]
+    headers += ["sigma\nratio", "largest\ndiff.", "chi-\nsquare", "proba-\nbility", "agree-\nment"]
     rows = []
     for name, calibration in comparison.calibrations.items():
         pair = comparison.differences.get(name)
@@ -59,6 +59,7 @@ def estimator_table(comparison: Comparison) -> str:
             [
                 name,
                 calibration.status.replace("_", " "),
+                calibration.judgement.word,
                 str(len(calibration.corrections)),
                 fixed(comparison.seconds.get(name, math.nan), 2),
                 str(int(calibration.observed.sum())),
@@ -67,9 +68,9 @@ def estimator_table(comparison: Comparison) -> str:
             ]
         )
     for name in comparison.failures:
-        nothing = ["-"] * (len(headers) - 5)
-        rows.append([name, "failed", "-", fixed(comparison.seconds.get(name, math.nan), 2), *nothing, "no result"])
-    return text_table(headers, rows, "ll" + "r" * (len(headers) - 3) + "l")
+        nothing = ["-"] * (len(headers) - 6)
+        rows.append([name, "failed", "-", "-", fixed(comparison.seconds.get(name, math.nan), 2), *nothing, "no result"])
+    return text_table(headers, rows, "lll" + "r" * (len(headers) - 4) + "l")
 
 
 def _compared(pair: EstimateDifference | None, is_reference: bool) -> list[str]:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS
-from srt.reports.text.leave_one_out import probability
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
+from srt.result.verdict import probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, GROUPS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from srt.comparison.fleet import Fleet, FleetUnit
 
-_STATUS: Final = {"not_converged": "not conv.", "outside_model": "outside"}
+_STATUS: Final = {"not_converged": "not conv.", "outside_model": "outside", "inconsistent": "inconsist."}
 _HEADS: Final = (
     *("gyro\nscale", "gyro\nasym.", "gyro\north.", "acc.\nbias"),
     *("acc.\nscale", "acc.\nasym.", "acc.\nmisal.", "gyro\nbias"),
@@ -50,21 +50,23 @@ def fleet_text(fleet: Fleet) -> str:
 
 
 def state_table(fleet: Fleet) -> str:
-    """Table of the units: status, chi-square of the measurements, number of warnings, outlying parameters."""
+    """Table of the units: status, verdict, chi-square of the measurements, number of warnings, outlying parameters."""
     rows = []
     for number, unit in enumerate(fleet.units):
-        cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), "", "", "", ""]
+        cells = [unit.name, unit.serial or "", _STATUS.get(unit.status, unit.status), "", "", "", "", ""]
         if unit.calibration is not None:
             verdict = unit.calibration.verdict
             freedom = verdict.get("degrees_of_freedom")
-            cells[3:6] = [
+            cells[3:7] = [
+                unit.calibration.judgement.word,
                 fixed(verdict["chi_square"] / freedom, 2) if freedom else "-",
-                probability(verdict.get("probability")) or "-",
+                probability_text(verdict.get("probability")) or "-",
                 str(len(unit.calibration.warnings)),
             ]
-            cells[6] = _outlying(fleet, number) if unit.sound else "not tested"
+            cells[7] = _outlying(fleet, number) if unit.sound else "not tested"
         rows.append(cells)
-    return text_table(["unit", "serial", "status", "chi2/\ndof", "p", "notes", "outlying"], rows, "lllrrrl")
+    headers = ["unit", "serial", "status", "verdict", "chi2/\ndof", "p", "notes", "outlying"]
+    return text_table(headers, rows, "llllrrrl")
 
 
 def size_table(fleet: Fleet) -> str:

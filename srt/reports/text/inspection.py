@@ -217,5 +217,7 @@ def _findings(inspection: Inspection) -> Iterable[str]:
     if not findings:
         how = "with a calibration." if inspection.calibrated else "without calibrating; --deep also calibrates."
         yield from wrap(f"No fault found {how}")
+    if inspection.diagnosis.judgement is not None:
+        yield from wrap(f"Verdict: {inspection.diagnosis.judgement}")
     for finding in findings:
         yield from wrap(f"{_EFFECTS[finding.effect]}: {finding.sentence}")

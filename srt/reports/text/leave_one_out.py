@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.estimation.leave_one_out import most_contradicted
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
+from srt.result.verdict import probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 UNLIKELY: Final = 0.05
 """Family-wise significance level: 5 %, the customary one, divided by the number of tests (Bonferroni)."""
 
-_UNEXPECTED: Final = 1e-3
-"""p-value below which the chi-square of all measurements is a contradiction: one false alarm in 1000 recordings."""
 _MOST: Final = 3
 """Largest number of sequences that the table of observability names for one parameter."""
 _LONG, _SHOWN = 20, 10
@@ -41,31 +39,12 @@ def verdict_text(calibration: Calibration, *, parameters: bool = False) -> str:
     verdict = calibration.verdict
     if not verdict:
         return ""
-    parts = ["Verdict\n" + "\n".join(wrap(overall(verdict)))]
+    parts = ["Verdict\n" + "\n".join(wrap(str(calibration.judgement)))]
     if verdict["sequences"]:
         parts.append(sequence_table(calibration, full=parameters))
     if parameters and verdict["parameters"]:
         parts.append(observability_table(verdict, _word(calibration)))
     return "\n\n".join(parts)
-
-
-def overall(verdict: Mapping[str, Any]) -> str:
-    """Sentence on the agreement of the measurements with each other, by the chi-square of all residuals."""
-    statistic, freedom, chance = (verdict[key] for key in ("chi_square", "degrees_of_freedom", "probability"))
-    if chance is None:
-        return "No measurement is redundant: the agreement of the measurements cannot be tested."
-    if chance < _UNEXPECTED:
-        words = "The measurements contradict each other more than their noise explains"
-    elif chance < UNLIKELY:
-        words = "The measurements agree less well than in 19 of 20 tests"
-    elif chance > 1.0 - _UNEXPECTED:
-        words = "The measurements agree better than their noise allows: the stated or estimated noise is too large"
-    else:
-        words = "The measurements agree within their noise"
-    return (
-        f"{words}: chi-square {statistic:.4g} for {freedom} degrees of freedom "
-        f"(expected: about 1 per degree of freedom), p = {probability(chance)}."
-    )
 
 
 def sequence_table(calibration: Calibration, *, full: bool = True) -> str:
@@ -92,20 +71,26 @@ def sequence_table(calibration: Calibration, *, full: bool = True) -> str:
     for i in shown:
         row = rows[i]
         freedom = row["degrees_of_freedom"]
-        cells = [_title(row), f"{row['chi_square']:.1f} / {freedom}", probability(row["probability"])]
+        cells = [_title(row), f"{row['chi_square']:.1f} / {freedom}", probability_text(row["probability"])]
         if not freedom:
             cells[1:] = ["not checkable", ""]
         cells.append(_influence(row))
         if innovations:
             cells += [
                 f"{innovations[i]['nis']:.1f} / {innovations[i]['degrees_of_freedom']}",
-                probability(innovations[i]["probability"]),
+                probability_text(innovations[i]["probability"]),
             ]
         if weights:
             cells.append(fixed(weights[i]["weight"], 2))
         table.append(cells)
     lines = [text_table(headers, table, alignment), *([left_off] if left_off else [])]
-    return "\n".join([*lines, *_notes(rows, word, innovations=bool(innovations))])
+    lines += _notes(rows, word, innovations=bool(innovations))
+    worst = calibration.verdict.get("contradicting")
+    if worst is not None:
+        lines += wrap(
+            f"{word.capitalize()} {_title(worst)} contradicts the others, p = {probability_text(worst['probability'])}."
+        )
+    return "\n".join(lines)
 
 
 def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> list[str]:
@@ -120,11 +105,6 @@ def _notes(rows: Sequence[dict[str, Any]], word: str, *, innovations: bool) -> l
     if innovations:
         notes.append(f"innovation: the same test, with the prediction from the {word}s before it alone (NIS).")
     out = [line for note in notes for line in wrap(note, " ")]
-    worst = most_contradicted(rows)
-    if worst is not None:
-        out += wrap(
-            f"{word.capitalize()} {_title(worst)} contradicts the others, p = {probability(worst['probability'])}.",
-        )
     for key, words in (
         ("lost_without", f"Parameters that are not observable without one {word}:"),
         ("only_witness_of", f"Parameters that one {word} alone determines, so that the others cannot check them:"),
@@ -172,13 +152,6 @@ def observability_table(verdict: Mapping[str, Any], word: str = "sequence") -> s
             f"{100.0 * weakest['sigma_over_prior']:.2g} % of the prior."
         )
     return "\n".join([text_table(headers, rows, "lrlrlrl"), *(line for note in notes for line in wrap(note, " "))])
-
-
-def probability(p: float | None) -> str:
-    """Text of a probability; empty for None."""
-    if p is None:
-        return ""
-    return f"{p:.1g}" if p < 0.01 else f"{p:.2f}"
 
 
 def _word(calibration: Calibration) -> str:

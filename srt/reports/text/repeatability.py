@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.reports.text.leave_one_out import probability
 from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
+from srt.result.verdict import probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def _scatter(table: Mapping[str, Any]) -> str:
                 fixed(row["spread"] * factor, decimals),
                 fixed(sigma * factor, decimals),
                 f"{row['chi_square']:.1f} / {freedom}",
-                probability(row["probability"]),
+                probability_text(row["probability"]),
                 f"{away['sigmas']:+.1f} {away['recording']}",
             ]
         )
@@ -122,10 +122,10 @@ def _groups(table: Mapping[str, Any]) -> list[str]:
             i = GROUP_SLICES[row["group"]].start
             size = row["between_sigma"] * DISPLAY_FACTORS[i]
             words = f"{row['group'].replace('_', ' ')} {fixed(size, decimals_for(size))} {DISPLAY_UNITS[i]}"
-            found.append(f"{words} (p = {probability(row['probability'])})")
+            found.append(f"{words} (p = {probability_text(row['probability'])})")
     whole = (
         f"All parameters together: chi-square {table['chi_square']:.4g} for {table['degrees_of_freedom']} degrees of "
-        f"freedom, p = {probability(table['probability'])}."
+        f"freedom, p = {probability_text(table['probability'])}."
     )
     if not found:
         return [whole, "Noise explains all differences between the recordings."]

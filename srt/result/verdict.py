@@ -1,0 +1,143 @@
+"""Verdict on a calibration: sound, doubtful or failed, with the reason; the same for every command and report.
+
+The verdict compares the residuals with the noise of the sensors first, as stated or as the stationary windows show it.
+Noise that was added to explain larger residuals, and the factor on the sigmas, come second.
+
+A failed status precedes all others, in the order outside_model, not_converged, inconsistent. A status "partial" (some
+parameters fixed) may have any verdict: its observed parameters are judged like those of a complete calibration.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from srt.result.calibration import Calibration
+
+USABLE: Final = ("converged", "partial")
+"""Statuses with valid values and sigmas; the verdict on all others is "failed"."""
+SOUND, DOUBTFUL, FAILED = "sound", "doubtful", "failed"
+MISFIT_PROBABILITY: Final = 1e-3
+"""p-value of chi-square below which residuals count as larger than the noise: one false alarm in 1000 recordings."""
+UNUSUAL: Final = 0.05
+"""p-value below which an agreement is called weak: 5 %, the customary level."""
+LARGEST_RATIO: Final = 3.0
+"""Residuals over the noise of the sensors (Birge ratio) beyond which a missing noise source is no explanation.
+
+A noise figure that is wrong by a factor of three is a wrong figure; labels, windows or the sensor model are next."""
+
+_SMALLEST: Final = 1e-99
+"""p-value below which only this limit is shown: smaller ones underflow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Verdict on a calibration.
+
+    Attributes
+    ----------
+    word : str
+        "sound": the residuals agree with the noise of the sensors. "doubtful": they do not, and the sigmas were
+        enlarged; or nothing tests them. "failed": the status is not usable.
+    reason : str
+        Sentences.
+    """
+
+    word: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.word.capitalize()}. {self.reason}"
+
+
+def verdict_on(calibration: Calibration) -> Verdict:
+    """Verdict on a calibration, from its status and the chi-square of its residuals."""
+    evidence = calibration.verdict
+    overridden = [f for f in calibration.diagnostics.get("faults", ()) if f["effect"].startswith("exit")]
+    own = evidence.get("own_noise", evidence)
+    p = own.get("probability")
+    if calibration.status not in USABLE:
+        return Verdict(FAILED, _failure(calibration))
+    if overridden:
+        return Verdict(DOUBTFUL, f"A fault that stops a calibration was overridden: {overridden[0]['sentence']}")
+    if not evidence:
+        return Verdict(DOUBTFUL, "The file does not say how well the measurements agree.")
+    if p is None:
+        return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
+    agreement = f"{_agreement(p, merged='own_noise' not in evidence)} ({_chi_square(own)})."
+    added = " ".join(_added(calibration, own))
+    return Verdict(DOUBTFUL if added else SOUND, f"{agreement} {added}".rstrip())
+
+
+def _failure(calibration: Calibration) -> str:
+    own = calibration.verdict.get("own_noise", calibration.verdict)
+    tested = f" Residuals against the sensors' own noise: {_chi_square(own)}." if own.get("probability") else ""
+    return f"{calibration.message}{tested if calibration.status != 'inconsistent' else ''}"
+
+
+def _agreement(p: float, *, merged: bool) -> str:
+    what, noise = ("recordings", "their sigmas") if merged else ("residuals", "the sensors' own noise")
+    if p < MISFIT_PROBABILITY:
+        return f"The {what} differ by more than {noise} explain" if merged else (
+            f"The {what} are larger than {noise} explains"
+        )  # fmt: skip
+    if p < UNUSUAL:
+        return f"The {what} agree with {noise}, less well than in 19 of 20 tests"
+    if p > 1.0 - MISFIT_PROBABILITY:
+        return f"The {what} agree better than {noise} allows: a stated or estimated noise is too large"
+    return f"The {what} agree with {noise}"
+
+
+def _chi_square(tested: Mapping[str, Any]) -> str:
+    p, freedom = tested["probability"], tested["degrees_of_freedom"]
+    return f"chi-square {tested['chi_square']:.4g} for {freedom} degrees of freedom, p = {probability_text(p)}"
+
+
+def _added(calibration: Calibration, own: Mapping[str, Any]) -> Iterator[str]:
+    """Sentences on the noise that was added and on the enlarged sigmas; none without a misfit."""
+    evidence = calibration.verdict
+    noise = evidence.get("added_noise") or {}
+    inflation = float(calibration.noise.get("sigma_inflation") or 1.0)
+    if noise:
+        parts = [
+            f"{_size(kind, row['added'])} (own noise: {_size(kind, row['own'])})"
+            for kind, row in noise.items()
+            if row["added"] > 0.0
+        ]
+        yield f"Added noise, 1-sigma: {', '.join(parts)}."
+    if inflation > 1.0:
+        yield f"All sigmas were multiplied by {inflation:.2g}."
+    if noise:
+        low, high = evidence["sigma_factor"]
+        yield f"The sigmas are {low:.2g} to {high:.2g} times those of the sensors' own noise."
+    if own["probability"] < MISFIT_PROBABILITY and not noise and inflation == 1.0:
+        between = evidence.get("between_recordings")
+        yield "The merged sigmas include the scatter." if between else "The sigmas do not include it."
+    if evidence.get("doubtful_recordings"):
+        yield f"Doubtful by themselves: {', '.join(evidence['doubtful_recordings'])}."
+
+
+_UNITS: Final = {
+    "rotation_rad": (math.degrees(1.0), "° per rotation"),
+    "force_m_s2": (1.0, " m/s² per window"),
+    "rate_rad_s": (math.degrees(1.0) * 3600.0, " °/h per window"),
+}
+"""Factor and unit of the kinds of added noise."""
+
+
+def _size(kind: str, value: float) -> str:
+    factor, unit = _UNITS[kind]
+    return f"{value * factor:.2g}{unit}"
+
+
+def probability_text(p: float | None) -> str:
+    """Text of a probability; empty for None."""
+    if p is None:
+        return ""
+    if p < _SMALLEST:
+        return f"<{_SMALLEST:g}"
+    return f"{p:.1g}" if p < 0.01 else f"{p:.2f}"

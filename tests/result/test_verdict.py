@@ -1,0 +1,87 @@
+"""The verdict on a calibration: one function of its status and of the chi-square of its residuals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import srt
+from srt.estimation.leave_one_out import verdict
+from srt.result.calibration import STATUSES
+from srt.result.verdict import DOUBTFUL, FAILED, SOUND, USABLE
+from srt.sensor_errors import N_PARAMETERS, SensorErrors
+
+OBSERVED = np.ones(N_PARAMETERS, dtype=bool)
+UNIT = srt.Calibration("ekf", "converged", "It ended.", SensorErrors(np.zeros(N_PARAMETERS)), np.eye(N_PARAMETERS))
+
+
+def judged(statistic, freedom, *, status="converged", diagnostics=None, noise=None, **evidence):
+    """Verdict on a calibration whose residuals have a chi-square against the noise of the sensors."""
+    own = verdict([], np.eye(N_PARAMETERS), OBSERVED, statistic, freedom)
+    tested = {key: own[key] for key in ("chi_square", "degrees_of_freedom", "probability")}
+    found = srt.Calibration(
+        "closed-form", status, "It ended.", SensorErrors(np.zeros(N_PARAMETERS)), np.eye(N_PARAMETERS)
+    )
+    return replace(
+        found, verdict=own | {"own_noise": tested} | evidence, diagnostics=diagnostics or {}, noise=noise or {}
+    ).judgement
+
+
+@pytest.mark.parametrize(
+    ("statistic", "freedom", "word", "reason"),
+    [
+        (44.0, 44, SOUND, "The residuals agree with the sensors' own noise (chi-square 44 for 44"),
+        (70.0, 44, SOUND, "less well than in 19 of 20 tests"),
+        (78.7, 44, SOUND, "p = 0.001"),
+        (79.0, 44, DOUBTFUL, "larger than the sensors' own noise explains"),
+        (10.0, 44, SOUND, "better than the sensors' own noise allows"),
+        (0.0, 0, DOUBTFUL, "cannot be tested"),
+    ],
+)
+def test_agreement_with_the_sensors_noise_comes_first(statistic, freedom, word, reason):
+    """chi-square of 44 degrees of freedom exceeds 78.75 with p = 1e-3 (tables of the distribution)."""
+    found = judged(statistic, freedom)
+    assert found.word == word
+    assert reason in found.reason
+    assert str(found).startswith(word.capitalize() + ". ")
+
+
+def test_added_noise_and_the_factor_are_told_after_the_agreement():
+    added = {"rotation_rad": {"added": 1e-3, "own": 1e-4}, "force_m_s2": {"added": 0.0, "own": 1e-4}}
+    found = judged(200.0, 44, added_noise=added, sigma_factor=[1.0, 2.5])
+    assert found.word == DOUBTFUL
+    assert found.reason.endswith(
+        "Added noise, 1-sigma: 0.057° per rotation (own noise: 0.0057° per rotation). The sigmas are 1 to 2.5 times "
+        "those of the sensors' own noise."
+    )
+    assert "multiplied by 2.1." in judged(200.0, 44, noise={"sigma_inflation": 2.13}).reason
+
+
+@pytest.mark.parametrize("status", STATUSES)
+def test_a_status_that_is_not_usable_is_failed(status):
+    assert (judged(44.0, 44, status=status).word == FAILED) == (status not in USABLE)
+
+
+def test_an_overridden_fault_is_doubtful():
+    fault = {"fault": "labels_exchanged", "effect": "exit 1", "sentence": "Labels are exchanged.", "details": {}}
+    found = judged(44.0, 44, diagnostics={"faults": [fault]})
+    assert found.word == DOUBTFUL
+    assert found.reason.endswith("Labels are exchanged.")
+    assert judged(44.0, 44, diagnostics={"faults": [fault | {"effect": "warning"}]}).word == SOUND
+
+
+def test_the_file_holds_the_verdict_and_loads_without_one(tmp_path):
+    found = srt.Calibration(
+        "closed-form", "converged", "Done.", SensorErrors(np.zeros(N_PARAMETERS)), np.eye(N_PARAMETERS)
+    )
+    assert found.judgement.word == DOUBTFUL  # nothing tells whether the measurements agree
+    evidence = verdict([], np.eye(N_PARAMETERS), OBSERVED, 44.0, 44)
+    replace(UNIT, verdict=evidence).save(tmp_path / "unit.json")
+    document = json.loads((tmp_path / "unit.json").read_text(encoding="utf-8"))
+    again = srt.load_calibration(tmp_path / "unit.json")
+    assert document["verdict"]["word"] == again.judgement.word == SOUND
+    assert document["verdict"]["reason"] == again.judgement.reason
+    assert again.verdict == evidence
