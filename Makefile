@@ -9,7 +9,7 @@ export OMP_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint docs slow figures clean
+.PHONY: demo test lint docs slow lowest figures clean
 
 demo: $(STAMP)
 	$(BIN)/srt demo -o demo-output
@@ -31,6 +31,10 @@ docs: $(STAMP)
 # The full-size statistics (about eight minutes on two cores)
 slow: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m slow
+
+# Core tests with every requirement at its lower bound, and in installations without extras; makes four environments
+lowest: $(STAMP)
+	$(BIN)/python .ci/lowest.py
 
 # Accuracy and speed figures of the README
 figures: $(STAMP)

@@ -67,7 +67,7 @@ FACES: Final[Picks] = {
     "z_a": ((2, 0), (2, 1)),
     "z_p": ((3, 1), (4, 1)),
 }
-"""Where each face is seen: sequence, and window (0 before its rotations, 1 after). ``x_p`` has x up, ``x_a`` down."""
+"""Sequence and window (0 before its rotations, 1 after) that show each face. ``x_p`` has x up, ``x_a`` down."""
 
 TURN_SEQUENCES: Final = (
     TurnSequence("turns x", "y", "x", (("x", 360.0 * TURNS_PER_AXIS),)),

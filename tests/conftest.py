@@ -71,7 +71,7 @@ class Simulated:
 
     @staticmethod
     def tolerance(sequence: str) -> np.ndarray:
-        """How far a component of a sequence may lie from the ideal one, per parameter.
+        """Largest difference of a component of a sequence from the ideal one, for each parameter.
 
         A rotation ends inside a sample of length dt, where the next one may begin: the sum over that sample
         then hides a non-commutation of at most (β̇ dt/2)²/2 rad, twice that per unit of scale error. Each

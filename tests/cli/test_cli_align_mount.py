@@ -87,7 +87,7 @@ def test_a_recording_gives_the_librarys_angles(folder, tmp_path, capfd):
     assert provenance["level_sigma_rad"] == pytest.approx(5e-5)
 
 
-def test_without_options_the_stand_is_taken_for_one_of_1_mrad(folder, capfd):
+def test_default_stand_error_is_1_mrad(folder, capfd):
     assert run(folder, "raw", "--calibration", folder / "unit.json") == 0
     out, err = capfd.readouterr()
     assert err == ""

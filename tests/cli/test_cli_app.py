@@ -163,7 +163,7 @@ def broken(monkeypatch):
     return install
 
 
-def test_what_is_not_expected_keeps_its_traceback(broken):
+def test_an_unexpected_error_keeps_its_traceback(broken):
     def act():
         raise ZeroDivisionError("a defect")
 

@@ -78,7 +78,7 @@ def refused(capfd, *arguments, code=2):
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_the_file_and_the_loss(unit, recording, tmp_path, capfd, target):
-    """What is printed of each row is what the library measures; what is written is what it makes."""
+    """The printed losses are those of the library, and the written file is the library's."""
     output = tmp_path / f"out{TARGETS[target]}"
     out, err = run(capfd, unit, "--to", target, "-o", output, "--recording", recording)
     assert (err == "") == (target not in ("kalibr", "openvins", "basalt"))  # random walks, which nobody stated

@@ -91,7 +91,7 @@ def test_written_files_are_named(shelf, tmp_path, capfd):
     assert picture.read_bytes().startswith(b"<?xml")
 
 
-def test_what_refuses_the_recording_is_said_and_1(folder, tmp_path, capfd):
+def test_fatal_faults_are_named_and_exit_with_1(folder, tmp_path, capfd):
     """Degrees declared as radians: the turns are 57 times too large."""
     wrong = tmp_path / "wrong"
     shutil.copytree(folder, wrong)
@@ -117,7 +117,7 @@ def test_what_refuses_the_recording_is_said_and_1(folder, tmp_path, capfd):
         ([], ["RECORDING"]),
     ],
 )
-def test_what_cannot_be_read_or_written_is_2(arguments, fragments, tmp_path, monkeypatch, capfd):
+def test_unreadable_input_and_unwritable_output_exit_with_2(arguments, fragments, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     assert main(["inspect", *arguments]) == 2
     out, err = capfd.readouterr()

@@ -97,7 +97,7 @@ def test_plot_truth_and_quiet(folders, tmp_path, capfd):
     assert out == err == ""
 
 
-def test_what_cannot_be_calibrated_is_left_out(folders, tmp_path, monkeypatch, capfd):
+def test_recordings_that_cannot_be_calibrated_are_left_out(folders, tmp_path, monkeypatch, capfd):
     found = srt.estimation.registry.find_estimator
 
     def estimator(name):

@@ -154,7 +154,7 @@ def test_mistakes(tmp_path, monkeypatch, capsys, changes, arguments, code, said)
         ("7", "down at end", {"λyy": -1.0, "λyyy": -1.0, "λy": -1.0}),
     ],
 )
-def test_what_a_sequence_shows_is_table_2(tmp_path, sequence, component, terms):
+def test_measured_parameters_of_each_sequence_are_table_2(tmp_path, sequence, component, terms):
     """Savage 2020, Table 2, over g; gyro biases apart, which eqs. 20-22 have."""
     from sims.scenarios.plan_file import load_plan_file
     from srt.planning.signature_table import parse_sequence, signature

@@ -220,7 +220,7 @@ def test_a_sigma_of_zero_is_not_compared(pair):
     assert not compare({"closed-form": pair["closed-form"], "graph": exact}).differences["closed-form"].compared.any()
 
 
-def test_what_did_not_converge_is_shown_but_not_compared(pair):
+def test_results_that_did_not_converge_are_shown_but_not_compared(pair):
     lost = replace(pair["least-squares"], status="not_converged", message="Not converged after 3 iterations.")
     comparison = compare(pair | {"graph": lost}, reference="graph")
     assert comparison.reference == "least-squares"

@@ -77,7 +77,7 @@ def test_one_value_exceeds_a_limit_as_often_as_computed(units):
 
 @pytest.mark.parametrize("units", [6, 8, 15, 24, 45, 120])
 def test_limits_solve_their_equation(units):
-    """At the knots and between them; the scatter is taken from 20 parts of the draws."""
+    """Limits hold at the knots and between them; the scatter is taken from 20 parts of the draws."""
     rng = np.random.default_rng(units)
     draws = {6: 40_000, 8: 40_000, 15: 10_000, 24: 3_000, 45: 1_000, 120: 100}[units]
     parts = [tail_probability(units, critical_value(units), rng, draws) for _ in range(20)]

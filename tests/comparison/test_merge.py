@@ -23,7 +23,7 @@ from srt.reports.text.repeatability import repeatability_text
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES, SensorErrors
 
 TAIL = 2.3e-4
-"""On either side of a bound: what lies beyond 3.5 standard errors of a normal distribution."""
+"""Probability beyond 3.5 standard errors of a normal distribution, on each side."""
 
 SCALE = GROUP_SLICES["accel_scale"]
 
@@ -121,7 +121,7 @@ def test_common_gravity_is_an_unknown_of_all_recordings():
 
 
 def test_what_is_common_is_not_averaged_down():
-    """Of 16 recordings with like sigmas a sixteenth of the own variance is left, and all of the common one."""
+    """16 recordings with equal sigmas leave a sixteenth of their own variance and all of the common one."""
     rng = np.random.default_rng(3)
     own = random_covariance(rng)
     effect, by_held = np.zeros(N_PARAMETERS), np.zeros((N_PARAMETERS, N_PARAMETERS))

@@ -220,7 +220,7 @@ def test_readings_beyond_the_stated_range_are_not_clipped():
 @pytest.mark.parametrize("sequences", [["1"], ["7"], ["9", "9", "9", "9"], ["2", "3", "13"]])
 @pytest.mark.parametrize("site", ["latitude-45", "still-earth", "arctic"])
 def test_readings_without_noise_are_sound(sequences, site):
-    """Without noise rows repeat, columns are constant or proportional, and extremes are held: no fault."""
+    """Repeated rows, constant or proportional columns and repeated extremes of noise-free readings are no faults."""
     faultless = Case("navigation-rlg", SEED).changed(
         imu={"from": "perfect"},
         fixture={"from": "perfect"},
@@ -233,7 +233,7 @@ def test_readings_without_noise_are_sound(sequences, site):
 
 @pytest.mark.parametrize("rate_hz", [20.0, 50.0])
 def test_pulses_repeat_by_nature(rate_hz):
-    """At rest few pulses come, and in a turn they come evenly: readings repeat in all windows and turns."""
+    """Pulses are few at rest and even in a rotation: readings repeat in all windows and rotations, without a fault."""
     assert examine(case("navigation-rlg").changed(recording={"sample_rate_hz": rate_hz}).recording) == ()
 
 
@@ -259,7 +259,7 @@ def odd(kind, n, windows, rng):
     labelled=st.booleans(),
 )
 def test_no_readings_make_a_check_raise(kind, n, scale, seed, labelled):
-    """Whatever is read, down to windows of two samples: what a check finds is a finding, and never an error."""
+    """Any readings, down to windows of two samples, give findings and never an error."""
     recording = odd(kind, n, ((0.0, 0.02), (0.01 * n - 0.02, 0.01 * n)), np.random.default_rng(seed))
     with np.errstate(all="ignore"):
         recording = replace(recording, gyro=scale * recording.gyro, accel=scale * recording.accel)

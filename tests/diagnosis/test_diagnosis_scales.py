@@ -60,7 +60,7 @@ def test_a_fault_is_named_first(fault, grade):
 
 @pytest.mark.parametrize("grade", GRADES)
 def test_scales_are_those_of_the_unit(grade):
-    """By axis, to what the fixture, g-sensitivity and asymmetry leave: a few mrad of a turn, 1e-3 of gravity."""
+    """Scales of each axis are found within a few mrad of a rotation and 1e-3 of gravity."""
     simulation = case(grade).simulation
     evidence = WithoutRecognition(simulation.recording)
     truth = simulation.truth.as_dict()
@@ -81,7 +81,7 @@ def test_both_wrong_units_are_found():
 
 @pytest.mark.parametrize("rate_hz", [57.29578, 10.0])
 def test_a_kind_is_told_from_units_of_the_same_factor(rate_hz):
-    """At 57.3 Hz rates taken for increments turn as degrees taken for radians do; gravity tells them apart."""
+    """Rates at 57.3 Hz taken for increments rotate as degrees taken for radians do; gravity distinguishes them."""
     unit = case("industrial-mems").changed(recording={"sample_rate_hz": rate_hz})
     (kind,) = examine(replace(unit.recording, kind="increment"))
     assert kind.fault == "rates_as_increments"

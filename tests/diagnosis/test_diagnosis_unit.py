@@ -151,7 +151,7 @@ def test_flicker_is_no_drift_where_no_instability_is_stated(grade):
 
 
 def test_drift_of_a_unit_turned_by_hand():
-    """Without a fixture the vertical is measured, and a drift far above the Earth's rate is seen all the same."""
+    """A drift far above the Earth's rate is found without a fixture, from the measured vertical."""
     rng = np.random.default_rng(3)
     n, count = 500, 14
     labels, gyro, accel = [], [], []
@@ -285,7 +285,7 @@ def test_asymmetry_is_measured_and_only_missed_where_it_is_left_out():
 
 @pytest.mark.parametrize("grade", GRADES)
 def test_asymmetry_may_be_left_out_where_there_is_none(grade):
-    """In the consumer grade g-sensitivity alone would pass for an asymmetry of 900 ppm."""
+    """g-sensitivity of the consumer grade alone looks like an asymmetry of 900 ppm."""
     values = dict.fromkeys(("gyro_asymmetry_x", "gyro_asymmetry_y", "gyro_asymmetry_z"), 0.0)
     recording = case(grade).changed(errors={"values": values}).recording
     assert findings(recording, Options(asymmetry=False)) == []

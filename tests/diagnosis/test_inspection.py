@@ -204,7 +204,7 @@ def test_two_samples():
 
 
 def test_stamps_in_another_unit_than_declared():
-    """At a sample every second nothing is looked for, but all is told."""
+    """A recording with a sample every second is not searched for windows, but its figures are given."""
     recording = still()
     found = inspect(replace(recording, time=recording.time * RATE))
     assert found.stillness is None
@@ -321,7 +321,7 @@ def test_the_picture_leaves_matplotlib_alone(tmp_path, rested, inspected_rests):
     FOLDER is None, reason=f"recorded sets not found; set {recorded_sets.DATA_VARIABLE} to their folder"
 )
 def test_recorded_sets():
-    """As their authors describe them: 37 turns of the MTi, 21 of the MPU-9150; six faces and three full turns."""
+    """Motion as the authors describe it: 37 rotations of the MTi, 21 of the MPU-9150; six faces, three full turns."""
     turns = {}
     for name, recording in (
         ("xsens", recorded_sets.xsens_mti(FOLDER)),

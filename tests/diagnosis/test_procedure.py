@@ -46,7 +46,7 @@ def test_a_fault_that_is_told_stands_with_the_result(recording):
     assert finding["sentence"] in examined.warnings
 
 
-def test_what_only_a_calibration_shows_is_looked_for(recording):
+def test_faults_that_only_a_calibration_shows_are_searched_for(recording):
     truth = srt.SensorErrors.from_dict({"gyro_asymmetry_x": 2e-3})
     from accuracy_trials import GRADES
 

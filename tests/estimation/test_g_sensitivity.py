@@ -87,7 +87,7 @@ def played(recording, matrix=None, errors=None, **options):
 
 @pytest.mark.parametrize("window_attitude", ["held", "integrated"])
 def test_effect_on_all_17_sequences_is_that_of_the_integral(window_attitude):
-    """Without the Earth's rate and sensor errors, of a unit that follows specific force and is taken not to.
+    """A g-sensitive unit without other errors, processed without g-sensitivity and without the Earth's rate.
 
     φ is then ∫ F Ĉ Γ f dt up to its square, |Γ| g T: as much again in the horizontal components and in â.
     """
@@ -115,10 +115,10 @@ def test_taken_off_nothing_is_left():
 
 
 @pytest.mark.parametrize("mode", ["per-sequence", "g-sensitive"])
-def test_of_sequence_1_the_rest_rate_misleads(mode):
+def test_bias_from_the_windows_of_sequence_1_is_wrong_under_g_sensitivity(mode):
     """z down, turned about y: at rest gyro y reads −g Γyz, in the turn g (Γyx sin β − Γyz cos β), which goes round.
 
-    What the sequence's own rest rate takes off is thus an error g Γyz of the bias, and g Γyz / β̇ of the asymmetry.
+    A bias from the sequence's own windows is thus wrong by g Γyz, and the asymmetry by g Γyz / β̇.
     """
     recording = read_out(motion_of(rate_hz=100.0), SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA))
     found = srt.calibrate(recording, "closed-form", gyro_bias=mode, start=SensorErrors(), checks=False)
@@ -149,7 +149,7 @@ def test_of_sequence_1_the_rest_rate_misleads(mode):
     ],
     ids=str,
 )
-def test_without_noise_nothing_is_left_over(estimator, options):
+def test_noise_free_g_sensitivity_is_removed_entirely(estimator, options):
     """The parameters are those of the unit without g-sensitivity, on a faultless fixture.
 
     Γ g is renewed until it moves by less than the limit of convergence, a rate that acts for a sequence's time; of the
@@ -171,7 +171,7 @@ def test_without_noise_nothing_is_left_over(estimator, options):
     assert np.abs((wrong.errors.vector - truth.vector) / IN_G)[:24].max() > 1e3 * limit
 
 
-def test_on_a_real_fixture_the_earth_rate_is_left_over():
+def test_fixture_errors_leave_a_part_of_the_earth_rate():
     """Poses wrong by α misplace the Earth's rate by ω_e α, which Γ takes for its own.
 
     α: 3.5 sigmas of the five angles of a fixture. An element of Γ g is a weighted mean of what the poses' rates are
@@ -260,7 +260,7 @@ def test_a_bias_that_wanders_besides():
 # --- what is not seen ---------------------------------------------------------------------------------------------
 
 
-def test_with_one_vertical_nothing_is_taken_and_it_says_so():
+def test_one_vertical_shows_no_g_sensitivity_and_a_warning_says_so():
     """z down throughout: bias and Γ are one thing, in the windows; the directions that are not seen are told."""
     motion = motion_of(sequences=("1", "2", "1a", "2a"), earth_rate=False)
     recording = read_out(motion, SensorErrors(), ImuModel(gyro_g_sensitivity=GAMMA))
@@ -387,7 +387,7 @@ def test_the_certificate_plays_it_back(calibrated):
         recording_history(load_calibration_file(file), recording, "rec")
 
 
-def test_what_takes_it_off_and_what_says_that_it_does_not(calibrated, capsys):
+def test_apply_and_exports_say_whether_they_compensate_g_sensitivity(calibrated, capsys):
     file, out, header = (calibrated / name for name in ("applied.json", "out", "unit.h"))
     recording = srt.load_recording(calibrated / "rec")
     found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
@@ -432,7 +432,7 @@ def test_joint_estimators_refuse_it(estimator):
 
 
 def test_budget_command(tmp_path, capsys):
-    """What is left of g-sensitivity once it is estimated is next to nothing of what it does otherwise."""
+    """Estimating g-sensitivity leaves less than 1e-3 of its effect in the error budget."""
     plan, rows = tmp_path / "short.toml", {}
     plan.write_text(PLAN)
     for mode in ("pooled", "g-sensitive"):

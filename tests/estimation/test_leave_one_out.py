@@ -98,7 +98,7 @@ def test_linear_problem_without_each_group():
         assert (against.degrees_of_freedom, against.unchecked) == (len(D), 0)
 
 
-def test_what_one_group_alone_shows_is_lost_and_not_checkable():
+def test_parameters_of_a_single_group_are_lost_without_it_and_not_checkable():
     """Columns 3 and 10 in group 2 alone: two directions of it have no residual, and its other four are judged alike.
 
     Held at the values found, the others are those of a problem without these columns.
@@ -236,8 +236,8 @@ def test_influence_where_the_bias_wanders_in_part():
         assert distance(calibration, row, again) < 1.0
 
 
-def test_a_repeated_sequence_is_two_witnesses():
-    """Of sequence 10, run twice, either occurrence does: half of what it shows hangs on each."""
+def test_a_repeated_sequence_is_two_independent_measurements():
+    """Sequence 10, run twice: each occurrence carries half of the information of the sequence."""
     truth = accuracy_trials.normal_errors(np.random.default_rng(14), 1e-3)
     motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=100.0, sequences=(*TABLE_1, "10"))
     recording = read_out(motion, truth, accuracy_trials.GRADES["navigation"], np.random.default_rng(14))
@@ -255,7 +255,7 @@ def test_a_repeated_sequence_is_two_witnesses():
 
 
 def test_turns_that_share_windows():
-    """In a chain of free turns a window stays while another turn uses it; the ends of the chain go with their turn.
+    """A window in a chain of free rotations stays while another rotation uses it; the end windows have one rotation.
 
     At the pole, as elsewhere a gap in the chain costs knowledge of where north is, which the verdict leaves as it was.
     """
@@ -362,7 +362,7 @@ def test_single_witnesses_are_named():
 
 
 def test_a_sequence_that_nothing_checks_is_said_to_be_so():
-    """As many measurements as parameters: every group is the single witness of something, and none has a residual."""
+    """As many measurements as parameters: every group is the only measurement of a parameter; no residual is left."""
     z, H, R, _ = linear(np.random.default_rng(7))
     z, H, R = z[:N_PARAMETERS], H[:N_PARAMETERS], R[:N_PARAMETERS, :N_PARAMETERS]
     groups = [np.arange(a, a + 9) for a in (0, 9, 18)]
@@ -431,7 +431,7 @@ def test_text_fits_and_explains_every_column(estimator):
     assert "independent:" not in report(calibration, title="unit")
 
 
-def test_of_many_sequences_the_least_likely_are_shown():
+def test_the_least_likely_of_many_sequences_are_shown():
     calibration = calibrated(11, "closed-form")
     row = calibration.verdict["sequences"][0]
     many = [row | {"sequence": f"turn {n}", "probability": (n * 7 % 30 + 1) / 31.0} for n in range(30)]

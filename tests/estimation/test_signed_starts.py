@@ -70,7 +70,7 @@ def test_labels_are_read_back(read_back):
 
 
 def test_the_label_says_the_attitude_that_the_simulator_had(read_back):
-    """At the start, and through all turns to the end: both are products of at most nine rotations, rounding of each."""
+    """Both attitudes are products of at most nine rotations, at the start and after each rotation; rounding of each."""
     heading = Rotation.from_euler("z", HEADING).as_matrix()
     for label, (start, end) in zip(read_back.sequences, all_starts().attitudes, strict=True):
         sequence = sequence_of_label(label)
@@ -143,7 +143,7 @@ def test_a_noise_free_unit_is_recovered(estimator, shift):
 
 @pytest.mark.parametrize("estimator", ["least-squares", "ekf", "graph"])
 def test_axes_not_square_do_no_harm(estimator):
-    """As of Table 1 (test_joint_robustness), whose starts a turn of base and mounting makes up for a lean of the axes.
+    """Axis non-orthogonality is absorbed by base and mounting alignment, as for Table 1 (test_joint_robustness).
 
     From these starts none does. Noise-free data with the noise stated: only a start attitude is misjudged, by the lean
     at most, and with it the Earth's rate: 1 mrad of 7.3e-5 rad/s over the 40 s of the longest sequence is 2.9 µrad,

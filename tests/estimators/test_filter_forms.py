@@ -58,7 +58,7 @@ def test_sequential_filters_reach_the_optimum_from_a_narrow_prior(recording, ite
 
 
 def test_linearisation_errors_from_the_wide_prior_are_reported(recording):
-    """From a third of full scale one pass is not at the optimum; the result says so, and does not claim convergence."""
+    """One pass from a third of full scale misses the optimum; the result says so and claims no convergence."""
     found = srt.calibrate(recording, "ekf", checks=False, filter="one-pass")
     assert found.status == "not_converged"
     assert "'one-pass'" in found.message

@@ -105,7 +105,7 @@ def by_play_back(data, solver):
 
 
 def used_components(data):
-    """Which horizontal and which Down components the closed form reads, (K, 2) and (W,)."""
+    """Horizontal and Down components that the closed form uses, shapes (K, 2) and (W,)."""
     used = np.abs(ClosedFormSolver(data, OPTIONS).selection).sum(axis=0) > 0.0
     K = data.K
     return used[: 2 * K].reshape(K, 2), used[2 * K : -3]
@@ -236,7 +236,7 @@ class BruteForce:
         return Found(found.x * sigma, spread @ spread.T)
 
     def sampling(self, found, J, rows):
-        """How far correlations may be off by the sampling of the estimators' Jacobian.
+        """Largest error of correlations from the sampling of the estimators' Jacobian.
 
         Ĉ of a sample is taken as the mean of its ends, s = (ω dt)² / 12 short across the axis: no derivative of a
         horizontal component is off by more than s g times the turn in rad, or in s for a bias. To first order the
@@ -303,7 +303,7 @@ def check_agreement(results, reference, brute, sampling, truth):
     assert np.all(off <= sampling + AGREE)
 
 
-def test_on_the_components_of_the_closed_form(linear, monkeypatch):
+def test_estimators_agree_on_the_components_of_the_closed_form(linear, monkeypatch):
     """24 components and the pooled rest rate: closed form, filter, graph, one dense solution and brute force."""
     data = linear.data
     horizontal, down = used_components(data)
@@ -317,7 +317,7 @@ def test_on_the_components_of_the_closed_form(linear, monkeypatch):
     check_agreement(found, closed, brute, sampling, linear.truth)
 
 
-def test_on_all_components(linear):
+def test_estimators_agree_on_all_components(linear):
     """All 68 and the rest rates: filter, graph, dense solution, least squares and brute force; the closed form is none
     of them, and its covariance nowhere below theirs.
     """

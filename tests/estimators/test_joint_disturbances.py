@@ -187,7 +187,7 @@ def worst_sequence(table):
 
 
 def assert_named(calibration, case, seed, name):
-    """By the warnings; and most improbable, for a tilted window while it was taken to stand still."""
+    """The warnings name the sequence, and it is the least probable one (for a tilted window, if taken as still)."""
     if case is tilted:
         assert named_windows(calibration, clean(seed)[0]) == {name}
         assert worst_sequence(calibration.diagnostics["held"]["sequences"]) == name
@@ -203,7 +203,7 @@ def test_the_bad_sequence_is_named(case, name, seed, which):
 
 
 @pytest.mark.parametrize("name", LOOK_ALIKE)
-def test_what_looks_alike_is_narrowed_down_to_two(name):
+def test_indistinguishable_sequences_are_narrowed_down_to_two(name):
     calibration = srt.calibrate(spoiled(with_lost_samples, 101, name, "end"), "graph", checks=False)
     table = sorted(calibration.diagnostics["sequences"], key=lambda row: row["chi_square"], reverse=True)
     two = {row["sequence"] for row in table[:2]}
@@ -214,7 +214,7 @@ def test_what_looks_alike_is_narrowed_down_to_two(name):
 
 @pytest.mark.parametrize(("case", "name"), [(tilted, "13"), (with_bias_step, "13"), (noisier, "4")])
 def test_the_filter_names_it_too(case, name):
-    """As the graph does; and seen forward, innovations from that sequence on are beyond chance."""
+    """The filter names the sequence as the graph does, and its innovations fail the test from that sequence on."""
     calibration = srt.calibrate(spoiled(case, 101, name, "end"), "ekf", checks=False)
     assert_named(calibration, case, 101, name)
     forward = (calibration.diagnostics["held"] if case is tilted else calibration.diagnostics)["filter"]
@@ -239,7 +239,7 @@ def shift(calibration, seed, loss):
 
 
 def beyond(shifts, counted, bar):
-    """What moved too far, for the message of a failure."""
+    """Parameters that moved beyond the limit, for the message of a failure."""
     return {NAMES[i]: round(float(shifts[i]), 2) for i in np.flatnonzero(counted & (shifts > bar))}
 
 
@@ -257,7 +257,7 @@ def excess_shift(calibration, seed, name, loss):
 
 @one_bad_sequence
 def test_a_robust_graph_stays_where_it_was(case, name, seed, which):
-    """By Cauchy's loss every parameter that other sequences determine is within 3 sigma of the undisturbed result."""
+    """Cauchy's loss keeps every parameter that other sequences determine within 3 sigma of the undisturbed result."""
     calibration = srt.calibrate(spoiled(case, seed, name, which), "graph", loss="cauchy", checks=False)
     assert calibration.status == "converged", calibration.message
     _, moved = excess_shift(calibration, seed, name, "cauchy")
@@ -277,7 +277,7 @@ def test_hubers_loss_bounds_the_harm(case, name, seed, which):
 
 @pytest.mark.parametrize("loss", ROBUST)
 def test_a_robust_graph_costs_little_without_a_fault(loss):
-    """On good data the robust results are within a sigma of the squares."""
+    """Robust losses on good data give results within 1 sigma of least squares."""
     difference = reference(101, loss=loss).errors.vector - reference(101).errors.vector
     assert np.all(np.abs(difference) < reference(101).sigma)
 

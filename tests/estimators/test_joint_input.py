@@ -1,4 +1,4 @@
-"""What Kalman filter and factor graph refuse, what they say of too little data, and the command line around them."""
+"""Input refused by Kalman filter and factor graph, their messages about too little data, and their command line."""
 
 import json
 import math
@@ -147,8 +147,8 @@ def test_a_prior_of_another_kind_is_refused(unit):
         srt.calibrate(unit[0], "ekf", prior=np.eye(len(NAMES)))
 
 
-def test_a_calibration_with_held_parameters_is_a_prior(unit, estimator):
-    """What it held gets the wide default, so that everything is observed and nothing is worse than before."""
+def test_a_calibration_with_fixed_parameters_is_a_prior(unit, estimator):
+    """Fixed parameters get the wide default prior: everything is observed, and no sigma grows."""
     recording, truth = unit
     earlier = srt.calibrate(recording, estimator, hold=("gyro_asymmetry",), checks=False)
     assert earlier.status == "partial"

@@ -54,10 +54,10 @@ def step_of(name, i):
 
 
 def allowed(case, kind, name, shape):
-    """How far the derivative of rows of a kind by columns of a name may lie from the differences.
+    """Largest difference between the Jacobian's rows of a kind, columns of a name, and numerical differences.
 
-    Of every central difference: step² of the third derivative (over 6, left as margin), and rounding of the residual
-    over the step. Besides:
+    Every central difference is off by step² times the third derivative (over 6, left as margin) and by the rounding of
+    the residual over the step. In addition:
 
     * Ĉ of a sample is the mean of its ends, (ω dt)²/12 off its integral;
     * a bias of one sequence's own is taken off the compensated rate by the mean slope of both signs, a common one by

@@ -48,7 +48,7 @@ def distance(found, reference):
 
 
 def large(seed):
-    """As accuracy_trials.large_trial: ±50 %, ±0.3 rad, ±1 % asymmetry, ±1 m/s², ±1 °/s, fixture 5 mrad, noise-free."""
+    """Unit of accuracy_trials.large_trial: ±50 %, ±0.3 rad, ±1 % asymmetry, ±1 m/s², ±1 °/s; 5 mrad; noise-free."""
     rng = np.random.default_rng(seed)
     truth, _ = accuracy_trials.large_errors(rng)
     motion = table1_motion(
@@ -63,7 +63,7 @@ def large(seed):
 @sized(4, 200)
 @pytest.mark.parametrize("estimator", JOINT)
 def test_large_errors_reach_the_optimum_of_the_truth(estimator, count):
-    """In batch, every draw ends where an iteration from the true errors does, in the closed form's six iterations."""
+    """Every draw converges to the optimum reached from the true errors, within the closed form's six iterations."""
     for seed in range(count):
         recording, truth = large(seed)
         found = srt.calibrate(recording, estimator)
@@ -74,8 +74,8 @@ def test_large_errors_reach_the_optimum_of_the_truth(estimator, count):
 
 @sized(2, 200)
 @pytest.mark.parametrize("estimator", [*JOINT, "least-squares", "closed-form"])
-def test_from_zero_every_draw_arrives_too(estimator, count):
-    """From no errors, without the fixture's angles: the same optimum, as the shortest turns are fitted first."""
+def test_start_at_zero_reaches_the_same_optimum(estimator, count):
+    """A start at zero, without the fixture's angles, reaches the same optimum: short rotations are fitted first."""
     for seed in range(count):
         recording, truth = large(seed)
         found = srt.calibrate(recording, estimator, start="zero", checks=False)
@@ -85,8 +85,8 @@ def test_from_zero_every_draw_arrives_too(estimator, count):
 
 @sized(2, 200)
 @pytest.mark.parametrize("estimator", JOINT)
-def test_from_a_bad_start_a_failure_is_called_one(estimator, count):
-    """Straight from no errors the iteration may fail at such a size; it never claims what is not the optimum."""
+def test_a_failure_from_a_bad_start_is_reported(estimator, count):
+    """An iteration that starts at zero may fail at this size; it never reports convergence to another point."""
     rows = []
     for seed in range(count):
         recording, truth = large(seed)
@@ -104,7 +104,7 @@ def test_from_a_bad_start_a_failure_is_called_one(estimator, count):
         print("  draw {}: {} after {} iterations, {:.2g} of the tolerance away".format(*row))
 
 
-def test_the_optimum_does_not_hang_on_the_start_where_mars_is_turned_from_the_mount(monkeypatch):
+def test_the_optimum_does_not_depend_on_the_start_where_mars_is_rotated_from_the_mount(monkeypatch):
     """The mounting's prior is renewed near the solution; as the start left it, the optimum moves with the start."""
     rng = np.random.default_rng(50)
     cases = []

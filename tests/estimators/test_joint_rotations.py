@@ -71,7 +71,7 @@ def test_inverse_right_jacobian(direction, angle):
 @settings(deadline=None)
 @given(directions(), st.floats(0.0, 2.0 * math.pi - 0.1))
 def test_inverse_right_jacobian_is_the_inverse(direction, angle):
-    """Of Σ (−φ×)ⁿ / (n + 1)!, at any angle; 40 terms leave 1e-16 of it."""
+    """The inverse right Jacobian inverts Σ (−φ×)ⁿ / (n + 1)! at any angle; 40 terms leave 1e-16 of it."""
     phi = angle * direction / np.linalg.norm(direction)
     X, term, Jr = rotations.cross_matrix(phi), np.eye(3), np.eye(3)
     for n in range(1, 41):

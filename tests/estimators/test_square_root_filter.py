@@ -50,7 +50,7 @@ def plain_filter(x, root, transition):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_as_the_plain_filter(seed):
+def test_results_equal_those_of_the_covariance_filter(seed):
     """Eight cycles with inputs, process noise and nonlinear measurements of varying size agree to ten digits."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 8))
@@ -85,8 +85,8 @@ def size(ekf, name):
     return 1e-10 * max(1e-3, float(np.abs(getattr(ekf, name)).max()))
 
 
-def test_without_arguments_nothing_is_added():
-    """Without process noise the covariance is propagated alone; measurements have unit variance."""
+def test_defaults_add_no_process_noise():
+    """Defaults are no process noise and measurements of unit variance."""
     rng = np.random.default_rng(3)
     root, F = random_root(rng, 3), np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
     ekf = SquareRootFilter(np.array([1.0, 2.0, 3.0]), root)

@@ -216,7 +216,7 @@ int main(void)
 @pytest.mark.parametrize("precision", ["double", "float"])
 @pytest.mark.parametrize(("compiler", "standard"), FORMS, ids=["c++17", "c99"])
 def test_both_precisions_compile_without_warnings(tmp_path, compiler, standard, precision):
-    """In floats the code has no double, and its result is within the rounding of single precision."""
+    """The single-precision code has no double, and its result is within single-precision rounding."""
     if compiler is None or shutil.which(compiler) is None:
         pytest.skip("no such compiler here")
     rng = np.random.default_rng(41)

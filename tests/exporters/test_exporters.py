@@ -51,7 +51,7 @@ def test_the_formulas_cover_every_target():
 
 @pytest.mark.parametrize(("target", "frame"), [case for case in CASES if case[0] not in LOSSY])
 def test_the_linear_part_comes_back_whole(target, frame):
-    """Without asymmetry the tool's formula gives what our own correction gives, in the axes that are reported."""
+    """The tool's formula and our own correction agree for a unit without asymmetry, in the reported axes."""
     rng = np.random.default_rng(5)
     for _ in range(10):
         calibration, readings = calibrated(rng), motion(rng)
@@ -102,7 +102,7 @@ def test_factors(factor, cut):
     ("target", "frame", "fit"),
     [(*case, fit) for case in CASES for fit in (False, True) if not (fit and case[0] == "ros2")],
 )
-def test_what_is_said_to_be_lost_is_what_is_lost(target, frame, fit):
+def test_the_reported_loss_is_the_actual_loss(target, frame, fit):
     """Residuals are measured here by the formulas of this file, asymmetry and all."""
     rng = np.random.default_rng(6)
     calibration = calibrated(rng, asymmetry=True, size=0.02)
@@ -135,7 +135,7 @@ def test_what_is_said_to_be_lost_is_what_is_lost(target, frame, fit):
         assert 0.01 < rows["asymmetry alone"].accel_max < 3.0
 
 
-def test_without_a_recording_the_loss_is_that_of_all_directions():
+def test_the_loss_covers_all_directions_if_no_recording_is_given():
     rng = np.random.default_rng(7)
     calibration = calibrated(rng, size=0.02)
     made = export(calibration, "px4")

@@ -157,7 +157,7 @@ def g_sensitive(rng):
 
 @pytest.mark.parametrize("target", HOLD_G_SENSITIVITY)
 def test_g_sensitivity_is_written_and_read_back(target, tmp_path):
-    """Of ω̃ = Mg ω + Γ f + b the formula of the target leaves ω, and the file gives Γ back."""
+    """The target's formula recovers ω from ω̃ = Mg ω + Γ f + b, and the file gives Γ back."""
     rng = np.random.default_rng(16)
     calibration, readings = g_sensitive(rng), motion(rng)
     made = export(calibration, target, readings=readings)

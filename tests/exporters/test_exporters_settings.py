@@ -119,7 +119,7 @@ def test_the_instance_of_an_autopilot_is_in_the_names():
         np.testing.assert_allclose(w[0], -calibration.errors.group("gyro_bias"), rtol=1e-6)
 
 
-def test_what_reads_back_otherwise_is_not_left(tmp_path, monkeypatch):
+def test_a_file_that_reads_back_differently_is_removed(tmp_path, monkeypatch):
     """A disk that changes one digit of a file which is still a valid one."""
     made = export(calibrated(np.random.default_rng(22)), "imu_tk")
     (tmp_path / "unit_acc.calib").write_text("mine")

@@ -97,7 +97,7 @@ def test_inversion_is_exact_without_asymmetry(sequences):
     assert not product[GROUP_SLICES["gyro_asymmetry"]].any()
 
 
-def test_without_reversed_sequences_an_asymmetry_is_taken_for_a_scale_factor():
+def test_an_asymmetry_adds_to_the_scale_factor_if_reversed_sequences_are_missing():
     """The price of eq. 14: κ_iii of a unit that has one comes out as κ_ii, and nowhere else."""
     chosen = closed_form.formulas([s for s in ALL if not s.endswith("a")])
     product = dimensionless(closed_form.inversion_matrix(chosen, G) @ jacobian(chosen))
@@ -138,8 +138,8 @@ def test_parameters_lost_with_a_pair_of_scale_factor_sequences():
 
 
 @pytest.mark.parametrize("missing", [*ALL, *([a, b] for a, b in (("1", "1a"), ("4", "9"), ("2", "14")))])
-def test_what_is_left_is_still_exact(missing):
-    """Whatever is missing, the formulas that remain invert their own parameters; only asymmetry may leak."""
+def test_remaining_formulas_are_exact(missing):
+    """The remaining formulas invert their own parameters whichever sequences are missing; only asymmetry may leak."""
     chosen = closed_form.formulas([s for s in ALL if s not in missing and s != missing])
     product = dimensionless(closed_form.inversion_matrix(chosen, G) @ jacobian(chosen))
     found = [INDEX[f.parameter] for f in chosen]

@@ -74,7 +74,7 @@ OMEGA = np.array([[0.3, -0.8, 0.5], [-0.4, 0.9, -0.2]])
 
 
 def minus_derivative(triad_of, errors, reading):
-    """What an error left in the estimate adds to the compensated value: minus d(compensated)/d(estimate)."""
+    """Minus d(compensated)/d(estimate): change of the compensated value per error of the estimate."""
     step = 1e-5
     columns = [
         (triad_of(errors.plus(-d)).compensate(reading) - triad_of(errors.plus(d)).compensate(reading)) / (2 * step)
@@ -180,7 +180,7 @@ def table_1_holds(model, integrals, run, window_s):
 
 
 def model_holds(model):
-    """What Table 1 cannot show: slopes away from zero error, and directions off the axes."""
+    """Jacobians away from zero error and directions off the axes, which Table 1 does not show."""
     down = np.array([[0.6, -0.48, 0.64]])
     return (
         close(model.force_error_jacobian(FORCE, accel_triad(ERRORS)), FORCE_JACOBIAN, NUMERICAL)
@@ -393,7 +393,7 @@ def test_every_changed_sign_is_noticed(simulated, monkeypatch, module):
 
 @pytest.mark.parametrize("table", ["GYRO_BASIS", "ACCEL_BASIS"])
 def test_every_changed_sign_of_a_parameter_s_place_is_noticed(simulated, monkeypatch, table):
-    """Which matrix entry a parameter fills, and half of it for an orthogonality error on both sides."""
+    """The sign of each matrix entry of a parameter, two entries for a non-orthogonality."""
     original = getattr(measurement_model, table)
     for place in np.argwhere(original):
         altered = original.copy()

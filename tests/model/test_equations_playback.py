@@ -58,7 +58,7 @@ ROUNDING = 1e-14 * G
 @pytest.mark.parametrize("window_attitude", ["held", "integrated"])
 @pytest.mark.parametrize("nominal_vertical", [False, True])
 def test_a_faultless_unit_measures_nothing(window_attitude, nominal_vertical):
-    """On a faultless fixture, on the turning Earth."""
+    """All measurements of an error-free unit on an error-free fixture are zero on the rotating Earth."""
     data, player = player_of(sims.read_out(motion_of(), NONE), window_attitude=window_attitude)
     played = player.process(NONE, nominal_vertical=nominal_vertical)
     assert np.abs(played.z[: 2 * data.K]).max() < G * ATTITUDE
@@ -193,7 +193,7 @@ def test_turns_that_share_their_windows():
 
 
 def test_free_turns_take_off_the_vertical_part_of_the_earth_rate():
-    """Without a heading the part along the vertical is all that is known."""
+    """Free rotations, whose heading is unknown, are corrected for the vertical part of the Earth rate."""
     turns = sims.random_turns(np.random.default_rng(3), 3)
     motion = sims.free_motion(turns, site=Site(G, latitude_rad=LATITUDE), sample_rate_hz=RATE_HZ, dwell_s=WINDOW_S)
     labels = tuple(SequenceLabel(first, second) for first, second in motion.windows)

@@ -154,7 +154,7 @@ def test_every_entry_of_the_jacobian_by_simulation(simulated, window_attitude):
 
 
 def test_rest_rate_measures_the_gyro_bias_alone(simulated):
-    """Without the Earth's rate nothing but the bias is read at rest."""
+    """The rate at rest contains the bias alone if the Earth does not rotate."""
     J = simulated("held").J[-3:]
     # The mean of 34 windows of bias · 1 against z = bias: rounding of the difference only.
     np.testing.assert_allclose(J, np.eye(3, N_PARAMETERS, N_PARAMETERS - 3), rtol=0, atol=1e-9)

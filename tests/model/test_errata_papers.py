@@ -248,7 +248,7 @@ def test_erratum_5_eq_65_has_one_g_too_many(derivation, simulated):
 
 @pytest.mark.parametrize("half", [1, 2, 5, 50, 1000])
 def test_erratum_6_overlapping_averages_cost_a_factor_of_root_four_thirds(half):
-    """Of n = 2h samples the mean of the h + 1 means over h is a triangle: Σw² = (2h + 1) / 3h(h + 1), against 1/2h."""
+    """Means over h of n = 2h samples, averaged, have triangular weights: Σw² = (2h + 1) / 3h(h + 1), against 1/2h."""
     n = 2 * half
     rise = list(range(1, half + 1))
     counts = [*rise, *rise[::-1]]

@@ -177,7 +177,7 @@ def test_sequence_6_each_rotation_eqs_39_to_41(rotations, terms):
 
 
 def test_sequence_6_gyro_bias_eq_48():
-    """With the right (47); the printed one repeats eq. 33."""
+    """Eq. 48 follows from the corrected eq. 47; the printed one repeats eq. 33."""
     check(bias_attitude_error("6"), [[0, 0, 0], [0, 0, 0], [-4 / RATE, -4 / RATE, 0]], 1 / RATE)
     found = bias_effect("6")
     check(found["y"], [4 * G / RATE, 4 * G / RATE, -G * T_MEAS], G * T_MEAS)
@@ -260,7 +260,7 @@ def test_sequence_13_measurement_eq_63():
 
 
 def test_sequence_13_gyro_bias_eq_65():
-    """Without the g that the printed one has too many."""
+    """Eq. 65 holds without the second g of the printed one."""
     check(
         bias_attitude_error("13"),  # eq. 64
         np.array([[0, -2, -2], [2, -pi, 0], [-2, 0, pi]]) / RATE,

@@ -102,7 +102,7 @@ def play_back(motion, errors, window_attitude):
 
 
 def kink(errors):
-    """How far the mean slope of both sides of |ω| = 0 lies from either one's, in the compensation.
+    """Largest difference between the compensation's inverse matrices for two signs of the rates.
 
     Without the Earth's rate the true rate at rest is exactly zero, and a difference in the gyro's bias straddles it.
     """

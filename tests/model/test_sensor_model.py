@@ -161,7 +161,7 @@ def test_hand_worked_readings_use_every_error():
 
 
 def legal(triad):
-    """Whether the reading model has one inverse: every octant's matrix right-handed and not nearly singular."""
+    """True if the reading model has one inverse: every octant's matrix is right-handed and not nearly singular."""
     slopes = triad.matrix + SIGNS[:, :, None] * np.diag(triad.asymmetry)
     smallest = np.linalg.svd(slopes, compute_uv=False)[:, -1].min()
     return smallest > MIN_SINGULAR_VALUE and np.linalg.det(slopes).min() > 0.0

@@ -1,4 +1,4 @@
-"""What a gyro bias that is not taken off does to all 17 sequences (Savage 2020, §9.4): to second order, and in pairs.
+"""Effect of an uncompensated gyro bias on all 17 sequences (Savage 2020, §9.4): to second order, and in pairs.
 
 The bias turns the attitude wrongly by the ordered exponential of ``v = C κ``, C the true attitude against the start,
 ``dE/dt = E [v×]``: ``E = 1 + ∫ [v×] dt + ∫∫ [v(s)×][v(t)×] ds dt + ...`` with s before t; its term of order n is at
@@ -26,7 +26,7 @@ from srt.sequences.preparation import prepare
 
 BIAS = np.array([0.12, -0.08, 0.1]) * DEG
 STEPS = 4000
-"""Of the quadrature, per rotation: the midpoint rule is then off by (π / STEPS)² / 24 of a half turn's integral."""
+"""Steps of the quadrature per rotation: the midpoint rule is off by (π / STEPS)² / 24 of a half turn's integral."""
 
 
 @pytest.fixture(scope="module")
@@ -117,8 +117,8 @@ PAIRS = {"x": ("2", "2a", 1, 1.0), "y": ("1", "1a", 0, -1.0), "z": ("3", "3a", 1
 
 
 @pytest.mark.parametrize("axis", PAIRS)
-def test_in_a_reversed_pair_a_bias_cancels_in_the_scale_factor_and_falls_on_the_asymmetry(motion, axis):
-    """By eq. 13: κii = ±(Δ − Δa) / 4πg takes nothing of it, κiii = ±(Δ + Δa) / 4πg all: κi / β̇."""
+def test_bias_of_a_reversed_pair_cancels_in_the_scale_factor_and_adds_to_the_asymmetry(motion, axis):
+    """Eq. 13: the bias does not enter κii = ±(Δ − Δa) / 4πg; it adds κi / β̇ to κiii = ±(Δ + Δa) / 4πg."""
     forward, back, component, sign = PAIRS[axis]
     measured = horizontal(motion, BIAS)
     plus, minus = (measured[name][0][component] for name in (forward, back))

@@ -90,7 +90,7 @@ class TestSection10:
 
 
 class TestExact:
-    """Without noise and errors of the stand the angles are right to rounding, whatever their size and the pitch."""
+    """Angles of noise-free data on an error-free stand are right to rounding, at any size and pitch."""
 
     @pytest.mark.parametrize(
         "pitch_rad", [LEVEL_AND_NOSE_DOWN_RAD, (0.0, QUARTER), (0.0, -1.3), (-1.8, 0.0), PAIR, PAIR * 2]
@@ -254,7 +254,7 @@ class TestResult:
         # A forward difference: its error is the step times a second derivative of about one.
         np.testing.assert_allclose(J @ mount.rotation_covariance @ J.T, mount.covariance, rtol=0, atol=9.0 * 1e-5)
 
-    def test_what_is_read_back_is_what_was_written(self, tmp_path):
+    def test_a_written_file_is_read_back_unchanged(self, tmp_path):
         mount = aligned(None, PAIR)
         mount.save(tmp_path / "mount.json")
         found = load_mount_alignment(tmp_path / "mount.json")

@@ -22,7 +22,7 @@ KINDS = ("κyy + κyyy", "υyz", "μxy + υxy/2", "λy/g + υyz")
 
 
 def two_digits(value):
-    """As a person rounds by hand: halves up."""
+    """Round to two digits, halves up, as printed tables do."""
     exact = Decimal(str(value))
     return float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - 1), ROUND_HALF_UP))
 

@@ -87,7 +87,7 @@ def test_against_simulated_drift():
 
 
 def test_correlation_times_end_with_the_test():
-    """What is slower than the test is the bias itself; 1000 s at least, as a bias is no figure of a minute."""
+    """Variations slower than the test belong to the bias: correlation times end at its length, at least 1000 s."""
     assert correlation_times(60.0) == correlation_times(2000.0) == CORRELATION_TIMES_S[:5]
     assert max(correlation_times(2e4)) == 1e4
 

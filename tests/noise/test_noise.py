@@ -118,7 +118,7 @@ def test_restricted_likelihood_finds_nothing_in_nothing():
 
 @pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
 def test_pulses_alone_leave_no_white_noise_and_all_doubt(size):
-    """Whatever the units: readings of a million times full scale once made the doubt overflow."""
+    """The result does not depend on the units: readings of a million times full scale must not overflow."""
     tau = np.array([0.02, 0.04, 0.08, 0.16])
     # Falls faster than even pulses do, so that nothing is left for white noise.
     (white, pulses), doubt = _fit_one(tau, np.array([1000.0, 500.0, 250.0, 125.0]), size / tau**3)

@@ -142,7 +142,7 @@ def test_a_plan_is_better_than_table_1(white):
     assert plan.bound < plan.ratio < table_1.ratio
 
 
-def test_what_a_sequence_is_needed_for_is_what_is_lost_without_it(white):
+def test_needed_for_gives_the_growth_of_sigma_without_the_sequence(white):
     _, plan = white
     for k, need in enumerate(plan.prediction.needed_for[:4]):
         rest = [i for i in range(len(plan.candidates)) if i != k]
@@ -324,7 +324,7 @@ def test_the_next_sequences_show_what_is_missing(half_done):
 
 
 def test_known_information_is_that_of_the_sequences():
-    """What a calibration knows, with one more sequence predicted, is what all sequences together predict."""
+    """Information of a calibration plus one predicted sequence equals the prediction of all sequences together."""
     file = file_of(WHITE)
     conditions, stand = file.conditions(), file.stand.kinematics()
     done = [from_catalogue(s, stand) for s in SEQUENCES.values()]

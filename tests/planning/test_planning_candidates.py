@@ -1,4 +1,4 @@
-"""What a fixture can execute: against the simulator's own kinematics, and in sentences where it cannot."""
+"""Sequences that a fixture can execute, against the simulator's kinematics, and messages about the others."""
 
 import math
 from itertools import pairwise, permutations
@@ -40,7 +40,7 @@ def test_imu_rotations_are_those_that_the_simulator_executes(start, legs):
 
 
 @given(start=ANYWHERE, legs=LEGS)
-def test_what_is_down_at_both_ends(start, legs):
+def test_axis_that_is_down_at_both_ends(start, legs):
     candidate = Candidate(start, legs)
     geometry = FixtureGeometry(np.eye(3), 0.0, np.eye(3))
     for said, angles in ((candidate.down, candidate.start_deg), (candidate.end_down, candidate.end_deg)):
@@ -158,7 +158,7 @@ def test_order_uses_the_nearest_of_several_angles():
         (RotationSequence("own", "z", "y", 0.0, 0.0, (("y", 1.0),)), None, "multiples of 90"),
     ],
 )
-def test_what_cannot_be_executed_is_said(sequence, stand, said):
+def test_the_obstacle_to_a_sequence_is_named(sequence, stand, said):
     with pytest.raises(InputError, match=said):
         from_catalogue(sequence, stand)
 

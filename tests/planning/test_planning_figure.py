@@ -140,7 +140,7 @@ def test_ratios_stand_above_their_symbols_and_sources_have_shapes_of_their_own()
     assert levels >= {1.0, found.bound}
 
 
-def test_what_is_not_seen_is_said():
+def test_unobservable_parameters_are_named():
     axes = plan_figure(CASES["not observed"]()).axes[2]
     assert [(t.get_text(), t.xy[0]) for t in axes.texts] == [("not observed", 2)]
 

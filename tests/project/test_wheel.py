@@ -113,7 +113,7 @@ def test_the_wheel_holds_all_modules_and_data_of_the_tree(wheel):
 
 
 def readings_of(document: dict, rate: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the unit of a calibration file reads, written out from the file's formula."""
+    """Readings of the unit of a calibration file, written out from the file's formula."""
     p = {row["name"]: row["value"] for row in document["parameters"]}
 
     def of(group: str) -> np.ndarray:
@@ -172,7 +172,7 @@ def test_its_command_line_says_what_to_install(alone):
 
 @pytest.mark.slow
 def test_an_installer_needs_nothing_but_numpy_and_scipy(wheel, tmp_path):
-    """As a user installs it, dependencies from an index; the environment then holds nothing else."""
+    """An installation from an index, as a user makes it, holds numpy and scipy and nothing else."""
     python = new_environment(tmp_path / "environment")
     constraints = ROOT / "constraints.txt"
     run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "-c", constraints, wheel)

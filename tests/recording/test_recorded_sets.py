@@ -63,7 +63,7 @@ def test_xsens_agrees_with_imu_tk(xsens):
 
 
 def test_xsens_gyro_gains_agree_like_for_like():
-    """With one gyro bias for the whole recording, as imu_tk has it.
+    """Gains agree if one gyro bias holds for the whole recording, as imu_tk assumes.
 
     imu_tk's rests hold the first and last moments of the turns, ours do not: its gyro z is 0.16 % from the certificate,
     ours may not be farther from either than the fair amount and two of our own sigmas.

@@ -80,7 +80,7 @@ def assert_same(a, b):
         {"site": Site(9.78), "fixture": Fixture(heading_rad=None), "noise": ImuNoise()},
     ],
 )
-def test_what_is_written_is_read_back(tmp_path, samples_format, changes):
+def test_a_written_recording_is_read_back(tmp_path, samples_format, changes):
     recording = make(**changes)
     write_recording(recording, tmp_path / "new" / "rec", samples_format=samples_format)
     again = load_recording(tmp_path / "new" / "rec")
@@ -196,7 +196,7 @@ def test_gravity_given_or_normal(tmp_path):
     assert site.gravity_sigma_m_s2 == 1e-4
 
 
-def test_what_is_absent_is_unknown(tmp_path):
+def test_absent_keys_are_unknown(tmp_path):
     recording = load_recording(write_folder(tmp_path, SI))
     assert recording.fixture is None
     assert recording.noise == ImuNoise()

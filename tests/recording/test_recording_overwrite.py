@@ -18,6 +18,12 @@ from srt.recording.samples import SAMPLES_FORMATS
 from srt.recording.writing import write_recording
 
 OLD, NEW = 40, 60
+ZIP_LEFT_OPEN = (
+    pytest.mark.filterwarnings("ignore:Exception ignored in.*ZipFile:pytest.PytestUnraisableExceptionWarning")
+    if np.lib.NumpyVersion(np.__version__) < "2.2.0"
+    else lambda test: test
+)
+"""Before 2.2, numpy leaves the archive of a failed ``savez`` open: its destructor writes to a closed file."""
 
 
 def recording(n):
@@ -87,6 +93,7 @@ def folder_with_old(path, samples_format):
     return {p.name: p.read_bytes() for p in path.iterdir()}
 
 
+@ZIP_LEFT_OPEN
 @pytest.mark.parametrize("samples_format", SAMPLES_FORMATS)
 def test_each_failing_call_leaves_a_complete_recording(tmp_path, samples_format):
     failing, failed = 0, []

@@ -113,7 +113,7 @@ def test_limitations_follow_the_test(saved):
     "hostile", ["</title><script>alert(1)</script>", "a$b$c & \"'<b>", "\u202egnp\x00\n<!--", "x" * 5000]
 )
 def test_texts_of_files_are_no_markup(saved, hostile):
-    """In the page with its pictures: the sequence's name stands in one."""
+    """Text of files is escaped in the page and in its pictures, one of which shows the sequence's name."""
     result = calibration(sequences=1, held=("accel_bias_z",))
     result = replace(
         result,
@@ -293,7 +293,7 @@ def test_change_is_over_the_combined_sigma(saved, plain_page):
 
 
 def test_flags_are_family_wise(saved):
-    """Of units that did not change, at most 1 % have any parameter flagged: Bonferroni's bound, so that with 27
+    """At most 1 % of unchanged units have any parameter flagged: Bonferroni's bound, so that with 27
     parameters of which many are correlated the share is at most 0.01.
 
     In 2000 trials 20 are expected at the most; a binomial of 0.01 exceeds 20 + 3.5 sqrt(20) = 36 with a chance

@@ -110,7 +110,7 @@ def test_another_recording_is_refused(recordings, calibrations, saved):
 
 
 def test_the_course_of_the_test(recordings, calibrations, saved):
-    """What is drawn: the gyros lead from the accelerometers' down at each start to that at each end.
+    """The drawn attitude leads from the accelerometers' down at each start to that at each end.
 
     Between them: angle random walk of 0.002 °/√h and pulses, 4 µrad; the Earth in a sequence's 25 s, 2 mrad;
     and the table, which is level to 1 mrad or else not at all at rest. 10 mrad hold all of it.

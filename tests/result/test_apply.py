@@ -110,7 +110,7 @@ def test_borders_of_octants(calibration):
 
 
 def test_search_that_does_not_end_looks_at_every_octant(monkeypatch):
-    """With a single step allowed, every sample whose first octant was wrong takes this way."""
+    """If a single step is allowed, every sample whose first octant was wrong is solved by the search of all octants."""
     rng = np.random.default_rng(2)
     vector = np.zeros(N_PARAMETERS)
     while not (vector.any() and all(legal(triad) for triad in triads_of(calibrated(vector)))):
@@ -298,10 +298,14 @@ def test_calibrations_that_cannot_be_applied_are_refused(unit):
         Applier(unit, block=0)
 
 
+UFUNC_BUFFER = 8 * np.getbufsize() if np.lib.NumpyVersion(np.__version__) < "2.3.0" else 0
+"""Bytes that numpy before 2.3 allocates once for a ufunc over strided arrays longer than its buffer."""
+
+
 @pytest.mark.parametrize("frame", ["mars", "table"])
 @pytest.mark.parametrize("kind", ["rate", "increment", "increments of uneven length"])
 def test_arrays_are_corrected_without_allocation(unit, frame, kind):
-    """What is allocated at the same time is some views and, at most, copies of the block's few mended samples."""
+    """Simultaneous allocations are views and copies of the block's few samples that need a second step."""
     applier = Applier(unit, frame=frame, block=256)
     rng = np.random.default_rng(4)
     peaks = []
@@ -315,8 +319,8 @@ def test_arrays_are_corrected_without_allocation(unit, frame, kind):
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     # One column of the long recording would be 128 kB.
-    assert peaks[1] < peaks[0] + 16_000
-    assert peaks[1] < 50_000
+    assert peaks[1] < peaks[0] + 16_000 + UFUNC_BUFFER
+    assert peaks[1] < 50_000 + UFUNC_BUFFER
 
 
 def test_rectified_noise_is_what_the_documentation_says(unit):

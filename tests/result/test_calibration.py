@@ -163,8 +163,8 @@ def test_repeated_sequences_are_all_used(unit):
         srt.calibrate(recording.with_sequences(recording.sequences + recording.sequences[:1]))
 
 
-def test_held_values_widen_what_reads_them():
-    """Without 1a-3a a true asymmetry of 1e-3 falls on the scale factors: their sigma says so (prior 1e-3)."""
+def test_fixed_values_widen_the_parameters_that_depend_on_them():
+    """A true asymmetry of 1e-3 shifts the scale factors if 1a-3a are missing: their sigma includes it (prior 1e-3)."""
     recording, truth = accuracy_trials.noisy_recording(7, "navigation")
     result = srt.calibrate(without(recording, "1a", "2a", "3a"))
     scale = GROUP_SLICES["gyro_scale"]

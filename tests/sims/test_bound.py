@@ -381,7 +381,7 @@ def test_bound_of_a_scenario():
     assert_not_below(scenario_bound(blind).covariance, expected.covariance)
 
 
-def test_what_cannot_be_bounded_is_refused():
+def test_unsupported_scenarios_are_refused():
     with pytest.raises(InputError, match="free recording"):
         scenario_bound(sims.load_scenario("free-mems"))
     with pytest.raises(InputError, match="no accel noise"):

@@ -93,15 +93,15 @@ def test_predicted_sigma_of_the_graph_is_that_of_600_simulated_units(source):
     assert_predicted(scenario(noise=noise), 600, chosen, estimator="graph", modelled=MODELLED[source])
 
 
-def test_instability_rules_where_it_should():
-    """Without the drift these parameters would be known better by half and more."""
+def test_bias_instability_limits_the_expected_parameters():
+    """Bias instability is the largest source for these parameters."""
     noise, _ = SOURCES["instability"]
     (found,) = budget(scenario(noise=noise), draws=2)
     ruled = [name for name, source in zip(NAMES, found.limiting, strict=True) if source in DRIFT]
     assert {"accel_bias_x", "gyro_bias_x", "accel_misalignment_xy"} <= set(ruled), ruled
 
 
-def test_what_is_not_counted_is_told():
+def test_the_budget_lists_errors_that_it_does_not_count():
     (found,) = budget(scenario(), draws=3)
     assert set(found.not_counted) == set(NOT_COUNTED)
     # Products of errors of some thousandths: more than a millionth, less than a thousandth.

@@ -195,7 +195,7 @@ def test_a_share_that_is_left_nears_the_whole(stated):
 
 
 def test_real_trials():
-    """What the injections name: a refusal on reading, a warning, and nothing where there is nothing."""
+    """Results of three trials: a refusal on reading, a warning, and no finding without a fault."""
     rows = diagnose_unit(
         "tactical-fog", 320_000, [(CLEAN, 0), ("gravity", 0), ("not_finite", 0), ("temperature_drift", 1)]
     )

@@ -38,7 +38,7 @@ RATE_HZ = 50.0
 DWELL_S = 2.0
 PROFILE = RateProfile(1.0, 10.0)
 SLACK_S = PROFILE.rate_rad_s / PROFILE.accel_rad_s2 + 2.0 / RATE_HZ
-"""By how much a turning region is longer than its angle at full rate: half of both ramps, and rests of samples."""
+"""Excess of a rotation's duration over its angle at full rate: half of both ramps, and fractions of samples."""
 EARTH = np.abs(earth_rate_ned(SITE.latitude_rad))
 NORTH, UP = EARTH[0], EARTH[2]
 
@@ -103,7 +103,7 @@ def test_earths_rate_limits_imucal_to_a_microradian():
     assert d[GROUP_SLICES["accel_bias"]].max() < 1e-12
 
 
-def test_in_the_samples_of_table_1_the_turn_about_z_has_north_along_it():
+def test_the_rotation_about_z_of_table_1_has_north_along_its_axis():
     """z lies along the table's x axis, which is north, and turns by the right hand: the rate counts as scale.
 
     Sequence 3 starts with x down by a turn of the outer axis of -90°, which lays z to the south.

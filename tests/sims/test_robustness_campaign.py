@@ -168,7 +168,7 @@ def test_errors_of_no_imu_are_told():
     assert is_imu(SensorErrors())
 
 
-def test_what_is_no_imu_is_counted_and_not_tried(small):
+def test_impossible_units_are_counted_and_not_calibrated(small):
     text = SMALL.replace("[5, 50]", "[200]")
     campaign = small(text=text)
     rows = [run_trial(campaign, (0, k))[0] for k in range(12)]

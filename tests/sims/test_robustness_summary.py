@@ -135,7 +135,7 @@ def test_a_long_time_can_be_the_easy_end():
 
 
 @pytest.mark.parametrize(("failing", "expected", "count"), [(47, 46.0, 46), (2, 1.0, 1), (1, None, 0)])
-def test_what_is_drawn_at_random_is_known_to_the_first_failure(failing, expected, count):
+def test_the_limit_of_a_random_quantity_is_its_first_failure(failing, expected, count):
     rows = [
         {"scale_percent": float(v), "outcome": "not_converged" if v >= failing else "converged"} for v in range(1, 101)
     ]
@@ -264,7 +264,7 @@ def test_a_table_of_something_else_is_refused(row, column, message):
         summarise(given, header(grid={"scale_percent": [1.0]}))
 
 
-def test_how_the_table_is_stored_does_not_matter(study):
+def test_the_summary_does_not_depend_on_the_storage_of_the_table(study):
     whole, told = study
     encoded = pa.concat_tables([whole.slice(30), whole.slice(0, 30)])
     for name in ("estimator", "outcome"):

@@ -284,7 +284,7 @@ def test_schedule_repeats_and_custom_sequences():
 
 
 def test_dwells_of_each_window_arrive_in_the_recording(tmp_path):
-    """By entry of ``sequences``, repeated with them, a number for both windows; to the sample of 20 ms."""
+    """Dwells are given per entry of ``sequences``, one number for both windows, and hold to the sample of 20 ms."""
     custom = [{"id": "A", "down": "-z", "along_outer": "-y", "rotations": [["y", 90.0], ["z", 30.0]]}]
     schedule = {"sequences": ["A", "1"], "custom": custom, "repeats": 2, "dwells_s": [1, [0.5, 2.02]]}
     scenario = build(schedule=schedule)

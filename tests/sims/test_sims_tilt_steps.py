@@ -142,7 +142,7 @@ def test_the_sample_of_the_step_turns_at_a_constant_rate():
 
 
 @pytest.mark.parametrize("time_s", [2.05, 3.03], ids=["ramp", "full rate"])
-def test_in_a_turn_the_sample_of_the_step_is_wrong_by_the_bound_stated(time_s):
+def test_the_sample_of_a_step_within_a_rotation_is_wrong_by_the_stated_bound(time_s):
     one = {"sequences": ("12",), "fixture_draw": sims.FixtureDraw(), "dwell_s": 2.0}
     coarse, fine = run(**one), run(**one, sample_rate_hz=10000.0)
     k = sample_at(coarse, time_s)
@@ -181,7 +181,7 @@ def test_a_step_in_the_last_sample_of_a_piece_turns_that_sample_only():
     )
 
 
-def test_with_recorded_moves_a_step_stays_to_the_end_of_the_run():
+def test_a_step_lasts_to_the_end_of_the_run_if_moves_are_recorded():
     motion = run(moves="recorded")
     mounted = run(Rotation.from_rotvec(-TILT) * U, moves="recorded")
     time_s = motion.windows[0][1][0] + 0.51

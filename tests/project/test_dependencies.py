@@ -1,0 +1,108 @@
+"""Third-party packages: every import is declared in pyproject.toml, in an extra of the folder that uses it."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[2]
+OWN = {"srt", "estimators", "sims"}
+DISTRIBUTIONS = {
+    "backports": "backports.zstd",
+    "cv2": "opencv-python-headless",
+    "fpdf": "fpdf2",
+    "pyins": "python-ins",
+    "tomli_w": "tomli-w",
+    "yaml": "pyyaml",
+}
+"""Names of distributions that differ from the name of the import."""
+LATER_STANDARD_LIBRARY = {"compression"}
+"""Modules of the standard library of Python 3.14, imported where they exist."""
+EXTRAS = {
+    "srt": (),
+    "srt/cli": ("cli",),
+    "srt/comparison": ("campaign", "cluster"),
+    "srt/exporters": ("formats", "graph"),
+    "srt/noise": ("allan",),
+    "srt/recording": ("io", "formats"),
+    "srt/reports": ("pandas",),
+    "srt/reports/certificate": ("report",),
+    "srt/reports/figures": ("plot",),
+    "estimators": ("ekf", "graph"),
+    "sims": (),
+    "sims/robustness": ("campaign",),
+    "sims/scenarios": ("sims",),
+    "benchmarks": ("dev", "fuzz"),
+    "examples": ("examples",),
+    "tests": ("dev",),
+}
+"""Extras that a folder may import, in addition to the dependencies of the core; the longest matching folder counts."""
+
+
+@cache
+def project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+@cache
+def declared(extra: str) -> frozenset[str]:
+    """Distributions of an extra and of the extras that it names; the core's for an empty name."""
+    lines = project()["optional-dependencies"][extra] if extra else project()["dependencies"]
+    out = set()
+    for requirement in map(Requirement, lines):
+        if requirement.name == project()["name"]:
+            out |= set().union(*map(declared, requirement.extras))
+        else:
+            out.add(requirement.name.lower())
+    return frozenset(out)
+
+
+def imported(path: Path) -> set[str]:
+    """Top-level names that a file imports anywhere, by name in a string included."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names.add(node.module)
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if called in {"import_module", "importorskip"} and isinstance(node.args[0].value, str):
+                names.add(node.args[0].value)
+    return {name.partition(".")[0] for name in names}
+
+
+def folder_of(path: Path) -> str:
+    place = path.relative_to(ROOT).as_posix()
+    return max((folder for folder in EXTRAS if place.startswith(f"{folder}/")), key=len)
+
+
+FILES = [path for top in sorted({f.partition("/")[0] for f in EXTRAS}) for path in sorted((ROOT / top).rglob("*.py"))]
+HELPERS = {path.stem for path in FILES if path.relative_to(ROOT).parts[0] in {"tests", "benchmarks", "examples"}}
+"""Modules of tests, benchmarks and examples, which import each other by their own names."""
+
+
+@pytest.mark.parametrize("folder", EXTRAS)
+def test_imports_are_declared(folder):
+    allowed = declared("").union(*map(declared, EXTRAS[folder]))
+    inside = [path for path in FILES if folder_of(path) == folder]
+    assert inside
+    for path in inside:
+        others = imported(path) - OWN - set(sys.stdlib_module_names) - LATER_STANDARD_LIBRARY
+        if folder in {"tests", "benchmarks", "examples"}:
+            others -= HELPERS
+        missing = {name for name in others if DISTRIBUTIONS.get(name, name).lower() not in allowed}
+        assert not missing, f"{path.relative_to(ROOT)} imports {missing}, which {EXTRAS[folder]} do not declare"
+
+
+def test_an_undeclared_import_is_found(tmp_path):
+    file = tmp_path / "module.py"
+    file.write_text("def f():\n    import lz4.frame\n    pytest.importorskip('ruamel.yaml')\n")
+    assert imported(file) == {"lz4", "ruamel"}
+    assert not {"lz4", "ruamel"} & declared("dev")
