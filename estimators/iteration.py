@@ -255,7 +255,9 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     options = joint.options
     requested = np.array([name in options.fixed_names for name in NAMES])
     uncertain = fixed_sigma(joint.data, options)
-    fixed = FixedParameters({name: reason_on_request(name, uncertain) for name in options.fixed_names}, uncertain)
+    fixed = FixedParameters(
+        {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}, uncertain
+    )
     iteration = IterationState(joint.start, ~requested)
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS):

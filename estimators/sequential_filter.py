@@ -238,6 +238,8 @@ def run_sequentially(solver: SequentialFilter, joint: JointModel, progress: Prog
     options = joint.options
     options.refuse(("step", "down", "measured_vertical", "start"), f"The filter {solver.form!r}")
     uncertain = fixed_sigma(joint.data, options)
-    fixed = FixedParameters({name: reason_on_request(name, uncertain) for name in options.fixed_names}, uncertain)
+    fixed = FixedParameters(
+        {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}, uncertain
+    )
     with threadpool_limits(limits=1, user_api="blas"):
         return make_calibration(joint, solver, solver.process(joint, progress), fixed, {})

@@ -10,6 +10,7 @@ from srt.estimation.options import Options, chosen_options
 from srt.estimation.registry import estimate
 from srt.exceptions import DataError
 from srt.recording.reading import READING_KEYS, read
+from srt.sequences.protocol_matching import with_protocol
 
 if TYPE_CHECKING:
     from srt.diagnosis.inspection import Inspection
@@ -38,8 +39,8 @@ def calibrate(
     Parameters
     ----------
     source : Recording, path-like, or arrays
-        Recording, or what :func:`srt.read` makes one of. Without labels, sequences of Table 1 on a fixture are
-        recognised; other recordings become free rotations.
+        Recording, or what :func:`srt.read` makes one of. Without labels, its protocol labels it; otherwise sequences
+        of Table 1 on a fixture are recognised, and other recordings become free rotations.
     estimator : str
         "auto": the closed form for labelled sequences of Table 1 on a fixture, otherwise least squares. Other names:
         :func:`srt.estimators`.
@@ -68,7 +69,7 @@ def calibrate(
     """
     stated = {name: choices.pop(name) for name in READING_KEYS & set(choices)}
     options = chosen_options(options, choices)
-    recording = read(source, **stated)
+    recording = with_protocol(read(source, **stated))
     if not checks:
         result = estimate(recording, estimator, options, progress)
         return replace(result, warnings=(*result.warnings, UNCHECKED))

@@ -6,7 +6,7 @@ Each turn is about an axis fixed in B; its angle over time is a profile of :mod:
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,37 +101,153 @@ def free_motion(
         raise InputError(
             f"The durations are {durations.tolist()} s: give a positive one for each of {len(sizes)} turns."
         )
-    ned_from_body = check_rotation(attitude)
+    steps = tuple(
+        (Turn(vector, duration if size > 0.0 else 0.0, profile),)
+        for vector, size, duration in zip(vectors, sizes.tolist(), durations.tolist(), strict=True)
+    )
+    placement = Placement(check_rotation(attitude), dwell_s, steps, (dwell_s,) * len(steps))
+    motion, _ = placed_motion(
+        (placement,),
+        site=site,
+        settle_s=settle_s,
+        sample_rate_hz=sample_rate_hz,
+        earth_rate=earth_rate,
+        start_time_s=start_time_s,
+        rng=rng,
+    )
+    return motion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """Rotation about an axis fixed in B.
+
+    Attributes
+    ----------
+    vector : ndarray, shape (3,), rad
+    duration_s : float
+    profile : str or TurnProfile
+        A name of :data:`sims.physics.turn_profiles.ProfileName`, or the profile itself.
+    """
+
+    vector: Array
+    duration_s: float
+    profile: ProfileName | TurnProfile = "quintic"
+
+    def shape(self, rng: np.random.Generator | None) -> TurnProfile:
+        """Profile of the turn; drawn for "recorded-hand"."""
+        if isinstance(self.profile, str):
+            return turn_profile(self.profile, float(np.linalg.norm(self.vector)), self.duration_s, rng)
+        return self.profile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """A pose that the unit is placed in, and the steps that follow without a gap.
+
+    Attributes
+    ----------
+    attitude : ndarray, shape (3, 3)
+        C_NED,B of the pose.
+    rest_s : float
+        Rest in the pose, s.
+    steps : tuple of tuple of Turn
+        Each step is one turn or several without a rest between them.
+    rests_s : tuple of float
+        Rest after each step, s.
+    """
+
+    attitude: Array
+    rest_s: float
+    steps: tuple[tuple[Turn, ...], ...] = ()
+    rests_s: tuple[float, ...] = ()
+
+
+def placed_motion(
+    placements: tuple[Placement, ...],
+    *,
+    site: Site,
+    pause_s: float = 0.0,
+    settle_s: float = 0.0,
+    sample_rate_hz: float = 200.0,
+    earth_rate: bool = True,
+    start_time_s: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> tuple[TrueMotion, tuple[float, ...]]:
+    """Integrals of static poses and turns; the motion from the end of a placement to the next is not recorded.
+
+    Parameters
+    ----------
+    placements : tuple of Placement
+    site : Site
+    pause_s : float
+        Time to place the unit in the next pose, s.
+    settle_s : float
+        Settling time between each turn and the following window, s.
+    sample_rate_hz, earth_rate, start_time_s
+        As in :func:`sims.physics.table_motion.run_schedule`.
+    rng : numpy.random.Generator, optional
+        Required for the profile "recorded-hand".
+
+    Returns
+    -------
+    motion : TrueMotion
+        Without labels and fixture. ``windows`` are those before and after each step; a placement without a step gives
+        the two halves of its pose.
+    starts_s : tuple of float
+        Beginning of each step's first turn, s; the middle of the pose for a placement without a step.
+    """
     constants = constants_of_site(site, earth_rate=earth_rate)
     clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
-    dwell = max(1, round(dwell_s * sample_rate_hz))
-    clock.record(_rest_episode(constants @ ned_from_body, dwell))
-    poses = [(clock.at(0), clock.at(dwell))]
-    attitudes = [ned_from_body]
-    for vector, size, duration in zip(vectors, sizes.tolist(), durations.tolist(), strict=True):
-        n_samples = clock.samples((duration if size > 0.0 else 0.0) + settle_s) + dwell
-        fixed = constants @ attitudes[-1]
-        if size > 0.0:
-            shape = turn_profile(profile, size, duration, rng)
-            clock.record(_turn_episode(fixed, vector, duration, n_samples, shape))
-        else:
-            clock.record(_rest_episode(fixed, n_samples))
-        poses.append((clock.at(clock.now - dwell), clock.at(clock.now)))
-        attitudes.append(attitudes[-1] @ rotation(vector))
+    pairs: list[tuple[tuple[float, float], tuple[float, float]]] = []
+    attitudes: list[tuple[Array, Array]] = []
+    starts: list[float] = []
+
+    def samples(rest_s: float) -> int:
+        return max(1, round(rest_s * sample_rate_hz))
+
+    for number, placement in enumerate(placements):
+        if number:
+            clock.now += clock.samples(pause_s)
+        attitude, dwell = placement.attitude, samples(placement.rest_s)
+        before = clock.at(clock.now), clock.at(clock.now + dwell)
+        clock.record(_rest_episode(constants @ attitude, dwell))
+        if not placement.steps:
+            middle = clock.at(clock.now - dwell // 2)
+            pairs.append(((before[0], middle), (middle, before[1])))
+            attitudes.append((attitude, attitude))
+            starts.append(middle)
+        for turns, rest_s in zip(placement.steps, placement.rests_s, strict=True):
+            starts.append(clock.at(clock.now))
+            old, after = attitude, samples(rest_s)
+            for leg, turn in enumerate(turns):
+                still = settle_s if leg == len(turns) - 1 else 0.0
+                n_samples = clock.samples(turn.duration_s + still) + (after if leg == len(turns) - 1 else 0)
+                fixed = constants @ attitude
+                if turn.duration_s > 0.0:
+                    clock.record(_turn_episode(fixed, turn.vector, turn.duration_s, n_samples, turn.shape(rng)))
+                else:
+                    clock.record(_rest_episode(fixed, n_samples))
+                attitude = attitude @ rotation(turn.vector)
+            end = clock.at(clock.now - after), clock.at(clock.now)
+            pairs.append((before, end))
+            attitudes.append((old, attitude))
+            before = end
     time, piece_starts, total = clock.stack()
-    return TrueMotion(
+    motion = TrueMotion(
         time,
         clock.interval,
         piece_starts,
         *total,
-        windows=tuple(pairwise(poses)),
-        attitudes=np.stack([attitudes[:-1], attitudes[1:]], axis=1),
+        windows=tuple(pairs),
+        attitudes=np.array(attitudes),
         labels=(),
         site=site,
         fixture=None,
         U=np.eye(3),
         draw=None,
     )
+    return motion, tuple(starts)
 
 
 def _rest_episode(constants_b: Array, n_samples: int) -> Episode:

@@ -51,6 +51,8 @@ class Schedule:
         Rest between the end of a sequence and the next move, s.
     dwells_s : tuple of (start, end), or None
         Length of start and end window of each sequence, s, instead of ``dwell_s``.
+    continued : frozenset of int
+        Positions of sequences that start, without a move, from the end window of the one before.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class Schedule:
     moves: Moves = "skipped"
     pause_s: float = 1.0
     dwells_s: tuple[tuple[float, float], ...] | None = None
+    continued: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         if not self.sequences:
@@ -221,12 +224,15 @@ def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[
     dwell, end_dwell = (max(1, round(length * clock.sample_rate_hz)) for length in schedule.window_lengths_s()[number])
     nominal, error = sequence.start_rad(), draw.start_errors(number)
     start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
-    run.wobble = draw.wobble_of(number)
-    if number == 0:
-        run.angles = start
-        run.execute(run.profile([], 0.0), dwell, record=True)
+    if number in schedule.continued:
+        dwell = max(1, round(schedule.window_lengths_s()[number - 1][1] * clock.sample_rate_hz))
     else:
-        _move(run, start, dwell)
+        run.wobble = draw.wobble_of(number)
+        if number == 0:
+            run.angles = start
+            run.execute(run.profile([], 0.0), dwell, record=True)
+        else:
+            _move(run, start, dwell)
     first = (clock.at(clock.now - dwell), clock.at(clock.now))
     before = run.attitude()
 
@@ -264,6 +270,8 @@ def _move(run: _Run, start: tuple[float, float], dwell: int) -> None:
 def _label(sequence: TurnSequence, first: tuple[float, float], second: tuple[float, float]) -> SequenceLabel:
     if sequence.in_table_1:
         return SequenceLabel(first, second, sequence.id)
+    if not sequence.rotations:
+        return SequenceLabel.of_pose((first[0], second[1]), sequence.id, sequence.down, sequence.along_outer)
     rotations = tuple((axis, math.radians(angle)) for axis, angle in sequence.rotations)
     return SequenceLabel(first, second, sequence.id, sequence.down, sequence.along_outer, rotations)
 

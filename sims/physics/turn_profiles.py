@@ -69,11 +69,16 @@ def _raised_cosine(total: float, s: Array) -> tuple[Array, Array]:
     return 0.5 * total * (1.0 - np.cos(math.pi * s)), 0.5 * math.pi * total * np.sin(math.pi * s)
 
 
-def _trapezoid(total: float, s: Array) -> tuple[Array, Array]:
-    peak = total / (1.0 - _RAMP)
-    into, left = np.minimum(s, _RAMP), np.minimum(1.0 - s, _RAMP)
-    ramps = 0.5 * (into**2 + _RAMP**2 - left**2) / _RAMP
-    return peak * (ramps + np.clip(s - _RAMP, 0.0, 1.0 - 2.0 * _RAMP)), peak * np.minimum(into, left) / _RAMP
+def trapezoid(ramp: float) -> TurnProfile:
+    """Profile of constant acceleration over the share ``ramp`` of the duration at either end, at most a half."""
+
+    def evaluate(total: float, s: Array) -> tuple[Array, Array]:
+        peak = total / (1.0 - ramp)
+        into, left = np.minimum(s, ramp), np.minimum(1.0 - s, ramp)
+        ramps = 0.5 * (into**2 + ramp**2 - left**2) / ramp
+        return peak * (ramps + np.clip(s - ramp, 0.0, 1.0 - 2.0 * ramp)), peak * np.minimum(into, left) / ramp
+
+    return TurnProfile(evaluate, 1.0 / (1.0 - ramp), 12.0, (ramp, 1.0 - ramp) if ramp < 0.5 else (0.5,))
 
 
 def _constant_rate(total: float, s: Array) -> tuple[Array, Array]:
@@ -84,7 +89,7 @@ _PROFILES: Final = {
     # The quintic's bandwidth (12 rad) adds to that of the attitude.
     "quintic": TurnProfile(_quintic, 15.0 / 8.0, 12.0),
     "raised-cosine": TurnProfile(_raised_cosine, 0.5 * math.pi, math.pi),
-    "trapezoid": TurnProfile(_trapezoid, 1.0 / (1.0 - _RAMP), 12.0, (_RAMP, 1.0 - _RAMP)),
+    "trapezoid": trapezoid(_RAMP),
     "constant-rate": TurnProfile(_constant_rate, 1.0, 0.0),
 }
 

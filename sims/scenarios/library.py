@@ -115,4 +115,7 @@ def resolved(tables: dict[str, Any], *, name: str, near: Path | None = None) -> 
                 raise InputError(f"{name}: [{section}] from is {source!r}: give a name of the library or a path.")
             own = {key: value for key, value in table.items() if key != "from"}
             out[section] = overlay(read_toml(find(section, source, near=near)), own)
+    protocol = out.get("protocol")
+    if isinstance(protocol, dict) and near is not None and str(protocol.get("from", "")).endswith(".toml"):
+        out["protocol"] = protocol | {"from": str(near / protocol["from"])}
     return out

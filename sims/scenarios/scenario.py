@@ -9,6 +9,7 @@ Tables of a scenario::
     [errors]     draw = "normal", "uniform" or "none"; factor; [errors.values] by name, SI
     [schedule]   sequences, repeats, dwell_s or dwells_s, rate_rad_s, ...
     [free]       in place of [schedule]: turns or rotations_deg, profile, peak_rate_rad_s or turn_duration_s, dwell_s
+    [protocol]   in place of both: from = "19-positions", total_time_s; on the [fixture], or without one
     [recording]  sample_rate_hz, kind, format, ...
 
 An unknown key is an error: a misspelt key must not leave a default in force.
@@ -35,6 +36,7 @@ from srt.constants import (
     normal_gravity_m_s2,
 )
 from srt.exceptions import InputError
+from srt.recording.protocol import Protocol, load_protocol
 from srt.recording.recording import Site
 from srt.sensor_errors import GROUPS, NAMES
 
@@ -327,6 +329,35 @@ class FreeConfig(TomlTable):
         return self
 
 
+class ProtocolConfig(TomlTable):
+    """A protocol (:mod:`srt.recording.protocol`), on the fixture of the scenario or without one."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True)
+
+    source: str = Field(alias="from")
+    """Name of a shipped protocol, or path of a TOML file."""
+    total_time_s: Positive | None = None
+    """Duration of the test; the rests of the protocol are scaled to it."""
+    placement_sigma_deg: NonNegative = 1.0
+    """Without a fixture: standard deviation of the inclination, about each axis, of each pose that is placed."""
+    turn_sigma_deg: NonNegative = 0.5
+    """Without a fixture: standard deviation of the angle of each turn; stated rates have the protocol's own."""
+    settle_s: NonNegative = 0.2
+
+    def protocol(self) -> Protocol:
+        """Protocol with its rests for the total time."""
+        found = load_protocol(self.source)
+        return found if self.total_time_s is None else found.lasting(self.total_time_s)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        try:
+            self.protocol()
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+
 class RecordingConfig(TomlTable):
     """Recording of the samples."""
 
@@ -353,12 +384,13 @@ class Scenario(TomlTable):
     errors: ErrorsConfig = ErrorsConfig()
     schedule: ScheduleConfig | None = None
     free: FreeConfig | None = None
+    protocol: ProtocolConfig | None = None
     recording: RecordingConfig = RecordingConfig()
 
     @model_validator(mode="after")
     def _fixture_or_free(self) -> Self:
-        if (self.schedule is None) == (self.free is None):
-            raise ValueError("give either a [schedule] for the fixture or a [free] recording")
+        if sum(part is not None for part in (self.schedule, self.free, self.protocol)) != 1:
+            raise ValueError("give one of a [schedule] for the fixture, a [free] recording, and a [protocol]")
         if self.schedule is not None and self.fixture is None:
             raise ValueError("a [schedule] needs a [fixture] to run on")
         if self.free is not None and self.fixture is not None:
@@ -466,6 +498,7 @@ def _keys_at(path: Sequence[int | str], root: type[BaseModel]) -> list[str]:
         annotation = model.model_fields[part].annotation
         model = next(t for t in _flatten(annotation) if isinstance(t, type) and issubclass(t, BaseModel))
     keys = list(model.model_fields)
+    keys = ["from" if key == "source" else key for key in keys]
     return [*keys, "from"] if model in {ImuConfig, FixtureConfig, SiteConfig} else keys
 
 

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sims.physics.fixture import draw_fixture, rotation
+from sims.physics.fixture import rotation
 from sims.physics.free_motion import free_motion, random_attitude, random_durations, random_turns
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.motion import RateProfile
-from sims.physics.table_motion import Schedule, run_schedule
+from sims.physics.table_motion import Schedule
+from sims.scenarios.protocol_run import protocol_run, table_run
 from sims.scenarios.scenario import MRAD
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUPS, SensorErrors
 
 if TYPE_CHECKING:
@@ -149,7 +149,13 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
     turn = np.array(scenario.imu.frame_turn_mrad) * MRAD
     turn = turn + for_unit.standard_normal(3) * scenario.imu.frame_turn_sigma_mrad * MRAD
     U = rotation(turn).T
-    motion = _table_run(scenario, U, for_fixture) if scenario.free is None else _free_run(scenario, for_motion)
+    if scenario.protocol is not None:
+        motion = protocol_run(scenario, U, for_fixture, for_motion)
+    elif scenario.free is not None:
+        motion = _free_run(scenario, for_motion)
+    else:
+        assert scenario.schedule is not None
+        motion = table_run(scenario, schedule_of(scenario.schedule), U, for_fixture)
     stated = scenario.recording
     recording = read_out(
         motion,
@@ -194,28 +200,6 @@ def schedule_of(config: ScheduleConfig) -> Schedule:
         moves=config.moves,
         pause_s=config.pause_s,
         dwells_s=None if config.dwells_s is None else config.dwells_s * config.repeats,
-    )
-
-
-def _table_run(scenario: Scenario, U: Array, rng: np.random.Generator) -> TrueMotion:
-    assert scenario.schedule is not None
-    assert scenario.fixture is not None
-    schedule, fixture = schedule_of(scenario.schedule), scenario.fixture
-    return run_schedule(
-        schedule,
-        site=scenario.site.site(),
-        sample_rate_hz=scenario.recording.sample_rate_hz,
-        heading_rad=fixture.heading_deg * DEG,
-        fixture_draw=draw_fixture(rng, schedule.sequences, **fixture.draw_sizes()),
-        U=U,
-        stated_fixture=Fixture(
-            fixture.heading_deg * DEG if fixture.state_heading else None,
-            fixture.stated_alignment_sigma_mrad * MRAD,
-            fixture.stated_rotation_sigma_mrad * MRAD,
-            None if fixture.stated_wobble_sigma_mrad is None else fixture.stated_wobble_sigma_mrad * MRAD,
-        ),
-        earth_rate=scenario.site.earth_rate,
-        start_time_s=scenario.recording.start_time_s,
     )
 
 

@@ -71,6 +71,11 @@ GROUPS = {
 @click.option("--budget", is_flag=True, help="As --details, with all sources of sigma instead of three.")
 @click.option("--verdict", is_flag=True, help="As --details, with the observability of every parameter.")
 @click.option("--merge", is_flag=True, help="Merge recordings or calibrations (.json) of one unit into one result.")
+@click.option(
+    "--protocol",
+    metavar="NAME",
+    help="Protocol of the test in place of labels: a shipped one (srt list protocols), or FILE.toml.",
+)
 @click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording: show errors.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no table; warnings and errors only.")
 @click.option("--no-asymmetry", is_flag=True, help="Fix the gyro scale-factor asymmetries at zero.")
@@ -132,6 +137,7 @@ def calibrate(
     scheduler: str | None,
     force: bool,
     trust: bool,
+    protocol: str | None,
     **choices: Any,
 ) -> int:
     """Calibrate the unit of each RECORDING, a folder with recording.toml and samples.
@@ -166,12 +172,21 @@ def calibrate(
         ),
         (merge and shared, "--merge goes without --workers and --scheduler: its recordings are calibrated in turn."),
         (
+            fleet and protocol is not None,
+            "--protocol belongs to few recordings: for a fleet, name it in each recording.toml.",
+        ),
+        (
             fleet and tables,
             "--details, --budget and --verdict belong to the tables of few recordings: a fleet has one for all.",
         ),
     )
     options = parse_options(choices, trust=trust)
     check_tools(estimator, plot)
+    known = None
+    if protocol is not None:
+        from srt.recording.protocol import load_protocol
+
+        known = load_protocol(protocol)
     true_errors = None
     if truth is not None:
         from srt.cli.truth import load_truth
@@ -180,7 +195,7 @@ def calibrate(
     if fleet:
         engine = FleetEngine(workers, scheduler)
         return run_fleet(jobs, estimator, options, engine=engine, output=output, quiet=quiet, force=force)
-    display = Display(true_errors, details, budget, verdict, quiet, force, trust)
+    display = Display(true_errors, details, budget, verdict, quiet, force, trust, known)
     if merge:
         return run_merging(jobs, estimator, options, display, output, plot)
     return run_each(jobs, estimator, options, display, output)
@@ -303,10 +318,9 @@ def run_job(job: Job, estimator: str, options: Options, display: Display) -> Cal
     """
     import srt
     from srt.cli.progress import iteration_progress
-    from srt.recording.folder import load_recording
     from srt.reports.text.calibration_summary import calibration_text
 
-    recording = load_recording(job.recording)
+    recording = display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     if job.output is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from srt.recording.protocol import Protocol
+    from srt.recording.recording import Recording
     from srt.sensor_errors import SensorErrors
 
 
@@ -40,7 +42,7 @@ class Display:
     """Parts of a calibration that are printed.
 
     Beside them, ``force``: calibrate in spite of faults of the recording; ``trust``: accept calibration files that were
-    changed after they were written.
+    changed after they were written; ``protocol``: of the recordings, in place of their labels.
     """
 
     truth: SensorErrors | None = None
@@ -50,6 +52,14 @@ class Display:
     quiet: bool = False
     force: bool = False
     trust: bool = False
+    protocol: Protocol | None = None
+
+    def load(self, path: Path) -> Recording:
+        """Load a recording, with the protocol that replaces its labels."""
+        from srt.recording.folder import load_recording
+
+        recording = load_recording(path)
+        return recording if self.protocol is None else replace(recording, protocol=self.protocol, sequences=())
 
     @property
     def complete(self) -> bool:

@@ -8,7 +8,7 @@ import click
 
 from srt.cli.messages import show
 
-KINDS = ("scenarios", "plans", "campaigns", "estimators", "formats", "targets")
+KINDS = ("scenarios", "protocols", "plans", "campaigns", "estimators", "formats", "targets")
 
 
 @click.command("list")
@@ -16,7 +16,8 @@ KINDS = ("scenarios", "plans", "campaigns", "estimators", "formats", "targets")
 def catalogue(kinds: tuple[str, ...]) -> int:
     """List what is shipped or installed, of the KINDs named or of all.
 
-    scenarios (for simulate, budget), plans (for plan), campaigns (for robustness), estimators (for calibrate, compare),
+    scenarios (for simulate, budget), protocols (for calibrate, plan, and in scenarios), plans (for plan), campaigns
+    (for robustness), estimators (for calibrate, compare),
     formats (for convert), targets (for export).
     """
     for number, kind in enumerate(kinds or KINDS):
@@ -44,6 +45,11 @@ def _rows(kind: str) -> list[list[str]]:
         from srt.exporters import exporters
 
         return [[name, exporter.title] for name, exporter in exporters().items()]
+    if kind == "protocols":
+        from srt.recording.protocol import load_protocol, protocol_names
+
+        protocols = [load_protocol(name) for name in protocol_names()]
+        return [[p.name, f"{p.description} ({p.total_s:.0f} s)"] for p in protocols]
     from sims.scenarios.library import configs_path, names, read_toml
 
     folder = {"scenarios": "scenario", "plans": "plan", "campaigns": "robustness"}[kind]

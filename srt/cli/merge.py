@@ -107,11 +107,10 @@ def _calibration(job: Job, estimator: str, options: Options, display: Display) -
     """Load a calibration, or calibrate the recording."""
     import srt
     from srt.cli.progress import iteration_progress
-    from srt.recording.folder import load_recording
 
     if job.recording.suffix == ".json":
         return srt.load_calibration(job.recording, trust=display.trust)
-    recording = load_recording(job.recording)
+    recording = display.load(job.recording)
     with iteration_progress(job.name, quiet=display.quiet) as progress:
         calibration = srt.calibrate(recording, estimator, options=options, progress=progress, force=display.force)
     for title, reason in calibration.provenance.get("voided", {}).items():

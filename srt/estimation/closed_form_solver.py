@@ -149,7 +149,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     uncertain = fixed_sigma(data, options)
     solver = ClosedFormSolver(data, options)
     solution, _, unmodelled = iterate_with_unmodelled_errors(data, options, lambda: solver, first, uncertain, progress)
-    fixed = {name: reason_on_request(name, uncertain) for name in options.fixed_names}
+    fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
         source = "estimated from the fixture's nominal angles" if options.start == "auto" else "that of the given start"

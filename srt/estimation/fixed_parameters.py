@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -12,8 +13,28 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
+    from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
+
+
+POSE_FRAME: Final = ("accel_misalignment_xy", "accel_misalignment_xz", "accel_misalignment_yz")
+"""Parameters that define the axes of poses alone: x along accelerometer x, y in the plane of accelerometers x and y."""
+
+
+def in_frame_of_poses(recording: Recording, options: Options) -> Options:
+    """Options that fix :data:`POSE_FRAME` if the recording has only poses whose attitudes nothing states.
+
+    Gravity then shows the accelerometers alone, and its magnitude does not depend on the axes.
+    """
+    labels = recording.sequences
+    if not labels or not all(label.pose for label in labels) or _attitudes_stated(recording):
+        return options
+    return replace(options, hold=(*options.hold, *(name for name in POSE_FRAME if name not in options.hold)))
+
+
+def _attitudes_stated(recording: Recording) -> bool:
+    return recording.fixture is not None and all(label.down is not None for label in recording.sequences)
 
 
 def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
@@ -33,11 +54,37 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
             sigma[GROUP_SLICES[group]] = accuracy
         sigma[GROUP_SLICES["accel_bias"]] = data.gravity * float(np.hypot(accuracy, PRIOR_SIGMA["accel_asymmetry"]))
         sigma[GROUP_SLICES["gyro_bias"]] = EARTH_RATE_RAD_S
-    exact = [INDEX[name] for name in options.fixed_names if "asymmetry" in name]
+    axes = POSE_FRAME if data.posed.all() and data.nominal is None else ()
+    exact = [INDEX[name] for name in options.fixed_names if "asymmetry" in name or name in axes]
     sigma[exact] = 0.0
     return sigma
 
 
-def reason_on_request(name: str, sigma: Array) -> str:
-    """Reason text of a parameter that the user fixed."""
+_REMEDIES: Final = {
+    "gyro_scale": "a rotation about {0} while {0} is horizontal, or a run at a stated rate about {0}",
+    "gyro_asymmetry": "rotations about {0} in both senses while {0} is horizontal",
+    "gyro_orthogonality": "half turns about {0} and {1} in alternation",
+    "accel_bias": "poses with {0} up, {0} down and {0} horizontal",
+    "accel_scale": "poses with {0} up and {0} down",
+    "accel_asymmetry": "poses with {0} up, {0} down, horizontal and inclined",
+    "accel_misalignment": "half turns about axes near {0} and {1}, and poses between them",
+    "gyro_bias": "longer rests",
+}
+"""What shows the parameters of a group, with the letters of the parameter's axes."""
+
+
+def reason_not_observed(name: str) -> str:
+    """Reason text of a parameter that the data do not show, with what to add to the test."""
+    group = next(group for group in _REMEDIES if name.startswith(group))
+    axes = name.rpartition("_")[2]
+    return (
+        "not distinguishable from the other parameters by the poses and rotations of this recording: add "
+        + _REMEDIES[group].format(*axes)
+    )
+
+
+def reason_on_request(name: str, sigma: Array, data: PreparedRecording) -> str:
+    """Reason text of a parameter that the user fixed, or that defines the axes."""
+    if name in POSE_FRAME and data.posed.all() and data.nominal is None:
+        return "zero by definition of the axes: x along accelerometer x, y in the plane of accelerometers x and y"
     return "fixed on request" + (", taken as exact" if sigma[INDEX[name]] == 0.0 else "")

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from srt.estimation.fixed_parameters import POSE_FRAME
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
 from srt.model import measurement_model as model
@@ -96,7 +97,7 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     rest = data.windows.gyro_mean
     turned, angles = [], []
     for k, sequence in enumerate(data.catalogue):
-        if sequence is None:
+        if sequence is None or not sequence.rotations:
             continue
         bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
         legs = rotation_angles(stream, k, sequence, bias)
@@ -196,6 +197,8 @@ def estimate_from_gravity(data: PreparedRecording) -> SensorErrors:
     g, readings = data.gravity, data.windows.accel_mean
     E = _layout()
     E[GROUP_SLICES["accel_bias"]] *= g
+    if data.posed.all():  # the axes are those of the accelerometers
+        E[[INDEX[name] for name in POSE_FRAME]] = 0.0
 
     def residuals(u: Array) -> Array:
         f = accel_triad(SensorErrors(E @ u)).compensate(readings)

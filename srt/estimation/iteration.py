@@ -48,6 +48,10 @@ _MAX_STEP: Final = 0.7
 """Largest correction of one iteration, in ``_UNIT``: a longer linear step is reliable in direction, not in length."""
 _NEAR: Final = 1e-3
 """Correction, in ``_UNIT``, below which the full covariance of the measurements is computed and used as weights."""
+_CREEPING: Final = 0.7
+"""Ratio of successive corrections above which the first iterations, held back by a prior, creep."""
+_CREEPING_BELOW: Final = 10.0 * _NEAR
+"""Largest correction that counts as creeping: beyond it, steps are limited in length, or the start is far off."""
 _LEAST_SCATTER: Final = 0.1
 """Share of the bias variance between sequences that remains after the fit of g-sensitivity; below it, no estimate."""
 
@@ -171,7 +175,7 @@ class Iteration:
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
             # Near the solution the full weights are computed once: they change with the estimate by about 1e-3.
-            near = near or (bool(corrections) and corrections[-1] < _NEAR)
+            near = near or _is_near(corrections)
             fresh = near and weights is None
             measurements = self._process(errors, U, nominal=nominal, with_noise=fresh)
             if fresh and self._release_moving(measurements):
@@ -381,6 +385,13 @@ class Iteration:
             self.earth_rate_draws,
             self._earth_rate,
         )
+
+
+def _is_near(corrections: list[float]) -> bool:
+    """Return True if the last correction is small, or creeps along a direction that the data hardly show."""
+    if len(corrections) < 2:
+        return bool(corrections) and corrections[-1] < _NEAR
+    return corrections[-1] < (_CREEPING_BELOW if corrections[-1] > _CREEPING * corrections[-2] else _NEAR)
 
 
 def _require_inside(errors: SensorErrors) -> None:

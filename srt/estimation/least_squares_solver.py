@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt.estimation import measurement_covariance
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.fixed_parameters import fixed_sigma, reason_not_observed, reason_on_request
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.leave_one_out import LeaveOneOutEstimate, leave_one_out_estimate, pooling_weights_without
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
@@ -55,15 +55,17 @@ class LeastSquaresSolver:
     ----------
     requested : tuple of str
         Parameters fixed on request.
+    prior : ndarray, shape (27,)
+        1-sigma before the recording; a parameter is estimated if the data reduce it to a third.
     """
 
     coefficients = None
     estimates_earth_rate = True
 
-    def __init__(self, requested: tuple[str, ...]) -> None:
+    def __init__(self, requested: tuple[str, ...], prior: Array) -> None:
         self.requested = np.array([n in requested for n in NAMES])
         self.fixed = self.requested.copy()
-        self._prior = admission_sigma()
+        self._prior = prior
         self._selected = False
 
     def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
@@ -103,21 +105,33 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     data = prepare_checked(recording, labels, options.average)
     first = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
-    fixed = {n: reason_on_request(n, uncertain) for n in options.fixed_names}
+    fixed = {n: reason_on_request(n, uncertain, data) for n in options.fixed_names}
+    prior = _prior(data, uncertain)
     for _ in range(_ROUNDS):
         requested = tuple(fixed)
         solution, solver, unmodelled = iterate_with_unmodelled_errors(
-            data, options, partial(LeastSquaresSolver, requested), first, uncertain, progress
+            data, options, partial(LeastSquaresSolver, requested, prior), first, uncertain, progress
         )
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
-        weak = ~solver.fixed & (sigma > OBSERVED_BELOW * admission_sigma())
+        weak = ~solver.fixed & (sigma > OBSERVED_BELOW * prior)
         for n, is_fixed, is_weak in zip(NAMES, solver.fixed, weak, strict=True):
             if (is_fixed or is_weak) and n not in fixed:
-                fixed[n] = "not distinguishable from the other parameters by the poses and rotations of this recording"
+                fixed[n] = reason_not_observed(n)
         if solution.status != "converged" or not weak.any():
             break
     result = solver_result(data, options, solution, fixed, without_sequences, unmodelled)
     return build_calibration("least-squares", data, options, result, fixed)
+
+
+def _prior(data: PreparedRecording, uncertain: Array) -> Array:
+    """Prior 1-sigma of the parameters, shape (27,).
+
+    A test with poses relies on the fixture: what its attitudes give more accurately than the data keeps their value.
+    """
+    prior = admission_sigma()
+    if data.nominal is None or not data.posed.any() or data.posed.all():
+        return prior
+    return np.minimum(prior, np.where(uncertain > 0.0, uncertain / OBSERVED_BELOW, np.inf))
 
 
 def without_sequences(
@@ -174,8 +188,7 @@ def _offset_effect(data: PreparedRecording, solution: Solution, gain: Array) -> 
     """Effect of the pooled rate on the horizontal components via the bias deviations (own − pooled), shape (2 K, 3)."""
     measurements = solution.measurements
     per_rate = measurements.integrals.time @ measurements.gyro.matrix
-    M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)
-    return np.asarray((M @ per_rate * gain).reshape(2 * data.K, 3))
+    return np.asarray((measurements.attitude_effect @ per_rate * gain).reshape(2 * data.K, 3))
 
 
 def _pooled_noise(data: PreparedRecording, solution: Solution, gain: Array, pools: Array) -> tuple[Array, Array]:

@@ -43,11 +43,14 @@ class Disturbance:
         On the compensated mean rate of each window, rad/s.
     force : ndarray, shape (W, 3, S), or None
         On the compensated mean specific force of each window, m/s².
+    stated : ndarray, shape (K, 2, S), or None
+        On the measurements that compare with a stated vertical, m/s², or a stated rate, rad/s.
     """
 
     phi: Array | None = None
     rate: Array | None = None
     force: Array | None = None
+    stated: Array | None = None
 
 
 def project(measurements: SrtMeasurements, data: PreparedRecording, source: Disturbance, bias_gain: Array) -> Array:
@@ -61,7 +64,8 @@ def project(measurements: SrtMeasurements, data: PreparedRecording, source: Dist
         Share of a sequence's own rest rate that is taken as its bias (0: pooled, 1: its own).
     """
     K, W = data.K, len(measurements.pool)
-    S = next(a.shape[2] for a in (source.phi, source.rate, source.force) if a is not None)
+    parts = (source.phi, source.rate, source.force, source.stated)
+    S = next(a.shape[2] for a in parts if a is not None)
     phi = np.zeros((K, 3, S)) if source.phi is None else source.phi
     rest = np.zeros((3, S))
     if source.rate is not None:
@@ -73,14 +77,16 @@ def project(measurements: SrtMeasurements, data: PreparedRecording, source: Dist
         own = np.tensordot(measurements.share, rate, 1) - rest
         # The bias offset of a sequence is subtracted from the compensated rate.
         phi = phi + by_regressions - _phi_per_rate(measurements) @ (bias_gain[:, None] * own)
-    M = model.attitude_to_horizontal(measurements.basis, measurements.acceleration)
     z = np.zeros((2 * K + W + 3, S))
-    horizontal = M @ phi
+    horizontal = measurements.attitude_effect @ phi
     if source.force is not None:
-        C = measurements.integrals.C_end
-        horizontal = horizontal + measurements.basis @ (C @ source.force[data.end] - source.force[data.start])
+        horizontal = horizontal + measurements.stated.change_of_force(
+            measurements.basis, measurements.integrals, source.force[data.start], source.force[data.end]
+        )
         up = measurements.force / np.linalg.norm(measurements.force, axis=1, keepdims=True)
         z[2 * K : 2 * K + W] = -np.einsum("wa,was->ws", up, source.force)
+    if source.stated is not None:
+        horizontal = horizontal + source.stated
     z[: 2 * K] = horizontal.reshape(2 * K, S)
     z[2 * K + W :] = rest
     return z
@@ -193,6 +199,7 @@ def disturbances(
         "accel_quantization": Disturbance(force=_own_draw(D_force * edge[:, None, :])),
         "accel_bias_instability": accel_drift(data, D_force),
         "earth_rate_alignment": _earth_rate_error(measurements, data),
+        **_stated_values(measurements, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
         "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess[0] * np.eye(3), (data.K, 3, 3)))),
         "pose_excess": Disturbance(force=_own_draw(np.broadcast_to(excess[1] * np.eye(3), (len(T), 3, 3)))),
@@ -282,10 +289,45 @@ def _gyro_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Distu
                 shared[k] += 0.5 * T[w] * C @ means[w]
     covariance = outer @ q**2
     own = _own_draw(np.asarray(np.linalg.cholesky(covariance + 1e-30 * np.eye(3)), dtype=np.float64))
+    steady = _steady_rate_noise(measurements, data)
+    silent = np.zeros((data.K, 3, steady.shape[2])), np.zeros((len(T), 3, steady.shape[2]))
     return Disturbance(
-        phi=np.concatenate([own, shared], axis=2),
-        rate=np.concatenate([np.zeros((*means.shape[:2], own.shape[2])), means], axis=2),
+        phi=np.concatenate([own, shared, silent[0]], axis=2),
+        rate=np.concatenate([np.zeros((*means.shape[:2], own.shape[2])), means, silent[1]], axis=2),
+        stated=np.concatenate([np.zeros((data.K, 2, own.shape[2] + means.shape[2])), steady], axis=2),
     )
+
+
+def _steady_rate_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """White noise and quantization of the mean rates that compare with a stated rate, shape (K, 2, 2 R)."""
+    stated, noise = measurements.stated, data.noise
+    T = stated.duration_s[:, :, None]
+    along = np.einsum("rha,ab->rhb", stated.spin_axes(measurements.gyro), np.linalg.inv(measurements.gyro.matrix))
+    variance = np.sum(along**2 * (noise.gyro_white**2 / T + 2.0 * (noise.gyro_edge / T) ** 2), axis=2)
+    out = np.zeros((data.K, 2, *variance.shape))
+    for r, k in enumerate(stated.rated.tolist()):
+        out[k, [0, 1], r, [0, 1]] = np.sqrt(variance[r])
+    return out.reshape(data.K, 2, -1)
+
+
+def _stated_values(measurements: SrtMeasurements, data: PreparedRecording) -> dict[str, Disturbance]:
+    """Errors of the values that the labels state: rates of a table, one draw for the recording, and verticals."""
+    out = {}
+    stated, fixture = measurements.stated, data.recording.fixture
+    if stated.rated.size:
+        rate = np.zeros((data.K, 2, 1))
+        rate[stated.rated, :, 0] = (stated.sigma * stated.stated)[:, None]
+        out["stated_rate"] = Disturbance(stated=rate)
+    if stated.directed and fixture is not None and data.nominal is not None:
+        # Levelling and mounting have one draw per recording, the executed angles one per pose.
+        to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
+        mounting = np.broadcast_to(np.eye(3) * fixture.alignment_sigma_rad, (data.K, 3, 3))
+        inner = np.broadcast_to(measurements.U[:, 2], (data.K, 3))
+        executed = np.stack([inner, to_body[:, :, 1]], axis=2) * fixture.rotation_sigma_rad
+        axes = np.concatenate([to_body * fixture.alignment_sigma_rad, mounting, _own_draw(executed)], axis=2)
+        tilt = np.cross(axes, to_body[:, :, 2, None], axis=1)
+        out["stated_vertical"] = Disturbance(stated=data.gravity * (measurements.basis @ tilt))
+    return out
 
 
 def _gyro_quantization(measurements: SrtMeasurements, data: PreparedRecording) -> Disturbance:
@@ -303,10 +345,18 @@ def _gyro_quantization(measurements: SrtMeasurements, data: PreparedRecording) -
 def _bias_instability(measurements: SrtMeasurements, data: PreparedRecording, wander: Array) -> Disturbance:
     """Gyro bias instability as specified; otherwise independent biases of the sequences, of 1-sigma ``wander``."""
     D = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
+    stated = measurements.stated
+    axes = stated.spin_axes(measurements.gyro)
     if data.noise.gyro_flicker is not None:
-        return gyro_drift(data, measurements.integrals, D)
+        by_axis = axes @ (D * data.noise.gyro_flicker)
+        in_run = by_axis[:, :, :, None] * data.drift.turns[stated.rated][:, None, None, :]
+        effect = np.zeros((data.K, 2, in_run.shape[2] * in_run.shape[3]))
+        effect[stated.rated] = in_run.reshape(*in_run.shape[:2], effect.shape[2])
+        return replace(gyro_drift(data, measurements.integrals, D), stated=effect)
     own = _own_draw(np.broadcast_to(D * wander, (data.K, 3, 3)))
-    return Disturbance(phi=_phi_per_rate(measurements) @ own, rate=own[measurements.window_sequence])
+    effect = np.zeros((data.K, 2, own.shape[2]))
+    effect[stated.rated] = axes @ own[stated.rated]
+    return Disturbance(phi=_phi_per_rate(measurements) @ own, rate=own[measurements.window_sequence], stated=effect)
 
 
 def gyro_drift(data: PreparedRecording, integrals: RotationIntegrals, slope: Array) -> Disturbance:

@@ -12,6 +12,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Final, Protocol
 
+from srt.estimation.fixed_parameters import in_frame_of_poses
 from srt.estimation.options import Options
 from srt.exceptions import InputError, MissingExtraError
 from srt.model.table1 import SEQUENCES
@@ -133,7 +134,7 @@ def estimate(
     """
     recording, recognition = label_sequences(recording)
     name = automatic_estimator(recording) if estimator == "auto" else estimator
-    calibration = find_estimator(name)(recording, options or Options(), progress)
+    calibration = find_estimator(name)(recording, in_frame_of_poses(recording, options or Options()), progress)
     if not isinstance(calibration, Calibration):
         raise InputError(
             f"The estimator {name!r} gave an object of type {type(calibration).__name__}, but a Calibration is "

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.estimation.g_sensitivity import MODE, compensate_stream, pose_regression
+from srt.estimation.stated_measurements import StatedMeasurements
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude
 from srt.model.rotations import cross_matrix, smallest_rotation
@@ -75,6 +76,8 @@ class SrtMeasurements:
     integrated : ndarray of bool, shape (W,)
     nominal_vertical : bool
         True if the vertical was the nominal one.
+    stated : StatedMeasurements
+        What labels of poses and of rate tables state, and which measurements compare with it.
     poses : PoseRegression, or None
         Regression of ``rest_rate`` on specific force; None where gyro g-sensitivity is not estimated.
     earth_rate_regression : EarthRateRegression, or None
@@ -100,6 +103,7 @@ class SrtMeasurements:
     U: Array
     integrated: Mask
     nominal_vertical: bool
+    stated: StatedMeasurements
     poses: PoseRegression | None = None
     earth_rate_regression: EarthRateRegression | None = None
 
@@ -108,6 +112,13 @@ class SrtMeasurements:
         """Rest rate of each sequence less the pooled one, shape (K, 3), rad/s."""
         out: Array = self.share @ self.rest_rate - self.pool @ self.rest_rate
         return out
+
+    @property
+    def attitude_effect(self) -> Array:
+        """Effect of φ on the two horizontal measurements, shape (K, 2, 3); none on poses and on stated rates."""
+        M = model.attitude_to_horizontal(self.basis, self.acceleration)
+        M[self.stated.replaced] = 0.0
+        return M
 
     def after_g_sensitivity(self, rate: Array) -> tuple[Array, Array]:
         """Disturbances of the window rates after Γ was estimated from these rates, and their effect on φ.
@@ -155,6 +166,7 @@ class SrtProcessor:
         self.data, self.options = data, options
         self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated
         self._g_sensitive = options.gyro_bias == MODE
+        self._stated = StatedMeasurements.of(data)
         self._stream, self._force, self._weights = data.stream(self.integrated, with_force=self._g_sensitive)
         self._roles()
 
@@ -245,10 +257,17 @@ class SrtProcessor:
         window_C = np.where(self._is_end[:, None, None], integrals.C_end[self._sequence], np.eye(3))
         rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
         # Δa_H = horizontal part of (â_End − â_Strt)  ([P] eq. 1)
-        horizontal = np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0])
+        horizontal, H = self._stated.replace(
+            np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0]),
+            model.horizontal_jacobian(integrals, basis, force[data.start], force[data.end], accel),
+            basis=basis,
+            force=(force[data.start], force[data.end]),
+            earth_rate=earth_rate,
+            triads=(gyro, accel),
+        )
         return SrtMeasurements(
             z=np.concatenate([horizontal.ravel(), self._down(force, down, window_C), self._pool @ rest]),
-            H=self._jacobian(integrals, basis, force, rate, gyro, accel),
+            H=self._jacobian(H, force, rate, gyro, accel),
             integrals=integrals,
             basis=basis,
             acceleration=0.5 * (carried[:, 0] + carried[:, 1]),
@@ -266,6 +285,7 @@ class SrtProcessor:
             U=self._orientation(integrals, force, U),
             integrated=self.integrated,
             nominal_vertical=nominal_vertical and nominal_down is not None,
+            stated=self._stated,
             poses=poses,
         )
 
@@ -280,15 +300,11 @@ class SrtProcessor:
         stream = compensate_stream(self._stream, self._force, accel, matrix)
         return stream, data.windows.gyro_mean - force @ matrix.T, pose_regression(force, self._pool, data.gravity)
 
-    def _jacobian(
-        self, integrals: RotationIntegrals, basis: Array, force: Array, rate: Array, gyro: Triad, accel: Triad
-    ) -> Array:
+    def _jacobian(self, horizontal: Array, force: Array, rate: Array, gyro: Triad, accel: Triad) -> Array:
         """Derivative of z with respect to the sensor errors ([P] eqs. 3-5), shape (2 K + W + 3, 27)."""
-        data = self.data
-        horizontal = model.horizontal_jacobian(integrals, basis, force[data.start], force[data.end], accel)
         return np.concatenate(
             [
-                horizontal.reshape(2 * data.K, -1),
+                horizontal.reshape(2 * self.data.K, -1),
                 model.down_jacobian(force, accel),
                 np.tensordot(self._pool, model.rate_error_jacobian(rate, gyro), 1),
             ]
@@ -316,6 +332,8 @@ class SrtProcessor:
             first = cross_matrix(down)[np.arange(data.K), :, self._least_vertical]
             first /= np.linalg.norm(first, axis=1, keepdims=True)
             axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
+        if self._stated.directed:
+            return np.asarray(axes)  # the nominal axes themselves: their inclination is the measurement
         out: Array = axes @ model.horizontal_projector(down)
         return out
 
@@ -353,14 +371,14 @@ class SrtProcessor:
         U includes the mounting error of the IMU on the table, so that ω̂e is free of it.
         """
         data = self.data
-        if data.nominal is None:
-            return U
+        if data.nominal is None or self._stated.posed.all():
+            return U  # without a rotation, no gyro axis shows on the table
         in_T, in_B = (
             [data.nominal[:, 2]],
             [-force[data.start] / np.linalg.norm(force[data.start], axis=1)[:, None]],
         )
         for k, sequence in enumerate(data.catalogue):
-            if sequence is not None and len(sequence.rotations) == 1:
+            if sequence is not None and len(sequence.rotations) == 1 and data.labels[k].rate is None:
                 angle = float(sequence.angles_rad[0])
                 turned = integrals.angle[k]
                 in_T.append(np.sign(angle) * sequence.axes)

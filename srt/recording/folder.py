@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +18,7 @@ from srt.constants import normal_gravity_m_s2
 from srt.exceptions import InputError, clipped, did_you_mean
 from srt.recording.applied import AppliedCorrection, applied_correction
 from srt.recording.importer_registry import is_foreign
-from srt.recording.recording import Fixture, ImuNoise, Recording, SequenceLabel, Site, require_bounded
+from srt.recording.recording import Fixture, ImuNoise, Recording, Site, require_bounded
 from srt.recording.samples import read_samples
 from srt.recording.schema import (
     ACCEL_UNITS,
@@ -28,17 +28,19 @@ from srt.recording.schema import (
     IMU_KEYS,
     RECORDING_KEYS,
     SECTIONS,
-    SEQUENCE_KEYS,
     SITE_KEYS,
     TIME_UNITS,
     fields_of,
     read_section,
 )
+from srt.recording.sequence_tables import read_protocol, read_sequences
 from srt.recording.toml_text import read_toml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from srt.recording.protocol import Protocol
+    from srt.recording.sequence_label import SequenceLabel
     from srt.types import Array
 
 TOML_NAME: Final = "recording.toml"
@@ -57,6 +59,7 @@ class RecordingMetadata:
     noise : ImuNoise
     sequences : tuple of SequenceLabel
     applied : AppliedCorrection or None
+    protocol : Protocol or None
     """
 
     site: Site
@@ -64,6 +67,7 @@ class RecordingMetadata:
     noise: ImuNoise
     sequences: tuple[SequenceLabel, ...]
     applied: AppliedCorrection | None = None
+    protocol: Protocol | None = None
 
 
 def load_recording(path: str | os.PathLike[str]) -> Recording:
@@ -130,6 +134,7 @@ def load_recording(path: str | os.PathLike[str]) -> Recording:
             source=os.fspath(path),
             data_sha256=sha256_of(samples_path),
             applied=about.applied,
+            protocol=about.protocol,
             **fields_of({"kind": kind, **main}, RECORDING_KEYS),
         )
         require_bounded(recording)
@@ -170,7 +175,8 @@ def read_metadata(file: str, document: Mapping[str, Any]) -> RecordingMetadata:
         applied = applied_correction(file, imu["applied"])
         imu = {name: value for name, value in imu.items() if name != "applied"}
     noise = ImuNoise(**fields_of(read_section(file, "imu", imu, IMU_KEYS), IMU_KEYS))
-    return RecordingMetadata(site, fixture, noise, _read_sequences(file, document.get("sequence", [])), applied)
+    sequences = read_sequences(file, document.get("sequence", []))
+    return RecordingMetadata(site, fixture, noise, sequences, applied, read_protocol(file, document))
 
 
 def read_document(toml: Path) -> dict[str, Any]:
@@ -252,7 +258,7 @@ def _import_recording(
     said: dict[str, Any] = {name: main.get(names.get(name, name)) for name in fields}
     try:
         _, imported = import_file(samples_path, ImportOptions(**said))
-        return to_recording(
+        recording = to_recording(
             imported,
             about.site,
             fixture=about.fixture,
@@ -266,6 +272,7 @@ def _import_recording(
             clock_sigma=fields_of(main, RECORDING_KEYS).get("clock_sigma"),
             applied=about.applied,
         )
+        return recording if about.protocol is None else replace(recording, protocol=about.protocol)
     except InputError as error:
         if str(toml.parent) in str(error):
             raise
@@ -305,22 +312,6 @@ def _read_site(file: str, document: Mapping[str, Any]) -> Site:
         gravity = normal_gravity_m_s2(given["latitude_rad"], site["height_m"])
         given = {"gravity_m_s2": gravity, "gravity_sigma_m_s2": _NORMAL_GRAVITY_SIGMA_M_S2, **given}
     return Site(**given)
-
-
-def _read_sequences(file: str, values: object) -> tuple[SequenceLabel, ...]:
-    if not isinstance(values, list):
-        raise InputError(f"{file}: sequence is no list: write each as [[sequence]], in double brackets.")
-    labels = []
-    for number, value in enumerate(values, start=1):
-        section = read_section(file, f"sequence[{number}]", value, SEQUENCE_KEYS)
-        for name in ("start_static_s", "end_static_s"):
-            if name not in section:
-                raise InputError(f"{file}: sequence[{number}].{name} is missing: add the window [from, to] in s.")
-        try:
-            labels.append(SequenceLabel(**fields_of(section, SEQUENCE_KEYS)))
-        except InputError as error:
-            raise InputError(f"{file}: sequence[{number}]: {error}") from None
-    return tuple(labels)
 
 
 def _conversion(

@@ -17,16 +17,23 @@ import numpy as np
 
 from srt.constants import DEG
 from srt.exceptions import InputError
-from srt.model.table1 import AXES, SEQUENCES, SIGNED_AXES
+from srt.model.table1 import AXES
 from srt.presentation import Presented
 from srt.recording.sample_checks import as_samples, require_finite, require_increasing
+from srt.recording.sequence_label import SequenceLabel
 from srt.recording.timing import SampleTiming, sample_timing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from srt.recording.applied import AppliedCorrection
+    from srt.recording.protocol import Protocol
     from srt.types import Array, Indices
+
+__all__ = [
+    "GRAVITY_RANGE_M_S2", "LARGEST_VALUE", "WINDOW_TOLERANCE", "Fixture", "ImuNoise", "Kind", "Recording",
+    "SequenceLabel", "Site", "require_bounded",
+]  # fmt: skip
 
 Kind = Literal["rate", "increment"]
 Derived = TypeVar("Derived")
@@ -172,96 +179,6 @@ class ImuNoise:
                 _require_positive(f"The unit's {item.name}", value, "(SI)")
 
 
-@dataclass(frozen=True, slots=True)
-class SequenceLabel:
-    """Label of one sequence in a recording: stationary window, rotation, stationary window.
-
-    Attributes
-    ----------
-    start_static_s, end_static_s : (float, float)
-        A window [a, b] holds the samples with a + dt/2 < t <= b + dt/2.
-    id : str or None
-        Name in Table 1 of Savage 2020 ("1" ... "14", "1a" ...); None for a free rotation.
-    down, along_outer : str or None
-        For an id outside Table 1: the IMU axis that points down, and the one that points along the outer
-        axis, each "x", "y", "z", "-x", "-y" or "-z" ("-z" down: the z axis points up).
-    rotations : tuple of (axis, angle in rad)
-        For an id outside Table 1; the axis has no sign, the angle has.
-
-    Raises
-    ------
-    InputError
-        Windows that end before they start or overlap, invalid axes, or the same axis down and along the outer axis,
-        an id outside Table 1 without its definition, or one of Table 1 with another definition.
-    """
-
-    start_static_s: tuple[float, float]
-    end_static_s: tuple[float, float]
-    id: str | None = None
-    down: str | None = None
-    along_outer: str | None = None
-    rotations: tuple[tuple[str, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in ("start_static_s", "end_static_s"):
-            a, b = (float(limit) for limit in getattr(self, name))
-            if not (math.isfinite(a) and math.isfinite(b) and a < b):
-                raise InputError(
-                    f"{self.title}: {name} is [{a:g}, {b:g}], but a window starts before it ends: correct its limits."
-                )
-            object.__setattr__(self, name, (a, b))
-        if not self.start_static_s[1] < self.end_static_s[0]:
-            raise InputError(
-                f"{self.title}: the start window ends at {self.start_static_s[1]:g} s, not before the end "
-                f"window starts ({self.end_static_s[0]:g} s), but the rotation lies between them: "
-                "correct the windows."
-            )
-        rotations = tuple((axis, float(angle)) for axis, angle in self.rotations)
-        object.__setattr__(self, "rotations", rotations)
-        for axis in (self.down, self.along_outer):
-            if axis is not None and axis not in SIGNED_AXES:
-                raise InputError(f"{self.title}: {axis!r} is no IMU axis: use one of {', '.join(SIGNED_AXES)}.")
-        for axis, _ in rotations:
-            if axis not in AXES:
-                raise InputError(
-                    f"{self.title}: {axis!r} is no IMU axis to turn about: use x, y or z, and the angle's sign."
-                )
-        if self.down is not None and self.along_outer is not None and self.down[-1] == self.along_outer[-1]:
-            raise InputError(
-                f"{self.title}: axis {self.down[-1]} cannot be both down and along the outer axis, whichever way it "
-                "points: name two axes."
-            )
-        if not all(math.isfinite(angle) for _, angle in rotations):
-            raise InputError(f"{self.title}: a rotation angle is not a finite number: correct it.")
-        if self.id is not None:
-            self._check_definition(self.id)
-
-    def _check_definition(self, name: str) -> None:
-        given = (self.down is not None, self.along_outer is not None, bool(self.rotations))
-        known = SEQUENCES.get(name)
-        if known is None:
-            if not all(given):
-                raise InputError(
-                    f"{self.title} is not in Table 1 ({', '.join(SEQUENCES)}): give down, along_outer and "
-                    "rotations with it, or leave the id out for a free turn."
-                )
-            return
-        same = (
-            self.down in (None, known.down)
-            and self.along_outer in (None, known.along_outer)
-            and (not self.rotations or _same_rotations(self.rotations, known.rotations))
-        )
-        if not same:
-            raise InputError(f"{self.title} is defined by Table 1 in another way: give a different id to it.")
-
-    @property
-    def title(self) -> str:
-        """Name of the sequence in messages."""
-        if self.id is None:
-            return f"The free turn at {self.start_static_s[0]:g} s"
-        return f"Sequence {self.id!r} at {self.start_static_s[0]:g} s"
-
-
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Recording(Presented):
     """Recording of an IMU: samples, site, fixture, noise and sequence labels.
@@ -292,6 +209,8 @@ class Recording(Presented):
         1-sigma relative error of the time base, one for the whole recording; None: not stated.
     applied : AppliedCorrection or None
         Correction that the readings had before they were logged; None: not known.
+    protocol : Protocol or None
+        Poses and turns of the test; they label a recording without labels.
 
     Raises
     ------
@@ -315,6 +234,7 @@ class Recording(Presented):
     data_sha256: str | None = None
     clock_sigma: float | None = None
     applied: AppliedCorrection | None = None
+    protocol: Protocol | None = None
     _memo: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -430,12 +350,6 @@ class Recording(Presented):
 def _require_positive(what: str, value: float, unit: str) -> None:
     if not (math.isfinite(value) and value > 0.0):
         raise InputError(f"{what} is {value:g} {unit}, but a positive number is expected: correct it or leave it out.")
-
-
-def _same_rotations(first: tuple[tuple[str, float], ...], second: tuple[tuple[str, float], ...]) -> bool:
-    return len(first) == len(second) and all(
-        a == b and abs(x - y) < 1e-6 for (a, x), (b, y) in zip(first, second, strict=True)
-    )
 
 
 def require_bounded(recording: Recording) -> None:

@@ -133,6 +133,12 @@ def _window(name: str) -> Key:
     return Key(name, "a window [from, to] in s", read, name)
 
 
+def _read_rate(value: Any) -> tuple[str, float]:
+    if not (isinstance(value, list) and len(value) == 2 and value[0] in ("x", "y", "z") and _is_number(value[1])):
+        raise ValueError
+    return value[0], float(value[1]) * DEG
+
+
 def _read_rotations(value: Any) -> tuple[tuple[str, float], ...]:
     if not isinstance(value, list):
         raise ValueError  # noqa: TRY004 - the caller turns every ValueError into one sentence
@@ -176,6 +182,7 @@ RECORDING_KEYS: Final = (
     number("clock_sigma_ppm", "ppm", "clock_sigma", factor=1e-6, low=0.0),
     text("serial", "serial"),
     text("date", "date"),
+    text("protocol"),
     number("temperature_c", "°C", low=-273.15, high=1000.0),
 )
 
@@ -225,7 +232,18 @@ SEQUENCE_KEYS: Final = (
     text("down", "down", SIGNED_AXES),
     text("along_outer", "along_outer", SIGNED_AXES),
     Key("rotations", 'a list like [["y", 180.0], ["z", 90.0]] in degrees', _read_rotations, "rotations", DEG),
+    Key("rate_deg_s", 'an axis and a rate like ["z", -100.0] in deg/s', _read_rate, "rate", DEG),
+    number("rate_sigma_ppm", "ppm", "rate_sigma", factor=1e-6, above=0.0),
+    _window("steady_s"),
 )
+
+POSE_KEYS: Final = (
+    _window("static_s"),
+    text("id", "id"),
+    text("down", "down", SIGNED_AXES),
+    text("along_outer", "along_outer", SIGNED_AXES),
+)
+"""Keys of a [[sequence]] that is a pose."""
 
 SECTIONS: Final = {
     "recording": RECORDING_KEYS,
@@ -302,6 +320,8 @@ def emit_section(source: object, keys: tuple[Key, ...]) -> list[str]:
             continue
         if key.name == "rotations":
             value = [[axis, in_file_unit(angle, key.factor)] for axis, angle in value]
+        elif key.name == "rate_deg_s":
+            value = [value[0], in_file_unit(value[1], key.factor)]
         elif isinstance(value, int | float):
             value = in_file_unit(value, key.factor)
         lines.append(f"{key.name} = {toml_value(value)}")

@@ -20,11 +20,11 @@ from srt.recording.schema import (
     FIXTURE_KEYS,
     IMU_KEYS,
     RECORDING_KEYS,
-    SEQUENCE_KEYS,
     SITE_KEYS,
     emit_section,
     toml_value,
 )
+from srt.recording.sequence_tables import protocol_lines, sequence_lines
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -73,7 +73,7 @@ def write_recording(
         write_samples(folder / name, samples)
         try:
             # Until this renaming, the folder has the old recording; from then on, the new one.
-            atomic_write_text(folder / TOML_NAME, _emit(recording, name))
+            atomic_write_text(folder / TOML_NAME, _emit(recording, name, folder))
         except BaseException:
             with suppress(OSError):
                 (folder / name).unlink(missing_ok=True)
@@ -86,7 +86,7 @@ def write_recording(
         with suppress(OSError):
             (folder / old_name).unlink()
     if name != usual:
-        _rename_samples(folder, name, usual, _emit(recording, usual))
+        _rename_samples(folder, name, usual, _emit(recording, usual, folder))
 
 
 def _old_name(folder: Path) -> str:
@@ -137,13 +137,13 @@ def _prepare(folder: Path, *, overwrite: bool) -> bool:
     return True
 
 
-def _emit(recording: Recording, samples_name: str) -> str:
+def _emit(recording: Recording, samples_name: str, folder: Path) -> str:
     rate = recording.kind == "rate"
     lines = ["[recording]", f"samples = {toml_value(samples_name)}"]
     lines.append(f"gyro_unit = {toml_value('rad/s' if rate else 'rad')}")
     lines.append(f"accel_unit = {toml_value('m/s^2' if rate else 'm/s')}")
     lines.append('time_unit = "s"')
-    lines += emit_section(recording, RECORDING_KEYS)
+    lines += emit_section(recording, RECORDING_KEYS) + protocol_lines(recording, folder)
     temperature = recording.temperature
     if temperature is not None and temperature.strides == (0,):
         lines.append(f"temperature_c = {toml_value(float(temperature[0]))}")
@@ -157,5 +157,5 @@ def _emit(recording: Recording, samples_name: str) -> str:
         applied = recording.applied.document()
         lines += ["", "[imu.applied]", *(f"{name} = {toml_value(value)}" for name, value in applied.items())]
     for label in recording.sequences:
-        lines += ["", "[[sequence]]", *emit_section(label, SEQUENCE_KEYS)]
+        lines += ["", "[[sequence]]", *sequence_lines(label)]
     return "\n".join(lines) + "\n"

@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
 def sequence_of_label(label: SequenceLabel) -> RotationSequence | None:
     """Catalogue entry of a label: Table 1, its own description, or None for a free turn."""
-    if label.id is None:
-        return None
     if label.id in SEQUENCES:
         return SEQUENCES[label.id]
-    if label.down is None or label.along_outer is None:
+    if label.down is None or label.along_outer is None or (label.id is None and not label.pose):
         return None
-    return RotationSequence(label.id, label.down, label.along_outer, float("nan"), float("nan"), label.rotations)
+    return RotationSequence(
+        label.id or "pose", label.down, label.along_outer, float("nan"), float("nan"), label.rotations
+    )
 
 
 @cache
@@ -98,8 +98,13 @@ class PreparedRecording:
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
-        """Id of each sequence; free turns are numbered."""
-        return tuple(label.id or f"turn {k + 1}" for k, label in enumerate(self.labels))
+        """Id of each sequence; free turns and poses are numbered."""
+        return tuple(label.id or f"{'pose' if label.pose else 'turn'} {k + 1}" for k, label in enumerate(self.labels))
+
+    @cached_property
+    def posed(self) -> Mask:
+        """True for the sequences that are poses without a rotation, shape (K,)."""
+        return np.array([label.pose for label in self.labels])
 
     @cached_property
     def occurrences(self) -> tuple[int, ...]:
@@ -253,6 +258,11 @@ def _prepare(
     start, end = (np.array(e, dtype=np.intp) for e in ends)
     for k, label in enumerate(labels):
         if samples[end[k], 0] <= samples[start[k], 1]:
+            if label.pose:
+                raise DataError(
+                    f"{label.title} holds {samples[end[k], 1] - samples[start[k], 0]} samples, but a pose needs at "
+                    "least 100: let the unit rest longer, or widen its window."
+                )
             raise DataError(
                 f"Sequence {label.id or k + 1} has no samples between its start window (until "
                 f"{label.start_static_s[1]:g} s) and its end window (from {label.end_static_s[0]:g} s): "
@@ -322,6 +332,7 @@ def _prepare_checked(
     dt = recording.nominal_interval_s
     check_rest(data.windows.accel_mean, data.gravity, _window_titles(data), interval_s=dt)
     _check_turned(data)
+    _check_rates(data)
     levels = clipping_levels(recording)
     clipped = {label.title: clipped_samples(recording, _part(recording, label), levels) for label in whole}
     voided |= {title: str(channels[0]) for title, channels in clipped.items() if channels}
@@ -374,6 +385,29 @@ def _check_turned(data: PreparedRecording) -> None:
         titles.append(label.title)
     if turned:
         check_turns(turned, nominal, titles, interval_s=recording.nominal_interval_s)
+
+
+_RATE_AGREES: Final = (0.25, 4.0)
+"""Range of a reading over the stated rate about its axis; scale errors of 50 % and a misread unit lie apart."""
+
+
+def _check_rates(data: PreparedRecording) -> None:
+    """Refuse a stated rate that contradicts the readings in sense, axis or size."""
+    recording = data.recording
+    for label in data.labels:
+        if label.rate is None or label.steady_s is None:
+            continue
+        mean = recording.gyro[recording.window_indices(*label.steady_s)].mean(axis=0)
+        if recording.kind == "increment":
+            mean = mean / recording.nominal_interval_s
+        axis, stated = label.rate
+        low, high = _RATE_AGREES
+        if not low <= mean["xyz".index(axis)] / stated <= high:
+            read = ", ".join(f"{value:.4g}" for value in np.degrees(mean))
+            raise DataError(
+                f"{label.title} states {np.degrees(stated):g}°/s about {axis}, but the gyros read ({read}) °/s: "
+                "correct the sense, the axis or the rate, or the unit of the readings."
+            )
 
 
 def _check_stillness(data: PreparedRecording) -> None:

@@ -24,6 +24,7 @@ from srt.sequences.manoeuvres import (
     find_manoeuvre,
     leg_axis,
 )
+from srt.sequences.protocol_matching import with_protocol
 from srt.sequences.rest_detection import resolution_floor
 from srt.sequences.sequence_matching import ENOUGH_TURNS, QUARTER_TURN_WORDS, SequenceReading, promising_mappings
 from srt.sequences.stationary_windows import best_join, find_windows, trimmed, window_times
@@ -239,7 +240,7 @@ def labelled(recording: Recording, labels: tuple[SequenceLabel, ...]) -> Recordi
 
 
 def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None]:
-    """Label a recording with its recognised sequences, if it has a fixture and no labels.
+    """Label a recording by its protocol, or with its recognised sequences if it has a fixture; labels remain.
 
     Returns
     -------
@@ -253,6 +254,7 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
     DataError
         If fewer than two stationary windows are found, or the sequences fit only with other names of the axes.
     """
+    recording = with_protocol(recording)
     if recording.sequences or recording.fixture is None:
         return recording, None
     found = recognise(recording)

@@ -312,6 +312,30 @@ def find_turns(recording: Recording) -> tuple[SequenceLabel, ...]:
     DataError
         If the recording holds no turn between two windows.
     """
+    kept, breaks = rests_between_turns(recording)
+    labels = tuple(
+        SequenceLabel(window_times(recording, first), window_times(recording, second))
+        for first, second, apart in zip(kept[:-1], kept[1:], breaks, strict=True)
+        if not apart
+    )
+    if not labels:
+        raise DataError(
+            f"{len(kept)} stationary windows were found, but no turn between two of them: the unit was not rotated. "
+            "Poses alone show the accelerometers: label them, or name the protocol of the test."
+        )
+    return labels
+
+
+def rests_between_turns(recording: Recording) -> tuple[list[tuple[int, int]], list[bool]]:
+    """Stationary windows without those that a disturbance alone separates; the longer one is kept.
+
+    Returns
+    -------
+    kept : list of (int, int)
+        First sample and one past the last, in time order.
+    breaks : list of bool
+        For each pair of neighbours, True if no recorded turn leads from one to the other: a gap, or a jump.
+    """
     windows = find_windows(recording)
     dt = recording.nominal_interval_s
     gaps = recording.gaps
@@ -330,16 +354,7 @@ def find_turns(recording: Recording) -> tuple[SequenceLabel, ...]:
             continue
         kept.append((a, b))
         breaks.append(apart)
-    labels = tuple(
-        SequenceLabel(window_times(recording, first), window_times(recording, second))
-        for first, second, apart in zip(kept[:-1], kept[1:], breaks, strict=True)
-        if not apart
-    )
-    if not labels:
-        raise DataError(
-            f"{len(windows)} stationary windows were found, but no turn between two of them: the unit was not rotated."
-        )
-    return labels
+    return kept, breaks
 
 
 def window_times(recording: Recording, window: tuple[int, int]) -> tuple[float, float]:

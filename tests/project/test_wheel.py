@@ -25,7 +25,9 @@ import srt
 from srt.recording.recording import Fixture, Site
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = {"srt": "srt", "estimators": "estimators", "sims": "sims", "configs": "sims/configs"}
+PACKAGES = {"srt": "srt", "estimators": "estimators", "sims": "sims", "configs": "sims/configs"} | {
+    "configs/protocol": "srt/protocols"
+}
 """Folders of the tree, and where the wheel has them."""
 CALIBRATION = ROOT / "tests" / "data" / "calibration-v1.json"
 ALONE = ("numpy", "scipy")
@@ -66,7 +68,7 @@ def wheel(tmp_path_factory):
     """Build the wheel from a copy: what an earlier build left in the tree must not get into it."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     for name in PACKAGES:
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     # setuptools of the environment where it is new enough, that no index is needed; else pip fetches one to build with.

@@ -26,6 +26,8 @@ SOURCE_LABELS: Final = {
     "accel_quantization": "acc. quant.",
     "accel_bias_instability": "acc. drift",
     "earth_rate_alignment": "Earth rate",
+    "stated_vertical": "vertical",
+    "stated_rate": "table rate",
     "gravity": "gravity",
     "clock": "time base",
     "prior": "prior",
