@@ -26,6 +26,7 @@ from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from sims.physics.table_motion import Moves
     from srt.recording.recording import Kind, Recording
     from srt.result.calibration import Calibration
     from srt.types import Array
@@ -259,6 +260,39 @@ def noisy_recording(
         gyro, accel = INSTABILITY[grade]
         imu = replace(imu, gyro_bias_instability=gyro, accel_bias_instability=accel)
     return read_out(motion.stated_as(site=SITE), truth, imu, rng, state_noise=state_noise), truth
+
+
+def fixture_recording(
+    seed: int,
+    grade: str,
+    *,
+    non_orthogonality_rad: float | None = None,
+    rotation_sigma_rad: float = 1e-3,
+    moves: Moves = "skipped",
+    sample_rate_hz: float = 100.0,
+) -> tuple[Recording, SensorErrors]:
+    """Recording of a noisy unit on a fixture that is as stated: alignment 1 mrad, wobble a hundredth of the rotations.
+
+    ``non_orthogonality_rad`` is drawn with the alignment sigma if not given.
+    """
+    rng = np.random.default_rng(seed)
+    truth = normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
+    true_site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
+    stated = Fixture(0.0, 1e-3, rotation_sigma_rad)
+    alignment = ("level_sigma_rad", "north_sigma_rad", "mounting_sigma_rad", "non_orthogonality_sigma_rad")
+    draw = draw_fixture(
+        rng,
+        table_sequences(tuple(TABLE_1)),
+        **dict.fromkeys(alignment, stated.alignment_sigma_rad),
+        rotation_sigma_rad=rotation_sigma_rad,
+        wobble_sigma_rad=stated.wobble,
+    )
+    if non_orthogonality_rad is not None:
+        draw = replace(draw, non_orthogonality=non_orthogonality_rad)
+    motion = table1_motion(
+        site=true_site, sample_rate_hz=sample_rate_hz, fixture_draw=draw, stated_fixture=stated, moves=moves
+    )
+    return read_out(motion.stated_as(site=SITE), truth, GRADES[grade], rng), truth
 
 
 def noisy_trial(

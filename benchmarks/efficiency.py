@@ -1,8 +1,8 @@
 """Efficiency of the estimators: errors of simulated units over the Cramér-Rao bound (docs/design/efficiency.md).
 
-Each unit is noisy (:func:`accuracy_trials.noisy_recording`: 1 mrad fixture, gravity drawn with its sigma, noise stated,
-one bias for the test) and calibrated by several estimators. The bound (:mod:`sims.accuracy.bound`) is independent of
-them: an estimator whose errors reach it uses all the information in the recording.
+Each unit is noisy (:func:`accuracy_trials.fixture_recording`: 1 mrad fixture, gravity drawn with its sigma, noise
+stated, one bias for the test) and calibrated by several estimators. The bound (:mod:`sims.accuracy.bound`) is
+independent of them: an estimator whose errors reach it uses all the information in the recording.
 
 The claims are :func:`criteria`, each with its limits and the standard error at the number of units. A criterion fails
 beyond a limit by more than 3.5 standard errors.
@@ -30,7 +30,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from accuracy_trials import GRADES, IN_G, SITE, Trial, noisy_recording, normalised, run, score
+from accuracy_trials import GRADES, IN_G, SITE, Trial, fixture_recording, normalised, run, score
 from rich.console import Console
 from rich.table import Table
 
@@ -79,10 +79,11 @@ _FIXTURE_SIGMA: Final = {
     "level_sigma_rad": 1e-3,
     "north_sigma_rad": 1e-3,
     "mounting_sigma_rad": 1e-3,
-    "non_orthogonality_sigma_rad": 0.0,
+    "non_orthogonality_sigma_rad": 1e-3,
     "rotation_sigma_rad": 1e-3,
+    "wobble_sigma_rad": 1e-5,
 }
-"""1-sigma errors of the fixture of :func:`accuracy_trials.noisy_recording`."""
+"""1-sigma errors of the fixture of :func:`accuracy_trials.fixture_recording`."""
 
 
 @cache
@@ -135,7 +136,7 @@ def calibrate_unit(
     Innovations come from a second filter whose prior is the distribution of the units. With the default, very wide
     prior the first innovations would be far smaller than their sigma. It runs for every ``innovations_every``-th seed.
     """
-    recording, truth = noisy_recording(seed, grade, sample_rate_hz=sample_rate_hz)
+    recording, truth = fixture_recording(seed, grade, sample_rate_hz=sample_rate_hz)
     trials = {name: score(srt.calibrate(recording, name, checks=False), truth) for name in estimators}
     if seed % innovations_every:
         return UnitTrials(trials)

@@ -178,7 +178,8 @@ def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -
     ----------
     system : LinearSystem
     weights : dict of (str, int) to float
-        Weights by kind and number: "window" (force and rate), "turn", and "start" by window, in the order of the rows.
+        Weights by kind and number: "window" (force and rate), "turn", and "start" and "end" by window, in the order of
+        the rows.
     """
     factor = np.ones(len(system.b))
     for group in {kind for kind, _ in weights}:
@@ -186,5 +187,5 @@ def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -
         root = np.sqrt([weights[group, n] for n in numbers])[:, None]
         for kind in ("force", "rate") if group == "window" else (group,):
             rows = system.rows_of(kind).index
-            factor[rows if group == "start" else rows[numbers]] = root
+            factor[rows if group in ("start", "end") else rows[numbers]] = root
     return replace(system, A=(diags_array(factor) @ system.A).tocsr(), b=system.b * factor)

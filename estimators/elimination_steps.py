@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from estimators.linear_system import FIXTURE
+
 if TYPE_CHECKING:
     from estimators.linear_system import LinearSystem
     from srt.types import Array, Indices
 
-_GLOBAL = ("errors", "bias", "base", "mounting", "gravity", "earth_rate")
+_GLOBAL = ("errors", "bias", *FIXTURE, "gravity", "earth_rate")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ Variables:
 - ``b``: gyro bias of each sequence, a random walk;
 - ``f``: levelling and north of the fixture's base;
 - ``u``: orientation of MARS on the table;
+- ``l``: non-orthogonality of the fixture's axes;
 - ``g``: correction to gravity;
 - ``e``: unknown part of the Earth's rate in each level frame;
 - ``a``: attitude in each stationary window;
@@ -21,11 +22,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, D, E, F, G, M, N, Q, U, X
+from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, U, X
 
 from estimators import factors
 from estimators.linear_system import N_ERRORS, total
-from estimators.linearisation import edge_numbers, fixed_headings, fixture_starts
+from estimators.linearisation import edge_numbers, fixed_headings, fixture_attitudes
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ class FactorGraph:
         self._variables()
         self._windows()
         self._rotations()
-        self._starts()
+        self._fixture_attitudes()
         self._priors(prior)
 
     @contextmanager
@@ -136,6 +137,7 @@ class FactorGraph:
         if joint.fixture_states:
             self.values.insert(F(0), gtsam.Rot3(state.base))
             self.values.insert(U(0), gtsam.Rot3(state.U))
+            self.values.insert(L(0), np.array([state.non_orthogonality]))
         if self.gravity:
             self.values.insert(G(0), np.array([state.gravity]))
 
@@ -223,25 +225,23 @@ class FactorGraph:
             terms = factors.ErrorFunction(linear, rotations.keys(k), partial(rotations.at, k), scaled=True)
             self._add("turn", k, k, noise[k], terms)
 
-    def _starts(self) -> None:
+    def _fixture_attitudes(self) -> None:
         joint = self.joint
         if not joint.fixture_states:
             return
-        starts = fixture_starts(joint)
-        if not starts:
-            return
-        variance = np.tile(np.diag(joint.start_sigma**2), (len(starts), 1, 1))
-        noises = self._noise(variance, [owner for owner, _, _ in starts])
-        kind = factors.StartFactors(
-            np.stack([nominal for _, _, nominal in starts]),
-            np.array([A(window) for _, window, _ in starts], dtype=np.intp),
-            int(F(0)),
-            int(U(0)),
-            joint.heading_rad,
-        )
-        self.kinds.append(kind)
-        for i, ((owner, window, _), noise) in enumerate(zip(starts, noises, strict=True)):
-            self._add("start", window, owner, noise, factors.ErrorFunction([], kind.keys(i), partial(kind.at, i)))
+        for name, poses, components in fixture_attitudes(joint):
+            variance = np.tile(np.diag(joint.start_sigma[components] ** 2), (len(poses), 1, 1))
+            noises = self._noise(variance, [owner for owner, _, _ in poses])
+            kind = factors.FixtureAttitudeFactors(
+                np.stack([nominal for _, _, nominal in poses]),
+                np.array([A(window) for _, window, _ in poses], dtype=np.intp),
+                (int(F(0)), int(U(0)), int(L(0))),
+                joint.heading_rad,
+                components,
+            )
+            self.kinds.append(kind)
+            for i, ((owner, window, _), noise) in enumerate(zip(poses, noises, strict=True)):
+                self._add(name, window, owner, noise, factors.ErrorFunction([], kind.keys(i), partial(kind.at, i)))
 
     def _priors(self, prior: Prior | None) -> None:
         joint, graph = self.joint, self.graph
@@ -253,6 +253,7 @@ class FactorGraph:
             tight = isotropic(3, joint.alignment_sigma)
             graph.add(gtsam.PriorFactorRot3(F(0), gtsam.Rot3(), tight))
             graph.add(gtsam.PriorFactorRot3(U(0), gtsam.Rot3(joint.U_prior), tight))
+            graph.add(gtsam.PriorFactorVector(L(0), np.zeros(1), isotropic(1, joint.alignment_sigma)))
         if self.gravity:
             sigma = joint.data.recording.site.gravity_sigma_m_s2
             graph.add(gtsam.PriorFactorVector(G(0), np.zeros(1), isotropic(1, sigma)))

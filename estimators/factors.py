@@ -220,34 +220,41 @@ class RotationFactors(FactorGroup):
         return r, jacobians
 
 
-class StartFactors(FactorGroup):
-    """Start attitudes on the fixture (rad), by attitude, base and mounting.
+class FixtureAttitudeFactors(FactorGroup):
+    """Start or end attitudes on the fixture (rad), by attitude, base, mounting and non-orthogonality of the axes.
 
     Parameters
     ----------
     nominal : ndarray, shape (n, 3, 3)
     attitudes : ndarray of int, shape (n,)
         Variables.
-    base, mounting : int
-        Variables.
+    fixture : (int, int, int)
+        Variables of base, mounting and non-orthogonality.
     heading_rad : float
+    components : slice
+        Components of the residual that are used.
     """
 
-    def __init__(self, nominal: Array, attitudes: Indices, base: int, mounting: int, heading_rad: float) -> None:
+    def __init__(
+        self, nominal: Array, attitudes: Indices, fixture: tuple[int, int, int], heading_rad: float, components: slice
+    ) -> None:
         super().__init__(len(nominal))
-        self.nominal, self.attitudes, self.base, self.mounting = nominal, attitudes, base, mounting
-        self.heading_rad = heading_rad
+        self.nominal, self.attitudes, self.fixture = nominal, attitudes, fixture
+        self.heading_rad, self.components = heading_rad, components
 
     def keys(self, row: int) -> list[int]:
-        """Variables of a start attitude."""
-        return [int(self.attitudes[row]), self.base, self.mounting]
+        """Variables of an attitude on the fixture."""
+        return [int(self.attitudes[row]), *self.fixture]
 
     def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
-        """Residuals and Jacobians of start attitudes."""
-        base, mounting = (values.atRot3(key).matrix() for key in (self.base, self.mounting))
+        """Residuals and Jacobians of attitudes on the fixture."""
+        base, mounting = (values.atRot3(key).matrix() for key in self.fixture[:2])
+        angle = float(values.atVector(self.fixture[2])[0])
         attitude = _matrices(values, self.attitudes[rows])
-        r, *jacobians = model.start_attitude_residual(attitude, self.nominal[rows], base, mounting, self.heading_rad)
-        return r, [[J[i] for J in jacobians] for i in range(len(rows))]
+        r, *jacobians = model.start_attitude_residual(
+            attitude, self.nominal[rows], base, mounting, self.heading_rad, angle
+        )
+        return r[:, self.components], [[J[i, self.components] for J in jacobians] for i in range(len(rows))]
 
 
 def heading(keep: Array, key: int) -> Callable[[Any], Linearised]:

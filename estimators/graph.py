@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, F, G, Q, U, X
+from gtsam.symbol_shorthand import A, F, G, L, Q, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
@@ -230,6 +230,7 @@ def _columns(built: FactorGraph, system: LinearSystem, values: Any) -> Array:
     if joint.fixture_states:
         for name, key, before in (("base", F(0), state.base), ("mounting", U(0), state.U)):
             delta[system.columns[name]] = rotation_vector((before.T @ values.atRot3(key).matrix())[None])[0]
+        delta[system.columns["non_orthogonality"]] = values.atVector(L(0)) - state.non_orthogonality
     if built.gravity:
         delta[system.columns["gravity"]] = values.atVector(G(0)) - state.gravity
     for c in range(len(joint.level_frames)):

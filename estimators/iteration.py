@@ -82,6 +82,7 @@ def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> J
         bias_deviation=deviation,
         base=state.base @ rotation_matrix(delta[c["base"]]),
         U=state.U @ rotation_matrix(delta[c["mounting"]]),
+        non_orthogonality=state.non_orthogonality + float(delta[c["non_orthogonality"]][0]),
         gravity=state.gravity + float(delta[c["gravity"]][0]),
         earth_rate=state.earth_rate + delta[c["earth_rate"]].reshape(-1, 3),
         attitude=state.attitude @ rotation_matrix(in_body),

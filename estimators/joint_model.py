@@ -1,8 +1,9 @@
 """Joint model of a recording: unknowns, priors, measurements and their noise, shared by Kalman filter and factor graph.
 
 Unknowns besides the sensor errors: the bias instability as specified, levelling and north of the fixture's base,
-orientation U of MARS on the table, gravity, the unknown part of the Earth's rate, and the attitude of every stationary
-window. If no bias instability is specified and the rates at rest scatter, every sequence has its own gyro bias.
+orientation U of MARS on the table, non-orthogonality of the fixture's axes, gravity, the unknown part of the Earth's
+rate, and the attitude of every stationary window. If no bias instability is specified and the rates at rest scatter,
+every sequence has its own gyro bias.
 Measurements: mean specific force and mean rate of every window, and the rotation between the windows of a sequence,
 integrated from the gyros. The equations are in :mod:`srt.model.measurement_model`.
 """
@@ -53,15 +54,12 @@ _UNCONSTRAINED_BIAS: Final = 1e-2
 """Bias scatter between sequences, rad/s (about 2000 °/h): larger than that of any unit, so that biases are free."""
 _RELEVANT_EDGE_NOISE: Final = 1e-3
 """Errors at window edges are estimated if quantization has a larger share of the variance of a rotation than this."""
-_MODELLED_SQUARENESS: Final = 1e-4
-"""Sigma of an axis non-orthogonality that base and mounting absorb, relative to that of the fixture's angles.
-
-It is not zero because the covariance of a start attitude must be regular.
-"""
+_LEAST_WOBBLE: Final = 1e-4
+"""Least axis wobble, relative to the sigma of the fixture's angles: the covariance of an attitude must be regular."""
 _LEAST_WALK: Final = 1e-3
 """Smallest step of the bias walk, as a share of the rate noise of a window: the walk's covariance must be regular."""
-_EQUAL: Final = 1e-6
-"""Base and mounting absorb a non-orthogonality of 1 if the largest residual is below this."""
+_ALONG: Final = 1e-9
+"""Largest component of a nominal rotation axis across an axis of the fixture: rounding of products of rotations."""
 
 
 class JointModel:
@@ -102,7 +100,7 @@ class JointModel:
         self._lay_out()
         self.U_prior, self.U_note = self._mounting(start[1])
         self.start = JointState(
-            start[0], np.zeros((data.K, 3)), np.eye(3), start[1], 0.0, np.zeros((len(self.level_frames), 3))
+            start[0], np.zeros((data.K, 3)), np.eye(3), start[1], 0.0, 0.0, np.zeros((len(self.level_frames), 3))
         )
 
     def _lay_out(self) -> None:
@@ -184,7 +182,7 @@ class JointModel:
 
     @property
     def alignment_sigma(self) -> float:
-        """Standard deviation of base and mounting, rad."""
+        """Standard deviation of base, mounting and non-orthogonality of the axes, rad."""
         fixture = self.data.recording.fixture
         return 0.0 if fixture is None else fixture.alignment_sigma_rad
 
@@ -192,27 +190,23 @@ class JointModel:
     def start_sigma(self) -> Array:
         """Standard deviation of inner angle, outer angle and axis non-orthogonality of a start, shape (3,), rad.
 
-        The non-orthogonality is one angle of the fixture, but it is not estimated. If base and mounting can reproduce
-        it at all starts, they absorb it; otherwise it is modelled as independent at every start. Its variation between
-        starts is the axis wobble.
+        The non-orthogonality of all poses is one angle of the fixture, an unknown; it varies by the axis wobble.
         """
         fixture = self.data.recording.fixture
         rotation, wobble = (0.0, 0.0) if fixture is None else (fixture.rotation_sigma_rad, fixture.wobble)
-        fixed = _MODELLED_SQUARENESS * rotation if self._base_absorbs_non_orthogonality else self.alignment_sigma
-        return np.array([rotation, rotation, np.hypot(fixed, wobble)])
+        return np.array([rotation, rotation, np.hypot(_LEAST_WOBBLE * rotation, wobble)])
 
-    @cached_property
-    def _base_absorbs_non_orthogonality(self) -> bool:
-        """True if small rotations of base and mounting reproduce axis non-orthogonality at every start."""
-        starts = [C for C in self.nominal if C is not None] + [pose_nominal(label) for label, _ in self.data.poses]
-        if not starts:
-            return True
-        C = np.stack(starts)
-        # Inner along outer axis, e_y · C e_z: derivatives by rotations of the base (left of C) and mounting (right).
-        jacobian = np.concatenate([np.cross(C[:, :, 2], [0.0, 1.0, 0.0]), np.cross([0.0, 0.0, 1.0], C[:, 1])], axis=1)
-        wanted = np.ones(len(C))
-        found = np.linalg.lstsq(jacobian, wanted)[0]
-        return bool(np.abs(jacobian @ found - wanted).max() < _EQUAL)
+    def nominal_end(self, k: int) -> Array | None:
+        """Nominal end attitude of sequence k, T to base; None if one of its rotations is not about a fixture axis."""
+        C, sequence = self.nominal[k], self.data.catalogue[k]
+        if C is None or sequence is None:
+            return None
+        for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
+            inner, outer = np.array([0.0, 0.0, 1.0]), C[1]
+            if min(np.linalg.norm(np.cross(axis, along)) for along in (inner, outer)) > _ALONG:
+                return None
+            C = C @ rotation_matrix(axis * angle)
+        return C
 
     def with_initial_values(self, state: JointState, fixed: Mask) -> JointState:
         """Give fixed parameters the values of the initial estimate."""
@@ -371,7 +365,9 @@ class JointModel:
             return np.asarray(A @ smallest_rotation(down[w][None], A[2][None])[0])
 
         def from_fixture(nominal: Array) -> Array:
-            return np.asarray(heading @ state.base @ nominal @ state.U.T)
+            # R_y(outer) R_x(ε) R_z(inner): the nominal attitude turned by ε about the horizontal axis across the outer.
+            tilted = rotation_matrix(state.non_orthogonality * np.cross([0.0, 1.0, 0.0], nominal[:, 2])) @ nominal
+            return np.asarray(heading @ state.base @ tilted @ state.U.T)
 
         for label, w in data.poses:
             attitude[w] = level(from_fixture(pose_nominal(label)), w)

@@ -42,6 +42,8 @@ class JointState:
         Gyro bias of each sequence minus the mean bias, before compensation with M⁻¹ (sensor axes).
     base, U : ndarray, shape (3, 3)
         Rotation from true to nominal fixture base; rotation from T to MARS components.
+    non_orthogonality : float
+        Angle between inner and outer axis of the fixture less 90°, rad.
     gravity : float
         Correction to the stated gravity, m/s².
     earth_rate : ndarray, shape (number of level frames, 3), rad/s
@@ -54,6 +56,7 @@ class JointState:
     bias_deviation: Array
     base: Array
     U: Array
+    non_orthogonality: float
     gravity: float
     earth_rate: Array
     attitude: Array | None = None

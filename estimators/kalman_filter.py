@@ -1,10 +1,10 @@
 """Kalman filter (filterpy) over the sequences of a linearised recording, and its use as a solver.
 
 State: sensor errors, gyro bias with a random walk between sequences, levelling and north of the base, orientation of
-MARS on the table, gravity, the unknown part of the Earth's rate, and what one sequence hands on to the next: the
-states of the bias instability and, in a free recording, the end attitude from which the next sequence starts. Their
-number does not change during the test. Every iteration restarts from the prior and keeps only the linearisation point;
-otherwise the data would count twice.
+MARS on the table, non-orthogonality of the fixture's axes, gravity, the unknown part of the Earth's rate, and what one
+sequence hands on to the next: the states of the bias instability and, in a free recording, the end attitude from which
+the next sequence starts. Their number does not change during the test. Every iteration restarts from the prior and
+keeps only the linearisation point; otherwise the data would count twice.
 
 The state is in units in which the prior is white. Forms of the filter: square-root
 (:mod:`estimators.square_root_filter`) or covariance (:mod:`estimators.covariance_filter`).
@@ -22,7 +22,7 @@ from scipy.special import chdtrc
 from estimators.accuracy_targets import targets_met
 from estimators.elimination_steps import global_columns
 from estimators.iteration import apply_correction
-from estimators.linear_system import N_ERRORS, attitude_columns
+from estimators.linear_system import FIXTURE, N_ERRORS, attitude_columns
 from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances, smoothed
 from estimators.solver import JointSolver, LinearSolution
@@ -174,7 +174,7 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
     mean[at] = prior.mean.vector - state.errors.vector
     # The priors of fixture and site are whitened rows of the system; their blocks are square.
     for rows in system.rows:
-        if rows.kind in {"base", "mounting", "gravity"} or rows.kind.startswith("earth_rate"):
+        if rows.kind in {*FIXTURE, "gravity"} or rows.kind.startswith("earth_rate"):
             members = rows.index.ravel()
             block = system.A[members].toarray()
             columns = np.flatnonzero(block.any(axis=0))

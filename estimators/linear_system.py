@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 N_ERRORS: Final = GROUP_SLICES["gyro_bias"].start
 """Number of sensor errors other than the gyro bias, which can differ between sequences."""
+FIXTURE: Final = {"base": 3, "mounting": 3, "non_orthogonality": 1}
+"""Columns of the fixture's alignment by name, with their number; one prior row each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,9 +66,9 @@ class LinearSystem:
     A : scipy.sparse.csr_array, shape (m, n)
     b : ndarray, shape (m,)
     columns : dict of str to slice
-        "errors" (24), "bias" (3, or 3 per sequence), "base", "mounting", "gravity", "earth_rate" (3 per level frame),
-        "attitude" (3 per window), "edge" (3 per edge that is an unknown), and the states and white unknowns of the
-        bias instability of every sequence: "gyro_drift", "gyro_drift_noise", "accel_drift", "accel_drift_noise".
+        "errors" (24), "bias" (3, or 3 per sequence), those of ``FIXTURE``, "gravity", "earth_rate" (3 per level
+        frame), "attitude" (3 per window), "edge" (3 per edge that is an unknown), and the states and white unknowns of
+        the bias instability of every sequence: "gyro_drift", "gyro_drift_noise", "accel_drift", "accel_drift_noise".
     active : ndarray of bool, shape (n,)
         Columns that are estimated.
     rows : tuple of RowGroup
@@ -111,7 +113,7 @@ class LinearSystem:
 def attitude_columns(system: LinearSystem) -> Mask:
     """Mask of the columns that do not affect compensation: fixture, site and attitudes, shape (n,)."""
     out = np.zeros(system.A.shape[1], dtype=np.bool_)
-    for name in ("base", "mounting", "gravity", "earth_rate", "attitude"):
+    for name in (*FIXTURE, "gravity", "earth_rate", "attitude"):
         out[system.columns[name]] = True
     return out
 

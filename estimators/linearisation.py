@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from estimators.joint_model import pose_nominal
-from estimators.linear_system import N_ERRORS, LinearSystem, RowGroup, total, whiten
+from estimators.linear_system import FIXTURE, N_ERRORS, LinearSystem, RowGroup, total, whiten
 from srt.model import measurement_model as model
 from srt.model.rotations import inverse_right_jacobian, rotation_vector
 from srt.sensor_errors import N_PARAMETERS
@@ -46,7 +46,7 @@ def linearise(
     builder = _Builder(joint, state, compensated)
     builder.add_windows()
     builder.add_rotations()
-    builder.add_fixture_starts()
+    builder.add_fixture_attitudes()
     builder.add_drift()
     builder.add_alignment()
     builder.add_site()
@@ -92,13 +92,27 @@ def fixed_headings(joint: JointModel) -> Indices:
     return np.array(sorted(set(fixed)), dtype=np.intp)
 
 
-def fixture_starts(joint: JointModel) -> list[tuple[int, int, Array]]:
-    """Sequence, window and nominal attitude of every start on the fixture, including poses without their rotation."""
+def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int, Array]], slice]]:
+    """Attitudes that the fixture determines.
+
+    Returns
+    -------
+    list of (str, list, slice)
+        Kind, "start" or "end"; sequence, window and nominal attitude of each; components of the residual. The angles of
+        an end are measured by the gyros alone, whatever rotation was executed, but its axes are those of the start.
+    """
     data = joint.data
-    starts = [
-        (k, int(data.start[k]), nominal) for k in joint.order.tolist() if (nominal := joint.nominal[k]) is not None
+    on_fixture = [k for k in joint.order.tolist() if joint.nominal[k] is not None]
+    starts = [(k, int(data.start[k]), nominal) for k in on_fixture if (nominal := joint.nominal[k]) is not None]
+    starts += [(int(joint.window_sequence[w]), w, pose_nominal(label)) for label, w in data.poses]
+    known = {window for _, window, _ in starts}
+    ends = [
+        (k, int(data.end[k]), nominal)
+        for k in on_fixture
+        if int(data.end[k]) not in known and (nominal := joint.nominal_end(k)) is not None
     ]
-    return starts + [(int(joint.window_sequence[w]), w, pose_nominal(label)) for label, w in data.poses]
+    kinds = (("start", starts, slice(0, 3)), ("end", ends, slice(2, 3)))
+    return [(kind, poses, components) for kind, poses, components in kinds if poses]
 
 
 def _columns(joint: JointModel, compensated: CompensatedData, edges: Indices) -> dict[str, slice]:
@@ -106,8 +120,7 @@ def _columns(joint: JointModel, compensated: CompensatedData, edges: Indices) ->
     sizes = {
         "errors": N_ERRORS,
         "bias": 3 * (joint.data.K if joint.bias_walks else 1),
-        "base": 3,
-        "mounting": 3,
+        **FIXTURE,
         "gravity": 1,
         "earth_rate": 3 * len(joint.level_frames),
         "attitude": 3 * len(compensated.force),
@@ -128,7 +141,8 @@ def _active_columns(joint: JointModel, columns: dict[str, slice], free: Mask) ->
     active[columns["errors"]] = free[:N_ERRORS]
     active[bias] = np.tile(free[N_ERRORS:], (bias.stop - bias.start) // 3)
     active[columns["earth_rate"]] = np.concatenate([frame.unknown_sigma > 0.0 for frame in joint.level_frames])
-    active[columns["base"]] = active[columns["mounting"]] = joint.fixture_states
+    for name in FIXTURE:
+        active[columns[name]] = joint.fixture_states
     # Gravity is also estimated without a fixture.
     active[columns["gravity"]] = joint.options.fixture_states
     active[columns["attitude"].start + 3 * fixed_headings(joint) + 2] = False
@@ -257,28 +271,35 @@ class _Builder:
             ],
         )
 
-    def add_fixture_starts(self) -> None:
-        """Start attitudes in the angles of the fixture."""
-        joint, starts = self.joint, fixture_starts(self.joint)
-        if not joint.fixture_states or not starts:
+    def add_fixture_attitudes(self) -> None:
+        """Start attitudes in the angles of the fixture; end attitudes in the non-orthogonality of its axes alone."""
+        joint, state = self.joint, self.state
+        if not joint.fixture_states:
             return
-        owner, windows = (np.array([start[i] for start in starts], dtype=np.intp) for i in (0, 1))
-        A = self.attitude[windows]
-        residual, by_attitude, by_base, by_U = model.start_attitude_residual(
-            A, np.stack([nominal for _, _, nominal in starts]), self.state.base, self.state.U, joint.heading_rad
-        )
-        variance = np.diag(joint.start_sigma**2)
-        self.add(
-            "start",
-            owner,
-            residual,
-            {"earth_rate_alignment": np.broadcast_to(variance, residual.shape[:1] + variance.shape)},
-            [
-                ("attitude", windows, by_attitude @ np.swapaxes(A, 1, 2)),
-                ("base", 0, by_base),
-                ("mounting", 0, by_U),
-            ],
-        )
+        for kind, poses, components in fixture_attitudes(joint):
+            owner, windows = (np.array([pose[i] for pose in poses], dtype=np.intp) for i in (0, 1))
+            A = self.attitude[windows]
+            residual, by_attitude, by_base, by_U, by_angle = model.start_attitude_residual(
+                A,
+                np.stack([nominal for _, _, nominal in poses]),
+                state.base,
+                state.U,
+                joint.heading_rad,
+                state.non_orthogonality,
+            )
+            variance = np.diag(joint.start_sigma[components] ** 2)
+            self.add(
+                kind,
+                owner,
+                residual[:, components],
+                {"earth_rate_alignment": np.broadcast_to(variance, (len(owner), *variance.shape))},
+                [
+                    ("attitude", windows, (by_attitude @ np.swapaxes(A, 1, 2))[:, components]),
+                    ("base", 0, by_base[:, components]),
+                    ("mounting", 0, by_U[:, components]),
+                    ("non_orthogonality", 0, by_angle[:, components]),
+                ],
+            )
 
     def drift_blocks(self, sensor: str, kind: str, by_drift: Array | float) -> list[Block]:
         """Blocks of the drift of a sensor; ``by_drift`` is the derivative of the residual by the drift's effect."""
@@ -314,14 +335,17 @@ class _Builder:
         return [(name, now, by_state), (f"{name}_noise", now, by_noise), (name, now + 1, by_next)]
 
     def add_alignment(self) -> None:
-        """Priors of base and mounting."""
+        """Priors of base, mounting and non-orthogonality."""
         joint, state = self.joint, self.state
         if not joint.fixture_states:
             return
-        covariance = {"earth_rate_alignment": joint.alignment_sigma**2 * np.eye(3)[None]}
+        variance = joint.alignment_sigma**2
+        covariance = {"earth_rate_alignment": variance * np.eye(3)[None]}
         for name, rotation in (("base", state.base), ("mounting", joint.U_prior.T @ state.U)):
             v = rotation_vector(rotation[None])
             self.add(name, _RECORDING, v, covariance, [(name, 0, inverse_right_jacobian(v))])
+        angle, covariance = np.array([state.non_orthogonality]), {"earth_rate_alignment": variance * np.eye(1)[None]}
+        self.add_prior_of("non_orthogonality", 0, angle, covariance)
 
     def add_site(self) -> None:
         """Priors of gravity and of the unknown part of the Earth's rate."""

@@ -6,10 +6,11 @@ output, about the given sensor errors and a fixture without errors.
 
 *Measurements* of a sequence: the mean readings of gyros and accelerometers in both still windows, and the rotation that
 the gyros integrate from the end of the first to the start of the second, as a small rotation vector in B at its start.
+Where the moves are recorded, the rotation in each of them, too.
 
-*Unknowns*: the 27 sensor errors, without a prior; base, mounting and non-orthogonality of the fixture, gravity, and the
-start angles of each sequence, with the sigmas of the simulator; the attitude in each end window, without a prior; and,
-if the gyro bias is a random walk, its step between sequences.
+*Unknowns*: the 27 sensor errors, without a prior; base, mounting and non-orthogonality of the fixture, gravity, the
+start angles of each sequence and the wobble in both windows, with the sigmas of the simulator; the angles in each end
+window, without a prior; and, if the gyro bias is a random walk, its step between sequences.
 
 *Noise*: white noise N gives a mean over T the variance N²/T. Each reading of the running integral is rounded to a pulse
 independently, sigma quantum/√12. A mean has the errors at the edges of its window, the rotation those at the two edges
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from sims.physics.true_motion import TrueMotion
     from sims.scenarios.scenario import Scenario
     from srt.recording.recording import Site
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 
 START_GYRO, START_ACCEL, END_GYRO, END_ACCEL, ROTATION = (slice(row, row + 3) for row in range(0, 15, 3))
@@ -61,6 +62,8 @@ _POSE_RATE_HZ, _POSE_PROFILE = 10.0, RateProfile(20.0, 200.0)
 # What is rounding: a derivative, over the largest of its measurement; a singular value, columns equilibrated, over the
 # largest; the share of a sensor error in a direction of which nothing is known.
 _NO_DERIVATIVE, _SINGULAR, _NO_SHARE = 1e-10, 1e-11, 1e-6
+_LEAST_MOVE = 0.1
+"""Least rotation of a move, rad; one that turns less adds nothing but the noise of its windows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,8 +156,33 @@ def scenario_bound(scenario: Scenario, errors: SensorErrors | None = None) -> Bo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MoveLinearisation:
+    """Derivatives and noise of the rotations that the gyros integrate in M recorded moves.
+
+    Attributes
+    ----------
+    before : ndarray of int, shape (M,)
+        Sequence before each move.
+    errors : ndarray, shape (M, 3, 27)
+        By the sensor errors, SI; in B at the end of the sequence before.
+    turn : ndarray, shape (M, 3, 3)
+        From B in the next start window to B in the end window before, relative to inertial space.
+    noise : ndarray, shape (M, 3, 3)
+        Covariance.
+    shared : ndarray, shape (M, 3, 2, 3)
+        Covariance with the gyro means of the end window before and of the next start window (pulses).
+    """
+
+    before: Indices
+    errors: Array
+    turn: Array
+    noise: Array
+    shared: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Linearisation:
-    """Derivatives and noise of the measurements of K sequences.
+    """Derivatives and noise of the measurements of K sequences, and of the recorded moves between them.
 
     Attributes
     ----------
@@ -168,6 +196,9 @@ class Linearisation:
         Covariance.
     turn : ndarray, shape (K, 3, 3)
         From B in the end window to B in the start window, relative to inertial space.
+    attitude : ndarray, shape (K, 2, 3, 10)
+        Small rotation vector of B in both windows, by the same unknowns, of which the angles are those of that window.
+    moves : MoveLinearisation
     """
 
     errors: Array
@@ -175,6 +206,8 @@ class Linearisation:
     end: Array
     noise: Array
     turn: Array
+    attitude: Array
+    moves: MoveLinearisation
 
     def bound(
         self, fixture_sigma: Mapping[str, float], gravity_sigma_m_s2: float, gyro_bias_walk_rad_s: float = 0.0
@@ -188,25 +221,63 @@ class Linearisation:
         if not 0.0 <= gyro_bias_walk_rad_s < math.inf:
             raise InputError(f"gyro_bias_walk_rad_s is {gyro_bias_walk_rad_s!r}: it must be zero or a positive number.")
         level, north, mounting, skew, start, wobble = (float(fixture_sigma.get(name, 0.0)) for name in FIXTURE_SIGMAS)
-        prior = [level, level, north, mounting, mounting, mounting, skew, gravity_sigma_m_s2]
+        count = len(self.errors)
+        prior = [np.inf] * N_PARAMETERS + [level, level, north, *[mounting] * 3, skew, gravity_sigma_m_s2]
+        prior += [gyro_bias_walk_rad_s] * (3 * (count - 1)) + [start, start, wobble, np.inf, np.inf, wobble] * count
+        rows, sigma = self._rows(), np.array(prior)
+        root = np.linalg.cholesky(self._covariance())
+        known = np.diag(1.0 / sigma[sigma > 0.0])
+        whitened = np.vstack([np.linalg.solve(root, rows[:, sigma > 0.0]), known])
+        return Bound(_covariance(whitened, np.linalg.norm(whitened, axis=0)))
+
+    def _rows(self) -> Array:
+        """Derivatives of all measurements: of the sequences, then of the moves.
+
+        Columns: sensor errors (27), base, mounting, non-orthogonality, gravity (8), steps of the gyro bias between
+        sequences (3 K − 3), and of each sequence the angles and the wobble of its start and of its end (6).
+        """
         count = len(self.errors)
         # Bias of each sequence from the steps, minus its mean over the sequences, which is one of the 27 parameters.
         walked = np.tri(count, count - 1, -1)
         walked -= walked.mean(axis=0)
-        bias = self.errors[:, :, GROUP_SLICES["gyro_bias"]]
-        steps = (walked[:, np.newaxis, :, np.newaxis] * bias[:, :, np.newaxis, :]).reshape(count, 15, -1)
-        sigma = np.array([np.inf] * N_PARAMETERS + prior + [gyro_bias_walk_rad_s] * steps.shape[2])
-        common = np.concatenate([self.errors, self.fixture[:, :, : _STARTS.start], steps], axis=2)[:, :, sigma > 0.0]
-        leaning = self.fixture[:, :, [_SKEW]]
-        own = np.concatenate([self.end, self.fixture[:, :, _STARTS] * start, leaning * wobble], axis=2)
-        root = np.linalg.cholesky(self.noise)
-        common, own = np.linalg.solve(root, common), np.linalg.solve(root, own)
-        known = np.diag(1.0 / sigma[sigma > 0.0])
-        scale = np.linalg.norm(np.vstack([*common, known]), axis=0)
-        # Projection of the measurements that removes the sequence's own unknowns; its start has a prior.
-        own = np.concatenate([own, np.tile(np.eye(3, 6, 3), (count, 1, 1))], axis=1)
-        unexplained = np.linalg.qr(own, mode="complete").Q[:, :15, 6:].transpose(0, 2, 1)
-        return Bound(_covariance(np.vstack([*(unexplained @ common), known]), scale))
+        # Columns of the angles and of the wobble of a pose.
+        of_pose = np.array([_STARTS.start, _STARTS.start + 1, _SKEW])
+
+        def joined(errors: Array, fixture: Array, poses: Array, sequence: Indices) -> Array:
+            """Rows (n, d, ·) of sequences, by poses of all sequences, shape (n, d, K, 6)."""
+            bias = errors[:, :, GROUP_SLICES["gyro_bias"]]
+            steps = walked[sequence][:, np.newaxis, :, np.newaxis] * bias[:, :, np.newaxis, :]
+            n, d = errors.shape[:2]
+            own = steps.reshape(n, d, 3 * (count - 1)), poses.reshape(n, d, 6 * count)
+            out = np.concatenate([errors, fixture[:, :, : _STARTS.start], *own], axis=2)
+            return out.reshape(n * d, out.shape[2])
+
+        every = np.arange(count)
+        at_end = self.end @ self.attitude[:, 1]
+        poses = np.zeros((count, 15, count, 6))
+        poses[every, :, every] = np.concatenate([self.fixture[:, :, of_pose], at_end[:, :, of_pose]], axis=2)
+        measured = joined(self.errors, self.fixture + at_end, poses, every)
+        before, moves = self.moves.before, np.arange(len(self.moves.before))
+        by_end, by_start = -self.attitude[before, 1], self.moves.turn @ self.attitude[before + 1, 0]
+        poses = np.zeros((len(before), 3, count, 6))
+        poses[moves, :, before, 3:] = by_end[:, :, of_pose]
+        poses[moves, :, before + 1, :3] = by_start[:, :, of_pose]
+        moved = joined(self.moves.errors, by_end + by_start, poses, before)
+        return np.concatenate([measured, moved])
+
+    def _covariance(self) -> Array:
+        """Covariance of all measurements; a move shares the pulses at the edges of the windows that it joins."""
+        count, before = len(self.noise), self.moves.before
+        size = 15 * count + 3 * len(before)
+        out = np.zeros((size, size))
+        every, moves = np.arange(count), np.arange(len(before))
+        out[: 15 * count, : 15 * count].reshape(count, 15, count, 15)[every, :, every] = self.noise
+        out[15 * count :, 15 * count :].reshape(len(before), 3, len(before), 3)[moves, :, moves] = self.moves.noise
+        for which, rows in ((0, END_GYRO), (1, START_GYRO)):
+            with_windows = out[15 * count :, : 15 * count].reshape(len(before), 3, count, 15)
+            with_windows[moves, :, before + which, rows] = self.moves.shared[:, :, which]
+        out[: 15 * count, 15 * count :] = out[15 * count :, : 15 * count].T
+        return out
 
 
 def linearise(
@@ -227,7 +298,7 @@ def linearise(
         if not (getattr(imu, f"{triad}_noise") > 0.0 or getattr(imu, f"{triad}_quantization") > 0.0):
             raise InputError(f"The IMU model has no {triad} noise, so that nothing bounds the accuracy: state it.")
     about = errors or SensorErrors()
-    motion = run_schedule(replace(schedule, moves="skipped"), site=site, sample_rate_hz=sample_rate_hz, **where)
+    motion = run_schedule(schedule, site=site, sample_rate_hz=sample_rate_hz, **where)
     windows = np.array(motion.windows)
     poses = Schedule(schedule.sequences, _POSE_PROFILE, dwell_s=1.0 / _POSE_RATE_HZ, pause_s=0.0)
 
@@ -239,13 +310,9 @@ def linearise(
         return run_schedule(poses, site=there, sample_rate_hz=_POSE_RATE_HZ, fixture_draw=draw, **where)
 
     by_errors, by_unknowns, turned = _in_windows(pose_run, about, step)
-    turning = windows[:, [0, 1], [1, 0]]
-    edges = np.searchsorted(motion.time, turning + 0.5 * motion.interval, side="right")
-    turns = [_in_turn(motion, slice(start, stop), about, step) for start, stop in edges]
-    by_errors_in_turn, spread, first, last = (np.array(column) for column in zip(*turns, strict=True))
-    # Attitudes are relative to NED, which rotates with the Earth between the two windows.
-    earth = constants_of_site(site, earth_rate=where.get("earth_rate", True))[0] * np.diff(turning)
-    turn = motion.attitudes[:, 0].transpose(0, 2, 1) @ rotation(earth) @ motion.attitudes[:, 1]
+    earth = constants_of_site(site, earth_rate=where.get("earth_rate", True))[0]
+    sequences = windows[:, [0, 1], [1, 0]], motion.attitudes
+    by_errors_in_turn, spread, first, last, turn = _in_turns(motion, *sequences, earth, (about, step))
 
     # The end attitude is an unknown: readings there depend on gravity, but not on the fixture errors.
     by_attitude = by_unknowns[:, 1, :, _MOUNTING] @ np.linalg.inv(turned[:, 1, :, _MOUNTING])
@@ -259,7 +326,49 @@ def linearise(
         np.concatenate([np.zeros_like(by_attitude), by_attitude, turn], axis=1),
         _noise(windows, imu, spread, first, turn @ last),
         turn,
+        turned,
+        _in_moves(motion, windows, imu, earth, (about, step)),
     )
+
+
+def _in_turns(
+    motion: TrueMotion, turning: Array, attitudes: Array, earth: Array, about: tuple[SensorErrors, float]
+) -> tuple[Array, ...]:
+    """Results of :func:`_in_turn` for n rotations, and each rotation relative to inertial space, shape (n, 3, 3).
+
+    ``turning`` are the times between which the rotations are integrated, shape (n, 2), ``attitudes`` C_NED,B there,
+    shape (n, 2, 3, 3), ``earth`` the Earth's rate in NED, and ``about`` the sensor errors and the step.
+    """
+    edges = np.searchsorted(motion.time, turning + 0.5 * motion.interval, side="right")
+    turns = [_in_turn(motion, slice(start, stop), *about) for start, stop in edges]
+    columns = [np.array(column) for column in zip(*turns, strict=True)]
+    # Attitudes are relative to NED, which rotates with the Earth between the two windows.
+    to_start = attitudes[:, 0].transpose(0, 2, 1) @ rotation(earth * np.diff(turning))
+    return (*columns, to_start @ attitudes[:, 1])
+
+
+def _in_moves(
+    motion: TrueMotion, windows: Array, imu: ImuModel, earth: Array, about: tuple[SensorErrors, float]
+) -> MoveLinearisation:
+    """Derivatives and noise of the recorded moves from an end window to the next start window."""
+    attitudes = np.stack([motion.attitudes[:-1, 1], motion.attitudes[1:, 0]], axis=1)
+    turning = np.stack([windows[:-1, 1, 1], windows[1:, 0, 0]], axis=1)
+    first, last = np.searchsorted(motion.time, turning.T + 0.5 * motion.interval, side="right")
+    # A gap lies before the first sample of a piece.
+    gapless = np.searchsorted(motion.piece_starts, first) == np.searchsorted(motion.piece_starts, last, side="right")
+    angle = Rotation.from_matrix(attitudes[:, 0].transpose(0, 2, 1) @ attitudes[:, 1]).magnitude()
+    before = np.flatnonzero(gapless & (angle > _LEAST_MOVE))
+    if not len(before):
+        none = np.zeros((0, 3, 3))
+        return MoveLinearisation(before, np.zeros((0, 3, N_PARAMETERS)), none, none, np.zeros((0, 3, 2, 3)))
+    errors, spread, D_first, D_last, turn = _in_turns(motion, turning[before], attitudes[before], earth, about)
+    at_edges = np.stack([-D_first, turn @ D_last])
+    variance = imu.gyro_quantization**2 / 12.0
+    noise = imu.gyro_noise**2 * spread + variance * np.einsum("emab,emcb->mac", at_edges, at_edges)
+    # The mean of a window ends at its last edge, with a plus, and begins at its first, with a minus.
+    lengths = np.stack([np.diff(windows[before, 1])[:, 0], -np.diff(windows[before + 1, 0])[:, 0]])
+    shared = variance * at_edges.transpose(1, 2, 0, 3) / lengths.T[:, np.newaxis, :, np.newaxis]
+    return MoveLinearisation(before, errors, turn, noise, shared)
 
 
 def _central(function: Callable[[Array], Array], count: int, step: float) -> Array:

@@ -73,8 +73,8 @@ class FixtureDraw:
         Errors of the (inner, outer) angle at the start of each sequence, drawn independently for each axis.
     legs : tuple of ndarray, rad
         Error of each rotation, by sequence; it persists until the sequence ends.
-    wobble : ndarray, shape (s,), rad
-        Addition to ε in each sequence (axis wobble), beginning with the move to its start.
+    wobble : ndarray, shape (s, 2), rad
+        Addition to ε in the start and in the end pose of each sequence (axis wobble), drawn independently.
     """
 
     base: Array = field(default_factory=lambda: np.zeros(3))
@@ -90,9 +90,9 @@ class FixtureDraw:
             return 0.0, 0.0
         return float(self.starts[sequence, 0]), float(self.starts[sequence, 1])
 
-    def wobble_of(self, sequence: int) -> float:
-        """Addition to ε in a sequence (axis wobble), rad."""
-        return 0.0 if self.wobble is None else float(self.wobble[sequence])
+    def wobble_of(self, sequence: int) -> tuple[float, float]:
+        """Addition to ε in the start and end pose of a sequence (axis wobble), rad."""
+        return (0.0, 0.0) if self.wobble is None else (float(self.wobble[sequence, 0]), float(self.wobble[sequence, 1]))
 
     def leg_errors(self, sequence: int, count: int) -> Array:
         """Errors of a sequence's rotations, shape (count,), rad."""
@@ -106,10 +106,10 @@ class FixtureDraw:
                 f"The fixture draw holds start errors of shape {self.starts.shape} for {len(wanted)} "
                 f"sequences: draw it for these sequences, shape ({len(wanted)}, 2)."
             )
-        if self.wobble is not None and self.wobble.shape != (len(wanted),):
+        if self.wobble is not None and self.wobble.shape != (len(wanted), 2):
             raise InputError(
                 f"The fixture draw holds wobble of shape {self.wobble.shape} for {len(wanted)} sequences: draw it for "
-                f"these sequences, shape ({len(wanted)},)."
+                f"these sequences, shape ({len(wanted)}, 2)."
             )
         if self.legs is not None and [len(e) for e in self.legs] != wanted:
             raise InputError(
@@ -137,7 +137,7 @@ def draw_fixture(
         starts=rng.standard_normal((len(sequences), 2)) * rotation_sigma_rad,
         legs=tuple(rng.standard_normal(len(s.rotations)) * rotation_sigma_rad for s in sequences),
         # Without wobble nothing is drawn, so that a seed gives the same other errors with and without wobble.
-        wobble=rng.standard_normal(len(sequences)) * wobble_sigma_rad if wobble_sigma_rad else None,
+        wobble=rng.standard_normal((len(sequences), 2)) * wobble_sigma_rad if wobble_sigma_rad else None,
     )
 
 
@@ -202,12 +202,14 @@ class FixtureGeometry:
         inner_rate: Array,
         outer_rate: Array,
         wobble: Array | float = 0.0,
+        wobble_rate: Array | float = 0.0,
     ) -> Array:
         """Rate of B relative to the base in B-components, shape (..., 3), rad/s."""
         lean = self.non_orthogonality + np.asarray(wobble)
         ce, se = np.cos(lean), np.sin(lean)
-        # The outer axis is y of the outer frame; in the inner frame it rotates with the inner angle.
-        x, y = np.sin(inner) * ce * outer_rate, np.cos(inner) * ce * outer_rate
+        # The outer axis is y of the outer frame, ε turns about its x; both rotate with the inner angle.
+        ci, si = np.cos(inner), np.sin(inner)
+        x, y = si * ce * outer_rate + ci * wobble_rate, ci * ce * outer_rate - si * wobble_rate
         z = inner_rate - se * outer_rate
         m = self.body_from_inner
         return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=-1)

@@ -150,6 +150,25 @@ class AngleProfile:
             self.add_ringing(ringing, piece, time_s, angle, rate)
         return angle, rate
 
+    def ramp(self, before: float, after: float) -> tuple[Array, float]:
+        """Value that changes at a constant rate while an axis turns: as bearings do, it stays while both rest.
+
+        Returns
+        -------
+        ramp : ndarray, shape (2, m)
+            Value at the border of each piece, and its rate in the piece, 1/s.
+        at_end : float
+            ``after``; ``before`` in an episode without a rotation.
+        """
+        border = self.breaks_s[:-1]
+        turning = np.any(self.coefficients[:, :, 1:], axis=(1, 2)) & (border < self.legs_end_s)
+        spent = np.where(turning, np.diff(self.breaks_s), 0.0)
+        if not turning.any():
+            return np.stack([np.full(len(border), before), np.zeros(len(border))]), before
+        slope = np.where(turning, (after - before) / spent.sum(), 0.0)
+        at_border = before + np.concatenate([[0.0], np.cumsum(slope * spent)[:-1]])
+        return np.stack([np.where(border >= self.legs_end_s, after, at_border), slope]), after
+
     def add_ringing(
         self,
         ringing: Ringing,
@@ -186,14 +205,22 @@ class JoinedProfile:
         self._joined = None
         return first
 
-    def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
-        """Angles and rates, see :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
+    def since_border(self, piece: Indices, time_s: Array) -> Array:
+        """Time since the border of each piece, s."""
+        return np.asarray(time_s - self._pieces()[0][piece])
+
+    def _pieces(self) -> tuple[Array, Array]:
+        """Borders and coefficients of all pieces."""
         if self._joined is None:
             self._joined = (
                 np.concatenate([p.breaks_s[:-1] for p in self._profiles]),
                 np.concatenate([p.coefficients for p in self._profiles]),
             )
-        breaks, coefficients = self._joined
+        return self._joined
+
+    def angles(self, piece: Indices, time_s: Array) -> tuple[Array, Array]:
+        """Angles and rates, see :meth:`AngleProfile.angles`; times count from the start of each piece's episode."""
+        breaks, coefficients = self._pieces()
         angle, rate = _polynomial(time_s - breaks[piece], coefficients[piece])
         for first, profile in zip(self._first, self._profiles, strict=False):
             if profile.ringings:

@@ -110,17 +110,19 @@ class _Run:
     ringings: tuple[Ringing, ...] = ()
     recorded: JoinedProfile = field(default_factory=JoinedProfile)
     wobble: float = 0.0
-    wobbles: list[tuple[int, float]] = field(default_factory=list)  # first piece of an episode, and the wobble in it
+    wobbles: list[Array] = field(default_factory=list)  # of each piece: wobble at its border, and its rate
 
     def profile(self, legs: Sequence[tuple[int, float]], leg_dwell_s: float) -> AngleProfile:
         return angle_profile(self.angles, legs, self.schedule.profile, leg_dwell_s=leg_dwell_s, ringings=self.ringings)
 
-    def execute(self, profile: AngleProfile, n_samples: int, *, record: bool) -> None:
-        """Run a profile for a number of samples; its end is the new state of the fixture."""
+    def execute(self, profile: AngleProfile, n_samples: int, *, record: bool, wobble: float | None = None) -> None:
+        """Run a profile for a number of samples; its end, with the given wobble, is the new state of the fixture."""
+        ramp, at_end = profile.ramp(self.wobble, self.wobble if wobble is None else wobble)
         if record:
-            self.clock.record(self._episode(profile, n_samples))
+            self.clock.record(self._episode(profile, n_samples, ramp))
         else:
             self.clock.now += n_samples
+        self.wobble = at_end
         duration = n_samples * self.clock.interval
         self.angles = profile.end_rad
         self.ringings = tuple(
@@ -129,9 +131,9 @@ class _Run:
             if r.start_s + profile.profile.settling_life_s > duration
         )
 
-    def _episode(self, profile: AngleProfile, n_samples: int) -> Episode:
+    def _episode(self, profile: AngleProfile, n_samples: int, ramp: Array) -> Episode:
         first = self.recorded.append(profile)
-        self.wobbles.append((first, self.wobble))
+        self.wobbles.append(ramp)
         return Episode(n_samples, profile.breaks_s, profile.moving, profile.bandwidth_rad_s, self.sensed, first)
 
     def sensed(self, piece: Indices, time: Array) -> Array:
@@ -139,11 +141,13 @@ class _Run:
         angle, rate = self.recorded.angles(piece, time)
         inner, outer = angle[..., INNER], angle[..., OUTER]
         wobble: Array | float = 0.0
-        if any(value for _, value in self.wobbles):
-            first, values = (np.array(part) for part in zip(*self.wobbles, strict=True))
-            wobble = np.broadcast_to(values[np.searchsorted(first, piece, side="right") - 1], inner.shape)
+        wobble_rate: Array | float = 0.0
+        if any(ramp.any() for ramp in self.wobbles):
+            at_border, slope = np.concatenate(self.wobbles, axis=1)
+            wobble_rate = np.broadcast_to(slope[piece], inner.shape)
+            wobble = at_border[piece] + wobble_rate * self.recorded.since_border(piece, time)
         constant = self.geometry.to_body(self.constant_base, inner, outer, wobble)
-        turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble)
+        turning = self.geometry.turning_rate(inner, rate[..., INNER], rate[..., OUTER], wobble, wobble_rate)
         return np.concatenate([constant[0] + turning, constant[1]], axis=-1)
 
     def attitude(self) -> Array:
@@ -190,11 +194,6 @@ def run_schedule(
     """
     draw = fixture_draw or FixtureDraw()
     draw.check_covers(schedule.sequences)
-    if schedule.moves == "recorded" and draw.wobble is not None:
-        raise InputError(
-            "Wobble changes between sequences, and its change during a move is not simulated: leave the moves out "
-            "of the recording, or the wobble."
-        )
     geometry = FixtureGeometry.build(heading_rad, draw, check_rotation(U))
     constant_ned = constants_of_site(site, earth_rate=earth_rate)
     clock = Clock.start(check_sample_rate(sample_rate_hz), start_time_s)
@@ -224,15 +223,14 @@ def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[
     dwell, end_dwell = (max(1, round(length * clock.sample_rate_hz)) for length in schedule.window_lengths_s()[number])
     nominal, error = sequence.start_rad(), draw.start_errors(number)
     start = (nominal[INNER] + error[INNER], nominal[OUTER] + error[OUTER])
+    start_wobble, end_wobble = draw.wobble_of(number)
     if number in schedule.continued:
         dwell = max(1, round(schedule.window_lengths_s()[number - 1][1] * clock.sample_rate_hz))
+    elif number == 0:
+        run.angles, run.wobble = start, start_wobble
+        run.execute(run.profile([], 0.0), dwell, record=True)
     else:
-        run.wobble = draw.wobble_of(number)
-        if number == 0:
-            run.angles = start
-            run.execute(run.profile([], 0.0), dwell, record=True)
-        else:
-            _move(run, start, dwell)
+        _move(run, start, dwell, start_wobble)
     first = (clock.at(clock.now - dwell), clock.at(clock.now))
     before = run.attitude()
 
@@ -240,12 +238,12 @@ def _execute_sequence(run: _Run, draw: FixtureDraw, number: int) -> tuple[tuple[
     errors = draw.leg_errors(number, len(legs)).tolist()
     profile = run.profile([(a, t + e) for (a, t), e in zip(legs, errors, strict=True)], schedule.leg_dwell_s)
     turning = clock.samples(profile.legs_end_s + schedule.settle_s)
-    run.execute(profile, turning + end_dwell, record=True)
+    run.execute(profile, turning + end_dwell, record=True, wobble=end_wobble)
     second = (clock.at(clock.now - end_dwell), clock.at(clock.now))
     return (first, second), (before, run.attitude())
 
 
-def _move(run: _Run, start: tuple[float, float], dwell: int) -> None:
+def _move(run: _Run, start: tuple[float, float], dwell: int, wobble: float) -> None:
     """Move to a start attitude by the smaller angle about each axis, settle, and rest for the start window."""
     schedule, clock = run.schedule, run.clock
     recorded = schedule.moves == "recorded"
@@ -259,9 +257,10 @@ def _move(run: _Run, start: tuple[float, float], dwell: int) -> None:
     profile = run.profile(legs, 0.0)
     moving = clock.samples(profile.legs_end_s + schedule.settle_s)
     if recorded:
-        run.execute(profile, moving + dwell, record=True)
+        run.execute(profile, moving + dwell, record=True, wobble=wobble)
     else:
         run.execute(profile, moving, record=False)
+        run.wobble = wobble
         run.execute(run.profile([], 0.0), dwell, record=True)
     # The omitted full turns do not change the attitude.
     run.angles = start

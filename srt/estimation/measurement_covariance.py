@@ -403,14 +403,18 @@ def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) ->
 def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Fixture attitude errors as rotation vectors in B_Strt per unit draw, shape (K, 3, S).
 
-    Base level x, y and north have one draw per recording, the initial inner and outer angle one per sequence. The
-    mounting error is estimated in U. With a measured vertical, only the rotation about the vertical remains.
+    Base level x, y and north and the non-orthogonality of the fixture's axes have one draw per recording, the initial
+    inner and outer angle one per sequence. The mounting error is estimated in U. With a measured vertical, only the
+    rotation about the vertical remains.
     """
     fixture = data.recording.fixture
     if fixture is None or data.nominal is None:
         return np.zeros((data.K, 3, 0))
     to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
-    base = to_body * fixture.alignment_sigma_rad
+    # The axes lean about the horizontal axis across the outer one, base y.
+    leaning = np.cross([0.0, 1.0, 0.0], data.nominal[:, :, 2])
+    common = np.concatenate([to_body, np.einsum("kab,kb->ka", to_body, leaning)[:, :, None]], axis=2)
+    base = common * fixture.alignment_sigma_rad
     inner = np.broadcast_to(measurements.U[:, 2], (data.K, 3))
     executed = np.stack([inner, to_body[:, :, 1]], axis=2) * fixture.rotation_sigma_rad
     axes = np.concatenate([base, _own_draw(executed)], axis=2)

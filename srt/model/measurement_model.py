@@ -91,20 +91,22 @@ class RotationResidual(NamedTuple):
 
 
 class StartAttitudeResidual(NamedTuple):
-    """Attitude at the start of n sequences less the fixture's nominal one, with its derivatives.
+    """Attitudes on the fixture at the start of n sequences less the nominal ones, with their derivatives.
 
     Attributes
     ----------
     residual : ndarray, shape (n, 3), rad
-        Inner angle and outer angle less nominal, and the non-orthogonality of inner and outer axis, zero in the model.
+        Inner angle and outer angle less nominal, and the non-orthogonality of the axes less the measured one.
     by_attitude, by_base, by_mounting : ndarray, shape (n, 3, 3)
         Derivatives with respect to small rotations behind A, ``base`` and ``U``.
+    by_non_orthogonality : ndarray, shape (n, 3, 1)
     """
 
     residual: Array
     by_attitude: Array
     by_base: Array
     by_mounting: Array
+    by_non_orthogonality: Array
 
 
 def attitude_error_jacobian(integrals: RotationIntegrals) -> Array:
@@ -285,11 +287,12 @@ def rotation_residual(
 
 
 def start_attitude_residual(
-    attitude: Array, nominal: Array, base: Array, U: Array, heading_rad: float
+    attitude: Array, nominal: Array, base: Array, U: Array, heading_rad: float, non_orthogonality: float = 0.0
 ) -> StartAttitudeResidual:
-    """Residual of the attitudes at the start of sequences: errors of the fixture's inner and outer angle.
+    """Residual of attitudes on the fixture: errors of inner and outer angle, and of the axes' non-orthogonality.
 
-    ``C = (R_z(heading) C_base)ᵀ A U`` takes T-components to the base's; on a fixture it is ``R_y(outer) R_z(inner)``.
+    ``C = (R_z(heading) C_base)ᵀ A U`` takes T-components to the base's; on a fixture it is
+    ``R_y(outer) R_x(ε) R_z(inner)`` with the non-orthogonality ε: inner and outer axis are 90° + ε apart.
 
     Parameters
     ----------
@@ -302,6 +305,7 @@ def start_attitude_residual(
     U : ndarray, shape (3, 3)
         T to B components.
     heading_rad : float
+    non_orthogonality : float, rad
 
     Returns
     -------
@@ -312,6 +316,8 @@ def start_attitude_residual(
     inner, outer = _fixture_angles(C)
     inner_nominal, outer_nominal = _fixture_angles(nominal)
     residual = np.stack([_wrapped(inner - inner_nominal), _wrapped(outer - outer_nominal), C[:, 1, 2]], axis=1)
+    # e_y · C e_z = −sin ε
+    residual[:, 2] += np.sin(non_orthogonality)
     # C (I + v×) for a small rotation v behind C.
     behind = np.zeros_like(C)
     across, along = C[:, 1, 0] ** 2 + C[:, 1, 1] ** 2, C[:, 0, 2] ** 2 + C[:, 2, 2] ** 2
@@ -320,11 +326,13 @@ def start_attitude_residual(
     behind[:, 1, 0] = (C[:, 0, 2] * C[:, 2, 1] - C[:, 2, 2] * C[:, 0, 1]) / along
     behind[:, 1, 1] = (C[:, 2, 2] * C[:, 0, 0] - C[:, 0, 2] * C[:, 2, 0]) / along
     behind[:, 2, 0], behind[:, 2, 1] = -C[:, 1, 1], C[:, 1, 0]
-    return StartAttitudeResidual(residual, behind @ U.T, -behind @ np.swapaxes(C, 1, 2), behind)
+    by_non_orthogonality = np.zeros((len(C), 3, 1))
+    by_non_orthogonality[:, 2, 0] = np.cos(non_orthogonality)
+    return StartAttitudeResidual(residual, behind @ U.T, -behind @ np.swapaxes(C, 1, 2), behind, by_non_orthogonality)
 
 
 def _fixture_angles(C: Array) -> tuple[Array, Array]:
-    """Inner and outer angle of ``R_y(outer) R_z(inner)``, rad."""
+    """Inner and outer angle of ``R_y(outer) R_x(ε) R_z(inner)``, rad."""
     return np.arctan2(C[:, 1, 0], C[:, 1, 1]), np.arctan2(C[:, 0, 2], C[:, 2, 2])
 
 

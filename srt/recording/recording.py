@@ -100,11 +100,11 @@ class Fixture:
     heading_rad : float or None
         None: unknown (not zero).
     alignment_sigma_rad : float
-        Error of each of base level x, y, north and mounting x, y, z; constant in a recording.
+        Error of each of base level x, y, north, mounting x, y, z and angle between the axes; constant in a recording.
     rotation_sigma_rad : float
         Error of each rotation, including the rotation to a start attitude; independent draws.
     wobble_sigma_rad : float or None
-        Change of the tilt of the inner axis about the outer one from start to start: bearing wobble and floor movement.
+        Change of the tilt of the inner axis about the outer one from pose to pose: bearing wobble and floor movement.
         None: not stated; the default is a hundredth of ``rotation_sigma_rad``.
 
     Raises

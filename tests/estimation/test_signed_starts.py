@@ -143,11 +143,11 @@ def test_a_noise_free_unit_is_recovered(estimator, shift):
 
 @pytest.mark.parametrize("estimator", ["least-squares", "ekf", "graph"])
 def test_axes_not_square_do_no_harm(estimator):
-    """Axis non-orthogonality is absorbed by base and mounting alignment, as for Table 1 (test_joint_robustness).
+    """Axis non-orthogonality, as for Table 1 (test_joint_robustness), from starts whose tilts differ in sign.
 
-    From these starts none does. Noise-free data with the noise stated: only a start attitude is misjudged, by the lean
-    at most, and with it the Earth's rate: 1 mrad of 7.3e-5 rad/s over the 40 s of the longest sequence is 2.9 µrad,
-    less than the angle random walk of 0.002 °/√h in that time, 3.7 µrad (Savage 2020, section 9).
+    Noise-free data with the noise stated. Least squares misjudges a start attitude, by the lean at most, and with it
+    the Earth's rate: 1 mrad of 7.3e-5 rad/s over the 40 s of the longest sequence is 2.9 µrad, less than the angle
+    random walk of 0.002 °/√h in that time, 3.7 µrad (Savage 2020, section 9).
     """
     if estimator == "graph":
         pytest.importorskip("gtsam")

@@ -23,7 +23,7 @@ from jacobian_cases import CASES, EPS, HZ, RATE, VARIANTS, G, make, simulated_mo
 
 from estimators.iteration import apply_correction
 from estimators.joint_model import open_joint_model
-from estimators.linear_system import N_ERRORS
+from estimators.linear_system import FIXTURE, N_ERRORS
 from estimators.linearisation import edge_numbers, linearise
 
 
@@ -44,7 +44,8 @@ def unwhitened(system):
     }
 
 
-STEPS = {"base": 1e-4, "mounting": 1e-4, "gravity": 1e-3, "earth_rate": 1e-6, "attitude": 1e-4, "bias": 1e-7}
+STEPS = {"base": 1e-4, "mounting": 1e-4, "non_orthogonality": 1e-4, "gravity": 1e-3, "earth_rate": 1e-6}
+STEPS |= {"attitude": 1e-4, "bias": 1e-7}
 ERROR_STEPS = np.full(N_ERRORS, 1e-5)
 ERROR_STEPS[GROUP_SLICES["accel_bias"]] = 1e-4
 
@@ -75,7 +76,9 @@ def allowed(case, kind, name, shape):
     angle = RATE * seconds
     h = np.array([step_of(name, i) for i in range(shape[-1])])
     # Left when the residual turns with a vector of the size given, by the angle h.
-    turning = {"force": G, "rate": ω, "turn": 2.0, "start": 4.0, "base": 1.0, "mounting": 1.0}.get(kind, 0.0)
+    turning = {"force": G, "rate": ω, "turn": 2.0, "start": 4.0, "end": 4.0, "base": 1.0, "mounting": 1.0}.get(
+        kind, 0.0
+    )
     rounding = {"force": G * D_accel, "rate": 1e-2 * D, "turn": 10.0}.get(kind, 10.0) * 10.0 * EPS / h
     own = two_sided * (name == "bias" and case.joint.bias_walks)
     size = D * (seconds if name == "bias" else angle)
@@ -86,7 +89,7 @@ def allowed(case, kind, name, shape):
     }
     of_earth = {"turn": seconds * ((ω * seconds) ** 2 + (h * seconds) ** 2)}
     left = {"errors": of_errors, "bias": of_errors, "earth_rate": of_earth}.get(name, {}).get(kind, 0.0)
-    if name in {"attitude", "base", "mounting"}:
+    if name in {"attitude", "base", "mounting", "non_orthogonality"}:
         left = turning * h**2
     return left + rounding
 
@@ -103,7 +106,7 @@ def test_system_against_played_back_differences(motions, variant, size):
         return unwhitened(linearise(joint, state, joint.compensate(state), system.free, case.prior))
 
     seen = set()
-    for name in ("errors", "bias", "base", "mounting", "gravity", "earth_rate", "attitude"):
+    for name in ("errors", "bias", *FIXTURE, "gravity", "earth_rate", "attitude"):
         columns = system.of(name)
         expected = {kind: np.empty((*r.shape, len(columns))) for kind, (r, _) in found.items()}
         for i, column in enumerate(columns.tolist()):
@@ -122,8 +125,8 @@ def test_system_against_played_back_differences(motions, variant, size):
                 assert np.abs(block).max() > 10.0 * np.max(tolerance), (kind, name)
     assert {("force", "attitude"), ("rate", "attitude"), ("turn", "attitude"), ("turn", "errors")} <= seen
     if VARIANTS[variant].fixture_states and not VARIANTS[variant].free:
-        assert {("start", n) for n in ("attitude", "base", "mounting")} <= seen
-        assert {("force", "gravity"), ("base", "base"), ("mounting", "mounting"), ("gravity", "gravity")} <= seen
+        assert {(kind, n) for kind in ("start", "end") for n in ("attitude", *FIXTURE)} <= seen
+        assert {("force", "gravity"), ("gravity", "gravity"), *zip(FIXTURE, FIXTURE, strict=True)} <= seen
     if VARIANTS[variant].prior:
         assert {("prior", "errors"), ("prior", "bias")} <= seen
     if VARIANTS[variant].walk:

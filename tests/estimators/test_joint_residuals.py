@@ -131,31 +131,36 @@ def test_start_attitude(size):
     np.testing.assert_allclose(found, np.pad(off, ((0, 0), (0, 1))), rtol=0, atol=20.0 * EPS)
 
     A = executed @ away(size, 8)
-    residual, by_attitude, by_base, by_U = model.start_attitude_residual(A, nominal, base, U, HEADING)
+    lean = 0.1
+    residual, by_attitude, by_base, by_U, by_lean = model.start_attitude_residual(A, nominal, base, U, HEADING, lean)
+    residual = residual - [0.0, 0.0, math.sin(lean)]
     # Where the inner axis leans, the inner angle turns faster than the attitude does, by the cosine of the lean.
     assert np.abs(residual - found).max() <= size / math.cos(size) + 20.0 * EPS
     turn = in_turn(8)
 
-    def at(a=0.0, b=0.0, u=0.0):
+    def at(a=0.0, b=0.0, u=0.0, n=0.0):
         a, b, u = (turn(np.zeros(3) + v) for v in (a, b, u))
-        return model.start_attitude_residual(A @ a, nominal, base @ b[0], U @ u[0], HEADING)[0]
+        return model.start_attitude_residual(A @ a, nominal, base @ b[0], U @ u[0], HEADING, lean + n)[0]
 
     # The angles are singular where the inner axis lies along the outer one, a right angle from square.
     atol = numerical(4.0, math.pi / 2.0 - 0.3)
     assert np.abs(by_attitude - derivative(lambda v: at(a=v))).max() <= atol
     assert np.abs(by_base - derivative(lambda v: at(b=v))).max() <= atol
     assert np.abs(by_U - derivative(lambda v: at(u=v))).max() <= atol
+    assert np.abs(by_lean - derivative(lambda v: at(n=v[0]))[..., :1]).max() <= atol
 
 
 @pytest.mark.parametrize("lean", [1e-9, 1e-3, 0.3])
 def test_lean_of_the_axes(lean):
-    """The third component is the sine of what the fixture's axes are from square."""
+    """The third component is the sine of what the fixture's axes are from square, less what is known of it."""
     base, U = sims.rotation(DRAW.base), MARS @ sims.rotation(DRAW.mounting).T
     A = FixtureGeometry(FIXTURE.base_from_ned, lean, FIXTURE.body_from_inner).attitude(*ANGLES[0])
     nominal = Rotation.from_euler("YZ", ANGLES[0][::-1]).as_matrix()
     found = model.start_attitude_residual(A[None], nominal[None], base, U, HEADING)[0][0]
     assert abs(found[2] + math.sin(lean)) <= 10.0 * EPS
     assert abs(found[0]) <= lean**2 + 10.0 * EPS
+    known = model.start_attitude_residual(A[None], nominal[None], base, U, HEADING, lean)[0][0]
+    np.testing.assert_allclose(known, 0.0, rtol=0.0, atol=20.0 * EPS)
 
 
 @settings(deadline=None)

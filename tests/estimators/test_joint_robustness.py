@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import recorded_sets
 from scipy.linalg import rq
+from scipy.stats import binom
 
 import srt
 from sims.physics.fixture import rotation
@@ -327,10 +328,11 @@ def lean(seed, non_orthogonality):
 @sized(1, 5)
 @pytest.mark.parametrize("lean_mrad", [0.3, 1.0])
 def test_axes_not_square_do_no_harm(lean_mrad, count):
-    """The inner axis leans from square, which no state describes.
+    """The inner axis leans from square: a state of the joint estimators, which the closed form does not have.
 
-    Only the start attitude is misjudged, by at most the lean, and with it the Earth's rate in the data processing and
-    in the windows: 1 mrad of 7.3e-5 rad/s over a turn of 17 s is 1.2 µrad, a third of a sigma of the turn's own noise.
+    There only the start attitude is misjudged, by at most the lean, and with it the Earth's rate in the data processing
+    and in the windows: 1 mrad of 7.3e-5 rad/s over a turn of 17 s is 1.2 µrad, a third of a sigma of the turn's own
+    noise. Joint estimation: a prior of 1 mrad against 34 poses to 10 µrad draws the lean by (10/1000)²/34 of itself.
     """
     for seed in range(count):
         square, leaning = lean(seed, 0.0), lean(seed, lean_mrad * 1e-3)
@@ -340,7 +342,7 @@ def test_axes_not_square_do_no_harm(lean_mrad, count):
             assert here.status == "converged"
             z = np.abs(here.errors.vector - there.errors.vector) / there.sigma
             moved[estimator] = (round(float(z.max()), 3), NAMES[int(z.argmax())])
-            assert z.max() < 1.0, moved
+            assert z.max() < (1.0 if estimator == "closed-form" else 0.05), moved
         print(f"\ninner axis {lean_mrad} mrad from square, draw {seed}: moved by sigmas {moved}")
 
 
@@ -359,7 +361,8 @@ def wobbling(seed):
     truth = accuracy_trials.normal_errors(rng, 1e-3, 10.0 * DEG_PER_H)
     site = replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + rng.standard_normal() * SITE.gravity_sigma_m_s2)
     draw = replace(
-        accuracy_trials.fixture_errors(rng, 1e-3), wobble=WOBBLE * rng.standard_normal(len(accuracy_trials.TABLE_1))
+        accuracy_trials.fixture_errors(rng, 1e-3),
+        wobble=WOBBLE * rng.standard_normal((len(accuracy_trials.TABLE_1), 2)),
     )
     motion = table1_motion(site=site, sample_rate_hz=50.0, fixture_draw=draw, stated_fixture=Fixture(0.0, 1e-3, 1e-3))
     return read_out(motion.stated_as(site=SITE), truth, accuracy_trials.GRADES["navigation"], rng), truth
@@ -370,21 +373,23 @@ def wobbling(seed):
 def test_a_fixture_that_wobbles(estimator, count):
     """A wobble of 2 seconds of arc is what is allowed for where none is stated; stated as none, it is contradicted.
 
-    The mean of NEES / 27 has a standard error of √(2 / 27 n). Warnings of contradiction come by chance in one unit of a
-    thousand.
+    The mean of NEES / 27 has a standard error of √(2 / 27 n). By chance, each of 17 sequences contradicts the others in
+    one unit of ten thousand.
     """
-    nees, contradicted, stated_still = [], 0, 2 if count < 200 else 4
+    nees, contradicted, stated_still, by_chance = [], 0, 2 if count < 200 else 4, 0
     for seed in range(700, 700 + count):
         recording, truth = wobbling(seed)
         assert recording.fixture.wobble == pytest.approx(WOBBLE)
         found, told = contradictions(recording, estimator)
-        assert found.status == "converged"
+        assert found.status in {"converged", "inconsistent"}
+        assert not told
         error = found.errors.vector - truth.vector
         nees.append(float(error @ np.linalg.solve(found.covariance, error)) / 27.0)
         if seed < 700 + stated_still:
             still = replace(recording, fixture=replace(recording.fixture, wobble_sigma_rad=0.0))
             contradicted += contradictions(still, estimator)[0].judgement.word != "sound"
-            assert not told
+        by_chance += found.status == "inconsistent"
+    assert by_chance <= binom.isf(1e-3, count, 17.0 * 1e-4)
     assert abs(np.mean(nees) - 1.0) < 3.5 * math.sqrt(2.0 / 27.0 / count)
     assert contradicted >= stated_still / 2
 

@@ -257,11 +257,13 @@ def starts_hold(model):
     lean = 0.05
     leaning = FixtureGeometry(FIXTURE.base_from_ned, lean, FIXTURE.body_from_inner).attitude(*START)[None]
 
-    def residual(a=0.0, b=0.0, u=0.0):
+    def residual(a=0.0, b=0.0, u=0.0, n=0.0):
         a, b, u = (turned_by(np.zeros(3) + v) for v in (a, b, u))
-        return model.start_attitude_residual(ELSEWHERE @ a, nominal[:2], BASE @ b, MOUNTED @ u, HEADING)[0]
+        return model.start_attitude_residual(ELSEWHERE @ a, nominal[:2], BASE @ b, MOUNTED @ u, HEADING, lean + n)[0]
 
-    _, by_attitude, by_base, by_U = model.start_attitude_residual(ELSEWHERE, nominal[:2], BASE, MOUNTED, HEADING)
+    _, by_attitude, by_base, by_U, by_lean = model.start_attitude_residual(
+        ELSEWHERE, nominal[:2], BASE, MOUNTED, HEADING, lean
+    )
     return (
         close(model.start_attitude_residual(attitude, nominal, BASE, MOUNTED, HEADING)[0], [*off, 0.0], 1e-14)
         and close(
@@ -270,6 +272,10 @@ def starts_hold(model):
         and close(by_attitude, derivative(lambda v: residual(a=v)), NUMERICAL)
         and close(by_base, derivative(lambda v: residual(b=v)), NUMERICAL)
         and close(by_U, derivative(lambda v: residual(u=v)), NUMERICAL)
+        and close(by_lean[..., 0], derivative(lambda v: residual(n=v[0]))[..., 0], NUMERICAL)
+        and close(
+            model.start_attitude_residual(leaning, nominal[:1], BASE, MOUNTED, HEADING, lean)[0][0, 2], 0.0, 1e-14
+        )
     )
 
 

@@ -137,7 +137,7 @@ def test_derivatives_predict_what_the_simulator_measures(size):
     e = Rotation.from_matrix(still.attitudes[:, 1].transpose(0, 2, 1) @ moved.attitudes[:, 1]).as_rotvec()
     unknowns = np.array([*draw.base, *draw.mounting, draw.non_orthogonality, gravity])
     unknowns = np.hstack([np.tile(unknowns, (4, 1)), draw.starts])
-    unknowns[:, 6] += draw.wobble
+    unknowns[:, 6] += draw.wobble[:, 0]
     predicted = model.errors @ change
     predicted += np.einsum("krp,kp->kr", model.fixture, unknowns) + np.einsum("krp,kp->kr", model.end, e)
     np.testing.assert_allclose(new_means - means, predicted[:, :12], rtol=0.0, atol=1e-11)
@@ -149,6 +149,51 @@ def test_derivatives_predict_what_the_simulator_measures(size):
     # The Earth turns by a milliradian meanwhile; what does not commute in a sample is (β̇ dt / 2)² for each rotation.
     between = Rotation.from_matrix(model.turn.transpose(0, 2, 1) @ rotations).magnitude()
     assert between.max() < 8.0 * (0.5 / 200.0) ** 2
+
+
+def test_derivatives_predict_the_moves():
+    """As of the sequences; only moves that turn are measured, and a gap is none."""
+    rng = np.random.default_rng(8)
+    # No move turns by half a turn, whose sense the smallest error decides.
+    schedule = table("1", "1a", "6", "2", "7", moves="recorded", pause_s=0.3)
+    model = linearise(schedule, site=SITE, imu=NAVIGATION).moves
+    assert model.before.tolist() == [1, 2, 3]  # 1a starts where 1 ends
+    assert not linear().moves.before.size
+    attitude = linearise(schedule, site=SITE, imu=NAVIGATION).attitude
+    change = rng.standard_normal(N_PARAMETERS) * 1e-7
+    draw = sims.draw_fixture(rng, schedule.sequences, **fixture(1e-7))
+    results, ends = [], []
+    for drawn, added in ((None, 0.0 * change), (draw, change)):
+        motion = sims.run_schedule(schedule, site=SITE, fixture_draw=drawn)
+        angles = compensated(motion, exact_increments(motion, SensorErrors(added))[0], SensorErrors())
+        windows = np.searchsorted(motion.time, np.array(motion.windows) + 0.5 * motion.interval, side="right")
+        results.append([turned(angles[a:b]) for a, b in zip(windows[:-1, 1, 1], windows[1:, 0, 0], strict=True)])
+        ends.append(motion.attitudes[:, 1])
+    still, moved = (np.array(r)[model.before] for r in results)
+    common = np.array([*draw.base, *draw.mounting, draw.non_orthogonality, 0.0])
+    of_start = np.hstack([np.tile(common, (5, 1)), draw.starts])
+    of_start[:, 6] += draw.wobble[:, 0]
+    end = Rotation.from_matrix(ends[0].transpose(0, 2, 1) @ ends[1]).as_rotvec()
+    start = np.einsum("kap,kp->ka", attitude[:, 0], of_start)
+    predicted = model.errors @ change - end[model.before]
+    predicted += np.einsum("mab,mb->ma", model.turn, start[model.before + 1])
+    rho = Rotation.from_matrix(moved @ still.transpose(0, 2, 1)).as_rotvec()
+    # A sample in which a rotation begins or ends, 10 rad/s² over 5 ms, can have the wrong slope of |ω|: four of a move.
+    tolerance = 1e-11 + 4.0 * 0.5 * 10.0 * 0.005**2 * np.abs(change).max()
+    np.testing.assert_allclose(rho, predicted, rtol=0.0, atol=tolerance)
+    assert np.abs(rho).max() > 1e3 * tolerance
+
+
+def test_moves_lower_the_bound():
+    """Gyro parameters gain most: a move turns by as much as a sequence, and its ends are windows that are there."""
+    known = fixture(1e-3) | {"wobble_sigma_rad": 1e-5}
+    recorded = linearise(table(moves="recorded"), site=SITE, imu=NAVIGATION, sample_rate_hz=100.0)
+    without, with_moves = linear().bound(known, 5e-6).covariance, recorded.bound(known, 5e-6).covariance
+    assert_not_below(without, with_moves)
+    ratio = np.sqrt(np.diag(with_moves) / np.diag(without))
+    assert ratio[GROUP_SLICES["gyro_asymmetry"]].max() < 0.9
+    covariance = recorded._covariance()
+    assert np.linalg.eigvalsh(covariance / np.sqrt(np.outer(*[np.diag(covariance)] * 2)))[0] > 0.0
 
 
 def test_noise_is_that_of_noisy_readings():
@@ -201,7 +246,10 @@ def test_noise_is_that_of_windows_of_their_own_lengths():
 
 
 def test_bound_is_the_inverse_information_of_all_unknowns_at_once():
-    """Nothing eliminated, the bias of each sequence an unknown of its own: 24, 3K, 8, 2K, 3K and K unknowns."""
+    """The bias of each sequence and its whole end attitude unknowns of their own: 24, 8, 3K, 2K, 3K and K unknowns.
+
+    The end attitude is free but for the angle between its axes, which is that of the fixture to within the wobble.
+    """
     model, K = linear(), len(sims.TABLE_1)
     known = dict(zip(FIXTURE_SIGMAS, (2e-4, 1e-3, 5e-4, 3e-4, 7e-4, 5e-6), strict=True))
     level, north, mounting, skew, rotation, wobble = known.values()
@@ -220,6 +268,13 @@ def test_bound_is_the_inverse_information_of_all_unknowns_at_once():
     information[start, start] += 1.0 / rotation**2
     lean = 32 + own * np.arange(K) + 8
     information[lean, lean] += 1.0 / wobble**2
+    of_end = model.attitude[:, 1]
+    across = np.cross(of_end[:, :, 8], of_end[:, :, 9])  # of the rotations of both axes
+    squareness = np.zeros((K, len(information)))
+    squareness[:, 24:32] = -np.einsum("ka,kap->kp", across, of_end[:, :, :8])
+    squareness[np.arange(K)[:, np.newaxis], 32 + own * np.arange(K)[:, np.newaxis] + np.arange(5, 8)] = across
+    squareness /= (np.einsum("ka,ka->k", across, of_end[:, :, 6]) * wobble)[:, np.newaxis]
+    information += squareness.T @ squareness
     step = np.zeros((K - 1, 3, len(information)))
     step[np.arange(K - 1)[:, np.newaxis], np.arange(3), bias[1:]] = 1.0 / walk
     step[np.arange(K - 1)[:, np.newaxis], np.arange(3), bias[:-1]] = -1.0 / walk

@@ -147,7 +147,7 @@ def test_attitudes_with_all_fixture_errors():
             expected = (
                 base
                 * Rotation.from_euler("y", outer + error[1])
-                * Rotation.from_euler("x", draw.non_orthogonality + draw.wobble[number])
+                * Rotation.from_euler("x", draw.non_orthogonality + draw.wobble[number, end])
                 * Rotation.from_euler("z", inner + error[0])
                 * Rotation.from_rotvec(draw.mounting)
             ).as_matrix() @ U.T
@@ -157,7 +157,7 @@ def test_attitudes_with_all_fixture_errors():
 @pytest.mark.parametrize("moves", ["skipped", "recorded"])
 def test_still_windows_sense_the_earth_and_gravity(moves):
     ids = ("1", "12", "9", "14")
-    draw = imperfect(np.random.default_rng(11), ids, wobble=1e-3 if moves == "skipped" else 0.0)
+    draw = imperfect(np.random.default_rng(11), ids, wobble=1e-3)
     motion = sims.table1_motion(
         site=SITE,
         sequences=ids,
@@ -178,24 +178,44 @@ def test_still_windows_sense_the_earth_and_gravity(moves):
             np.testing.assert_array_equal(motion.velocity_abs[rows], np.abs(motion.velocity[rows]))
 
 
-def test_increments_compose_to_the_attitudes():
-    # One axis turns at a time, so each increment is a rotation about an axis fixed in B.
+@pytest.mark.parametrize("moves", ["skipped", "recorded"])
+def test_increments_compose_to_the_attitudes(moves):
+    # One axis turns at a time, so each increment is a rotation about an axis fixed in B, but for the wobble.
     ids = ("6", "13", "4")
-    draw = imperfect(np.random.default_rng(12), ids, 0.02, 0.02)
+    wobble = 0.002
+    draw = imperfect(np.random.default_rng(12), ids, 0.02, wobble)
     U = sims.rotation([0.3, -0.2, 0.5])
     motion = sims.table1_motion(
-        site=SITE, sequences=ids, sample_rate_hz=200.0, dwell_s=0.5, fixture_draw=draw, U=U, earth_rate=False
-    )
-    starts = [*motion.piece_starts, len(motion.time)]
-    for number, (begin, end) in enumerate(pairwise(starts)):
-        turned = motion.attitudes[number, 0]
-        # A sample that holds the end of one rotation and the start of the next loses their order: an error of
-        # the product of the two angles, ramps of 10 rad/s² over 5 ms at most.
-        for step in Rotation.from_rotvec(motion.angle[begin:end]).as_matrix():
+        site=SITE, sequences=ids, sample_rate_hz=200.0, dwell_s=0.5, fixture_draw=draw, U=U, earth_rate=False,
+        moves=moves,
+    )  # fmt: skip
+    # A sample that holds the end of one rotation and the start of the next loses their order: an error of
+    # the product of the two angles, ramps of 10 rad/s² over 5 ms at most. While an axis turns at 1 rad/s, the axis of
+    # the wobble turns in B, of which a sample loses ω ε̇ dt³ / 6 at most: ω ε̇ dt² / 6 of a second, and 30 s turn.
+    half = (0.5 * 10.0 * 0.005**2) ** 2
+    bound = 14 * half + 30.0 * (4.0 * wobble / 1.5) * 0.005**2 / 6.0
+    edges = [(begin, end) for pair in motion.windows for _, begin in pair[:1] for end, _ in pair[1:]]
+    if moves == "recorded":
+        assert len(motion.piece_starts) == 1
+        edges += [(before[1][1], after[0][0]) for before, after in pairwise(motion.windows)]
+        attitudes = [*motion.attitudes, *zip(motion.attitudes[:-1, 1], motion.attitudes[1:, 0], strict=True)]
+    else:
+        attitudes = list(motion.attitudes)
+    for (begin, end), (start, expected) in zip(edges, attitudes, strict=True):
+        turned = start
+        for step in Rotation.from_rotvec(motion.angle[rows_in(motion, begin, end)]).as_matrix():
             turned = turned @ step
-        corners = len(draw.legs[number])
-        bound = corners * (0.5 * 10.0 * 0.005**2) ** 2
-        np.testing.assert_allclose(turned, motion.attitudes[number, 1], atol=bound + 3e-14)
+        np.testing.assert_allclose(turned, expected, atol=bound + 3e-14)
+
+
+def test_wobble_changes_with_the_motion_only():
+    draw = sims.FixtureDraw(wobble=np.array([[1e-3, -2e-3], [3e-3, 4e-3]]))
+    # From the end of 1 to the start of 1a nothing moves: without a motion the wobble stays.
+    still = sims.table1_motion(site=SITE, sequences=("1", "1a"), dwell_s=1.0, moves="recorded", fixture_draw=draw)
+    np.testing.assert_allclose(still.attitudes[1, 0], still.attitudes[0, 1], atol=1e-12)
+    gap = sims.table1_motion(site=SITE, sequences=("1", "1a"), dwell_s=1.0, fixture_draw=draw)
+    lean = Rotation.from_matrix(gap.attitudes[0, 1].T @ gap.attitudes[1, 0]).as_rotvec()
+    np.testing.assert_allclose(lean, [5e-3, 0.0, 0.0], atol=1e-12)
 
 
 def test_single_rotation_with_errors_composes_exactly():
@@ -458,14 +478,10 @@ def test_free_sums_do_not_depend_on_the_sample_rate():
             "2, 2",
         ),
         (
-            lambda: sims.table1_motion(site=SITE, sequences=("1",), fixture_draw=sims.FixtureDraw(wobble=np.zeros(2))),
-            r"wobble of shape \(2,\) for 1 sequences",
-        ),
-        (
             lambda: sims.table1_motion(
-                site=SITE, sequences=("1",), fixture_draw=sims.FixtureDraw(wobble=np.zeros(1)), moves="recorded"
+                site=SITE, sequences=("1",), fixture_draw=sims.FixtureDraw(wobble=np.zeros((2, 2)))
             ),
-            "during a move is not simulated",
+            r"wobble of shape \(2, 2\) for 1 sequences",
         ),
     ],
 )
