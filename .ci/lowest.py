@@ -47,8 +47,17 @@ INSTALLATIONS = {
     "lowest": Installation(
         "all",
         (),
-        ("tests/model", "tests/noise", "tests/estimation", "tests/sequences", "tests/result", "tests/mount")
-        + ("tests/recording", "tests/estimators/test_joint_agreement.py", "tests/comparison"),
+        (
+            "tests/model",
+            "tests/noise",
+            "tests/estimation",
+            "tests/sequences",
+            "tests/result",
+            "tests/mount",
+            "tests/recording",
+            "tests/estimators/test_joint_agreement.py",
+            "tests/comparison",
+        ),
     ),
     "core": Installation("", ("gtsam", "filterpy", "pydantic", "h5py", "matplotlib"), NUMPY_AND_SCIPY_TESTS),
     "no-gtsam": Installation("cli,ekf,io,sims", ("gtsam",), ("tests/estimators", "tests/comparison")),

@@ -124,7 +124,7 @@ class GraphSolver(JointSolver):
         return self.calls >= len(self.stages)
 
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Relinearise the attitudes and update the weights until both converge, once the sensor errors are close."""
+        """Relinearise the attitudes and update the weights until both converge; runs when the errors are close."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
         prior = default_prior() if self.prior is None and self.observability_pending else self.prior

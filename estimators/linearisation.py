@@ -69,7 +69,7 @@ def linearise(
 
 
 def edge_numbers(joint: JointModel, compensated: CompensatedData) -> Indices:
-    """Number of the unknown quantization error at both edges of every window, shape (W, 2); −1 if not estimated."""
+    """Index of the unknown quantization error at both edges of every window, shape (W, 2); −1 if not estimated."""
     shared = np.stack([joint.is_end, joint.is_start], axis=1) & bool(compensated.edge_slope.any())
     numbers = np.cumsum(shared.ravel()).reshape(shared.shape) - 1
     return np.where(shared, numbers, -1)

@@ -1,4 +1,4 @@
-"""From a recording folder to a calibrated, corrected sample, in ten lines."""
+"""Calibrate a recording folder and correct its samples, in ten lines."""
 
 import sims
 import srt

@@ -184,7 +184,7 @@ def bump(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     "µrad/s",
 )
 def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """With a loose clamp, the unit tilts under gravity at constant rate during one window."""
+    """The unit tilts under gravity at constant rate during one window, as in a loose clamp."""
     motion = case.simulation.motion
     (a, b), force = _window(motion, rng)
     axis = np.cross(force, rng.standard_normal(3))

@@ -18,10 +18,10 @@ The limit keeps the expected number of false flags in a table of 27 parameters a
 is at most 1 %, for any correlation of the parameters (Bonferroni). It is the solution c of ``27 n T(n, c) =
 0.01``, with T the probability that the z of one sound unit exceeds c in size where all σ are equal,
 :func:`tail_probability`: a common σ acts as scatter between the units, and T does not depend on it. For unequal σ,
-``s² + σ_0²`` replaces s², and ``σ_i² − σ_0²`` replaces σ_i²: errors beyond the common ones widen S for all units, and
-the unit's own ones are in the denominator in full. The false-alarm rate is then below the stated one, never above
-(tests/comparison/test_fleet.py). Subtracting the σ of each pair from its difference would estimate s itself, but with
-unequal σ a few accidental agreements make that estimate vanish: it flagged good units in most fleets.
+``s² + σ_0²`` replaces s², and ``σ_i² − σ_0²`` replaces σ_i²: measurement errors above σ_0 increase S for all units, and
+those of the tested unit are counted in full in the denominator. The false-alarm rate is then below the stated one,
+never above (tests/comparison/test_fleet.py). Subtracting the σ of each pair from its difference would estimate s
+itself, but with unequal σ a few accidental agreements make that estimate vanish: it flagged good units in most fleets.
 """
 
 from __future__ import annotations
@@ -283,8 +283,8 @@ def _of_large_fleet(y: Array) -> tuple[float, float]:
 def _pairs_within(y: Array, size: float) -> Counts:
     """Number of later values that differ from each value by at most ``size``, for sorted values of shape (n,).
 
-    A rounded difference grows with the later value, so the count is a position in the sorted values. The sum with the
-    size finds it but for the rounding of the sum, which the two loops undo.
+    A rounded difference grows with the later value, so the count is a position in the sorted values. A search for
+    ``y + size`` finds this position up to the rounding of the sum; the two loops correct that.
     """
     end = np.searchsorted(y, y + size, side="right")
     while np.any(more := (end < len(y)) & (y[np.minimum(end, len(y) - 1)] - y <= size)):
@@ -313,8 +313,8 @@ def _without_each_of_many(values: Array) -> tuple[Array, Array]:
     """Median and scatter of all but each of n values, shape (n,), in time n log n and memory n.
 
     Without a unit, the difference of a rank moves up by the number of the unit's own pairs before it, at most n − 1.
-    So it is the one of that rank among all pairs, or lies between it and the one n − 1 ranks above, which leaves at
-    most n − 2 pairs to sort.
+    So it lies between the pair of that rank among all pairs and the pair n − 1 ranks above, both included, which leaves
+    at most n − 2 pairs to sort.
     """
     n = len(values)
     order = np.argsort(values)

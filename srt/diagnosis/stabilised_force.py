@@ -1,4 +1,4 @@
-"""Gyro-stabilised specific force: that of the rotations, in the frame at the start of each sequence."""
+"""Gyro-stabilised specific force during the rotations, in the frame at the start of each sequence."""
 
 from __future__ import annotations
 

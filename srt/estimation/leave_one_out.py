@@ -12,9 +12,9 @@ every parameter and its variance. A parameter is *lost* if its sigma grows a hun
 would fix it; it then keeps its value and the others are estimated with it fixed.
 
 The rows of a sequence are its two horizontal components and the down components of windows that no other sequence uses.
-Its windows also leave the pooled rest rate; where a sequence has a bias of its own, the remaining pooled rate changes
-that bias. The noise figures are those found with all sequences. The known heading is also the same, although a gap in a
-chain of free rotations would reduce its accuracy.
+Its windows are also removed from the pooled rest rate; where each sequence has its own bias, this changes the biases of
+the others. The noise figures are those found with all sequences. So is the accuracy of a known heading, although a gap
+in a chain of free rotations would reduce it.
 """
 
 from __future__ import annotations

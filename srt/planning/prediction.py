@@ -1,4 +1,4 @@
-"""Predicted accuracy of a list of sequences: covariance, share of each noise source, parameters that depend on each."""
+"""Predicted accuracy of a list of sequences: covariance, noise sources, and parameters that depend on each sequence."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ a sigma of 3e4 targets, far beyond the limit of an observed parameter."""
 OBSERVED_LIMIT: Final = 1e3
 """Sigma over target up to which a parameter counts as observed."""
 _LEAST_GROWTH: Final = 1.02
-"""Growth of sigma without a sequence from which on the parameter is said to depend on it."""
+"""Smallest growth factor of sigma without a sequence for which a parameter is listed as depending on it."""
 _MOST_LISTED: Final = 3
 """Parameters listed for one sequence."""
 

@@ -133,8 +133,8 @@ class Recognition:
         return tuple(name for name in SEQUENCES if self.ids.count(name) > 1)
 
     @property
-    def misnamed(self) -> str:
-        """Axis names that match the sequences, as "the gyro axes are read as x,-y,z"; empty if those given match."""
+    def axis_renaming(self) -> str:
+        """Axis names that match the sequences, as "the gyro axes are read as x,-y,z"; empty if the given ones do."""
         said = [
             f"the {sensor} axes are read as {mapping_text(P)}"
             for sensor, P in zip(("gyro", "accelerometer"), self.mapping, strict=True)
@@ -156,8 +156,8 @@ class Recognition:
             parts.append(f"{', '.join(self.missing)} missing")
         if others:
             parts.append(f"{others} other turn{'s' if others > 1 else ''}, as moves between them")
-        if self.misnamed:
-            parts.append(f"if {self.misnamed}")
+        if self.axis_renaming:
+            parts.append(f"if {self.axis_renaming}")
         least = min(self.confidence)
         return f"{said}: {'; '.join(parts)}; least confidence {least:.2f}."
 
@@ -260,9 +260,9 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
     found = recognise(recording)
     if not found.labels:
         return recording, None
-    if found.misnamed:
+    if found.axis_renaming:
         raise DataError(
-            f"The turns are those of Table 1 only if {found.misnamed}: name the axes so when the recording is "
+            f"The turns are those of Table 1 only if {found.axis_renaming}: name the axes so when the recording is "
             "converted, or label the sequences."
         )
     return labelled(recording, found.labels), found

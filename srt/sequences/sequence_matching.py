@@ -56,7 +56,7 @@ _TRIED: Final = 4
 def _mappings() -> list[tuple[Array, Array]]:
     """Alternative namings of the axes: of the accelerometers, of the gyros, or of both.
 
-    In the last case both signs of the gyros are tried, because left-handed axes occur with either sign rule.
+    If both sensors are renamed, both signs of the gyros are tried: left-handed axes occur with either sign of rotation.
     """
     eye = np.eye(3)
     signed = [

@@ -24,7 +24,7 @@ def averaging_weights(n: int, algorithm: Average) -> Array:
     """Weights of n samples, which sum to 1.
 
     "linear" is the plain mean; "overlapping" the mean of all means over half the window, which is a triangle (a
-    trapezoid for odd n). Both answer a unit ramp with F_Meas = 1/2 (Savage 2020, after eq. 22).
+    trapezoid for odd n). The weighted mean of a unit ramp is F_Meas = 1/2 with both (Savage 2020, after eq. 22).
     """
     if algorithm == "linear" or n < 2:
         return np.full(n, 1.0 / n)
