@@ -88,8 +88,6 @@ def apply(
         from srt.reports.text.calibration import held_summary
 
         warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
-    if header is not None and "g_sensitivity" in calibration.diagnostics:
-        warn(f"{c_header} does not contain the gyro g-sensitivity; {calibration_file} does.")
     if not quiet:
         if corrected is not None:
             axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"
@@ -223,7 +221,6 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
 
     import numpy as np
 
-    from srt.estimation.g_sensitivity import KEY, compensate_g_sensitivity
     from srt.result.applier import Applier
 
     applier = Applier(calibration, frame=frame)
@@ -240,10 +237,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
             ["the whole recording"],
             interval_s=recording.nominal_interval_s,
         )
-    dt, raw = recording.interval_s if increments else None, recording.gyro
-    if KEY in calibration.diagnostics:
-        raw = compensate_g_sensitivity(calibration, raw, recording.accel, kind=recording.kind, dt=dt)
-    gyro, accel = applier.apply(raw, recording.accel, dt=dt)
+    gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
     noise = replace(recording.noise, gyro_range=None, accel_range=None)
     return replace(recording, gyro=gyro, accel=accel, noise=noise)
 

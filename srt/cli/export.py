@@ -42,6 +42,10 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option("--rate-hz", type=float, help="Sample rate; default: the recording's.")
 @click.option("--gyro-random-walk", type=float, help="Random walk of the gyro biases, rad/s^2/sqrt(Hz).")
 @click.option("--accel-random-walk", type=float, help="Random walk of the accelerometer biases, m/s^3/sqrt(Hz).")
+@click.option("--prefix", help="Prefix of the names in a C header.  [default: imu]")
+@click.option("--precision", type=click.Choice(("double", "float")), help="Numbers of a C header.")
+@click.option("--samples", type=click.Choice(("both", "rate", "increment")), help="Functions of a C header.")
+@click.option("--namespace", help="Namespace of C++ around a C header.")
 @click.option("--inflate", type=float, help="Factor on noise densities and random walks.  [default: 1]")
 @click.option("--instance", type=int, help="Number of the IMU of an autopilot, from 0; default: that of the log.")
 @click.option(
@@ -66,6 +70,10 @@ def export(
     accel_random_walk: float | None,
     inflate: float | None,
     instance: int | None,
+    prefix: str | None,
+    precision: str | None,
+    samples: str | None,
+    namespace: str | None,
     applied: str | None,
     force: bool,
     trust: bool,
@@ -106,7 +114,18 @@ def export(
         readings=readings,
         frame=frame,
         asymmetry="fit" if fit_asymmetry else "leave",
-        settings=ExportSettings(topic, rate_hz, gyro_random_walk, accel_random_walk, instance, inflate),
+        settings=ExportSettings(
+            topic,
+            rate_hz,
+            gyro_random_walk,
+            accel_random_walk,
+            instance,
+            inflate,
+            prefix,
+            precision,
+            samples,
+            namespace,
+        ),
         applied=None if applied is None else applied_of(applied, instance),
     )
     written = () if output is None else save(made, output)

@@ -10,11 +10,10 @@ from scipy.special import chdtrc
 
 from srt.comparison.merge_model import GROUP_OF, StackedEstimates, between_sigma, estimate, stack_estimates
 from srt.comparison.repeatability import repeatability
-from srt.estimation.g_sensitivity import KEY
 from srt.estimation.leave_one_out import SequenceDiagnostics, consistency_tests, leave_one_out_estimates, verdict
 from srt.exceptions import DataError, InputError
 from srt.model.rotations import rotation_vector
-from srt.result.calibration import Calibration, software
+from srt.result.calibration import G_SENSITIVITY, Calibration, software
 from srt.result.verdict import DOUBTFUL, USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES, SensorErrors
 
@@ -269,7 +268,7 @@ def _warnings(
             + (f"; the scatter of {', '.join(groups)} from recording to recording is in the merged sigmas." if groups
                else ", and the merged sigmas do not hold it.")
         )  # fmt: skip
-    following = [title for title, c in used.items() if KEY in c.diagnostics]
+    following = [title for title, c in used.items() if G_SENSITIVITY in c.diagnostics]
     if following:
         said.append(f"The gyro g-sensitivity is not merged: {', '.join(following)} have it.")
     nameless = [title for title, c in used.items() if c.provenance.get("serial") is None]

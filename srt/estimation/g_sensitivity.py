@@ -20,25 +20,18 @@ rotation. The noise of f_w, multiplied by Γ, is neglected.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.exceptions import InputError
-
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from srt.model.analytic_platform import GyroStream
     from srt.model.sensor_model import Triad
-    from srt.result.calibration import Calibration
     from srt.types import Array
 
 
 MODE: Final = "g-sensitive"
 """Value of the option ``gyro_bias`` that estimates g-sensitivity."""
-KEY: Final = "g_sensitivity"
-"""Key of g-sensitivity in the diagnostics of a calibration."""
 LEAST_FORCE_VARIATION: Final = 0.1
 """Rms variation of the windows' specific force, in g, below which g-sensitivity along a direction is not observable."""
 
@@ -99,41 +92,3 @@ def compensate_stream(stream: GyroStream, force: Array, accel: Triad, matrix: Ar
     velocity = np.ascontiguousarray(accel.compensate(force.T).T) * stream.interval_s
     followed = matrix @ velocity
     return replace(stream, increments=stream.increments - followed, smooth=stream.smooth - followed, velocity=velocity)
-
-
-def compensate_g_sensitivity(
-    calibration: Calibration,
-    gyro: ArrayLike,
-    accel: ArrayLike,
-    *,
-    kind: Literal["rate", "increment"] = "rate",
-    dt: float | ArrayLike | None = None,
-) -> Array:
-    """Subtract Γ f from gyro readings; the result is an input of :meth:`srt.Calibration.apply`.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Made with ``gyro_bias="g-sensitive"``.
-    gyro, accel : array_like, shape (n, 3) or (3,)
-        Readings: rad/s and m/s², or for increments rad and m/s.
-    kind, dt
-        As for :meth:`srt.Calibration.apply`.
-
-    Returns
-    -------
-    ndarray
-        Gyro readings of the shape and unit of the input.
-
-    Raises
-    ------
-    InputError
-        If the calibration holds no g-sensitivity, or as :meth:`srt.Calibration.apply` raises it.
-    """
-    if KEY not in calibration.diagnostics:
-        raise InputError(
-            f"The calibration holds no g-sensitivity: calibrate with gyro_bias={MODE!r}, or apply it without this step."
-        )
-    force = calibration.apply(gyro, accel, kind=kind, dt=dt)[1]
-    matrix: Array = np.array(calibration.diagnostics[KEY]["matrix"], dtype=np.float64)
-    return np.asarray(np.asarray(gyro, dtype=np.float64) - force @ matrix.T)

@@ -14,7 +14,8 @@ from scipy.special import fdtrc
 
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.estimation import measurement_covariance
-from srt.estimation.g_sensitivity import KEY, LEAST_FORCE_VARIATION, MODE
+from srt.estimation.g_sensitivity import LEAST_FORCE_VARIATION, MODE
+from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution
@@ -67,7 +68,7 @@ def diagnostics(data: PreparedRecording, solution: Solution) -> dict[str, Any]:
     deviation = measurements.force - measurements.pool @ measurements.force
     followed = np.linalg.solve(measurements.gyro.matrix, solution.g_sensitivity)
     return {
-        KEY: {
+        G_SENSITIVITY: {
             "matrix": solution.g_sensitivity.tolist(),
             "sigma": sigma.tolist(),
             "covariance": P.tolist(),

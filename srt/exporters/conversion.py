@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.estimation.g_sensitivity import KEY
 from srt.exceptions import DataError, InputError, SrtError
 from srt.exporters.correction_difference import CorrectionDifference, Readings, compare_corrections
 from srt.exporters.export_model import APPLIED, ExportModel, ExportSettings
@@ -20,6 +19,7 @@ from srt.model.sensor_model import Triad, accel_triad, gyro_triad, outside_model
 from srt.recording.applied import NOTHING, AppliedCorrection, applied_correction
 from srt.recording.atomic_file import atomic_path
 from srt.result.applier import Applier
+from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -296,9 +296,9 @@ def _replaced(chosen: Exporter, calibration: Calibration, stated: AppliedCorrect
 
 
 def _g_sensitivity(calibration: Calibration, C_FB: Array) -> Array:
-    stated = calibration.diagnostics.get(KEY)
     # ω̃ = Mg ω + Γ f + b, and f = C_FBᵀ f_F
-    return np.zeros((3, 3)) if stated is None else np.array(stated["matrix"], dtype=np.float64) @ C_FB.T
+    matrix = calibration.g_sensitivity
+    return np.zeros((3, 3)) if matrix is None else matrix @ C_FB.T
 
 
 def _axes(
@@ -333,18 +333,18 @@ def _residuals(
 ) -> tuple[CorrectionDifference, ...]:
     """Differences from the calibration of the file, composed (``model``) or not (``alone``), on logged readings."""
     calibration, C_FB = model.calibration, model.C_FB
-    sensitivity = alone.g_sensitivity if chosen.g_sensitivity else np.zeros((3, 3))
     applied = model.applied or AppliedCorrection(NOTHING)
 
     def ours(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        if sensitivity.any():
-            gyro = gyro - calibration.apply(gyro, accel)[1] @ (sensitivity @ C_FB).T
         rate, force = calibration.apply(gyro, accel)
         return rate @ C_FB.T, force @ C_FB.T
 
-    def linear(gyro: Array, accel: Array) -> tuple[Array, Array]:
-        force = alone.accel.correct(accel)
-        return alone.gyro.correct(gyro - force @ sensitivity.T), force
+    def linear_with(sensitivity: Array) -> Correction:
+        def linear(gyro: Array, accel: Array) -> tuple[Array, Array]:
+            force = alone.accel.correct(accel)
+            return alone.gyro.correct(gyro - force @ sensitivity.T), force
+
+        return linear
 
     def of(values: Fields, *, biases: bool = False) -> Correction:
         def theirs(gyro: Array, accel: Array) -> tuple[Array, Array]:
@@ -356,7 +356,8 @@ def _residuals(
 
         return theirs
 
-    _check(chosen, readings, ours if chosen.asymmetry else linear, of(fields, biases=not chosen.biases))
+    held = linear_with(alone.g_sensitivity if chosen.g_sensitivity else np.zeros((3, 3)))
+    _check(chosen, readings, ours if chosen.asymmetry else held, of(fields, biases=not chosen.biases))
     out = [compare_corrections("this file", readings, ours, of(fields))]
     if model.applied is not None:
         out.append(compare_corrections("readings as logged", readings, ours, lambda gyro, accel: (gyro, accel)))
@@ -366,7 +367,7 @@ def _residuals(
     if not chosen.biases:
         out.append(compare_corrections("biases given beside it", readings, ours, of(fields, biases=True)))
     if _asymmetric(calibration) and not chosen.asymmetry:
-        out.append(compare_corrections("asymmetry alone", readings, ours, linear))
+        out.append(compare_corrections("asymmetry alone", readings, ours, linear_with(alone.g_sensitivity)))
     return tuple(out)
 
 
@@ -387,7 +388,7 @@ def _check(chosen: Exporter, readings: Readings, expected: Correction, found: Co
 
 def _losses(chosen: Exporter, calibration: Calibration) -> tuple[str, ...]:
     asymmetry = () if chosen.asymmetry or not _asymmetric(calibration) else ("scale-factor asymmetry",)
-    sensitivity = ("g-sensitivity",) if KEY in calibration.diagnostics and not chosen.g_sensitivity else ()
+    sensitivity = ("g-sensitivity",) if G_SENSITIVITY in calibration.diagnostics and not chosen.g_sensitivity else ()
     return (*asymmetry, *sensitivity, *chosen.losses, "covariance")
 
 

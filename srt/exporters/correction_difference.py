@@ -80,7 +80,10 @@ class Readings:
         # 619 is prime to 1000: every direction comes once.
         others = directions[(619 * np.arange(DIRECTIONS)) % DIRECTIONS]
         gyro = gyro_triad(calibration.errors).read(STANDARD_RATE_RAD_S * directions)
-        accel = accel_triad(calibration.errors).read(STANDARD_GRAVITY_M_S2 * others)
+        force = STANDARD_GRAVITY_M_S2 * others
+        accel = accel_triad(calibration.errors).read(force)
+        if calibration.g_sensitivity is not None:
+            gyro = gyro + force @ calibration.g_sensitivity.T
         return cls(gyro, accel, f"1 rad/s and 1 g in {DIRECTIONS} directions")
 
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from srt.estimation.g_sensitivity import KEY
 from srt.exceptions import InputError
 from srt.exporters.linear_model import LinearModel
 from srt.model.rotations import rotation_vector
+from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,6 +72,8 @@ class ExportSettings:
         Rate random walk of the gyro bias, rad/s²/√Hz.
     accel_random_walk : float or None
         Random walk of the accelerometer bias, m/s³/√Hz.
+    prefix, precision, samples, namespace : str or None
+        Form of a C header, see :class:`srt.exporters.c_header.HeaderOptions`.
     inflate : float or None
         Factor on noise densities and random walks; default 1.
     instance : int or None
@@ -89,6 +91,10 @@ class ExportSettings:
     accel_random_walk: float | None = None
     instance: int | None = None
     inflate: float | None = None
+    prefix: str | None = None
+    precision: str | None = None
+    samples: str | None = None
+    namespace: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "gyro_random_walk", "accel_random_walk", "inflate"):
@@ -149,7 +155,7 @@ class ExportModel:
             for key in ("serial", "date", "data_sha256", "software")
         }
         lost: tuple[str, ...] = () if item.asymmetry else ("scale-factor asymmetry",)
-        lost += ("g-sensitivity",) if KEY in self.calibration.diagnostics and not item.g_sensitivity else ()
+        lost += ("g-sensitivity",) if G_SENSITIVITY in self.calibration.diagnostics and not item.g_sensitivity else ()
         return [
             f"{item.title}; generated, do not edit.",
             f"unit {stated['serial']}, {stated['date']}, by {stated['software']}, "

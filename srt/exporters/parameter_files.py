@@ -339,6 +339,7 @@ def _write_ros2(model: ExportModel) -> dict[str, str]:
                     "formula": ROS2.formula,
                     "axes": model.frame,
                     "rotation": model.C_FB.ravel().tolist(),
+                    "g_sensitivity": (model.g_sensitivity @ model.C_FB).ravel().tolist(),
                     **sensors,
                 }
             }
@@ -351,6 +352,7 @@ def _read_ros2(texts: Texts) -> Fields:
     document = from_yaml(texts[""])
     at = f"{_ROS2}.ros__parameters.imu_calibration"
     fields = {"rotation": rotation(field(document, f"{at}.rotation", (9,)).reshape(3, 3), "rotation")}
+    fields["g_sensitivity"] = field(document, f"{at}.g_sensitivity", (9,)).reshape(3, 3)
     for sensor in _SENSORS:
         matrix = invertible(field(document, f"{at}.{sensor}.matrix", (9,)).reshape(3, 3), f"{sensor}.matrix")
         correction = field(document, f"{at}.{sensor}.correction", (9,)).reshape(3, 3)
@@ -365,18 +367,17 @@ def _read_ros2(texts: Texts) -> Fields:
 
 
 def _apply_ros2(fields: Fields, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    out = []
-    for sensor, readings in (("gyro", gyro), ("accel", accel)):
-        triad = Triad(*(fields[f"{sensor}.{name}"] for name in ("matrix", "asymmetry", "bias")))
-        out.append(rows(fields["rotation"], triad.compensate(readings)))
-    return out[0], out[1]
+    triads = [Triad(*(fields[f"{sensor}.{name}"] for name in ("matrix", "asymmetry", "bias"))) for sensor in _SENSORS]
+    force = triads[1].compensate(accel)
+    rate = triads[0].compensate(gyro - rows(fields["g_sensitivity"], force))
+    return rows(fields["rotation"], rate), rows(fields["rotation"], force)
 
 
 ROS2: Final = Exporter(
     name="ros2",
     title="ROS 2 parameter file",
     suffixes=(".yaml", ".yml"),
-    formula="solve y = matrix v + asymmetry |v| + bias for v, then rotation v; without asymmetry correction (y - bias)",
+    formula="solve y = matrix v + asymmetry |v| + bias for v (gyros: y - g_sensitivity a), then rotation v",
     losses=(),
     advice=(
         "No package defines such parameters: a node of your own declares imu_calibration.gyro.matrix and so on.",
@@ -388,4 +389,5 @@ ROS2: Final = Exporter(
     apply=_apply_ros2,
     imports=False,
     asymmetry=True,
+    g_sensitivity=True,
 )

@@ -56,6 +56,14 @@ class ErrorsInFrames(CalibratedErrors, Protocol):
     def U(self) -> Array | None:
         """T to MARS components, shape (3, 3); None without a fixture."""
 
+    @property
+    def g_sensitivity(self) -> Array | None:
+        """Gyro g-sensitivity Γ in MARS axes, shape (3, 3), rad/s per m/s²; None if not estimated."""
+
+    @property
+    def g_sensitivity_covariance(self) -> Array | None:
+        """Covariance of Γ by rows, shape (9, 9); None if not estimated."""
+
 
 class Applier:
     """Correct readings in a loop.
@@ -75,6 +83,8 @@ class Applier:
     Attributes
     ----------
     gyro, accel : TriadInverse
+    sensitivity : tuple of 9 floats, or None
+        Γ by rows: Γ f, with f the corrected specific force in MARS axes, is subtracted from the gyro readings.
     rotation : tuple of 9 floats, or None
         Uᵀ by rows, MARS to table-mounted components; None for MARS axes.
 
@@ -88,7 +98,10 @@ class Applier:
     Asymmetry rectifies the noise of a channel near zero: see the docstring of this module.
     """
 
-    __slots__ = ("_block", "_covariance", "_tables", "_triads", "_work", "accel", "gyro", "rotation")
+    __slots__ = (
+        "_block", "_covariance", "_followed", "_sensitivity_covariance", "_tables", "_triads", "_work", "accel", "gyro",
+        "rotation", "sensitivity",
+    )  # fmt: skip
 
     def __init__(
         self, calibration: ErrorsInFrames, *, frame: Literal["mars", "table"] = "mars", block: int = BLOCK
@@ -103,10 +116,14 @@ class Applier:
         self.gyro = TriadInverse.of(self._triads[0], "gyro")
         self.accel = TriadInverse.of(self._triads[1], "accelerometer")
         self.rotation = _rotation(calibration.U) if frame == "table" else None
+        matrix = calibration.g_sensitivity
+        self.sensitivity = None if matrix is None else tuple(matrix.ravel().tolist())
         self._covariance = calibration.covariance
+        self._sensitivity_covariance = calibration.g_sensitivity_covariance
         self._tables = InverseArrays(self.gyro), InverseArrays(self.accel)
         self._block = block
         self._work = WorkBlock(block)
+        self._followed = None if matrix is None else np.empty(3 * block)
 
     def apply(
         self,
@@ -149,8 +166,7 @@ class Applier:
         else:
             check_output(out, readings)
         rotation = None if self.rotation is None else matrix_columns(self.rotation)
-        for values, inverse, tables, target in zip(readings, (self.gyro, self.accel), self._tables, out, strict=True):
-            self._correct(np.atleast_2d(values), step, inverse, tables, np.atleast_2d(target), rotation)
+        self._correct(readings, step, (np.atleast_2d(out[0]), np.atleast_2d(out[1])), rotation)
         return out
 
     def apply_sample(
@@ -196,8 +212,12 @@ class Applier:
                 bx, by, bz, cx, cy, cz = bx * dt, by * dt, bz * dt, cx * dt, cy * dt, cz * dt
             if not finite:
                 raise InputError("The readings of the sample hold values that are not finite numbers.")
-            rate = solve_sample(gx - bx, gy - by, gz - bz, g.linear, g.octants)
             force = solve_sample(ax - cx, ay - cy, az - cz, a.linear, a.octants)
+            gx, gy, gz = gx - bx, gy - by, gz - bz
+            if self.sensitivity is not None:
+                sx, sy, sz = product(self.sensitivity, *force)
+                gx, gy, gz = gx - sx, gy - sy, gz - sz
+            rate = solve_sample(gx, gy, gz, g.linear, g.octants)
         except (TypeError, ValueError):
             raise InputError("A sample is three numbers of the gyros and three of the accelerometers.") from None
         if self.rotation is not None:
@@ -243,8 +263,7 @@ class Applier:
         readings = [checked_readings(name, v).reshape(-1, 3) for name, v in (("gyro", gyro), ("accel", accel))]
         n = len(readings[0])
         values = np.empty((n, 3)), np.empty((n, 3))
-        for y, inverse, tables, v in zip(readings, (self.gyro, self.accel), self._tables, values, strict=True):
-            self._correct(y, step, inverse, tables, v, None)
+        self._correct(readings, step, values, None)
         seconds = np.ones(n) if step is None else np.broadcast_to(step, n)
         covariance = np.empty((n, 6, 6))
         for a in range(0, n, _COVARIANCE_BLOCK):
@@ -255,42 +274,74 @@ class Applier:
             J[:, :3] = -rate_error_jacobian(values[0][a:b] / duration, self._triads[0])
             J[:, 3:] = -force_error_jacobian(values[1][a:b] / duration, self._triads[1])
             J *= duration[:, :, None]
+            own = self._follow(J, values[0][a:b], values[1][a:b])
             if self.rotation is not None:
                 to_table = np.array(self.rotation).reshape(3, 3)
                 J[:, :3], J[:, 3:] = to_table @ J[:, :3], to_table @ J[:, 3:]
             covariance[a:b] = J @ self._covariance @ np.swapaxes(J, 1, 2)
+            if own is not None:
+                covariance[a:b, :3, :3] += own
         return covariance.reshape(*shape[:-1], 6, 6)
+
+    def _follow(self, J: Array, rate: Array, force: Array) -> Array | None:
+        """Add accelerometer errors that reach the gyros through Γ to J; covariance by Γ itself, shape (n, 3, 3)."""
+        if self.sensitivity is None:
+            return None
+        triad = self._triads[0]
+        slopes = triad.matrix + np.sign(rate)[:, :, None] * np.diag(triad.asymmetry)
+        followed = np.linalg.solve(slopes, np.broadcast_to(np.reshape(self.sensitivity, (3, 3)), slopes.shape))
+        J[:, :3] -= followed @ J[:, 3:]
+        P = self._sensitivity_covariance
+        if P is None:
+            return None
+        # δω = −D⁻¹ δΓ f
+        inverse: Array = np.asarray(np.linalg.inv(slopes), dtype=np.float64)
+        if self.rotation is not None:
+            inverse = np.reshape(self.rotation, (3, 3)) @ inverse
+        turned: Array = np.einsum("abcd,nb,nd->nac", P.reshape(3, 3, 3, 3), force, force)
+        return np.asarray(inverse @ turned @ np.swapaxes(inverse, 1, 2))
 
     def _correct(
         self,
-        y: Array,
+        readings: Sequence[Array],
         step: float | Array | None,
-        inverse: TriadInverse,
-        tables: InverseArrays,
-        target: Array,
+        targets: tuple[Array, Array],
         rotation: Array | None,
     ) -> None:
-        """Correct readings of shape (n, 3) into ``target``, block by block."""
-        for a in range(0, len(y), self._block):
-            b = min(a + self._block, len(y))
-            work = self._work.part(b - a)
-            x, v, t = work.x, work.v, work.t
-            for c, bias in enumerate(inverse.bias):  # in doubles, also where the readings are of single precision
-                if step is None:
-                    np.subtract(y[a:b, c], bias, out=x[c], dtype=np.float64)
-                elif isinstance(step, float):
-                    np.subtract(y[a:b, c], bias * step, out=x[c], dtype=np.float64)
-                else:
-                    np.multiply(step[a:b], bias, out=t[0])
-                    np.subtract(y[a:b, c], t[0], out=x[c], dtype=np.float64)
-            multiply(tables.linear, x, v, t)
-            if inverse.octants is not None:
-                solve_block(work, tables, inverse.octants)
-            if rotation is not None:
-                multiply(rotation, v, x, t)
-                v = x
-            for c in range(3):
-                target[a:b, c] = v[c]
+        """Correct readings of shape (n, 3) or (3,) into ``targets``, block by block, the accelerometers first."""
+        gyro, accel = np.atleast_2d(readings[0]), np.atleast_2d(readings[1])
+        sensitivity = None if self.sensitivity is None else matrix_columns(self.sensitivity)
+        for a in range(0, len(gyro), self._block):
+            b = min(a + self._block, len(gyro))
+            duration = step[a:b] if isinstance(step, np.ndarray) else step
+            followed = None
+            for y, inverse, tables, target in (
+                (accel, self.accel, self._tables[1], targets[1]),
+                (gyro, self.gyro, self._tables[0], targets[0]),
+            ):
+                work = self._work.part(b - a)
+                x, v, t = work.x, work.v, work.t
+                for c, bias in enumerate(inverse.bias):  # in doubles, also where the readings are of single precision
+                    if duration is None:
+                        np.subtract(y[a:b, c], bias, out=x[c], dtype=np.float64)
+                    elif isinstance(duration, float):
+                        np.subtract(y[a:b, c], bias * duration, out=x[c], dtype=np.float64)
+                    else:
+                        np.multiply(duration, bias, out=t[0])
+                        np.subtract(y[a:b, c], t[0], out=x[c], dtype=np.float64)
+                if followed is not None:
+                    np.subtract(x, followed, out=x)
+                multiply(tables.linear, x, v, t)
+                if inverse.octants is not None:
+                    solve_block(work, tables, inverse.octants)
+                if sensitivity is not None and self._followed is not None and inverse is self.accel:
+                    followed = self._followed[: 3 * (b - a)].reshape(3, b - a)
+                    multiply(sensitivity, v, followed, t)
+                if rotation is not None:
+                    multiply(rotation, v, x, t)
+                    v = x
+                for c in range(3):
+                    target[a:b, c] = v[c]
 
 
 def _rotation(U: Array | None) -> tuple[float, ...]:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 FORMAT: Final = "srt-calibration"
 VERSION: Final = 1
+G_SENSITIVITY: Final = "g_sensitivity"
+"""Key of gyro g-sensitivity in the diagnostics."""
 STATUSES: Final = ("converged", "partial", "inconsistent", "not_converged", "outside_model")
 
 FORMULA: Final = (
@@ -46,9 +48,8 @@ FORMULA: Final = (
     "one and the same; gyros at the rates turned; temperature other than that of the test."
 )
 FORMULA_G_SENSITIVE: Final = (
-    " The gyros follow specific force: before that, take diagnostics.g_sensitivity.matrix (rad/s per m/s^2, rows "
-    "gyros, columns MARS axes) times the corrected specific force off the gyro readings. What applies or exports the "
-    "27 errors alone does not; 'srt apply' does."
+    " The gyros follow specific force: before that, subtract diagnostics.g_sensitivity.matrix (rad/s per m/s^2, rows "
+    "gyros, columns MARS axes) times the corrected specific force from the gyro readings."
 )
 
 
@@ -130,6 +131,18 @@ class Calibration(Presented):
     def judgement(self) -> Verdict:
         """Verdict in words: sound, doubtful or failed, with the reason."""
         return verdict_on(self)
+
+    @property
+    def g_sensitivity(self) -> Array | None:
+        """Gyro g-sensitivity Γ, ω̃ = Mg ω + Γ f + b, MARS axes, shape (3, 3), rad/s per m/s²; None if not estimated."""
+        stated = self.diagnostics.get(G_SENSITIVITY)
+        return None if stated is None else np.array(stated["matrix"], dtype=np.float64)
+
+    @property
+    def g_sensitivity_covariance(self) -> Array | None:
+        """Covariance of Γ by rows, shape (9, 9); None if not estimated, or for files of earlier versions."""
+        stated = self.diagnostics.get(G_SENSITIVITY, {}).get("covariance")
+        return None if stated is None else np.array(stated, dtype=np.float64)
 
     @property
     def observed(self) -> Mask:
@@ -218,7 +231,7 @@ class Calibration(Presented):
                 "U": None if self.U is None else self.U.tolist(),
                 "U_sigma": self.U_sigma_rad,
             },
-            "formula": FORMULA + (FORMULA_G_SENSITIVE if "g_sensitivity" in self.diagnostics else ""),
+            "formula": FORMULA + (FORMULA_G_SENSITIVE if G_SENSITIVITY in self.diagnostics else ""),
             "site": dict(self.site),
             "noise": {**self.noise, "contributions": {k: v.tolist() for k, v in self.contributions.items()}},
             "alignment": dict(self.alignment),

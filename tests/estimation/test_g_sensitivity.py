@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 from dataclasses import replace
@@ -20,7 +21,7 @@ from sims.scenarios.simulation import draw_errors
 from srt import exporters
 from srt.cli import main
 from srt.constants import DEG, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G, STANDARD_GRAVITY_M_S2
-from srt.estimation import g_sensitivity, g_sensitivity_report
+from srt.estimation import g_sensitivity_report
 from srt.estimation.iteration import CONVERGED_CORRECTION
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
@@ -28,6 +29,8 @@ from srt.exceptions import InputError
 from srt.model.measurement_model import attitude_to_horizontal
 from srt.recording.recording import Fixture, Site
 from srt.reports.certificate.calibration_file import load_calibration_file
+from srt.reports.certificate.content import make_certificate
+from srt.reports.certificate.html_page import html_page
 from srt.reports.certificate.recording_history import recording_history
 from srt.result.calibration import FORMULA
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
@@ -378,7 +381,14 @@ def test_the_certificate_plays_it_back(calibrated):
     recording = srt.load_recording(calibrated / "rec")
     found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
     found.save(file)
-    recording_history(load_calibration_file(file), recording, "rec")
+    source = load_calibration_file(file)
+    certificate = make_certificate(source, course=recording_history(source, recording, "rec"))
+    table = certificate.g_sensitivity
+    shown = np.array([[cell.value for cell in row[1::2]] for row in table.rows])
+    np.testing.assert_array_equal(shown, found.diagnostics["g_sensitivity"]["matrix"])
+    assert "y − Γ f" in " ".join(certificate.application.sentences)
+    if importlib.util.find_spec("jinja2"):
+        assert "Gyro g-sensitivity" in html_page(certificate)
     document = json.loads(file.read_text())
     document["diagnostics"]["g_sensitivity"]["matrix"][0][1] *= -1.0
     del document["digest"]
@@ -393,10 +403,17 @@ def test_apply_and_exports_say_whether_they_compensate_g_sensitivity(calibrated,
     found = srt.calibrate(recording, "closed-form", gyro_bias="g-sensitive")
     found.save(file)
     assert main(["apply", str(file), str(calibrated / "rec"), "-o", str(out), "--c-header", str(header), "-q"]) == 0
-    assert "does not contain the gyro g-sensitivity" in capsys.readouterr().err
-    raw = g_sensitivity.compensate_g_sensitivity(found, recording.gyro, recording.accel)
-    expected, _ = found.apply(raw, recording.accel)
-    np.testing.assert_allclose(srt.load_recording(out).gyro, expected, rtol=1e-12)
+    assert capsys.readouterr().err == ""
+    assert "g_sensitivity[9]" in header.read_text()
+    plain = replace(found, diagnostics={})
+    _, force = plain.apply(recording.gyro, recording.accel)
+    matrix = np.array(found.diagnostics["g_sensitivity"]["matrix"])
+    # Γ f comes off the readings, and what is left is corrected as without it; readings below 10 round to 1e-15.
+    expected, _ = plain.apply(recording.gyro - force @ matrix.T, recording.accel)
+    np.testing.assert_allclose(srt.load_recording(out).gyro, expected, rtol=0, atol=1e-14)
+    applier = srt.Applier(found)
+    one = applier.apply_sample(recording.gyro[7], recording.accel[7])[0]
+    np.testing.assert_array_equal(one, found.apply(recording.gyro[7], recording.accel[7])[0])
     assert "g-sensitivity" in exporters.export(found, "basalt").losses
     assert "g-sensitivity" not in exporters.export(found, "kalibr").losses
     other = replace(found, diagnostics={}, provenance={**found.provenance, "data_sha256": "0" * 64})
@@ -413,15 +430,46 @@ def test_readings_without_it(kind):
     )
     found = srt.calibrate(sensitive, "closed-form", gyro_bias="g-sensitive")
     dt = {"dt": 0.02} if kind == "increment" else {}
-    gyro = g_sensitivity.compensate_g_sensitivity(found, sensitive.gyro, sensitive.accel, kind=kind, **dt)
+    gyro, _ = found.apply(sensitive.gyro, sensitive.accel, kind=kind, **dt)
+    expected, _ = replace(found, diagnostics={}).apply(plain.gyro, plain.accel, kind=kind, **dt)
     size = np.abs(sensitive.gyro - plain.gyro).max()
-    # A sample in which f changes its sign has no one sign of the asymmetry: half of what f changes by at 1 rad/s.
+    # A sample in which f changes its sign has no one sign of the asymmetry: half of what f changes by at 1 rad/s. The
+    # correction of the gyros makes at most a few per cent more of a difference of readings.
     asymmetry = np.abs(truth.vector[GROUP_SLICES["accel_asymmetry"]]).sum()
-    assert np.abs(gyro - plain.gyro).max() < size * asymmetry * 0.5 * 0.02
-    with pytest.raises(InputError, match="holds no g-sensitivity"):
-        g_sensitivity.compensate_g_sensitivity(
-            srt.calibrate(plain, "closed-form"), plain.gyro, plain.accel, kind=kind, **dt
+    assert np.abs(gyro - expected).max() < 1.1 * size * asymmetry * 0.5 * 0.02
+
+
+def test_covariance_of_corrected_samples_has_it():
+    """The covariance by differences: of the 27 errors, through Γ f too, and of the nine elements of Γ."""
+    found = srt.calibrate(read_out(motion_of(), unit(), ImuModel(gyro_g_sensitivity=GAMMA)), gyro_bias="g-sensitive")
+    stated = found.diagnostics["g_sensitivity"]
+    y, f = np.array([0.4, -0.7, 0.2]), np.array([4.0, -5.0, 7.0])
+
+    def corrected(errors, matrix):
+        changed = {"g_sensitivity": {**stated, "matrix": matrix.tolist()}}
+        return np.hstack(srt.Applier(replace(found, errors=errors, diagnostics=changed)).apply(y, f))
+
+    matrix = np.array(stated["matrix"])
+    step = 1e-6
+    J = [
+        (
+            corrected(SensorErrors(found.errors.vector + d), matrix)
+            - corrected(SensorErrors(found.errors.vector - d), matrix)
         )
+        / (2.0 * step)
+        for d in step * np.eye(27)
+    ]
+    G = [
+        (corrected(found.errors, matrix + d.reshape(3, 3)) - corrected(found.errors, matrix - d.reshape(3, 3)))
+        / (2.0 * step)
+        for d in step * np.eye(9)
+    ]
+    J, G = np.transpose(J), np.transpose(G)
+    expected = J @ found.covariance @ J.T + G @ np.array(stated["covariance"]) @ G.T
+    # Central differences of 1e-6: second order 1e-12 of values below 10, rounding 1e-16 · 10 / 1e-6.
+    np.testing.assert_allclose(
+        srt.Applier(found).sample_covariance(y, f), expected, rtol=1e-6, atol=1e-6 * expected.max()
+    )
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "graph"])

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -153,8 +157,10 @@ def ros2(texts, w, f, bias):
     p = yaml.safe_load(texts[""])["/**"]["ros__parameters"]["imu_calibration"]
     R = np.reshape(p["rotation"], (3, 3))
     out = []
-    for sensor, values in (("gyro", w), ("accel", f)):
+    for sensor, values in (("accel", f), ("gyro", w)):
         M, s, b = np.reshape(p[sensor]["matrix"], (3, 3)), np.array(p[sensor]["asymmetry"]), p[sensor]["bias"]
+        if sensor == "gyro":
+            values = values - mm(np.reshape(p["g_sensitivity"], (3, 3)), mm(R.T, out[0]))  # noqa: PLW2901
         v = mm(np.linalg.inv(M), values - b)
         if not s.any():
             np.testing.assert_allclose(
@@ -163,7 +169,7 @@ def ros2(texts, w, f, bias):
         for _ in range(60):  # a contraction by |s| / smallest singular value < 0.2
             v = mm(np.linalg.inv(M), values - b - s * np.abs(v))
         out.append(mm(R, v))
-    return tuple(out)
+    return tuple(out[::-1])
 
 
 def gtsam(texts, w, f, bias):
@@ -173,6 +179,39 @@ def gtsam(texts, w, f, bias):
 
 FORMULAS = {f.__name__: f for f in (kalibr, openvins, basalt, imucal, imu_tk, pyins, vectornav, px4, ardupilot, ros2)}
 FORMULAS["gtsam"] = gtsam
+
+_C_MAIN = """
+#include <stdio.h>
+#include "unit.h"
+int main(void)
+{
+    double y[6], v[6];
+    while (fread(y, sizeof y, 1, stdin) == 1) {
+        imu_correct(y, y + 3, v, v + 3);
+        fwrite(v, sizeof v, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def c_header(texts, w, f, bias):
+    """The header compiled and run."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        (place / "unit.h").write_text(texts[""])
+        (place / "main.c").write_text(_C_MAIN)
+        subprocess.run([compiler, "-std=c99", "main.c", "-o", "main"], cwd=place, check=True)
+        y = np.ascontiguousarray(np.hstack([w, f]))
+        done = subprocess.run([str(place / "main")], input=y.tobytes(), check=True, capture_output=True)
+    v = np.frombuffer(done.stdout).reshape(-1, 6)
+    return v[:, :3], v[:, 3:]
+
+
+FORMULAS["c-header"] = c_header
 CASES = [(target, frame) for target in TARGETS for frame in exporters.exporter(target).frames]
 IMPORTED = tuple(name for name, item in exporters.exporters().items() if item.imports)
 

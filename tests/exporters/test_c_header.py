@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import srt
+from srt.exporters import ExportSettings, export, save
 from srt.exporters.c_header import c99_header
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import MIN_SINGULAR_VALUE, SIGNS, accel_triad, gyro_triad
@@ -196,7 +197,10 @@ def test_names_that_c_does_not_take_are_refused(name):
 
 
 STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-pedantic", "-Werror", "-ffp-contract=off", "-O2"]
-FORMS = [("g++", "-std=c++17"), (COMPILER, "-std=c99")]
+FORMS = [("g++", f"-std=c++{year}") for year in (11, 14, 17, 20)] + [
+    (COMPILER, f"-std=c{year}") for year in (99, 11, 17)
+]
+CLANG = [(each, standard) for each, standard in (("clang++", "-std=c++20"), ("clang", "-std=c99"))]
 SINGLE_DRIVER = """
 #include "imu.h"
 #include <stdio.h>
@@ -214,7 +218,7 @@ int main(void)
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
-@pytest.mark.parametrize(("compiler", "standard"), FORMS, ids=["c++17", "c99"])
+@pytest.mark.parametrize(("compiler", "standard"), [*FORMS, *CLANG])
 def test_both_precisions_compile_without_warnings(tmp_path, compiler, standard, precision):
     """The single-precision code has no double, and its result is within single-precision rounding."""
     if compiler is None or shutil.which(compiler) is None:
@@ -225,7 +229,7 @@ def test_both_precisions_compile_without_warnings(tmp_path, compiler, standard, 
     assert ("double" in text) == (precision == "double")
     (tmp_path / "imu.h").write_text(text, encoding="ascii")
     suffix = "f" if precision == "float" else ""
-    source = tmp_path / ("main.cpp" if compiler == "g++" else "main.c")
+    source = tmp_path / ("main.cpp" if compiler.endswith("++") else "main.c")
     source.write_text(SINGLE_DRIVER.format(real=precision, one=f"1.0{suffix}"))
     command = [compiler, standard, *STRICT, str(source), "-o", str(tmp_path / "main")]
     built = subprocess.run(command, check=False, capture_output=True, text=True)
@@ -243,6 +247,68 @@ def test_both_precisions_compile_without_warnings(tmp_path, compiler, standard, 
             6.0 * eps * 1.7 * np.sqrt(3.0) * (np.linalg.norm(part, axis=1, keepdims=True) + 0.1 * np.sqrt(3.0)) * 1.7
         )
         assert np.all(np.abs(theirs - ours) <= bound)
+
+
+FOLLOWED = """
+#include "unit.h"
+#include <stdio.h>
+int main(void)
+{{
+    {real} y[6], v[12];
+    while (fread(y, sizeof y, 1, stdin) == 1) {{
+        {space}unit_correct(y, y + 3, v, v + 3);
+        {space}unit_correct_table(y, y + 3, v + 6, v + 9);
+        fwrite(v, sizeof v, 1, stdout);
+    }}
+    return 0;
+}}
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", [COMPILER, "g++"])
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_g_sensitivity_and_namespace(tmp_path, compiler, precision):
+    """The exported file: gyros that follow specific force, in a namespace, rates alone."""
+    if shutil.which(compiler) is None:
+        pytest.skip("no such compiler here")
+    rng = np.random.default_rng(42)
+    gamma = rng.uniform(-1e-3, 1e-3, (3, 3))
+    calibration = replace(
+        calibrated(rng.uniform(-0.1, 0.1, N_PARAMETERS)), diagnostics={"g_sensitivity": {"matrix": gamma.tolist()}}
+    )
+    settings = ExportSettings(prefix="unit", precision=precision, samples="rate", namespace="lab")
+    made = export(calibration, "c-header", settings=settings)
+    save(made, tmp_path / "unit.h")
+    assert "_increment" not in made.texts[""]
+    cpp = compiler == "g++"
+    source = tmp_path / ("main.cpp" if cpp else "main.c")
+    source.write_text(FOLLOWED.format(real=precision, space="lab::" if cpp else ""))
+    command = [compiler, "-std=c++20" if cpp else "-std=c99", *STRICT, str(source), "-o", str(tmp_path / "main")]
+    built = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    y = samples(rng).astype(np.float64 if precision == "double" else np.float32)
+    done = subprocess.run([str(tmp_path / "main")], input=y.tobytes(), check=True, capture_output=True)
+    found = np.frombuffer(done.stdout, dtype=y.dtype).reshape(len(y), 12)
+    wide = y.astype(np.float64)
+    expected = np.hstack(
+        [v for frame in ("mars", "table") for v in Applier(calibration, frame=frame).apply(wide[:, :3], wide[:, 3:])]
+    )
+    if precision == "double":
+        # To the last bit, as the operations are the same in the same order.
+        np.testing.assert_array_equal(found, expected)
+    # As above, with the products and sums of Γ f and of the rotation: twelve roundings of up to 1.7² √3 (|y| + 0.2).
+    eps = 0.5 * float(np.finfo(y.dtype).eps)
+    size = np.linalg.norm(wide, axis=1, keepdims=True) + 0.2
+    assert np.all(np.abs(found - expected) <= 12.0 * eps * 1.7**2 * np.sqrt(3.0) * size)
+
+
+def test_an_edited_header_is_refused(tmp_path):
+    made = export(calibrated(np.full(N_PARAMETERS, 0.01)), "c-header")
+    with pytest.raises(srt.InputError, match="linear is not whole"):
+        made.format.read({"": made.texts[""].replace("linear[9] = {", "linear[9] = {1.0, ")})
+    with pytest.raises(srt.InputError, match="no place for topic"):
+        export(calibrated(np.zeros(N_PARAMETERS)), "c-header", settings=ExportSettings(topic="/imu"))
 
 
 def test_an_unknown_precision_is_refused():

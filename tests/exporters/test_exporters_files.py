@@ -161,12 +161,15 @@ def test_g_sensitivity_is_written_and_read_back(target, tmp_path):
     rng = np.random.default_rng(16)
     calibration, readings = g_sensitive(rng), motion(rng)
     made = export(calibration, target, readings=readings)
-    _, force = calibration.apply(readings.gyro, readings.accel)
-    expected, _ = calibration.apply(readings.gyro - mm(G_SENSITIVITY, force), readings.accel)
+    plain = replace(calibration, diagnostics={})
+    _, force = plain.apply(readings.gyro, readings.accel)
+    expected, _ = plain.apply(readings.gyro - mm(G_SENSITIVITY, force), readings.accel)
     found, _ = FORMULAS[target](made.texts, readings.gyro, readings.accel, biases_of(calibration))
     np.testing.assert_allclose(found, mm(made.C_FB, expected), rtol=0, atol=EXACT)
     assert "g-sensitivity" not in made.losses
     assert made.residuals[-1].gyro_max < EXACT
+    if not made.format.imports:
+        return
     again = load(save(made, tmp_path / f"unit{made.format.suffixes[0]}")[0], target)
     np.testing.assert_allclose(again.g_sensitivity, G_SENSITIVITY, rtol=0, atol=1e-12)
     size = [*range(*GROUP_SLICES["gyro_scale"].indices(N_PARAMETERS))]

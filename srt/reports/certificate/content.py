@@ -21,6 +21,7 @@ from srt.reports.certificate.unit_description import (
     unit_description,
 )
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
+from srt.result.calibration import G_SENSITIVITY
 from srt.result.verdict import DOUBTFUL, USABLE, probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
 
@@ -58,6 +59,8 @@ class Certificate(Presented):
     description : tuple of (str, str)
         Unit, date, site, data and software, as labels and texts.
     parameters : CertificateTable
+    g_sensitivity : CertificateTable or None
+        Gyro g-sensitivity with its sigma, if estimated.
     held : tuple of str
         Fixed parameters and the reasons.
     residuals : CertificateTable or None
@@ -86,6 +89,7 @@ class Certificate(Presented):
     summary: tuple[str, ...]
     description: tuple[tuple[str, str], ...]
     parameters: CertificateTable
+    g_sensitivity: CertificateTable | None
     held: tuple[str, ...]
     residuals: CertificateTable | None
     residual_notes: tuple[str, ...]
@@ -151,6 +155,7 @@ def make_certificate(
         tuple(_summary(calibration, limits, failed, change)),
         tuple(unit_description(source, course, limits)),
         parameter_table(calibration, limits),
+        g_sensitivity_table(calibration),
         tuple(_held(calibration)),
         residual_table(calibration),
         tuple(_residual_notes(calibration)),
@@ -202,6 +207,31 @@ def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = 
     return CertificateTable(
         "Parameters", head, tuple(rows), "llrrl" + ("ll" if limits is not None else ""), note, _STARTS
     )
+
+
+def g_sensitivity_table(calibration: Calibration) -> CertificateTable | None:
+    """Table of the gyro g-sensitivity and its sigma; None if not estimated.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    """
+    stated = calibration.diagnostics.get(G_SENSITIVITY)
+    if stated is None:
+        return None
+    rows = []
+    for i, axis in enumerate("xyz"):
+        cells = [CertificateCell(f"gyro {axis}")]
+        for j in range(3):
+            value, sigma = (stated[f"{name}_deg_per_h_per_g"][i][j] for name in ("matrix", "sigma"))
+            decimals = decimals_for(sigma)
+            cells += [
+                CertificateCell(fixed(value, decimals), stated["matrix"][i][j]),
+                CertificateCell(f"± {fixed(sigma, decimals)}", stated["sigma"][i][j]),
+            ]
+        rows.append(tuple(cells))
+    head = ("°/h per g", "along x", "sigma", "along y", "sigma", "along z", "sigma")
+    return CertificateTable("Gyro g-sensitivity", head, tuple(rows), "lrrrrrr")
 
 
 def change_table(source: CalibrationFile, change: ParameterChanges) -> CertificateTable:

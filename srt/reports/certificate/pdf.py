@@ -77,6 +77,8 @@ def _write(certificate: Certificate, document: _Document) -> None:
         document.titled_table(certificate.recordings)
     document.heading(certificate.parameters.title, needs=50.0)
     document.certificate_table(certificate.parameters)
+    if certificate.g_sensitivity is not None:
+        document.titled_table(certificate.g_sensitivity)
     if certificate.held:
         document.paragraph("Fixed, not measured:")
         document.bullets(certificate.held)

@@ -10,7 +10,7 @@ import numpy as np
 from srt.estimation.options import Options
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
-from srt.result.calibration import VERSION, software
+from srt.result.calibration import G_SENSITIVITY, VERSION, software
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 if TYPE_CHECKING:
@@ -166,9 +166,10 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
         else f"The temperature dependence is not known: the test was made at {known['mean_c']:.1f} °C, within "
         f"{known['range_c']:.1f} °C."
     )
+    followed = G_SENSITIVITY in calibration.diagnostics
     yield (
-        "Gyro g-sensitivity, and the dependence of all sensors on vibration, pressure, supply and magnetic field, are "
-        "not among the 27 parameters; part of them is in the values."
+        f"{'The' if followed else 'Gyro g-sensitivity, and the'} dependence of all sensors on vibration, pressure, "
+        f"supply and magnetic field {'is' if followed else 'are'} not among the parameters; part of it is in the values."
     )
     yield (
         "Delays and bandwidth of the sensors, and the size effect of the accelerometers, are not measured: specific "
@@ -234,6 +235,12 @@ def application_section(calibration: Calibration) -> Application:
         _triad("Gyros: M, s, b (rad/s)", gyro_triad(calibration.errors)),
         _triad("Accelerometers: M, s, b (m/s²)", accel_triad(calibration.errors)),
     ]
+    if calibration.g_sensitivity is not None:
+        sentences.append("Gyros: y − Γ f in place of y, with f the true specific force in MARS axes.")
+        rows = tuple(tuple(CertificateCell(f"{x:+.6e}", x) for x in row) for row in calibration.g_sensitivity.tolist())
+        tables.append(
+            CertificateTable("Γ of the gyros (rad/s per m/s²)", ("along x", "along y", "along z"), rows, "rrr")
+        )
     if calibration.U is not None:
         sigma = calibration.U_sigma_rad
         known = "" if sigma is None else f", known to {1e3 * sigma:.2g} mrad per axis"
