@@ -169,7 +169,8 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
     followed = G_SENSITIVITY in calibration.diagnostics
     yield (
         f"{'The' if followed else 'Gyro g-sensitivity, and the'} dependence of all sensors on vibration, pressure, "
-        f"supply and magnetic field {'is' if followed else 'are'} not among the parameters; part of it is in the values."
+        f"supply and magnetic field, {'is' if followed else 'are'} not among the parameters; part of them is in the "
+        "values."
     )
     yield (
         "Delays and bandwidth of the sensors, and the size effect of the accelerometers, are not measured: specific "
