@@ -20,7 +20,13 @@ from estimators.elimination_steps import global_columns
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import contradictions, unmodelled_noise
-from estimators.solution_analysis import FixedParameters, analyse_solution, make_calibration, with_prior
+from estimators.solution_analysis import (
+    FixedParameters,
+    analyse_solution,
+    goodness_of_fit,
+    make_calibration,
+    with_prior,
+)
 from estimators.solver import IterationState, JointSolver
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.goodness_of_fit import is_misfit, one_group_explains
@@ -296,8 +302,7 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
         return False
     system = with_prior(joint, solver, iteration)
     solution = BlockSolution(system)
-    residual = solution.residual
-    statistic, freedom = float(residual @ residual), len(residual) - int(system.active.sum())
+    statistic, freedom = goodness_of_fit(solver, solution, system)
     # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
     if not any(joint.unmodelled_sigma):
         if not is_misfit(statistic, freedom):

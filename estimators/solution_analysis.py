@@ -148,7 +148,7 @@ def analyse_solution(
         # The bias of this test is one sample of the bias of the unit, which is reported.
         part[at, at] += joint.bias_scatter**2
         total[at, at] += joint.bias_scatter**2
-    chi_square, freedom = _goodness_of_fit(solver, solution, system)
+    chi_square, freedom = goodness_of_fit(solver, solution, system)
     return SolutionAnalysis(
         covariance,
         total,
@@ -162,7 +162,7 @@ def analyse_solution(
     )
 
 
-def _goodness_of_fit(solver: JointSolver, solution: BlockSolution, system: LinearSystem) -> tuple[float, int]:
+def goodness_of_fit(solver: JointSolver, solution: BlockSolution, system: LinearSystem) -> tuple[float, int]:
     """Chi-square of the residuals and its degrees of freedom."""
     residual = solution.residual
     measured = np.ones(len(residual), dtype=np.bool_)
@@ -189,7 +189,7 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
     system = linearise(joint, iteration.linearisation_point, compensated, iteration.free, solver.prior)
     try:
-        return _goodness_of_fit(solver, BlockSolution(system), system)
+        return goodness_of_fit(solver, BlockSolution(system), system)
     except np.linalg.LinAlgError:
         return None
 

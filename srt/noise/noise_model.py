@@ -2,7 +2,7 @@
 
 Within a window the Allan variance of averages over τ is ``N²/τ + 3 q²/τ²`` for white noise N (random walk of the
 integral) and an error q of every reading of the integral (quantization ε has q = ε/√12). Both are fitted to the octaves
-of τ. Bias instability is not visible in a window of ten seconds.
+of τ. Bias instability of the accelerometers is taken from all windows together (:mod:`srt.noise.instability_at_rest`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from srt.constants import STANDARD_GRAVITY_M_S2
+from srt.noise.instability_at_rest import instability_at_rest
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -112,15 +113,35 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
         figures[f"{sensor}_white"] = np.maximum(figures[f"{sensor}_white"], least)
     instability = stated.gyro_bias_instability
     spread = flicker_spread(windows)
+    accel_instability = stated.accel_bias_instability
+    if accel_instability is None:
+        accel_instability = _accel_instability(recording, windows)
+        estimated.append("accel_bias_instability")
+    if instability is None:
+        estimated.append("gyro_bias_instability")
     return NoiseModel(
         **figures,
         gyro_wander=None if instability is None else np.full(3, instability * spread),
-        accel_wander=np.full(3, (stated.accel_bias_instability or 0.0) * spread),
+        accel_wander=np.full(3, accel_instability * spread),
         gyro_flicker=None if instability is None else np.full(3, instability),
-        accel_flicker=np.full(3, stated.accel_bias_instability or 0.0),
+        accel_flicker=np.full(3, accel_instability),
         estimated=tuple(estimated),
         floored=tuple(floored),
     )
+
+
+def _accel_instability(recording: Recording, windows: Indices) -> float:
+    """Bias instability of the accelerometers from the windows, m/s²; without any stated figure, at least its bound.
+
+    That of the gyros is not taken from the windows, where angle random walk and the quantization of slow rates hide it:
+    the scatter of the rest rates between sequences is its measure.
+    """
+    dt = recording.nominal_interval_s
+    force = recording.accel if recording.kind == "rate" else recording.accel / dt
+    found = instability_at_rest(force, windows, dt)
+    if found is None:
+        return 0.0
+    return found.bound if recording.noise.accel_noise is None else found.value
 
 
 def flicker_spread(windows: Indices) -> float:

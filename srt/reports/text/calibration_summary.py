@@ -20,7 +20,12 @@ _NOTE_LINES: Final = 2
 """Lines of one note; --details shows it whole."""
 _MORE: Final = " ..."
 """Mark of a text that is cut; --details shows all of it."""
-_STATED_NOISE: Final = {"gyro_noise": "gyro_noise_deg_per_sqrt_h", "accel_noise": "accel_noise_ug_per_sqrt_hz"}
+_STATED_NOISE: Final = {
+    "gyro_noise": "gyro_noise_deg_per_sqrt_h",
+    "accel_noise": "accel_noise_ug_per_sqrt_hz",
+    "gyro_bias_instability": "gyro_bias_instability_deg_per_h",
+    "accel_bias_instability": "accel_bias_instability_ug",
+}
 """Keys of [imu] in recording.toml that replace an estimate from the stationary windows."""
 
 
@@ -87,12 +92,12 @@ def _notes(calibration: Calibration) -> Iterator[str]:
 
 def _advice(calibration: Calibration, source: str) -> Iterator[str]:
     """Next steps for the user."""
-    estimated = [key for name, key in _STATED_NOISE.items() if name in calibration.noise.get("estimated", ())]
-    if estimated:
-        yield (
-            f"To do: state {' and '.join(estimated)} in [imu] of recording.toml; now the noise is estimated from the "
-            "stationary windows, and bias instability is not in the sigmas."
-        )
+    noise = calibration.noise
+    estimated = [key for name, key in _STATED_NOISE.items() if name in noise.get("estimated", ())]
+    if any(key.startswith(("gyro_noise", "accel_noise")) for key in estimated) or (
+        estimated and calibration.judgement.word != SOUND
+    ):
+        yield f"To do: state {', '.join(estimated)} in [imu] of recording.toml; now the windows at rest give them."
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
 

@@ -1,0 +1,79 @@
+"""Bias instability from the stationary windows, on noise of known spectrum."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import srt
+from sims.faults.injection import Case
+from srt.constants import MICRO_G
+from srt.noise.bias_instability import CORRELATION_TIMES_S
+from srt.noise.instability_at_rest import instability_at_rest
+from srt.noise.noise_model import noise_model
+
+DT = 0.01
+LENGTHS = (1000, 500, 1500)
+
+
+def recorded(rng, *, white, floor, quantum=0.0, windows=34):
+    """White noise and flicker noise of an Allan floor, the latter as a sum of Gauss-Markov processes."""
+    n = sum(LENGTHS[w % 3] for w in range(windows))
+    out = white / math.sqrt(DT) * rng.standard_normal((n, 3))
+    size = floor * math.sqrt(math.log(10.0) / (2.0 * math.log(2.0)))
+    for tau in CORRELATION_TIMES_S:
+        phi = math.exp(-DT / tau)
+        state = size * rng.standard_normal(3)
+        steps = size * math.sqrt(1.0 - phi**2) * rng.standard_normal((n, 3))
+        for i in range(n):
+            state = phi * state + steps[i]
+            out[i] += state
+    ends = np.cumsum([LENGTHS[w % 3] for w in range(windows)])
+    bounds = np.stack([ends - [LENGTHS[w % 3] for w in range(windows)], ends], axis=1)
+    return (np.round(out / quantum) * quantum if quantum else out), bounds
+
+
+def test_instability_is_found_with_its_size():
+    """34 windows of 5 to 15 s at 0.5 of the white noise of 1 s; the 1-sigma of one recording is about a tenth.
+
+    The model of nearly independent cosines is good to some ten per cent: leakage of the slowest.
+    """
+    rng = np.random.default_rng(4)
+    found = [instability_at_rest(*recorded(rng, white=1.0, floor=0.5), DT) for _ in range(4)]
+    assert all(one.shown for one in found)
+    assert np.mean([one.value for one in found]) == pytest.approx(0.5, rel=0.2)
+    np.testing.assert_allclose(np.mean([one.white for one in found], axis=0), 1.0, rtol=0.05)
+
+
+def test_white_noise_shows_none_and_bounds_it():
+    """The bound of 34 windows of white noise is a third of the noise of 1 s at most: it hardly widens a sigma."""
+    rng = np.random.default_rng(5)
+    found = [instability_at_rest(*recorded(rng, white=1.0, floor=0.0, windows=34), DT) for _ in range(6)]
+    assert not any(one.shown for one in found)
+    assert all(0.0 < one.bound < 0.33 for one in found)
+
+
+def test_one_window_with_motion_changes_little():
+    rng = np.random.default_rng(6)
+    readings, windows = recorded(rng, white=1.0, floor=0.0)
+    a, b = windows[7]
+    readings[a:b] += 50.0 * np.linspace(-1.0, 1.0, b - a)[:, None]
+    found = instability_at_rest(readings, windows, DT)
+    assert not found.shown
+    assert found.bound < 0.33
+
+
+def test_windows_of_a_few_samples_tell_nothing():
+    assert instability_at_rest(np.ones((20, 3)), np.array([[0, 10], [10, 20]]), DT) is None
+
+
+def test_what_is_stated_goes_before_and_what_is_not_is_told():
+    recording = Case("industrial-mems", 31).recording
+    windows = np.array([recording.window_indices(*s.end_static_s).indices(10**9)[:2] for s in recording.sequences])
+    assert noise_model(recording, windows).accel_flicker == pytest.approx(50.0 * MICRO_G)
+    found = noise_model(replace(recording, noise=srt.ImuNoise()), windows)
+    assert {"accel_bias_instability", "gyro_bias_instability"} <= set(found.estimated)
+    assert found.accel_flicker == pytest.approx(50.0 * MICRO_G, rel=0.4)
