@@ -175,7 +175,7 @@ def bump(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     duration = float(rng.uniform(0.1, 0.3))
     start = a + float(rng.uniform(0.15, 0.85)) * (b - a - duration)
     vector = rng.standard_normal(3)
-    return _read(case, _slip(motion, start, duration, severity * 1e-3 * vector / np.linalg.norm(vector)), rng)
+    return _read(case, slipped(motion, start, duration, severity * 1e-3 * vector / np.linalg.norm(vector)), rng)
 
 
 @injection(
@@ -189,7 +189,7 @@ def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     (a, b), force = _window(motion, rng)
     axis = np.cross(force, rng.standard_normal(3))
     vector = severity * 1e-6 * (b - a) * axis / np.linalg.norm(axis)
-    return _read(case, _slip(motion, a, b - a, vector, steady=True), rng)
+    return _read(case, slipped(motion, a, b - a, vector, steady=True), rng)
 
 
 @injection("noisy_window", 3.0, "times the noise")
@@ -208,7 +208,9 @@ def _window(motion: TrueMotion, rng: np.random.Generator) -> tuple[tuple[float, 
     return (a, b), motion.velocity[rows].mean(axis=0) / motion.interval
 
 
-def _slip(motion: TrueMotion, start_s: float, duration_s: float, vector: Array, *, steady: bool = False) -> TrueMotion:
+def slipped(
+    motion: TrueMotion, start_s: float, duration_s: float, vector: Array, *, steady: bool = False
+) -> TrueMotion:
     """True motion with a slip: B rotates by a vector within a time, smoothly or at constant rate, and remains so.
 
     The undisturbed attitude C becomes C·Exp(s v), s from 0 to 1: v·ds/dt is added to the rate, and vectors are rotated

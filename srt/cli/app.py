@@ -27,6 +27,7 @@ SECTIONS: Final = {
     },
     "Fixture and planning": {
         "plan": ("srt.cli.plan:plan", "Plan a test: sequences, windows, expected accuracy."),
+        "watch": ("srt.cli.watch:watch", "Follow a test while its recording grows."),
         "budget": ("srt.cli.budget:budget", "Predict the accuracy of a test by source of error."),
         "align-mount": ("srt.cli.align_mount:align_mount", "Find the angles between sensor axes and mount."),
     },

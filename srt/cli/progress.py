@@ -51,6 +51,23 @@ def status_line(first: str) -> Iterator[Callable[[str], None] | None]:
 
 
 @contextmanager
+def live_text(*, quiet: bool) -> Iterator[Callable[[str], None] | None]:
+    """Yield a function that replaces a text of several lines; None if quiet, without a terminal or without rich."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    try:
+        from rich.console import Console
+        from rich.live import Live
+        from rich.text import Text
+    except ModuleNotFoundError:
+        yield None
+        return
+    with Live(console=Console(stderr=True, highlight=False), auto_refresh=False, transient=True) as live:
+        yield lambda text: live.update(Text(printable(text)), refresh=True)
+
+
+@contextmanager
 def iteration_progress(name: str, *, quiet: bool) -> Iterator[Callable[[int, float], None] | None]:
     """Yield a function of the number of an iteration and its largest correction; None if quiet.
 

@@ -191,13 +191,15 @@ def mapping_text(mapping: Array) -> str:
     return ",".join(("-" if row.sum() < 0.0 else "") + AXES[int(np.argmax(np.abs(row)))] for row in mapping)
 
 
-def recognise(recording: Recording) -> Recognition:
+def recognise(recording: Recording, *, renaming: bool = True) -> Recognition:
     """Find rests, turns and the sequences of Table 1.
 
     Parameters
     ----------
     recording : Recording
         Its labels, if any, are ignored.
+    renaming : bool
+        Try other names of the axes where few sequences fit with the given ones.
 
     Returns
     -------
@@ -209,10 +211,10 @@ def recognise(recording: Recording) -> Recognition:
     DataError
         If fewer than two stationary windows are found.
     """
-    return recording.memo("recognition", lambda: _recognise(recording))
+    return recording.memo(("recognition", renaming), lambda: _recognise(recording, renaming=renaming))
 
 
-def _recognise(recording: Recording) -> Recognition:
+def _recognise(recording: Recording, *, renaming: bool) -> Recognition:
     windows = find_windows(recording)
     gaps = recording.gaps
     apart = [
@@ -226,7 +228,7 @@ def _recognise(recording: Recording) -> Recognition:
     length = windows[:, 1] - windows[:, 0]
     join_cost = np.where(length > _TWO_DWELLS * np.median(length), _JOIN_OF_TWO, _JOIN)
     best = SequenceReading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, identity)
-    if len(turns) >= ENOUGH_TURNS and len({m.name for m in best.matches}) < _NEARLY_ALL:
+    if renaming and len(turns) >= ENOUGH_TURNS and len({m.name for m in best.matches}) < _NEARLY_ALL:
         for mapping in promising_mappings(turns, faces(force, recording.site.gravity_m_s2)):
             other = SequenceReading.of(turns, apart, force, join_cost, recording.site.gravity_m_s2, mapping)
             if other.legs >= _CLEARLY * max(best.legs, 1):

@@ -1,0 +1,121 @@
+"""``srt watch``: the rotation test as it runs, from a recording that grows."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from srt.cli.calibration_jobs import Display, Job
+from srt.cli.messages import announce, figure_title, progress_line, show
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
+from srt.cli.progress import live_text
+from srt.exceptions import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from srt.monitoring.followed_test import FollowedTest
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
+@click.option("--order", metavar="IDS", help="Sequences in their order, as 1,2,3; default: Table 1.")
+@click.option(
+    "--target",
+    multiple=True,
+    metavar="NAME=SIGMA",
+    help="Sigma wanted of a parameter or group in the units of the table, as gyro_scale=1.",
+)
+@click.option("--every", type=click.FloatRange(min=0.1), default=1.0, show_default=True, help="Time between looks, s.")
+@click.option(
+    "--idle",
+    type=click.FloatRange(min=0.0),
+    default=60.0,
+    show_default=True,
+    help="End when the recording has not grown for so long, s; 0: look once.",
+)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Result at the end: FILE.json.")
+@click.option("--plot", type=click.Path(path_type=Path), help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
+@click.option("-q", "--quiet", is_flag=True, help="Errors of the test and the end result's warnings only.")
+def watch(
+    recording: Path,
+    order: str | None,
+    target: tuple[str, ...],
+    every: float,
+    idle: float,
+    output: Path | None,
+    plot: Path | None,
+    quiet: bool,
+) -> int:
+    """Follow a rotation test while its recording grows, and calibrate at the end.
+
+    RECORDING is a folder with recording.toml; the logger appends lines to the samples file that it names, moves between
+    the sequences included. The test begins in the start attitude of its first sequence. After each sequence the sigmas
+    so far are shown, and the next sequence. An error is named at once: a sequence skipped, turned by another angle or
+    in the other direction, a motion when the unit should stand still.
+
+    The result at the end is that of 'srt calibrate' on the whole recording. Ctrl-C ends the test, too.
+
+    Exit codes: 0 converged and no error open; 1 an error of the test is open, or the data do not support a result;
+    2 wrong usage or unreadable input.
+    """
+    for path, suffixes, what in ((output, RESULT_SUFFIXES, "The result"), (plot, PLOT_SUFFIXES, "The plot")):
+        if path is not None:
+            check_file(path, suffixes, what)
+    if plot is not None:
+        require_matplotlib()
+    from srt.cli.calibrate import parse_targets, report_problems, run_job
+    from srt.estimation.options import Options
+    from srt.monitoring.followed_test import FollowedTest
+    from srt.monitoring.growing_recording import GrowingRecording
+
+    targets = Options(targets=parse_targets(target)).targets
+    followed = FollowedTest(tuple(filter(None, (order or "").replace(" ", "").split(","))), targets)
+    with GrowingRecording(recording) as growing, live_text(quiet=quiet) as update:
+        follow(growing.grown, lambda: _look(growing, followed, update, quiet=quiet), every, idle)
+    if not followed.history:
+        raise DataError(f"{recording}: no sequence of Table 1 was found: check the start attitude and the fixture.")
+    if not quiet:
+        show(followed.text())
+        show()
+    if plot is not None:
+        from srt.monitoring.sigma_figure import sigma_figure
+        from srt.reports.figures.style import save_figure
+
+        title = figure_title(recording_folder(recording).resolve().name)
+        save_figure(sigma_figure(followed.history, targets, title=title), plot)
+        announce(plot, quiet=quiet)
+    job = Job(recording, recording_folder(recording).resolve().name, output, None)
+    code = report_problems(job, run_job(job, "auto", Options(), Display(None, False, False, False, quiet, False)))
+    return max(code, DataError.exit_code if followed.open_errors else 0)
+
+
+def follow(grown: Callable[[], bool], look: Callable[[], None], every_s: float, idle_s: float) -> None:
+    """Look whenever the recording has grown, until it has not for some time or the user interrupts."""
+    last = time.monotonic()
+    try:
+        while True:
+            if grown():
+                look()
+                last = time.monotonic()
+            if time.monotonic() - last >= idle_s:
+                return
+            time.sleep(every_s)
+    except KeyboardInterrupt:
+        return
+
+
+def _look(growing: object, followed: FollowedTest, update: Callable[[str], None] | None, *, quiet: bool) -> None:
+    """Take in what the recording has gained; show it."""
+    recording = growing.read()  # type: ignore[attr-defined]
+    if recording is None:
+        return
+    news = followed.take(recording)
+    if update is not None:
+        update(followed.text())
+    for line, urgent in news:
+        if urgent or (update is None and not quiet):
+            progress_line(line)

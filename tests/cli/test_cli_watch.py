@@ -1,0 +1,95 @@
+"""``srt watch``: a recording that grows, its messages, and an end result equal to that of ``srt calibrate``."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+
+import operator_errors as study
+import pytest
+
+import sims
+import srt
+from srt.cli import main
+from srt.model.table1 import SEQUENCES
+
+ORDER = tuple(SEQUENCES)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Write a whole test without labels, one with sequence 2 reversed, and one without sequence 3."""
+    folder = tmp_path_factory.mktemp("tests")
+    own = {"id": "back", "down": "z", "along_outer": "x", "rotations": (("x", -360.0),)}
+    for name, order, custom in (
+        ("good", ORDER, ()),
+        ("reversed", ("1", "back", *ORDER[2:]), (own,)),
+        ("skipped", (*ORDER[:2], *ORDER[3:]), ()),
+    ):
+        recording = sims.simulate(study.scenario("navigation-rlg", 21, order, custom)).recording
+        srt.write_recording(recording.with_sequences(()), folder / name)
+    return folder
+
+
+def grow(source, target, pieces, pause_s):
+    """Append a file to another in pieces that end within lines."""
+    data = source.read_bytes()
+    size = -(-len(data) // pieces)
+    with target.open("ab") as file:
+        for k in range(pieces):
+            file.write(data[k * size : (k + 1) * size])
+            file.flush()
+            time.sleep(pause_s)
+
+
+def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(finished, tmp_path, capfd):
+    growing = tmp_path / "rec"
+    growing.mkdir()
+    shutil.copy(finished / "good" / "recording.toml", growing)
+    writer = threading.Thread(target=grow, args=(finished / "good" / "samples.csv", growing / "samples.csv", 9, 0.3))
+    writer.start()
+    code = main(
+        ["watch", str(growing), "--every", "0.1", "--idle", "3", "-o", str(tmp_path / "w.json"), "--plot",
+         str(tmp_path / "w.png"), "--target", "gyro_scale=5"]
+    )  # fmt: skip
+    writer.join()
+    out, err = capfd.readouterr()
+    assert code == 0
+    told = [line.split()[1] for line in err.splitlines() if line.startswith("sequence ")]
+    assert told == list(ORDER)
+    assert "All 17 sequences are done." in out
+    assert "All targets are met" in out
+    assert "Converged after" in out
+    assert (tmp_path / "w.png").stat().st_size > 10_000
+    assert main(["calibrate", str(growing), "-q", "-o", str(tmp_path / "c.json")]) == 0
+    assert (tmp_path / "w.json").read_bytes() == (tmp_path / "c.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("reversed", "Sequence 2, wrong direction: it was turned as sequence 2a"),
+        ("skipped", "Sequence 3, skipped: the unit is at the start of sequence 1a"),
+    ],
+)
+def test_an_open_error_is_named_and_gives_exit_code_1(finished, capfd, name, sentence):
+    assert main(["watch", str(finished / name), "--idle", "0", "-q"]) == 1
+    assert sentence in capfd.readouterr().err
+
+
+def test_refusals(finished, tmp_path, capfd):
+    good = str(finished / "good")
+    for arguments, sentence in (
+        ([good, "--order", "1,99"], "no sequence '99'"),
+        ([good, "--target", "gyro"], "NAME=SIGMA"),
+        ([str(tmp_path)], "recording.toml"),
+        ([good, "-o", "x.txt"], "x.txt"),
+    ):
+        assert main(["watch", *arguments, "--idle", "0"]) == 2
+        assert sentence in capfd.readouterr().err
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    shutil.copy(finished / "good" / "recording.toml", empty)
+    assert main(["watch", str(empty), "--idle", "0"]) == 1
+    assert "no sequence of Table 1 was found" in capfd.readouterr().err
