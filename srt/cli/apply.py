@@ -9,9 +9,12 @@ import click
 
 from srt.cli.messages import show, warn
 from srt.cli.output_paths import SAMPLES_FORMATS, check_directory, check_file, recording_folder
+from srt.cli.stream import NAMES, STANDARD, run_stream, stream_options
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
 
@@ -31,6 +34,7 @@ HEADER_SUFFIXES = (".h",)
 )
 @click.option("--samples-format", type=click.Choice(SAMPLES_FORMATS), help="Default: as in RECORDING.")
 @click.option("--c-header", type=click.Path(path_type=Path), metavar="FILE.h", help="Also write the correction as C99.")
+@stream_options
 @click.option("--force", is_flag=True, help="Accept any status of the calibration, serial and size of readings.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty.")
@@ -46,8 +50,12 @@ def apply(
     trust: bool,
     overwrite: bool,
     quiet: bool,
+    **stream: Any,
 ) -> int:
     """Correct RECORDING by CALIBRATION, the JSON file that 'srt calibrate -o' wrote.
+
+    With - for RECORDING, lines of CSV or JSON are corrected from standard input to standard output as they come; with
+    --from and --to, datagrams with such lines or with MAVLink (HIGHRES_IMU, SCALED_IMU, RAW_IMU).
 
     The folder then holds the recording with corrected samples, in SI units, in MARS axes (those of the calibration)
     or in axes of the table-mounted frame. With --c-header alone, RECORDING and -o are left out.
@@ -55,6 +63,10 @@ def apply(
     Exit codes: 0 success; 1 readings that are increments stated as rates, or the reverse; 2 wrong usage, unreadable
     input, or a calibration that does not fit the recording.
     """
+    streamed = stream["source"] is not None or str(recording_path) == STANDARD
+    check_stream(stream, recording_path, output, c_header, streamed=streamed)
+    if streamed:
+        return run_stream(load_fit(calibration_file, force=force, trust=trust), frame, stream)
     check_places(recording_path, output, c_header, overwrite=overwrite)
     calibration = load_fit(calibration_file, force=force, trust=trust)
     header = None
@@ -95,6 +107,22 @@ def apply(
         for place in written:
             show(f"Written to {place}")
     return 0
+
+
+def check_stream(
+    stream: Mapping[str, Any], recording: Path | None, output: Path | None, c_header: Path | None, *, streamed: bool
+) -> None:
+    """Refuse options of a stream without one, and options of a recording with one. Raises InputError."""
+    if not streamed:
+        stated = [name for name in NAMES if stream[name]]
+        if stated:
+            option = {"source": "from", "target": "to"}.get(stated[0], stated[0].replace("_", "-"))
+            raise InputError(f"--{option} describes a stream: give - for RECORDING, or --from ADDRESS.")
+        return
+    if output is not None or c_header is not None or (recording is not None and stream["source"] is not None):
+        raise InputError("A stream goes to standard output or to --to: leave out RECORDING, -o and --c-header.")
+    if stream["source"] is None and stream["target"] is not None:
+        raise InputError("--to sends datagrams that arrive at --from ADDRESS: add it.")
 
 
 def check_places(recording: Path | None, output: Path | None, c_header: Path | None, *, overwrite: bool) -> None:

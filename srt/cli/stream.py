@@ -1,0 +1,191 @@
+"""Streams of ``srt apply``: standard input to standard output, and datagrams from one UDP address to another."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import click
+
+from srt.cli.messages import say, warn
+from srt.exceptions import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from srt.result.calibration import Calibration
+
+STANDARD: Final = "-"
+_LARGEST_DATAGRAM: Final = 65536
+_UNITS: Final = ("rad/s", "deg/s", "deg/h", "rad", "deg")
+_FORCE_UNITS: Final = ("m/s^2", "g", "mg", "m/s")
+
+OPTIONS: Final = (
+    click.option("--from", "source", metavar="ADDRESS", help="Correct datagrams that arrive there: udp:HOST:PORT."),
+    click.option("--to", "target", metavar="ADDRESS", help="Send corrected datagrams there: udp:HOST:PORT."),
+    click.option("--covariance", is_flag=True, help="Stream: append the 1-sigma of each value by the calibration."),
+    click.option("--gyro-unit", type=click.Choice(_UNITS), help="Stream: unit of the gyros.  [default: rad/s]"),
+    click.option("--accel-unit", type=click.Choice(_FORCE_UNITS), help="Stream: unit.  [default: m/s^2]"),
+    click.option("--increments-s", type=float, metavar="SECONDS", help="Stream: increments of this duration."),
+    click.option("--gyro-lsb", metavar="LSB", help="RAW_IMU: value of one count, as '1/131 deg/s'."),
+    click.option("--accel-lsb", metavar="LSB", help="RAW_IMU: value of one count, as '1/16384 g'."),
+    click.option("--gyro-range-deg-s", type=float, help="Stream: range of the gyros; samples at its end are told."),
+    click.option("--accel-range-g", type=float, help="Stream: range of the accelerometers, likewise."),
+    click.option("--timeout-s", type=float, help="End after this time without datagrams.  [default: never]"),
+)
+"""Options of ``srt apply`` that describe a stream."""
+
+
+def stream_options(command: Any) -> Any:
+    """Decorate a command with the options of a stream."""
+    for option in reversed(OPTIONS):
+        command = option(command)
+    return command
+
+
+NAMES: Final = (
+    "source", "target", "covariance", "gyro_unit", "accel_unit", "increments_s", "gyro_lsb", "accel_lsb",
+    "gyro_range_deg_s", "accel_range_g", "timeout_s",
+)  # fmt: skip
+"""Names of :data:`OPTIONS` as arguments of a function."""
+
+
+class Address(NamedTuple):
+    """UDP address."""
+
+    host: str
+    port: int
+
+
+def parse_address(text: str) -> Address:
+    """Read "udp:HOST:PORT". Raises InputError."""
+    kind, _, rest = text.partition(":")
+    host, colon, port = rest.rpartition(":")
+    if kind != "udp" or not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise InputError(f"The address {text!r} is not udp:HOST:PORT, as udp:127.0.0.1:14550: correct it.")
+    return Address(host.strip("[]"), int(port))
+
+
+def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any]) -> int:
+    """Correct a stream until it ends; counts of lost and malformed samples go to standard error.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    frame : "mars" or "table"
+    given : dict
+        Values of :data:`OPTIONS` by name.
+
+    Returns
+    -------
+    int
+        0; lost and malformed samples are counted and never end a stream.
+
+    Raises
+    ------
+    InputError
+        Wrong options, or an address that cannot be used.
+    """
+    from srt.constants import DEG, STANDARD_GRAVITY_M_S2
+    from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
+    from srt.streams.stream_correction import StreamCorrector, StreamOptions
+
+    dt = given["increments_s"]
+    kind = "rate" if dt is None else "increment"
+    units = []
+    for name, table, default in (
+        ("gyro_unit", GYRO_UNITS[kind], "rad/s" if dt is None else "rad"),
+        ("accel_unit", ACCEL_UNITS[kind], "m/s^2" if dt is None else "m/s"),
+    ):
+        unit = given[name] or default
+        if unit not in table:
+            raise InputError(f"The unit {unit} does not fit samples of kind {kind}: use one of {', '.join(table)}.")
+        units.append((table[unit],) * 3)
+    ranges = [
+        None if given[name] is None else given[name] * si
+        for name, si in (("gyro_range_deg_s", DEG), ("accel_range_g", STANDARD_GRAVITY_M_S2))
+    ]
+    options = StreamOptions(units[0], units[1], dt, ranges[0], ranges[1], covariance=given["covariance"])
+    corrector = StreamCorrector(calibration, frame, options, warn)
+    try:
+        if given["source"] is None:
+            _lines(corrector, covariance=given["covariance"])
+        else:
+            _datagrams(corrector, given)
+    except KeyboardInterrupt:
+        # A stream has no other end.
+        pass
+    finally:
+        say(corrector.summary())
+    return 0
+
+
+def _lines(corrector: Any, *, covariance: bool) -> None:
+    from srt.streams.text_lines import LineCorrector
+
+    lines = LineCorrector(corrector, covariance=covariance)
+    write, flush = sys.stdout.write, sys.stdout.flush
+    for line in sys.stdin:
+        corrected = lines.correct(line)
+        if corrected is not None:
+            write(corrected + "\n")
+            flush()
+
+
+def _datagrams(corrector: Any, given: dict[str, Any]) -> None:
+    source, target = parse_address(given["source"]), given["target"]
+    if target is None:
+        raise InputError("Corrected datagrams need an address to go to: add --to udp:HOST:PORT.")
+    address = parse_address(target)
+    if address == source:
+        raise InputError(f"The stream would receive its own datagrams at {target}: use another port.")
+    correct = _datagram_corrector(corrector, given)
+    try:
+        family, *_ = socket.getaddrinfo(source.host, source.port, type=socket.SOCK_DGRAM)[0]
+        with socket.socket(family, socket.SOCK_DGRAM) as link:
+            link.bind(source)
+            link.settimeout(given["timeout_s"])
+            for packet in _received(link):
+                answer = correct(packet)
+                if answer:
+                    link.sendto(answer, address)
+    except OSError as error:
+        raise InputError(
+            f"The stream from {given['source']} to {target} cannot be used ({error.strerror or error}): check both."
+        ) from None
+
+
+def _received(link: socket.socket) -> Iterator[bytes]:
+    while True:
+        try:
+            yield link.recv(_LARGEST_DATAGRAM)
+        except TimeoutError:
+            return
+        except ConnectionRefusedError:
+            # Nobody listens at the target yet.
+            continue
+
+
+def _datagram_corrector(corrector: Any, given: dict[str, Any]) -> Callable[[bytes], bytes]:
+    """Function of a datagram: MAVLink by its first byte, else lines of text."""
+    from srt.recording.import_options import parse_lsb
+    from srt.streams import mavlink
+    from srt.streams.text_lines import LineCorrector
+
+    texts = given["gyro_lsb"], given["accel_lsb"]
+    if (texts[0] is None) != (texts[1] is None):
+        raise InputError("RAW_IMU needs the value of a count of both: give --gyro-lsb and --accel-lsb, or neither.")
+    raw = None if texts[0] is None else (parse_lsb(texts[0], "gyro"), parse_lsb(texts[1], "accel"))
+    lines = LineCorrector(corrector, covariance=given["covariance"])
+    link: list[mavlink.MavlinkCorrector] = []
+
+    def correct(packet: bytes) -> bytes:
+        if packet[:1] and packet[0] in mavlink.MARKS:
+            if not link:
+                link.append(mavlink.MavlinkCorrector(corrector, raw))
+            return link[0].correct(packet)
+        corrected = (lines.correct(line) for line in packet.decode("utf-8", "replace").splitlines())
+        return "".join(f"{line}\n" for line in corrected if line is not None).encode()
+
+    return correct

@@ -1,0 +1,1 @@
+"""Correction of readings as they arrive: lines of text and MAVLink."""

@@ -1,0 +1,175 @@
+"""Correction of one sample at a time, with counts of lost, malformed and doubtful ones."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.result.applier import Applier
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from srt.recording.import_options import Triple
+    from srt.result.calibration import Calibration
+    from srt.result.triad_inverse import Vector
+
+CORRECTED: Final = "corrected"
+MALFORMED: Final = "malformed"
+LOST: Final = "lost"
+CLIPPED: Final = "at the end of the range"
+OTHER_TEMPERATURE: Final = "outside the temperature of the test"
+PASSED_ON: Final = "without an IMU, passed on"
+
+_CLIPPED_FROM: Final = 0.999
+"""Fraction of the range from which a reading is clipped: one part in a thousand of noise or rounding below it."""
+_TIMES_TOLD: Final = (1, 10, 100, 1000, 10**4, 10**5, 10**6)
+"""Counts at which an event is told, so that a broken sensor does not fill the disk with sentences."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamOptions:
+    """Description of the samples of a stream.
+
+    Attributes
+    ----------
+    gyro_unit, accel_unit : (float, float, float)
+        SI units per unit of the stream, by axis.
+    dt : float or None
+        Duration of increments, s; None for rates.
+    gyro_range, accel_range : float or None
+        Measuring ranges, rad/s and m/s².
+    temperature_margin_c : float
+        Distance from the temperatures of the test that is told.
+    covariance : bool
+        True: each corrected sample comes with its 1-sigma by the calibration.
+
+    Raises
+    ------
+    InputError
+        Values that are not positive.
+    """
+
+    gyro_unit: Triple = (1.0, 1.0, 1.0)
+    accel_unit: Triple = (1.0, 1.0, 1.0)
+    dt: float | None = None
+    gyro_range: float | None = None
+    accel_range: float | None = None
+    temperature_margin_c: float = 10.0
+    covariance: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("dt", "gyro_range", "accel_range", "temperature_margin_c"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"The {name} of the stream is {value:g}: give a positive number, or leave it out.")
+
+
+class StreamCorrector:
+    """Correct samples and count events.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    frame : "mars" or "table"
+    options : StreamOptions
+    tell : callable
+        Takes a sentence on an event; called at the 1st, 10th, 100th ... of a kind.
+
+    Attributes
+    ----------
+    counts : Counter
+        Number of samples by event.
+    """
+
+    __slots__ = ("_applier", "_options", "_ranges", "_tell", "_temperature", "_units", "counts")
+
+    def __init__(
+        self, calibration: Calibration, frame: Any, options: StreamOptions, tell: Callable[[str], None]
+    ) -> None:
+        self._applier = Applier(calibration, frame=frame, block=1)
+        self._options = options
+        self._tell = tell
+        self._units = (*options.gyro_unit, *options.accel_unit)
+        self._temperature = _tested(calibration.temperature, options.temperature_margin_c)
+        seconds = 1.0 if options.dt is None else options.dt
+        ranges = [
+            math.inf if r is None else _CLIPPED_FROM * r * seconds for r in (options.gyro_range, options.accel_range)
+        ]
+        self._ranges = ranges[0], ranges[1]
+        self.counts: Counter[str] = Counter({CORRECTED: 0})
+
+    def correct(self, values: tuple[float, ...], temperature: float | None = None) -> tuple[float, ...]:
+        """Correct one sample.
+
+        Parameters
+        ----------
+        values : tuple of 6 floats
+            Gyro x, y, z and accelerometer x, y, z in the units of the stream.
+        temperature : float, °C, optional
+
+        Returns
+        -------
+        tuple of 6 floats
+            In the units of the stream; followed by their six 1-sigma where the options ask for them.
+
+        Raises
+        ------
+        InputError
+            Values that are not finite.
+        """
+        gx, gy, gz, ax, ay, az = values
+        a, b, c, d, e, f = self._units
+        gyro: Vector = (gx * a, gy * b, gz * c)
+        accel: Vector = (ax * d, ay * e, az * f)
+        (p, q, r), (u, v, w) = self._applier.apply_sample(gyro, accel, dt=self._options.dt)
+        largest_rate, largest_force = self._ranges
+        if max(map(abs, gyro)) >= largest_rate or max(map(abs, accel)) >= largest_force:
+            self.event(CLIPPED, "a reading is at the end of its range, and its correction is not true")
+        if temperature is not None and self._temperature is not None:
+            low, high = self._temperature
+            if not low <= temperature <= high:
+                self.event(
+                    OTHER_TEMPERATURE,
+                    f"a sample has {temperature:.1f} °C, and the calibration holds {low:.1f} to {high:.1f} °C",
+                )
+        self.counts[CORRECTED] += 1
+        corrected = (p / a, q / b, r / c, u / d, v / e, w / f)
+        return corrected + self._sigma(gyro, accel) if self._options.covariance else corrected
+
+    def event(self, kind: str, sentence: str, count: int = 1) -> None:
+        """Count an event, and tell it if it is among the first of its kind.
+
+        Parameters
+        ----------
+        kind : str
+        sentence : str
+        count : int
+        """
+        before = self.counts[kind]
+        self.counts[kind] += count
+        if any(before < times <= self.counts[kind] for times in _TIMES_TOLD):
+            total = "" if self.counts[kind] == 1 else f" ({self.counts[kind]} samples are {kind} so far)"
+            self._tell(f"{sentence}{total}")
+
+    def summary(self) -> str:
+        """Counts in one sentence."""
+        return ", ".join(f"{count} {kind}" for kind, count in self.counts.items() if count or kind == CORRECTED)
+
+    def _sigma(self, gyro: Vector, accel: Vector) -> tuple[float, ...]:
+        covariance = self._applier.sample_covariance(gyro, accel, dt=self._options.dt)
+        sigma = np.sqrt(np.diag(covariance)) / np.abs(self._units)
+        return tuple(sigma.tolist())
+
+
+def _tested(temperature: Mapping[str, Any] | None, margin: float) -> tuple[float, float] | None:
+    """Temperatures at which the calibration holds, °C."""
+    if temperature is None:
+        return None
+    mean, half = float(temperature["mean_c"]), 0.5 * float(temperature["range_c"])
+    return mean - half - margin, mean + half + margin

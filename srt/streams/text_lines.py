@@ -1,0 +1,146 @@
+"""Samples as lines of CSV or JSON: corrected values in place of the readings, everything else as it came.
+
+A CSV stream may begin with names of columns (:mod:`srt.recording.importers.channels`); without names the columns are
+time, gyro x, y, z, accelerometer x, y, z and temperature, or the six readings alone. A line of JSON is an object with
+"gyro" and "accel" as lists of three, or with "gyro_x" to "accel_z"; "time" in s and "temperature" in °C are optional.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from srt.exceptions import InputError
+from srt.recording.import_options import CHANNELS
+from srt.recording.importers.channels import assign
+from srt.streams.stream_correction import LOST, MALFORMED
+
+if TYPE_CHECKING:
+    from srt.streams.stream_correction import StreamCorrector
+
+_READINGS: Final = tuple(name for name in CHANNELS if name.startswith(("gyro", "accel")))
+_NAMELESS: Final = ("time", *_READINGS, "temperature")
+_SIGMAS: Final = tuple(f"{name}_sigma" for name in _READINGS)
+_LONGEST: Final = 4096
+"""Characters of a line; a sample has some hundreds."""
+_LATE: Final = 1.5
+"""Steps of time, in those before, from which samples are lost."""
+
+
+class LineCorrector:
+    """Correct lines of one stream.
+
+    Parameters
+    ----------
+    corrector : StreamCorrector
+    covariance : bool
+        True: six 1-sigma are appended to each line.
+    """
+
+    __slots__ = ("_columns", "_corrector", "_covariance", "_first", "_last", "_line", "_step")
+
+    def __init__(self, corrector: StreamCorrector, *, covariance: bool = False) -> None:
+        self._corrector = corrector
+        self._covariance = covariance
+        self._columns: dict[str, int] | None = None
+        self._first = True
+        self._last: float | None = None
+        self._step: float | None = None
+        self._line = 0
+
+    def correct(self, line: str) -> str | None:
+        """Correct one line.
+
+        Parameters
+        ----------
+        line : str
+
+        Returns
+        -------
+        str or None
+            The line with corrected values, without its end; None for a line without a sample, which is counted.
+        """
+        self._line += 1
+        text = line.strip()
+        if not text or text.startswith("#"):
+            return text or None
+        try:
+            if len(text) > _LONGEST:
+                raise ValueError("it is too long")  # noqa: TRY301
+            return self._json(text) if text[0] == "{" else self._csv(text)
+        except (ValueError, IndexError, KeyError, TypeError, InputError) as error:
+            self._corrector.event(MALFORMED, f"line {self._line} is no sample ({str(error)[:120].rstrip('.')})")
+            return None
+
+    def _csv(self, text: str) -> str:
+        cells = text.split(",")
+        if self._first:
+            self._first = False
+            if not _is_number(cells[0]):
+                return self._header(cells)
+        columns = self._columns or self._nameless(len(cells))
+        values = tuple(float(cells[columns[name]]) for name in _READINGS)
+        time, temperature = columns.get("time"), columns.get("temperature")
+        corrected = self._corrector.correct(values, None if temperature is None else float(cells[temperature]))
+        if time is not None:
+            self._count_lost(float(cells[time]))
+        for name, value in zip(_READINGS, corrected, strict=False):
+            cells[columns[name]] = repr(value)
+        return ",".join([*cells, *map(repr, corrected[6:])])
+
+    def _header(self, cells: list[str]) -> str:
+        try:
+            self._columns = assign(Path("the stream"), [cell.strip() for cell in cells], len(cells), {}).columns
+        except InputError:
+            self._first = True
+            raise
+        return ",".join([*cells, *(_SIGMAS if self._covariance else ())])
+
+    def _nameless(self, width: int) -> dict[str, int]:
+        if width not in (6, 7, 8):
+            raise ValueError(f"it has {width} columns, but 6, 7 or 8 are expected without names")
+        names = _READINGS if width == len(_READINGS) else _NAMELESS[:width]
+        self._columns = {name: i for i, name in enumerate(names)}
+        return self._columns
+
+    def _json(self, text: str) -> str:
+        document: dict[str, Any] = json.loads(text)
+        arrays = "gyro" in document
+        if arrays:
+            values = (*map(float, document["gyro"]), *map(float, document["accel"]))
+        else:
+            values = tuple(float(document[name]) for name in _READINGS)
+        if len(values) != len(_READINGS):
+            raise ValueError("gyro and accel are not three numbers each")
+        temperature = document.get("temperature")
+        corrected = self._corrector.correct(values, None if temperature is None else float(temperature))
+        if "time" in document:
+            self._count_lost(float(document["time"]))
+        if arrays:
+            document["gyro"], document["accel"] = corrected[:3], corrected[3:6]
+        else:
+            document.update(zip(_READINGS, corrected, strict=False))
+        if self._covariance:
+            document["sigma"] = corrected[6:]
+        return json.dumps(document)
+
+    def _count_lost(self, time: float) -> None:
+        """Count samples that a step of time leaves out; the step before is the usual one."""
+        last, self._last = self._last, time
+        if last is None:
+            return
+        step = time - last
+        if self._step is not None and step > _LATE * self._step > 0.0:
+            count = round(step / self._step) - 1
+            self._corrector.event(LOST, f"line {self._line}: {count} samples are missing before {time:.9g}", count)
+            return
+        self._step = step
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
