@@ -60,8 +60,8 @@ INSTALLATIONS = {
         ),
     ),
     "core": Installation("", ("gtsam", "filterpy", "pydantic", "h5py", "matplotlib"), NUMPY_AND_SCIPY_TESTS),
-    "no-gtsam": Installation("cli,ekf,io,sims", ("gtsam",), ("tests/estimators", "tests/comparison")),
-    "no-filterpy": Installation("cli,graph,io,sims", ("filterpy",), ("tests/estimators", "tests/comparison")),
+    "no-gtsam": Installation("cli,ekf,io,plot,sims", ("gtsam",), ("tests/estimators", "tests/comparison")),
+    "no-filterpy": Installation("cli,graph,io,plot,sims", ("filterpy",), ("tests/estimators", "tests/comparison")),
 }
 
 

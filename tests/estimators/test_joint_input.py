@@ -254,6 +254,7 @@ def test_outside_the_model_is_reached(unit, estimator):
 
 
 def test_the_filter_has_no_robust_loss(unit):
+    pytest.importorskip("filterpy")
     for loss in ("huber", "cauchy"):
         with pytest.raises(InputError, match=f"loss='{loss}'"):
             srt.calibrate(unit[0], "ekf", loss=loss)
