@@ -84,7 +84,8 @@ def calibrate(
             raise
         raise DataError(f"{error} The likely cause: {screened.first.sentence}", fault=screened.first.fault) from error
     diagnosis = staged.with_calibration(result)
-    warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note")
+    # The result itself says what drifts.
+    warnings = tuple(f.sentence for f in diagnosis.findings if f.effect != "note" and f.fault != "accel_bias_drift")
     return replace(
         result,
         warnings=(*warnings, *result.warnings),

@@ -10,7 +10,7 @@ import numpy as np
 
 from sims.faults.injection import injection
 from sims.physics.imu import read_out
-from srt.constants import DEG, DEG_PER_H, normal_gravity_m_s2
+from srt.constants import DEG, DEG_PER_H, MICRO_G, normal_gravity_m_s2
 from srt.estimation.options import Options
 
 if TYPE_CHECKING:
@@ -133,6 +133,24 @@ def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Re
     angle = motion.angle.copy()
     angle[:, int(rng.integers(3))] += _sign(rng) * severity * DEG_PER_H * motion.interval * share
     return _again(case, replace(motion, angle=angle), case.simulation.imu, rng)
+
+
+@injection(
+    "accel_bias_drift",
+    {"navigation-rlg": 0.2, "tactical-fog": 4.0, "industrial-mems": 8.0, "consumer-mems": 100.0},
+    "mg",
+)
+def accel_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The bias of one accelerometer drifts after switch-on, linearly or with a decreasing rate."""
+    time = case.recording.time - case.recording.time[0]
+    share = time / time[-1]
+    if rng.random() < 0.5:
+        slowness = rng.uniform(0.4, 1.5)
+        share = np.expm1(-share / slowness) / np.expm1(-1.0 / slowness)
+    accel = case.recording.accel.copy()
+    unit = 1.0 if case.recording.kind == "rate" else case.recording.nominal_interval_s
+    accel[:, int(rng.integers(3))] += _sign(rng) * severity * 1e3 * MICRO_G * share * unit
+    return replace(case.recording, accel=accel)
 
 
 @injection(

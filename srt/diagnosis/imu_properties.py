@@ -95,6 +95,17 @@ def gyro_bias_drift(evidence: Evidence) -> Iterator[Finding]:
         yield finding("gyro_bias_drift", axis=AXES[axis], change_deg_h=float(fit.drift[axis] / DEG_PER_H))
 
 
+@check("accel_bias_drift", needs_result=True)
+def accel_bias_drift(evidence: Evidence) -> Iterator[Finding]:
+    """Report the drift of the accelerometers that the residuals of a calibration show."""
+    result = evidence.result
+    for drift in () if result is None else result.diagnostics.get("drift", ()):
+        if drift["sensor"] == "accel":
+            x, y, z = (value / (1e3 * MICRO_G) for value in drift["change_m_s2"])
+            yield finding("accel_bias_drift", form=drift["form"], x_mg=x, y_mg=y, z_mg=z)
+            return
+
+
 @check("gyro_noise")
 def gyro_noise(evidence: Evidence) -> Iterator[Finding]:
     """Test the angle random walk of the stationary windows against the stated figure."""

@@ -282,6 +282,7 @@ def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> 
         messages.append(
             f"The unit moved in the stationary windows from {times}; their attitude was integrated, not kept fixed."
         )
+    messages += [term.sentence for term in result.drift]
     if result.status in (*USABLE, "not_converged"):
         messages += wrong_rotation_angles(data, result.end_attitude, result.U)
     if result.solution is not None and result.status in USABLE:

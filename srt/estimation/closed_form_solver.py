@@ -156,7 +156,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         fixed[name] = f"sequence {', '.join(absent)} is missing or void; the value is {source}"
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled)
+    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled, models_drift=False)
     return build_calibration("closed-form", data, options, result, fixed, warnings=warnings)
 
 

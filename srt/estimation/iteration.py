@@ -18,6 +18,7 @@ import numpy as np
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.estimation import measurement_covariance
+from srt.estimation.drift_model import NOTHING, Unmodelled
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
@@ -108,6 +109,8 @@ class Solution:
         Estimate of the unknown part of the Earth rate, in units of its prior sigma.
     earth_rate : ndarray, shape (K, 3, S), rad/s
         That part per unit draw, in each B_Strt.
+    excess : Unmodelled
+        Errors beyond the noise of the sensors.
     """
 
     errors: SensorErrors
@@ -126,6 +129,7 @@ class Solution:
     g_sensitivity: Array
     earth_rate_draws: Array | None
     earth_rate: Array
+    excess: Unmodelled
 
 
 class _DivergenceError(Exception):
@@ -142,7 +146,7 @@ class Iteration:
         solver: Solver,
         *,
         start: SensorErrors,
-        excess: tuple[float, float],
+        excess: Unmodelled,
         resume: Solution | None,
         fixed_sigma: Array,
     ) -> None:
@@ -299,6 +303,8 @@ class Iteration:
         return bool(change <= max(CONVERGED_CORRECTION, CONVERGED_SIGMAS * sigma[GROUP_SLICES["gyro_bias"]].max()))
 
     def _bias_gain(self, measurements: SrtMeasurements) -> Array:
+        if self.excess.drifting("gyro"):  # a drift of deg/s is not linear in the attitude: each sequence has its bias
+            return np.ones(3)
         return measurement_covariance.bias_gain(
             measurements, self.data, self.options.gyro_bias, self._compensated(measurements)
         )
@@ -311,7 +317,13 @@ class Iteration:
         left = measurements.scatter_left()
         if len(measurements.share) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
-        deviation = measurements.bias_by_sequence / np.sqrt(left)
+        rest = measurements.rest_rate
+        forms = [self.data.drift_shapes[term.form].windows for term in self.excess.drift if term.sensor == "gyro"]
+        if forms:  # the scatter beyond the modelled drift
+            shapes = np.concatenate([np.ones((len(rest), 1)), *forms], axis=1)
+            weight = np.sqrt(measurements.pool)[:, None]
+            rest = rest - shapes @ np.linalg.lstsq(weight * shapes, weight * rest)[0]
+        deviation = (measurements.share @ rest - measurements.pool @ rest) / np.sqrt(left)
         doubt = measurement_covariance.earth_rate_sigma(self.data)
         expected = measurement_covariance.rest_rate_variance(measurements, self.data) + doubt**2
         excess = measurement_covariance.excess_variance(deviation, expected)
@@ -384,6 +396,7 @@ class Iteration:
             self.g_sensitivity,
             self.earth_rate_draws,
             self._earth_rate,
+            self.excess,
         )
 
 
@@ -409,7 +422,7 @@ def iterate(
     U: Array,
     progress: Callable[[int, float], None] | None = None,
     *,
-    excess: tuple[float, float] = (0.0, 0.0),
+    excess: Unmodelled = NOTHING,
     resume: Solution | None = None,
     fixed_sigma: Array | None = None,
 ) -> Solution:
@@ -426,8 +439,8 @@ def iterate(
         T to MARS components.
     progress : callable, optional
         Called with the number of the iteration and the largest correction.
-    excess : (float, float)
-        Unmodelled error beyond the sensor noise, 1-sigma: rotation, rad; specific force per window, m/s².
+    excess : Unmodelled
+        Errors beyond the noise of the sensors.
     resume : Solution, optional
         Solution on the same data to continue from (its errors, windows and biases).
     fixed_sigma : ndarray, shape (27,), optional

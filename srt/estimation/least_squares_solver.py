@@ -21,6 +21,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt.estimation import measurement_covariance
 from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.drift_search import used_bias_gain
 from srt.estimation.fixed_parameters import fixed_sigma, reason_not_observed, reason_on_request
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.leave_one_out import LeaveOneOutEstimate, leave_one_out_estimate, pooling_weights_without
@@ -110,7 +111,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     for _ in range(_ROUNDS):
         requested = tuple(fixed)
         solution, solver, unmodelled = iterate_with_unmodelled_errors(
-            data, options, partial(LeastSquaresSolver, requested, prior), first, uncertain, progress
+            data, options, partial(LeastSquaresSolver, requested, prior), first, uncertain, progress, models_drift=True
         )
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
         weak = ~solver.fixed & (sigma > OBSERVED_BELOW * prior)
@@ -119,7 +120,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
                 fixed[n] = reason_not_observed(n)
         if solution.status != "converged" or not weak.any():
             break
-    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled)
+    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled, models_drift=True)
     return build_calibration("least-squares", data, options, result, fixed)
 
 
@@ -148,7 +149,7 @@ def without_sequences(
     back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
     # The last pool omits no sequence: it gives the estimate from all sequences.
     pools = np.concatenate([pooling_weights_without(data, solution, rows_by_sequence), measurements.pool[None]])
-    gain = _bias_gain(data, options, solution)
+    gain = used_bias_gain(data, options, solution)
     with_u, own = _pooled_noise(data, solution, gain, pools)
     rates = measurements.rest_rate
     H_pools = np.einsum("kw,wap->kap", pools, model.rate_error_jacobian(measurements.rate, measurements.gyro)) * unit
@@ -178,12 +179,6 @@ def without_sequences(
     return [leave_one_out_estimate(np.stack([full, N]), g, estimated) for N, g in found[:-1]]
 
 
-def _bias_gain(data: PreparedRecording, options: Options, solution: Solution) -> Array:
-    """Share of a sequence's own rest rate that was used as its bias."""
-    compensated = np.sqrt(np.linalg.inv(solution.measurements.gyro.matrix) ** 2 @ solution.wander**2)
-    return measurement_covariance.bias_gain(solution.measurements, data, options.gyro_bias, compensated)
-
-
 def _offset_effect(data: PreparedRecording, solution: Solution, gain: Array) -> Array:
     """Effect of the pooled rate on the horizontal components via the bias deviations (own − pooled), shape (2 K, 3)."""
     measurements = solution.measurements
@@ -196,7 +191,7 @@ def _pooled_noise(data: PreparedRecording, solution: Solution, gain: Array, pool
     measurements = solution.measurements
     with_z = np.zeros((len(measurements.z), 3 * len(pools)))
     own = np.zeros((len(pools), 3, 3))
-    for source in measurement_covariance.disturbances(measurements, data, solution.wander).values():
+    for source in measurement_covariance.disturbances(measurements, data, solution.wander, solution.excess).values():
         if source.rate is not None:
             pooled = np.tensordot(pools, measurements.after_g_sensitivity(source.rate)[0], 1)
             with_z += (

@@ -16,11 +16,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation.drift_model import NOTHING
 from srt.estimation.earth_rate_regression import earth_rate_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
+    from srt.estimation.drift_model import Unmodelled
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.sequences.preparation import PreparedRecording
@@ -171,7 +173,7 @@ def excess_variance(rates: Array, expected: Array) -> Array:
 
 
 def disturbances(
-    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, excess: tuple[float, float] = (0.0, 0.0)
+    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, excess: Unmodelled = NOTHING
 ) -> dict[str, Disturbance]:
     """All error sources by name, in the order of the report.
 
@@ -182,8 +184,8 @@ def disturbances(
     data : PreparedRecording
     wander : ndarray, shape (3,), rad/s
         1-sigma of a sequence's gyro bias about the mean of the test (sensor axes), if no instability is stated.
-    excess : (float, float)
-        Unmodelled errors, 1-sigma: rotation, rad; specific force per window, m/s².
+    excess : Unmodelled
+        Errors beyond the noise of the sensors.
     """
     noise, windows = data.noise, data.windows
     T = windows.duration_s
@@ -191,7 +193,7 @@ def disturbances(
     white = noise.accel_white * np.sqrt(windows.white_factor)[:, None]
     edge = noise.accel_edge * np.sqrt(windows.edge_factor)[:, None]
     up = measurements.force / np.linalg.norm(measurements.force, axis=1, keepdims=True)
-    return {
+    out = {
         "gyro_noise": _gyro_noise(measurements, data),
         "gyro_quantization": _gyro_quantization(measurements, data),
         "gyro_bias_instability": _bias_instability(measurements, data, wander),
@@ -201,9 +203,12 @@ def disturbances(
         "earth_rate_alignment": _earth_rate_error(measurements, data),
         **_stated_values(measurements, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
-        "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess[0] * np.eye(3), (data.K, 3, 3)))),
-        "pose_excess": Disturbance(force=_own_draw(np.broadcast_to(excess[1] * np.eye(3), (len(T), 3, 3)))),
+        "turn_excess": Disturbance(phi=_own_draw(np.broadcast_to(excess.rotation * np.eye(3), (data.K, 3, 3)))),
+        "pose_excess": Disturbance(force=_own_draw(np.broadcast_to(excess.force * np.eye(3), (len(T), 3, 3)))),
     }
+    for term in excess.drift:
+        out[f"{term.sensor}_drift ({term.form})"] = drift_form(measurements, data, *term)
+    return out
 
 
 def covariances(
@@ -211,7 +216,7 @@ def covariances(
     data: PreparedRecording,
     wander: Array,
     gain: Array,
-    excess: tuple[float, float] = (0.0, 0.0),
+    excess: Unmodelled = NOTHING,
 ) -> dict[str, Array]:
     """Covariance of z by source; the sum over the sources is the covariance of z."""
     out = {}
@@ -389,6 +394,25 @@ def accel_drift(data: PreparedRecording, slope: Array) -> Disturbance:
     """
     force = (slope * data.noise.accel_flicker)[:, :, :, None] * data.window_drift[:, None, None, :]
     return Disturbance(force=force.reshape(*force.shape[:2], -1))
+
+
+def drift_form(
+    measurements: SrtMeasurements, data: PreparedRecording, sensor: str, form: str, sigma: float = 1.0
+) -> Disturbance:
+    """Drift of a triad in one form, for coefficients of 1-sigma ``sigma``: three draws for each function of it."""
+    shape = data.drift_shapes[form]
+    if sensor == "accel":
+        slope = sigma * measurements.accel.sensitivity(measurements.force)
+        return Disturbance(force=_flat(np.einsum("wab,wn->wanb", slope, shape.windows)))
+    if measurements.integrals.time_parts is None:
+        raise ValueError("the measurements were processed without their noise integrals")
+    slope = sigma * np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
+    phi = np.einsum("kpab,kpn->kanb", sigma * measurements.integrals.time_parts, shape.parts)
+    return Disturbance(phi=_flat(phi), rate=_flat(np.einsum("ab,wn->wanb", slope, shape.windows)))
+
+
+def _flat(draws: Array) -> Array:
+    return draws.reshape(*draws.shape[:2], -1)
 
 
 def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) -> Disturbance:

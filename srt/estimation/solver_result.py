@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.estimation import g_sensitivity_report
+from srt.estimation.drift_search import estimates, search
 from srt.estimation.goodness_of_fit import chi_square
 from srt.estimation.leave_one_out import sequence_diagnostics
 from srt.estimation.unmodelled_errors import fit_to_sensor_noise
@@ -17,6 +18,7 @@ from srt.sensor_errors import NAMES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from srt.estimation.drift_model import DriftEstimate, Unmodelled
     from srt.estimation.iteration import Solution
     from srt.estimation.leave_one_out import LeaveOneOutEstimator, SequenceDiagnostics
     from srt.estimation.options import Options
@@ -65,6 +67,8 @@ class SolverResult:
         Further output of the estimator, as JSON values.
     sequences : tuple of SequenceDiagnostics
         Leave-one-out diagnostics of every sequence, where the estimator computes them.
+    drift : tuple of DriftEstimate
+        Bias drift within the recording that the residuals show.
     solution : Solution, optional
         Solution of an iterated solver; None for joint estimators.
     """
@@ -87,6 +91,7 @@ class SolverResult:
     total: Array | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     sequences: tuple[SequenceDiagnostics, ...] = ()
+    drift: tuple[DriftEstimate, ...] = ()
     solution: Solution | None = None
 
 
@@ -96,7 +101,9 @@ def solver_result(
     solution: Solution,
     fixed_reasons: Mapping[str, str],
     leave_one_out: LeaveOneOutEstimator,
-    unmodelled: tuple[float, float],
+    unmodelled: Unmodelled,
+    *,
+    models_drift: bool,
 ) -> SolverResult:
     """Solver result of an iterated solution.
 
@@ -109,12 +116,22 @@ def solver_result(
         Parameters not observed, with the reason.
     leave_one_out : LeaveOneOutEstimator
         Leave-one-out estimator of the solver.
-    unmodelled : tuple of float
-        Unmodelled errors of rotations, rad, and specific forces, m/s².
+    unmodelled : Unmodelled
+        Errors beyond the noise of the sensors.
+    models_drift : bool
+        True: the solution models the drift that its residuals show; False: it is searched for and reported.
     """
     fixed = np.array([name in fixed_reasons for name in NAMES])
     statistic, freedom = chi_square(solution, fixed)
     outside = solution.status == "outside_model"
+    drift: tuple[DriftEstimate, ...] = ()
+    if solution.status == "converged":
+        # A solver that models drift has searched for it before.
+        missing = None if models_drift else search(data, options, solution, fixed)
+        drift = estimates(data, options, solution, fixed, missing)
+    diagnostics = g_sensitivity_report.diagnostics(data, solution)
+    if drift:
+        diagnostics = {**diagnostics, "drift": [term.as_dict() for term in drift]}
     return SolverResult(
         errors=solution.errors,
         U=solution.U,
@@ -126,14 +143,15 @@ def solver_result(
         chi_square=statistic,
         degrees_of_freedom=freedom,
         sensor_noise_fit=fit_to_sensor_noise(solution, data, fixed, unmodelled)
-        if any(unmodelled)
+        if any(unmodelled.sizes)
         else (statistic, freedom),
-        unmodelled=(*unmodelled, 0.0),
+        unmodelled=(*unmodelled.sizes, 0.0),
         integrated=solution.integrated,
         wander=solution.wander,
         bias_by_sequence=solution.bias_by_sequence,
         end_attitude=solution.measurements.integrals.C_end,
-        diagnostics=g_sensitivity_report.diagnostics(data, solution),
+        diagnostics=diagnostics,
+        drift=drift,
         sequences=() if outside else sequence_diagnostics(leave_one_out, data, options, solution, fixed),
         solution=solution,
     )

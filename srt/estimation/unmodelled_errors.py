@@ -1,7 +1,8 @@
-"""Unmodelled errors of rotations and specific forces, added to the noise where the residuals are larger than it.
+"""Errors beyond the noise of the sensors: unmodelled errors of rotations and specific forces, and bias drift.
 
-Both closed form and least squares estimate them from the residuals by restricted maximum likelihood. If one sequence
-alone explains the misfit, that sequence is faulty, and no noise is added.
+Where the residuals are larger than the noise, closed form and least squares estimate the unmodelled errors from them by
+restricted maximum likelihood. If one sequence alone explains the misfit, that sequence is faulty, and no noise is added.
+Once the noise is settled, a drift is searched for, and the noise estimated again with it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.estimation import measurement_covariance
+from srt.estimation.drift_model import MOST_TERMS, NOTHING, Unmodelled
+from srt.estimation.drift_search import search
 from srt.estimation.goodness_of_fit import chi_square, is_misfit, one_group_explains
 from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import consistency_tests, rows_of_sequences
@@ -26,8 +29,6 @@ if TYPE_CHECKING:
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
-    UnmodelledErrors = tuple[float, float]
-
 _ROUNDS: Final = 3
 """Largest number of rounds that estimate the unmodelled errors."""
 
@@ -39,7 +40,9 @@ def iterate_with_unmodelled_errors(
     first: tuple[SensorErrors, Array],
     uncertain: Array,
     progress: Progress | None,
-) -> tuple[Solution, Solver, UnmodelledErrors]:
+    *,
+    models_drift: bool = False,
+) -> tuple[Solution, Solver, Unmodelled]:
     """Iterate, and repeat with unmodelled errors if the residuals contradict the noise.
 
     Parameters
@@ -53,49 +56,58 @@ def iterate_with_unmodelled_errors(
     uncertain : ndarray, shape (27,)
         Standard deviation of fixed values.
     progress : callable, optional
+    models_drift : bool
+        Model the bias drift that the residuals show.
 
     Returns
     -------
     Solution
     Solver
-    tuple of float
-        Unmodelled rotation error, rad, and specific-force error per window, m/s², 1-sigma.
+    Unmodelled
     """
     solver = new_solver()
     solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
-    sizes = (0.0, 0.0)
-    for _ in range(_ROUNDS):
+    present = NOTHING
+    for _ in range(_ROUNDS * (1 + MOST_TERMS * models_drift)):
+        if solution.status != "converged":
+            break
+        new = present
         fit = chi_square(solution, solver.fixed)
-        if solution.status != "converged" or not is_misfit(*fit):
-            break
-        if not any(sizes) and _one_sequence_explains(solution, data, solver.fixed, *fit):
-            break
-        new = _estimated(solution, data, solver.fixed, sizes)
-        if np.allclose(new, sizes, rtol=0.1, atol=1e-6):
-            break
-        sizes = new
+        if is_misfit(*fit):
+            if not any(present.sizes) and _one_sequence_explains(solution, data, solver.fixed, *fit):
+                break
+            new = _estimated(solution, data, solver.fixed, present)
+        if np.allclose(new.sizes, present.sizes, rtol=0.1, atol=1e-6):
+            more = models_drift and len(present.drift) < MOST_TERMS
+            term = search(data, options, solution, solver.fixed) if more else None
+            if term is None:
+                break
+            new = Unmodelled(drift=(*present.drift, term))
+        present = new
         solver = new_solver()
         solution = iterate(
             data, options, solver, first[0], solution.U, progress,
-            excess=sizes, resume=solution, fixed_sigma=uncertain,
+            excess=present, resume=solution, fixed_sigma=uncertain,
         )  # fmt: skip
-    return solution, solver, sizes
+    return solution, solver, present
 
 
 def fit_to_sensor_noise(
-    solution: Solution, data: PreparedRecording, fixed: Mask, sizes: UnmodelledErrors
+    solution: Solution, data: PreparedRecording, fixed: Mask, present: Unmodelled
 ) -> tuple[float, int]:
     """Chi-square of the residuals and its degrees of freedom, without the unmodelled errors in the noise."""
-    return chi_square(solution, fixed, _sensor_noise(solution, data, sizes)[0])
+    return chi_square(solution, fixed, _sensor_noise(solution, data, present)[0])
 
 
 def _sensor_noise(
-    solution: Solution, data: PreparedRecording, sizes: UnmodelledErrors
+    solution: Solution, data: PreparedRecording, present: Unmodelled
 ) -> tuple[Array, tuple[Array, Array]]:
     """Covariance of the measurements without unmodelled errors, and that of each for unit size."""
-    unit = measurement_covariance.covariances(solution.measurements, data, np.zeros(3), np.zeros(3), (1.0, 1.0))
+    unit = measurement_covariance.covariances(
+        solution.measurements, data, np.zeros(3), np.zeros(3), Unmodelled(1.0, 1.0)
+    )
     parts = unit["turn_excess"], unit["pose_excess"]
-    added = sum((size**2 * part for size, part in zip(sizes, parts, strict=True)), np.zeros_like(parts[0]))
+    added = sum((size**2 * part for size, part in zip(present.sizes, parts, strict=True)), np.zeros_like(parts[0]))
     return solution.measurement_covariance - added, parts
 
 
@@ -111,9 +123,9 @@ def _one_sequence_explains(
     return one_group_explains([(test.chi_square, test.degrees_of_freedom) for test in found], statistic, freedom)
 
 
-def _estimated(solution: Solution, data: PreparedRecording, fixed: Mask, present: UnmodelledErrors) -> UnmodelledErrors:
+def _estimated(solution: Solution, data: PreparedRecording, fixed: Mask, present: Unmodelled) -> Unmodelled:
     """Unmodelled errors by restricted likelihood."""
     known, parts = _sensor_noise(solution, data, present)
     measurements = solution.measurements
     rotation, force = np.sqrt(restricted_likelihood(measurements.z, measurements.H[:, ~fixed], known, parts))
-    return float(rotation), float(force)
+    return Unmodelled(float(rotation), float(force), present.drift)

@@ -10,9 +10,10 @@ import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
-from srt.model.analytic_platform import GyroStream, gyro_stream
+from srt.model.analytic_platform import GyroStream, equal_parts, gyro_stream, parts_per_rotation
 from srt.model.table1 import SEQUENCES, RotationSequence, axis_vector
-from srt.noise.bias_instability import DriftDraws, drift_draws, window_draws
+from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, window_draws
+from srt.noise.drift_forms import DriftShape, Intervals, drift_shapes
 from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.plausibility import (
     check_interval,
@@ -132,6 +133,21 @@ class PreparedRecording:
     def window_drift(self) -> Array:
         """Unit draws of the drift of the windows alone, shape (W, W)."""
         return window_draws(self.windows.samples, self.recording.time)
+
+    @cached_property
+    def drift_shapes(self) -> dict[str, DriftShape]:
+        """Shapes of a bias drift within the recording, by form."""
+        samples, parts = self.windows.samples, parts_per_rotation(self.K)
+        edges = equal_parts(self.rotation, parts)
+        spans = np.concatenate([samples, np.stack([edges[:, :-1].ravel(), edges[:, 1:].ravel()], axis=1)])
+        start, end = interval_times(spans, self.recording.time)
+        temperature = None
+        if self.recording.temperature is not None:
+            total = np.concatenate([[0.0], np.cumsum(self.recording.temperature)])
+            first = np.minimum(spans[:, 0], len(total) - 2)
+            last = np.maximum(spans[:, 1], first + 1)
+            temperature = (total[last] - total[first]) / (last - first)
+        return drift_shapes(Intervals(start, end, len(samples), (self.K, parts), temperature))
 
     def earth_rate_base(self) -> Array:
         """Known part of the Earth's rate in fixture base axes, rad/s.

@@ -25,6 +25,7 @@ FAULTS = (
     "temperature_unit",
     "temperature_drift",
     "gyro_bias_drift",
+    "accel_bias_drift",
     "gyro_noise",
     "accel_noise",
     "asymmetry_omitted",

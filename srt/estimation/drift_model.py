@@ -1,0 +1,189 @@
+"""Bias drift within a recording: selection of its form from the residuals, and its effect on the SRT measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from srt.constants import DEG_PER_H, MICRO_G
+from srt.noise.drift_forms import FALSE_ALARM, TESTED_TERMS, WALK, drift_tests
+from srt.noise.variance_components import restricted_likelihood
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array
+
+    Sensor = Literal["gyro", "accel"]
+
+
+_WIDE: Final = 100.0
+"""Prior sigma of the coefficients of a form, in units of their estimate: the prior takes 1e-4 of the estimate."""
+MOST_TERMS: Final = 3
+"""Largest number of forms that are selected."""
+_UNITS: Final = {"gyro": (DEG_PER_H, "°/h"), "accel": (1e3 * MICRO_G, "mg")}
+_NAMES: Final = {"gyro": "gyro", "accel": "accelerometer"}
+
+
+class DriftTerm(NamedTuple):
+    """One form of drift of one triad.
+
+    Attributes
+    ----------
+    sensor : "gyro" or "accel"
+    form : str
+        Name of the form, see :mod:`srt.noise.drift_forms`.
+    sigma : float, rad/s or m/s²
+        Prior standard deviation of the coefficients: wide, or that of a random walk over the recording.
+    """
+
+    sensor: Sensor
+    form: str
+    sigma: float
+
+
+class Unmodelled(NamedTuple):
+    """Errors beyond the noise of the sensors that the residuals show.
+
+    Attributes
+    ----------
+    rotation : float, rad
+        Standard deviation per rotation.
+    force : float, m/s²
+        Standard deviation per window.
+    drift : tuple of DriftTerm
+    """
+
+    rotation: float = 0.0
+    force: float = 0.0
+    drift: tuple[DriftTerm, ...] = ()
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Standard deviations of unmodelled errors: rotation, rad; specific force, m/s²."""
+        return self.rotation, self.force
+
+    @property
+    def coefficients(self) -> int:
+        """Number of coefficients that are estimated without a prior."""
+        return sum(3 for term in self.drift if term.form != WALK)
+
+    def drifting(self, sensor: Sensor) -> bool:
+        """True if a drift of the triad is modelled."""
+        return any(term.sensor == sensor for term in self.drift)
+
+
+NOTHING: Final = Unmodelled()
+"""No error beyond the noise of the sensors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftEstimate:
+    """Estimated drift of one term.
+
+    Attributes
+    ----------
+    sensor, form : str
+    change : ndarray, shape (3,), rad/s or m/s²
+        Change of the bias of each channel over the recording; for a random walk, its largest range.
+    modelled : bool
+        True if the estimate of the sensor errors allows for the drift.
+    """
+
+    sensor: str
+    form: str
+    change: Array
+    modelled: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        unit = "rad_s" if self.sensor == "gyro" else "m_s2"
+        return {
+            "sensor": self.sensor,
+            "form": self.form,
+            f"change_{unit}": self.change.tolist(),
+            "modelled": self.modelled,
+        }
+
+    @property
+    def sentence(self) -> str:
+        """Warning that names the drift and its size."""
+        factor, unit = _UNITS[self.sensor]
+        sizes = ", ".join(f"{value / factor:+.3g}" for value in self.change.tolist())
+        form = {"linear": "linearly with time", "temperature": "with temperature", WALK: "as a random walk"}.get(
+            self.form, "as in a warm-up"
+        )
+        end = (
+            "the estimate includes this drift, and the sigmas allow for it."
+            if self.modelled
+            else "this estimator does not model it: use least-squares, ekf or graph, or let the unit warm up."
+        )
+        return (
+            f"The {_NAMES[self.sensor]} biases changed {form} by {sizes} {unit} (x, y, z) over the recording, more "
+            f"than their noise allows; {end}"
+        )
+
+
+def candidates(data: PreparedRecording, present: Sequence[DriftTerm]) -> list[tuple[Sensor, str]]:
+    """Sensors and forms that can be selected in addition to those present."""
+    taken = {(term.sensor, term.form) for term in present}
+    sensors: tuple[Sensor, ...] = ("accel", "gyro")
+    return [(s, form) for s in sensors for form in data.drift_shapes if (s, form) not in taken]
+
+
+def select(
+    z: Array,
+    H: Array,
+    R: Array,
+    effects: Mapping[tuple[Sensor, str], Array],
+    tests: int,
+) -> tuple[DriftTerm, float] | None:
+    """Most significant form of drift and its p-value; None if none is significant.
+
+    The probability of selecting any form without drift is at most :data:`~srt.noise.drift_forms.FALSE_ALARM`
+    (Bonferroni's inequality): later selections presuppose a first one.
+
+    Parameters
+    ----------
+    z, R : ndarray, shape (n,) and (n, n)
+        Measurements and their covariance.
+    H : ndarray, shape (n, p)
+        Derivative with respect to the estimated parameters.
+    effects : mapping of (sensor, form) to ndarray, shape (n, 3 q)
+        Effects of the coefficients of the three channels, for each of the q functions of a form in turn.
+    tests : int
+        Number of forms that are tested in the recording, over all sensors.
+    """
+    scale = 1.0 / np.sqrt(np.diag(R))
+    L = np.linalg.cholesky(R * np.outer(scale, scale))
+
+    def white(values: Array) -> Array:
+        return np.asarray(solve_triangular(L, (values.T * scale).T, lower=True))
+
+    keys = {f"{s}/{form}": (s, form) for s, form in effects}
+    columns = {name: white(effects[key][:, : 3 * TESTED_TERMS]) for name, key in keys.items()}
+    found = drift_tests(white(z), white(H), columns)
+    if not found:
+        return None
+    best = min(found, key=lambda name: found[name].p_value)
+    if found[best].p_value >= FALSE_ALARM / tests:
+        return None
+    sensor, form = keys[best]
+    sigma = _WIDE * float(np.abs(found[best].amplitude).max())
+    if form == WALK:
+        all_terms = white(effects[sensor, form])
+        (variance,) = restricted_likelihood(white(z), white(H), np.eye(len(z)), (all_terms @ all_terms.T,))
+        sigma = float(np.sqrt(variance))
+    return DriftTerm(sensor, form, sigma), found[best].p_value
+
+
+def change(form: str, coefficients: Array, windows: Array) -> Array:
+    """Change of the bias of each channel over the recording, shape (3,), from coefficients (n, 3) of a form."""
+    if form == WALK:
+        return np.asarray(np.ptp(windows @ coefficients, axis=0))
+    course = windows[:, 0]
+    return np.asarray(coefficients[0] * np.sign(course[-1] - course[0]))
