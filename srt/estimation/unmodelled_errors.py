@@ -1,7 +1,7 @@
 """Errors beyond the noise of the sensors: unmodelled errors of rotations and specific forces, and bias drift.
 
 Where the residuals are larger than the noise, closed form and least squares estimate the unmodelled errors from them by
-restricted maximum likelihood. If one sequence alone explains the misfit, that sequence is faulty, and no noise is added.
+restricted maximum likelihood. If one sequence alone explains the misfit, it is faulty, and no noise is added.
 Once the noise is settled, a drift is searched for, and the noise estimated again with it.
 """
 

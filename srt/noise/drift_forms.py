@@ -30,7 +30,7 @@ FALSE_ALARM: Final = 1e-4
 """Probability that any form of any sensor is selected in a recording without drift."""
 WALK: Final = "random walk"
 _WALK_TERMS: Final = 12
-"""Terms of the random walk; the omitted ones have 1 / (12 π²), 0.8 %, of its variance."""
+"""Terms of the random walk; the omitted ones have at most 2 / (12 π²), 1.7 %, of its variance at the end."""
 TESTED_TERMS: Final = 3
 """Terms of the random walk in its test: they have 93 % of its variance."""
 _WARM_UP: Final = {"fast warm-up": 1.0 / 8.0, "warm-up": 1.0 / 3.0}
