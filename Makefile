@@ -8,11 +8,14 @@ export OMP_NUM_THREADS := 1
 # Tests start many processes: let each read what is compiled, wherever writing it may have been turned off.
 export PYTHONDONTWRITEBYTECODE :=
 STAMP := $(VENV)/.installed
+DEMO_STAMP := $(VENV)/.installed-demo
 
 .PHONY: demo test lint docs slow lowest figures clean
 
-demo: $(STAMP)
-	$(BIN)/srt demo -o demo-output
+# What the demo uses; an environment with everything has that too
+demo: $(if $(wildcard $(STAMP)),$(STAMP),$(DEMO_STAMP))
+	@echo "Simulating and calibrating a unit:"
+	@$(BIN)/srt demo -o demo-output
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -44,6 +47,13 @@ figures: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+$(DEMO_STAMP): pyproject.toml constraints.txt
+	@echo "Installing what the demo uses into $(VENV): numpy, scipy, matplotlib, click, rich, pydantic"
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[demo]' | \
+		grep --line-buffered -E '^(Collecting|Installing|Successfully)'
 	touch $@
 
 clean:

@@ -62,4 +62,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     from srt.reports.text.truth_comparison import largest_error_text
 
     show(largest_error_text(calibration, truth))
-    return report_problems(job, calibration)
+    code = report_problems(job, calibration)
+    if plot is not None and not quiet:
+        show(f"\nThe picture, with how to read it: {plot}")
+    return code

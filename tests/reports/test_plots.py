@@ -137,3 +137,24 @@ def test_an_absent_matplotlib_says_what_to_install():
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert "pip install 'strapdown-rotation-test[plot]'" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("names", "labels"),
+    [
+        (("horizontal_x", "horizontal_z", "start_down", "end_down"), ["horizontal", "down at start", "down at end"]),
+        (("start_force_x", "end_rate_z", "turn_y"), ["specific force", "rate at rest", "rotation"]),
+        (("something",), ["other"]),
+    ],
+)
+def test_residuals_are_labelled_by_what_they_measure(names, labels):
+    from srt.reports.figures.calibration import draw_residuals
+    from srt.reports.figures.style import Figure
+    from srt.result.calibration import Residual
+
+    axes = Figure().subplots()
+    residuals = [Residual("1", 1, name, float(k), 1.0) for k, name in enumerate(names)]
+    draw_residuals(axes, residuals)
+    lines = {line.get_label(): line for line in axes.get_lines() if not line.get_label().startswith("_")}
+    assert list(lines) == labels
+    assert sorted(y for line in lines.values() for y in line.get_ydata()) == [r.value for r in residuals]

@@ -12,8 +12,7 @@ import numpy as np
 
 from srt.constants import MICRO_G, STANDARD_GRAVITY_M_S2
 from srt.model.table1 import AXES
-from srt.reports.certificate.tables import plain
-from srt.reports.figures.calibration import draw_convergence, draw_errors, draw_values
+from srt.reports.figures.calibration import draw_convergence, draw_errors, draw_residuals, draw_values
 from srt.reports.figures.inspection import envelope
 from srt.reports.figures.style import (
     BLUE,
@@ -22,7 +21,6 @@ from srt.reports.figures.style import (
     GREEN,
     GREY,
     INK,
-    PURPLE,
     VERMILION,
     Axes,
     ConstrainedLayoutEngine,
@@ -44,17 +42,6 @@ _TEXT: Final = 8.5
 """Size of letters, points."""
 _COLOURS: Final = (BLUE, VERMILION, GREEN)
 _MARKERS: Final = ("o", "s", "^")
-_KINDS: Final = (
-    ("horizontal", "horizontal", BLUE, "o"),
-    ("down", "down", VERMILION, "s"),
-    ("force", "specific force", BLUE, "o"),
-    ("rate", "rate at rest", GREEN, "^"),
-    ("turn", "turn", PURPLE, "v"),
-)
-"""Word in a component's name, label, colour, marker."""
-_OTHER: Final = ("", "other", GREY, "D")
-_MOST_TICKS: Final = 24
-"""Largest number of labels of sequences on the axis."""
 _IN_MINUTES: Final = 1200.0
 """Duration from which the time axis is in minutes, s."""
 _GRID: Final = (("ppm", "µg"), ("µrad", "°/h"))
@@ -144,30 +131,8 @@ def _parameters(certificate: Certificate, figure: Figure | SubFigure) -> None:
 
 def _residuals(certificate: Certificate, figure: Figure | SubFigure) -> None:
     axes = figure.subplots()
-    style(axes)
-    residuals = [r for r in certificate.source.calibration.residuals if r.sigma > 0.0]
-    turns = list(dict.fromkeys((r.sequence, r.occurrence) for r in certificate.source.calibration.residuals))
-    place = {turn: i for i, turn in enumerate(turns)}
-    points: dict[tuple[str, str, str, str], list[tuple[float, float]]] = {}
-    for r in residuals:
-        kind = next((k for k in _KINDS if k[0] in r.component), _OTHER)
-        # Side by side, so that equal values do not hide each other.
-        at = place[r.sequence, r.occurrence] + 0.16 * ([*_KINDS, _OTHER].index(kind) % 2 - 0.5) * 2.0
-        points.setdefault(kind, []).append((at, r.value / r.sigma))
-    for sigmas, line in ((-1.0, (0, (4, 4))), (0.0, "-"), (1.0, (0, (4, 4)))):
-        axes.axhline(sigmas, color=GREY, linewidth=0.8, linestyle=line)
-    for (_, label, colour, marker), pairs in points.items():
-        x, y = np.array(pairs).T
-        axes.plot(x, y, marker, color=colour, markersize=4.0, label=label)
-    every = -(-len(turns) // _MOST_TICKS)
-    names = [plain(name, 12).removeprefix("turn ") + (f"·{n}" if n > 1 else "") for name, n in turns]
-    # A name with two dollar signs would be taken for mathematics.
-    axes.set_xticks(range(0, len(turns), every), [name.replace("$", r"\$") for name in names[::every]])
-    axes.set_xlim(-0.7, len(turns) - 0.3)
-    axes.set_xlabel("sequence", fontsize=_TEXT, color=INK)
+    draw_residuals(axes, certificate.source.calibration.residuals, letters=_TEXT)
     axes.set_ylabel("residual / sigma", fontsize=_TEXT, color=INK)
-    largest = max(1.5, *(abs(r.value / r.sigma) for r in residuals))
-    axes.set_ylim(-1.15 * largest, 1.15 * largest)
     figure.legend(loc="outside upper left", ncols=4, fontsize=_TEXT, frameon=False, labelcolor=INK)
     _set_label_sizes(axes)
 

@@ -6,10 +6,12 @@ below them the ±1 sigma bars on a scale of their own, at estimate minus truth w
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.exceptions import clipped
 from srt.reports.figures.style import (
     BLUE,
     DPI,
@@ -21,7 +23,6 @@ from srt.reports.figures.style import (
     MEDIUM,
     PURPLE,
     SMALL,
-    SYMBOL,
     VERMILION,
     Axes,
     ConstrainedLayoutEngine,
@@ -38,6 +39,8 @@ from srt.reports.figures.style import (
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, SYMBOLS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from srt.result.calibration import Calibration, Residual
     from srt.sensor_errors import SensorErrors
     from srt.types import Array, Indices
@@ -45,16 +48,36 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration_figure", "save_figure"]
 
-_SIZE_INCHES: Final = (12.0, 9.5)
+_SIZE_INCHES: Final = (12.0, 10.0)
 """Width and height."""
 _MOST_TICKS: Final = 24
 """Largest number of labels of sequences that fit on the axis."""
-_COMPONENTS = (
-    ("1st horizontal axis", BLUE, "o"),
-    ("2nd", VERMILION, "s"),
-    ("down at start", GREEN, "^"),
-    ("at end", PURPLE, "v"),
+_KINDS: Final = (
+    ("horizontal", "horizontal", BLUE, "o"),
+    ("start_down", "down at start", GREEN, "^"),
+    ("end_down", "down at end", PURPLE, "v"),
+    ("down", "down", VERMILION, "s"),
+    ("force", "specific force", BLUE, "o"),
+    ("rate", "rate at rest", GREEN, "^"),
+    ("turn", "rotation", VERMILION, "s"),
 )
+_OTHER: Final = ("", "other", GREY, "D")
+"""Word in the name of a component, label, colour and marker of its kind; the first that fits."""
+_APART: Final = 0.2
+"""Distance of the marks of two kinds at one sequence, in sequences."""
+_FOOT_WIDTH: Final = 172
+"""Characters in a line of the explanation at the foot."""
+_LAST: Final = (
+    "Bottom left: each iteration re-processes the samples with the corrected errors, until the corrections are "
+    "negligible. Bottom right: the difference of each measurement from its prediction, over its sigma; about two in "
+    "three lie between the dashed lines. A sequence without marks is solved exactly."
+)
+_READING: Final = {
+    True: "How to read it. Top: each sensor error as estimated (dot) and as simulated (diamond). Middle: the "
+    "difference of the two with its 1-sigma bar; about two in three bars reach zero. " + _LAST,
+    False: "How to read it. Top: each sensor error as estimated. Middle: its 1-sigma bar, enlarged. " + _LAST,
+}
+"""Explanation at the foot, with and without a truth."""
 _TITLES = {
     "ppm": "scale factor and asymmetry, ppm",
     "µrad": "orthogonality and misalignment, µrad",
@@ -85,8 +108,8 @@ def calibration_figure(
     figure = Figure(figsize=_SIZE_INCHES, dpi=DPI, layout=layout)
     units = list(dict.fromkeys(DISPLAY_UNITS))
     members = [np.flatnonzero([u == unit for u in DISPLAY_UNITS]) for unit in units]
-    strips = figure.subfigures(3, 1, squeeze=False, height_ratios=(0.11, 2.0, 1.15))
-    header, parameters, course = strips[:, 0]
+    strips = figure.subfigures(4, 1, squeeze=False, height_ratios=(0.11, 2.0, 1.15, 0.26))
+    header, parameters, course, foot = strips[:, 0]
     _header(header, calibration, truth, title)
     grid = parameters.subplots(
         2,
@@ -103,7 +126,13 @@ def calibration_figure(
     grid[1, 0].set_ylabel("estimate − truth, ±1σ" if truth is not None else "±1σ", fontsize=MEDIUM)
     convergence, residuals = course.subplots(1, 2, width_ratios=(1.0, 2.6))
     draw_convergence(convergence, calibration)
-    _residuals(residuals, calibration.residuals)
+    draw_residuals(residuals, calibration.residuals)
+    residuals.set_title("Residuals over sigma", fontsize=MEDIUM, color=INK, loc="left")
+    if calibration.residuals:
+        residuals.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize=SMALL, frameon=False,
+                         handletextpad=0.2, columnspacing=1.2, borderaxespad=0.1)  # fmt: skip
+    foot.text(0.01, 0.5, textwrap.fill(_READING[truth is not None], _FOOT_WIDTH), fontsize=SMALL, color=INK,
+              ha="left", va="center", linespacing=1.35)  # fmt: skip
     return figure
 
 
@@ -149,7 +178,7 @@ def draw_errors(axes: Axes, calibration: Calibration, truth: SensorErrors | None
     axes.errorbar(at[seen], error[seen], sigma, fmt="o" if truth is not None else "none", color=BLUE,
                   ecolor=BLUE, markersize=4.5, capsize=3.0)  # fmt: skip
     axes.set_title(unit, fontsize=MEDIUM, color=INK, loc="left")
-    axes.set_xticks(at, [symbol(SYMBOLS[i]) for i in which], fontsize=SYMBOL)
+    axes.set_xticks(at, [symbol(SYMBOLS[i]) for i in which], fontsize=MEDIUM)
     axes.set_xlim(-0.7, len(which) - 0.3)
     _separate_groups(axes, which)
     axes.yaxis.set_major_locator(MaxNLocator(5, symmetric=truth is None))
@@ -190,35 +219,40 @@ def draw_convergence(axes: Axes, calibration: Calibration) -> None:
     axes.margins(x=0.08, y=0.12)
 
 
-def _residuals(axes: Axes, residuals: tuple[Residual, ...]) -> None:
+def draw_residuals(axes: Axes, residuals: Sequence[Residual], *, letters: float = MEDIUM) -> None:
+    """Draw the residuals over sigma by sequence, one mark for each kind of measurement.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Its legend is left to the caller.
+    residuals : sequence of Residual
+    letters : float
+        Size of letters, points.
+    """
     style(axes)
-    axes.set_title("Residuals over sigma", fontsize=MEDIUM, color=INK, loc="left")
     turns = list(dict.fromkeys((r.sequence, r.occurrence) for r in residuals))
     place = {turn: i for i, turn in enumerate(turns)}
-    points: list[tuple[list[float], list[float]]] = [([], []) for _ in _COMPONENTS]
-    met: dict[tuple[str, int], int] = {}
+    kinds = [*_KINDS, _OTHER]
+    points: dict[int, list[tuple[float, float]]] = {}
     for r in residuals:
-        turn = (r.sequence, r.occurrence)
-        kind = ("start_down", "end_down").index(r.component) + 2 if r.component.endswith("down") else met.get(turn, 0)
-        if kind < 2:
-            met[turn] = kind + 1
         if r.sigma > 0.0:
-            # Side by side, so that equal values do not hide each other.
-            points[kind][0].append(place[turn] + 0.15 * (kind - 1.5))
-            points[kind][1].append(r.value / r.sigma)
-    for sigmas in (-1.0, 1.0):
-        axes.axhline(sigmas, color=GREY, linewidth=0.8, linestyle=(0, (4, 4)))
-    axes.axhline(0.0, color=GREY, linewidth=0.8)
-    for (label, colour, marker), (x, y) in zip(_COMPONENTS, points, strict=True):
-        axes.plot(x, y, marker, color=colour, markersize=5.0, label=label)
-    names = [name.removeprefix("turn ") + (f"·{n}" if n > 1 else "") for name, n in turns]
+            k = next((k for k, kind in enumerate(_KINDS) if kind[0] in r.component), len(_KINDS))
+            points.setdefault(k, []).append((float(place[r.sequence, r.occurrence]), r.value / r.sigma))
+    for sigmas, line in ((-1.0, (0, (4, 4))), (0.0, "-"), (1.0, (0, (4, 4)))):
+        axes.axhline(sigmas, color=GREY, linewidth=0.8, linestyle=line)
+    for order, k in enumerate(sorted(points)):
+        _, label, colour, marker = kinds[k]
+        x, y = np.array(points[k]).T
+        # Side by side, so that equal values do not hide each other.
+        beside = _APART * (order - 0.5 * (len(points) - 1))
+        axes.plot(x + beside, y, marker, color=colour, markersize=4.5, label=label)
     every = -(-len(turns) // _MOST_TICKS) if turns else 1
-    axes.set_xticks(range(0, len(turns), every), names[::every])
+    names = [clipped(name, 12).removeprefix("turn ") + (f"·{n}" if n > 1 else "") for name, n in turns]
+    # A name with two dollar signs would be taken for mathematics.
+    axes.set_xticks(range(0, len(turns), every), [name.replace("$", r"\$") for name in names[::every]])
     axes.set_xlim(-0.7, max(len(turns), 1) - 0.3)
-    axes.set_xlabel("sequence", fontsize=MEDIUM)
+    axes.set_xlabel("sequence", fontsize=letters, color=INK)
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
-    largest = max((abs(y) for _, ys in points for y in ys), default=1.0)
+    largest = max((abs(y) for pairs in points.values() for _, y in pairs), default=1.0)
     axes.set_ylim(-1.15 * max(largest, 1.5), 1.15 * max(largest, 1.5))
-    if residuals:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, fontsize=SMALL, frameon=False,
-                    handletextpad=0.2, columnspacing=1.2, borderaxespad=0.1)  # fmt: skip
