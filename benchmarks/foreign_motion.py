@@ -134,6 +134,40 @@ def readings(rate: np.ndarray, force: np.ndarray, errors: dict[str, float], grad
     return gyro, accel
 
 
+@dataclass(frozen=True)
+class Extras:
+    """What the model of the sensor errors does not have.
+
+    Quadratic terms of the accelerometers (s²/m), position of each accelerometer in body axes (m, row i is
+    accelerometer i), and lag of the accelerometers against the gyros (s).
+    """
+
+    quadratic: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lever_m: tuple[tuple[float, float, float], ...] = ((0.0,) * 3,) * 3
+    lag_s: float = 0.0
+
+
+# 10, 20, 30 µg/g², lever arms of 1-6 cm and 5 ms, as in the demonstration of PSINS.
+PSINS_EXTRAS = Extras(
+    (10e-6 / 9.80665, 20e-6 / 9.80665, 30e-6 / 9.80665),
+    ((0.01, 0.02, 0.03), (0.04, 0.05, 0.06), (0.02, 0.04, 0.06)),
+    5e-3,
+)
+
+
+def with_extras(rate: np.ndarray, force: np.ndarray, extras: Extras, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Specific force of samples at the accelerometers, delayed, and what their quadratic terms add, (n, 3) each."""
+    body_rate = rate.mean(axis=1)
+    acceleration = np.gradient(body_rate, dt, axis=0)
+    lever = np.array(extras.lever_m)
+    # a_i = (α × r_i + ω × (ω × r_i))_i for accelerometer i, at its own place.
+    spin = np.cross(body_rate[:, None], np.cross(body_rate[:, None], lever)) + np.cross(acceleration[:, None], lever)
+    force = force + np.diagonal(spin, axis1=1, axis2=2)
+    time = dt * np.arange(len(force))
+    force = np.stack([np.interp(time - extras.lag_s, time, f) for f in force.T], axis=1)
+    return force, np.array(extras.quadratic) * force**2
+
+
 def drawn_errors(grade: Grade, rng, *, asymmetry: bool = True) -> dict[str, float]:
     """One unit of a grade."""
     out = {}
@@ -195,7 +229,17 @@ def windows(turns: list[Turn], first_rest_s: float) -> list[tuple[float, float]]
 
 
 def recording(
-    turns, first_rest_s, errors, grade, rng, *, profile="raised-cosine", hz=100.0, labelled=False, start_deg=START_DEG
+    turns,
+    first_rest_s,
+    errors,
+    grade,
+    rng,
+    *,
+    profile="raised-cosine",
+    hz=100.0,
+    labelled=False,
+    start_deg=START_DEG,
+    extras=None,
 ):
     """A free recording of which no noise is stated, unlabelled unless asked for."""
     import srt
@@ -204,7 +248,11 @@ def recording(
     start = Rotation.from_euler("ZYX", start_deg, degrees=True)
     body = attitudes(turns, start, first_rest_s, dt, profile, rng)
     rate, force = true_samples(body, dt, latitude)
+    added = 0.0
+    if extras is not None:
+        force, added = with_extras(rate, force, extras, dt)
     gyro, accel = readings(rate, force, errors, grade, dt, rng)
+    accel = accel + added
     labels = ()
     if labelled:
         rests = windows(turns, first_rest_s)

@@ -54,6 +54,11 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
             sigma[GROUP_SLICES[group]] = accuracy
         sigma[GROUP_SLICES["accel_bias"]] = data.gravity * float(np.hypot(accuracy, PRIOR_SIGMA["accel_asymmetry"]))
         sigma[GROUP_SLICES["gyro_bias"]] = EARTH_RATE_RAD_S
+        # Each rotation has its own error, which counts less over many revolutions.
+        angles = [s.axes * s.angles_rad[:, None] for s in data.catalogue if s is not None and len(s.rotations) == 1]
+        turned = np.sqrt(np.sum(np.concatenate([np.zeros((1, 3)), *angles]) ** 2, axis=0))
+        scale = sigma[GROUP_SLICES["gyro_scale"]]
+        scale[:] = np.minimum(scale, fixture.rotation_sigma_rad / np.maximum(turned, 1e-9))
     axes = POSE_FRAME if data.posed.all() and data.nominal is None else ()
     exact = [INDEX[name] for name in options.fixed_names if "asymmetry" in name or name in axes]
     sigma[exact] = 0.0

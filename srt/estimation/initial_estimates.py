@@ -96,10 +96,14 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     """
     rest = data.windows.gyro_mean
     turned, angles = [], []
+    pooled = _pooled_bias(data)
     for k, sequence in enumerate(data.catalogue):
         if sequence is None or not sequence.rotations:
             continue
-        bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
+        if pooled is None or len(sequence.rotations) > 1:
+            bias = 0.5 * (rest[data.start[k]] + rest[data.end[k]])
+        else:
+            bias = pooled + _mean_earth_rate(data, k, sequence)
         legs = rotation_angles(stream, k, sequence, bias)
         if legs is not None:
             turned.append(legs)
@@ -125,6 +129,40 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     vector = errors.vector.copy()
     vector[-3:] = (rest[data.start] - earth @ (Mg @ U.T).T).mean(axis=0)
     return type(errors)(vector), U
+
+
+_ONE_BIAS: Final = 1.5
+"""Largest rms, over the noise, of the rates at rest about one bias: larger, and the bias changes in the test."""
+
+
+def _pooled_bias(data: PreparedRecording) -> Array | None:
+    """Gyro bias from all windows, shape (3,), rad/s; None if it changes, or the Earth rate is not known."""
+    recording = data.recording
+    fixture = recording.fixture
+    if data.nominal is None or recording.site.latitude_rad is None or fixture is None or fixture.heading_rad is None:
+        return None
+    attitude = np.zeros((len(data.windows.duration_s), 3, 3))
+    for k, sequence in enumerate(data.catalogue):
+        if sequence is not None:
+            attitude[data.start[k]] = data.nominal[k]
+            attitude[data.end[k]] = data.nominal[k] @ end_attitude(sequence)
+    rest = data.windows.gyro_mean - np.einsum("wba,b->wa", attitude, data.earth_rate_base())
+    T = data.windows.duration_s[:, None]
+    bias = np.sum(T * rest, axis=0) / T.sum()
+    scatter = np.sqrt(np.mean(T * (rest - bias) ** 2, axis=0))
+    return np.asarray(bias) if np.all(scatter < _ONE_BIAS * data.noise.gyro_white) else None
+
+
+def _mean_earth_rate(data: PreparedRecording, k: int, sequence: RotationSequence) -> Array:
+    """Mean Earth rate in T during the rotation of a sequence about one axis, shape (3,), rad/s."""
+    if data.nominal is None:
+        return np.zeros(3)
+    earth = data.nominal[k].T @ data.earth_rate_base()
+    axis, angle = sequence.axes[0], float(sequence.angles_rad[0])
+    along = axis * (axis @ earth)
+    # Mean of R(axis, φ)ᵀ ω over φ from 0 to the angle.
+    across = np.sin(angle) / angle * (earth - along) - (1.0 - np.cos(angle)) / angle * np.cross(axis, earth)
+    return np.asarray(along + across)
 
 
 def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:

@@ -29,6 +29,7 @@ from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.estimation.solver_result import solver_result
 from srt.estimation.unmodelled_errors import iterate_with_unmodelled_errors
 from srt.model import measurement_model as model
+from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import N_PARAMETERS, NAMES
 from srt.sequences.preparation import prepare_checked
 from srt.sequences.stationary_windows import find_turns
@@ -58,27 +59,28 @@ class LeastSquaresSolver:
         Parameters fixed on request.
     prior : ndarray, shape (27,)
         1-sigma before the recording; a parameter is estimated if the data reduce it to a third.
+    considered : ndarray, shape (27,), optional
+        1-sigma of fixed values, which the weights of the measurements then include.
     """
 
     coefficients = None
     estimates_earth_rate = True
 
-    def __init__(self, requested: tuple[str, ...], prior: Array) -> None:
+    def __init__(self, requested: tuple[str, ...], prior: Array, considered: Array | None = None) -> None:
         self.requested = np.array([n in requested for n in NAMES])
         self.fixed = self.requested.copy()
-        self._prior = prior
+        self._prior, self._considered = prior, considered
         self._selected = False
 
     def gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         """Gain G of δ = G z; the first iterations use the prior for parameters that the data do not determine."""
-        R = covariance
-        scale = 1.0 / np.sqrt(np.diag(R))
-        factor = cho_factor(R * np.outer(scale, scale), lower=True)
-        L = factor[0]
-        A = solve_triangular(L, measurements.H * scale[:, None] * self._prior, lower=True)
+        scale, L, A = self._whitened(measurements.H, covariance)
         if near and not self._selected:
             self.fixed = self.requested | ~admit(A, ~self.requested)
             self._selected = True
+        if near and self._considered is not None:
+            by_fixed = measurements.H * np.where(self.fixed, self._considered, 0.0)
+            scale, L, A = self._whitened(measurements.H, covariance + by_fixed @ by_fixed.T)
         free = np.flatnonzero(~self.fixed)
         normal = A[:, free].T @ A[:, free]
         if not near:
@@ -91,6 +93,12 @@ class LeastSquaresSolver:
             cho_factor(normal * np.outer(d, d), lower=True), d[:, None] * weighted
         )
         return G
+
+    def _whitened(self, H: Array, R: Array) -> tuple[Array, Array, Array]:
+        """Scale of the measurements, root of their scaled covariance, and whitened Jacobian in units of the prior."""
+        scale = 1.0 / np.sqrt(np.diag(R))
+        L = cho_factor(R * np.outer(scale, scale), lower=True)[0]
+        return scale, L, solve_triangular(L, H * scale[:, None] * self._prior, lower=True)
 
 
 def estimate(recording: Recording, options: Options, progress: Progress | None = None) -> Calibration:
@@ -106,43 +114,55 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     data = prepare_checked(recording, labels, options.average)
     first = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
-    fixed = {n: reason_on_request(n, uncertain, data) for n in options.fixed_names}
-    prior = _prior(data, uncertain)
-    for _ in range(_ROUNDS):
+    on_request = {n: reason_on_request(n, uncertain, data) for n in options.fixed_names}
+    fixed, prior, relied = dict(on_request), admission_sigma(), None
+    for _ in range(_ROUNDS + 1):
         requested = tuple(fixed)
         solution, solver, unmodelled = iterate_with_unmodelled_errors(
-            data, options, partial(LeastSquaresSolver, requested, prior), first, uncertain, progress, models_drift=True
+            data,
+            options,
+            partial(LeastSquaresSolver, requested, prior, relied),
+            first,
+            uncertain,
+            progress,
+            models_drift=True,
         )
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
         weak = ~solver.fixed & (sigma > OBSERVED_BELOW * prior)
+        vague = ~solver.fixed & (sigma > np.where(uncertain > 0.0, uncertain, np.inf))
+        insufficient = vague.any() or solver.fixed.sum() > len(on_request) or solution.status != "converged"
+        sufficient = set(SEQUENCES) <= set(data.ids) or data.posed.all() or not insufficient
+        if relied is None and data.nominal is not None and not sufficient:
+            # The test does not determine all parameters: what the nominal angles of the fixture give more accurately
+            # keeps their value, and the weights include its uncertainty.
+            prior, relied = np.where(uncertain > 0.0, np.minimum(prior, uncertain), prior), uncertain
+            continue
         for n, is_fixed, is_weak in zip(NAMES, solver.fixed, weak, strict=True):
             if (is_fixed or is_weak) and n not in fixed:
                 fixed[n] = reason_not_observed(n)
         if solution.status != "converged" or not weak.any():
             break
-    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled, models_drift=True)
+    leave_one_out = partial(without_sequences, considered=relied is not None)
+    result = solver_result(data, options, solution, fixed, leave_one_out, unmodelled, models_drift=True)
     return build_calibration("least-squares", data, options, result, fixed)
 
 
-def _prior(data: PreparedRecording, uncertain: Array) -> Array:
-    """Prior 1-sigma of the parameters, shape (27,).
-
-    A test with poses relies on the fixture: what its attitudes give more accurately than the data keeps their value.
-    """
-    prior = admission_sigma()
-    if data.nominal is None or not data.posed.any() or data.posed.all():
-        return prior
-    return np.minimum(prior, np.where(uncertain > 0.0, uncertain / OBSERVED_BELOW, np.inf))
-
-
 def without_sequences(
-    data: PreparedRecording, options: Options, solution: Solution, rows_by_sequence: list[SequenceRows]
+    data: PreparedRecording,
+    options: Options,
+    solution: Solution,
+    rows_by_sequence: list[SequenceRows],
+    *,
+    considered: bool = False,
 ) -> list[LeaveOneOutEstimate]:
-    """Weighted least squares without each sequence (see the module docstring)."""
+    """Weighted least squares without each sequence (see the module docstring).
+
+    ``considered``: the weights include the uncertainty of fixed parameters.
+    """
     measurements, n = solution.measurements, len(solution.measurements.z)
     estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
-    # The weights are R⁻¹ of the noise alone; the variance of fixed parameters was added after the solution.
-    by_fixed = measurements.H * np.where(estimated, 0.0, fixed_sigma(data, options))
+    # The weights are R⁻¹ of the noise alone, unless fixed parameters are considered; their variance was added after it.
+    by_fixed = measurements.H * np.where(estimated | considered, 0.0, fixed_sigma(data, options))
     noise = solution.measurement_covariance - by_fixed @ by_fixed.T
     sigma = np.sqrt(np.maximum(np.diag(solution.gain @ noise @ solution.gain.T), 0.0))
     unit = np.where(estimated, sigma, 0.0)
