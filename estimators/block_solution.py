@@ -85,7 +85,11 @@ class BlockSolution:
     @cached_property
     def with_parameters(self) -> Array:
         """Covariance of all columns with the reported parameters, shape (n, 27)."""
-        out = np.asarray(self.system.parameter_map().T)
+        return self.with_columns(self.system.parameter_map().T)
+
+    def with_columns(self, combinations: Array) -> Array:
+        """Covariance of all columns with linear combinations of them, (n, m), shape (n, m)."""
+        out = np.array(combinations)
         out[~self.system.active] = 0.0
         for part in self._conditionals:
             out[part.columns] = solve_triangular(part.R, out[part.columns], trans="T")

@@ -11,7 +11,8 @@ Variables:
 - ``e``: unknown part of the Earth's rate in each level frame;
 - ``a``: attitude in each stationary window;
 - ``q``: quantization error at each window edge;
-- ``d``, ``n``; ``c``, ``m``: states and white unknowns of the bias instability of gyros and accelerometers, by step.
+- ``d``, ``n``; ``c``, ``m``: states and white unknowns of the bias instability of gyros and accelerometers, by step;
+- ``s``: correction to the coefficients of the modelled drift.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, U, X
+from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, S, U, X
 
 from estimators import factors
 from estimators.linear_system import N_ERRORS, total
@@ -131,6 +132,8 @@ class FactorGraph:
             for key, size in zip(DRIFT_KEYS[sensor], (drift.states, drift.unknowns), strict=True):
                 for step in range(joint.data.K):
                     self.values.insert(key(step), np.zeros(size))
+        if joint.drift.size:
+            self.values.insert(S(0), np.zeros(joint.drift.size))
         for c in range(len(joint.level_frames)):
             if self.earth_key(c) is not None:
                 self.values.insert(E(c), state.earth_rate[c])
@@ -158,6 +161,10 @@ class FactorGraph:
         if sequence is not None and len(self.axes):
             out.append((self.bias_key(sequence), jacobian[:, N_ERRORS + self.axes]))
         return out
+
+    def _forms(self, jacobian: Array) -> list[tuple[int, Array]]:
+        """Linear term of the modelled drift."""
+        return [(int(S(0)), jacobian)] if self.joint.drift.size else []
 
     def _drift(self, sensor: str, kind: str, number: int) -> list[tuple[int, Array]]:
         """Linear terms of the bias instability of a sensor in a measurement, if specified."""
@@ -190,6 +197,7 @@ class FactorGraph:
             linear = self._linear(jacobian, int(joint.window_sequence[w]))
             linear += [(key, -np.concatenate([J, np.zeros_like(J)])) for key, J in self._drift("accel", "force", w)]
             linear += [(key, -np.concatenate([np.zeros_like(J), J])) for key, J in self._drift("gyro", "rate", w)]
+            linear += self._forms(-np.concatenate([compensated.drift_form[kind][w] for kind in ("force", "rate")]))
             slope = compensated.edge_slope / T[w]
             linear += [
                 (int(Q(number)), np.concatenate([np.zeros((3, 3)), sign * slope]))
@@ -218,6 +226,7 @@ class FactorGraph:
         for k in range(data.K):
             start, end = int(data.start[k]), int(data.end[k])
             linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("gyro", "turn", k)
+            linear += self._forms(compensated.drift_form["turn"][k])
             if self.edges[start, 1] >= 0:
                 linear.append((int(Q(self.edges[start, 1])), -compensated.edge_slope))
             if self.edges[end, 0] >= 0:
@@ -273,6 +282,9 @@ class FactorGraph:
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
         for sensor, drift in self.compensated.drift.items():
             self._drift_chain(sensor, drift)
+        if joint.drift.size:
+            wide = factors.gaussian(np.diag(joint.drift.sigma**2))
+            graph.add(gtsam.PriorFactorVector(S(0), -self.state.drift, wide))
         if joint.bias_walks and len(self.axes):
             step = joint.bias_walk_sigma()[:, self.axes]
             for i, (before, after) in enumerate(zip(joint.order[:-1].tolist(), joint.order[1:].tolist(), strict=True)):

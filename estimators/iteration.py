@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.block_solution import BlockSolution, eliminate
+from estimators.drift_terms import DriftTerms, search
 from estimators.elimination_steps import global_columns
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
@@ -28,6 +29,7 @@ from estimators.solution_analysis import (
     with_prior,
 )
 from estimators.solver import IterationState, JointSolver
+from srt.estimation.drift_model import MOST_TERMS
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.goodness_of_fit import is_misfit, one_group_explains
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
@@ -91,6 +93,7 @@ def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> J
         non_orthogonality=state.non_orthogonality + float(delta[c["non_orthogonality"]][0]),
         gravity=state.gravity + float(delta[c["gravity"]][0]),
         earth_rate=state.earth_rate + delta[c["earth_rate"]].reshape(-1, 3),
+        drift=state.drift + delta[c["drift_form"]],
         attitude=state.attitude @ rotation_matrix(in_body),
     )
 
@@ -267,11 +270,13 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     )
     iteration = IterationState(joint.start, ~requested)
     diagnostics: dict[str, Any] = {}
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
         if iteration.compensated is None or iteration.covariance is None or iteration.status == "outside_model":
             break
-        if iteration.status == "converged" and _add_unmodelled_noise(joint, solver, iteration):
+        if iteration.status == "converged" and (
+            _add_unmodelled_noise(joint, solver, iteration) or _add_drift(joint, solver, iteration)
+        ):
             continue
         # Motion in a window can prevent convergence. Therefore this check precedes that of the status.
         moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
@@ -302,7 +307,7 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
         return False
     system = with_prior(joint, solver, iteration)
     solution = BlockSolution(system)
-    statistic, freedom = goodness_of_fit(solver, solution, system)
+    statistic, freedom = goodness_of_fit(joint, solver, solution, system)
     # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
     if not any(joint.unmodelled_sigma):
         if not is_misfit(statistic, freedom):
@@ -314,4 +319,23 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
     if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):
         return False
     joint.unmodelled_sigma = new
+    return True
+
+
+def _add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Model the most significant form of drift that the residuals show; True if there is one.
+
+    The unmodelled noise is then estimated again. A robust loss reduces the weight of sequences instead.
+    """
+    if solver.weights() or len(joint.drift.terms) == MOST_TERMS:
+        return False
+    system = with_prior(joint, solver, iteration)
+    solution = BlockSolution(system)
+    term = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
+    if term is None:
+        return False
+    joint.drift = DriftTerms(joint.data, (*joint.drift.terms, term))
+    joint.unmodelled_sigma = (0.0, 0.0, 0.0)
+    new = np.zeros(joint.drift.size - len(iteration.state.drift))
+    iteration.state = replace(iteration.state, drift=np.append(iteration.state.drift, new))
     return True

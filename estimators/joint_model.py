@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from estimators.drift_states import drift_chain, drift_states
+from estimators.drift_terms import DriftTerms
 from estimators.joint_state import CompensatedData, JointState, LevelFrame
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
@@ -97,10 +98,19 @@ class JointModel:
         ]
         # Flicker noise is taken as independent between neighbours: their difference has twice the variance.
         self.bias_step = self.bias_scatter * math.sqrt(2.0) / flicker_spread(data.windows.samples)
+        self.drift = DriftTerms(data)
+        """Drift within the recording that is modelled."""
         self._lay_out()
         self.U_prior, self.U_note = self._mounting(start[1])
         self.start = JointState(
-            start[0], np.zeros((data.K, 3)), np.eye(3), start[1], 0.0, 0.0, np.zeros((len(self.level_frames), 3))
+            start[0],
+            np.zeros((data.K, 3)),
+            np.eye(3),
+            start[1],
+            0.0,
+            0.0,
+            np.zeros((len(self.level_frames), 3)),
+            np.zeros(0),
         )
 
     def _lay_out(self) -> None:
@@ -242,7 +252,11 @@ class JointModel:
         rate_jacobian = model.rate_error_jacobian(rate, gyro)
         D_force, D_rate = accel.sensitivity(force), gyro.sensitivity(rate)
         rate = rate - deviation[self.window_sequence]
+        deviation = deviation + self.drift.raw("gyro", state.drift, "parts").mean(axis=1) @ slope.T
         integrals, rotation, force = self._integrate(state, deviation, force)
+        by_drift = self._drift_form(integrals, D_rate, D_force)
+        force, rate = force - by_drift["force"] @ state.drift, rate - by_drift["rate"] @ state.drift
+        rotation = rotation_matrix(-self._rotation_drift(integrals, state)) @ rotation
         A = slope * data.noise.gyro_edge
         separate_edges = self._edges_are_unknowns(integrals.weight_s)
         return CompensatedData(
@@ -258,8 +272,25 @@ class JointModel:
             rotation_jacobian=model.attitude_error_jacobian(integrals),
             duration_s=integrals.weight_s,
             edge_slope=A * float(separate_edges),
+            force_slope=D_force,
+            drift_form=by_drift,
             drift=self._drift(integrals, D_rate, D_force),
         )
+
+    def _drift_form(self, integrals: RotationIntegrals, D_rate: Array, D_force: Array) -> dict[str, Array]:
+        """Effect of the coefficients of the modelled drift on all measurements."""
+        assert integrals.time_parts is not None
+        return {
+            "force": self.drift.jacobian("accel", "windows", D_force),
+            "rate": self.drift.jacobian("gyro", "windows", D_rate),
+            "turn": self.drift.jacobian("gyro", "parts", integrals.time_parts),
+        }
+
+    def _rotation_drift(self, integrals: RotationIntegrals, state: JointState) -> Array:
+        """Attitude error of the rotations by the modelled drift about its mean in each rotation, shape (K, 3), rad."""
+        drift = self.drift.raw("gyro", state.drift, "parts")
+        assert integrals.time_parts is not None
+        return np.asarray(np.einsum("kpab,kpb->ka", integrals.time_parts, drift - drift.mean(axis=1, keepdims=True)))
 
     def _drift(self, integrals: RotationIntegrals, D_rate: Array, D_force: Array) -> dict[str, DriftStates]:
         """Bias instability as specified, by sensor; the derivatives are those of compensated rate and force."""

@@ -48,6 +48,8 @@ class JointState:
         Correction to the stated gravity, m/s².
     earth_rate : ndarray, shape (number of level frames, 3), rad/s
         Unknown part of the Earth's rate.
+    drift : ndarray, shape (n,)
+        Coefficients of the forms of drift that are modelled, rad/s and m/s².
     attitude : ndarray, shape (W, 3, 3), or None
         Attitude of every window, B to L; None before the first iteration, which computes it from the data.
     """
@@ -59,6 +61,7 @@ class JointState:
     non_orthogonality: float
     gravity: float
     earth_rate: Array
+    drift: Array
     attitude: Array | None = None
 
 
@@ -84,6 +87,10 @@ class CompensatedData:
     edge_slope : ndarray, shape (3, 3), rad
         Derivative of the compensated angle with respect to a normalised (1-sigma) error of the raw angle at a window
         edge; zero if edge errors are not estimated.
+    force_slope : ndarray, shape (W, 3, 3)
+        Derivative of the compensated specific force with respect to the raw one.
+    drift_form : dict of str to ndarray, shape (n, 3, number of coefficients)
+        Effect of the coefficients of the modelled drift on "force", "rate" and "turn".
     drift : dict of str to DriftStates
         Effect of the bias instability on all measurements, by sensor ("gyro", "accel"), if specified.
     """
@@ -100,4 +107,6 @@ class CompensatedData:
     rotation_jacobian: Array
     duration_s: Array
     edge_slope: Array
+    force_slope: Array
+    drift_form: dict[str, Array]
     drift: dict[str, DriftStates]

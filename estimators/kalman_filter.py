@@ -174,7 +174,7 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
     mean[at] = prior.mean.vector - state.errors.vector
     # The priors of fixture and site are whitened rows of the system; their blocks are square.
     for rows in system.rows:
-        if rows.kind in {*FIXTURE, "gravity"} or rows.kind.startswith("earth_rate"):
+        if rows.kind in {*FIXTURE, "gravity", "drift_form"} or rows.kind.startswith("earth_rate"):
             members = rows.index.ravel()
             block = system.A[members].toarray()
             columns = np.flatnonzero(block.any(axis=0))

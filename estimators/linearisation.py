@@ -50,6 +50,7 @@ def linearise(
     builder.add_drift()
     builder.add_alignment()
     builder.add_site()
+    builder.add_drift_forms()
     builder.add_bias_walk()
     builder.add_edges()
     if prior is not None:
@@ -123,6 +124,7 @@ def _columns(joint: JointModel, compensated: CompensatedData, edges: Indices) ->
         **FIXTURE,
         "gravity": 1,
         "earth_rate": 3 * len(joint.level_frames),
+        "drift_form": joint.drift.size,
         "attitude": 3 * len(compensated.force),
         "edge": 3 * int(edges.max() + 1),
     }
@@ -224,6 +226,7 @@ class _Builder:
                 ("errors", 0, -compensated.force_jacobian[:, :, :N_ERRORS]),
                 ("attitude", windows, by_attitude @ to_body),
                 ("gravity", 0, by_gravity[:, :, None]),
+                ("drift_form", 0, -compensated.drift_form["force"]),
                 *self.drift_blocks("accel", "force", -1.0),
             ],
         )
@@ -241,6 +244,7 @@ class _Builder:
                 ("earth_rate", joint.window_frame, by_earth),
                 ("edge", self.edges[:, 0], per_rate),
                 ("edge", self.edges[:, 1], -per_rate),
+                ("drift_form", 0, -compensated.drift_form["rate"]),
                 *self.drift_blocks("gyro", "rate", -1.0),
             ],
         )
@@ -267,6 +271,7 @@ class _Builder:
                 ("earth_rate", joint.sequence_frame, by_earth),
                 ("edge", self.edges[data.start, 1], -by_rotation @ slope),
                 ("edge", self.edges[data.end, 0], by_rotation @ compensated.rotation @ slope),
+                ("drift_form", 0, by_rotation @ compensated.drift_form["turn"]),
                 *self.drift_blocks("gyro", "turn", by_rotation),
             ],
         )
@@ -358,6 +363,12 @@ class _Builder:
                 sigma = np.where(frame.unknown_sigma > 0.0, frame.unknown_sigma, 1.0)
                 covariance = {"earth_rate_alignment": np.diag(sigma**2)[None]}
                 self.add_prior_of("earth_rate", number, state.earth_rate[number], covariance, f"earth_rate:{number}")
+
+    def add_drift_forms(self) -> None:
+        """Prior of the coefficients of the modelled drift; wide but for random walks."""
+        joint = self.joint
+        if joint.drift.size:
+            self.add_prior_of("drift_form", 0, self.state.drift, {"drift": np.diag(joint.drift.sigma**2)[None]})
 
     def add_bias_walk(self) -> None:
         """Steps of the gyro bias between sequences."""

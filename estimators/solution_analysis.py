@@ -19,6 +19,7 @@ from estimators.residual_analysis import (
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
+from srt.noise.drift_forms import WALK
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -65,6 +66,9 @@ def make_calibration(
     # Parameters that are not observable keep the initial value, not the one from a prior and correlations.
     identity = np.tile(np.eye(3), (data.K, 1, 1))
     not_observed = np.array([name in reasons for name in NAMES])
+    drift = joint.drift.estimates(iteration.state.drift)
+    if drift:
+        diagnostics = {"drift": [term.as_dict() for term in drift], **diagnostics}
     result = SolverResult(
         errors=joint.with_initial_values(iteration.state, not_observed).errors,
         U=iteration.state.U,
@@ -84,6 +88,7 @@ def make_calibration(
         total=analysis.total,
         diagnostics={"sequences": list(analysis.table)} | solver.diagnostics(joint) | diagnostics,
         sequences=analysis.sequences,
+        drift=drift,
     )
     return build_calibration(solver.name, data, joint.options, result, reasons, warnings=tuple(warnings))
 
@@ -148,7 +153,7 @@ def analyse_solution(
         # The bias of this test is one sample of the bias of the unit, which is reported.
         part[at, at] += joint.bias_scatter**2
         total[at, at] += joint.bias_scatter**2
-    chi_square, freedom = goodness_of_fit(solver, solution, system)
+    chi_square, freedom = goodness_of_fit(joint, solver, solution, system)
     return SolutionAnalysis(
         covariance,
         total,
@@ -162,7 +167,9 @@ def analyse_solution(
     )
 
 
-def goodness_of_fit(solver: JointSolver, solution: BlockSolution, system: LinearSystem) -> tuple[float, int]:
+def goodness_of_fit(
+    joint: JointModel, solver: JointSolver, solution: BlockSolution, system: LinearSystem
+) -> tuple[float, int]:
     """Chi-square of the residuals and its degrees of freedom."""
     residual = solution.residual
     measured = np.ones(len(residual), dtype=np.bool_)
@@ -172,7 +179,9 @@ def goodness_of_fit(solver: JointSolver, solution: BlockSolution, system: Linear
         measured[prior] = False
         prior_leverage = float(np.sum(solution.rows_with_parameters[prior] * system.whitening["prior"][0]))
     chi_square = float(residual[measured] @ residual[measured])
-    return chi_square, round(float(measured.sum()) - float(system.active.sum()) + prior_leverage)
+    # The wide priors of a modelled drift are no measurements; those of a random walk are.
+    wide = sum(s.stop - s.start for t, s in zip(joint.drift.terms, joint.drift.slices, strict=True) if t.form != WALK)
+    return chi_square, round(float(measured.sum()) - float(system.active.sum()) + prior_leverage) - wide
 
 
 def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> tuple[float, int] | None:
@@ -189,7 +198,7 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
     compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
     system = linearise(joint, iteration.linearisation_point, compensated, iteration.free, solver.prior)
     try:
-        return goodness_of_fit(solver, BlockSolution(system), system)
+        return goodness_of_fit(joint, solver, BlockSolution(system), system)
     except np.linalg.LinAlgError:
         return None
 

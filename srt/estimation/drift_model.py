@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from srt.constants import DEG_PER_H, MICRO_G
-from srt.noise.drift_forms import FALSE_ALARM, TESTED_TERMS, WALK, drift_tests
-from srt.noise.variance_components import restricted_likelihood
+from srt.noise.drift_forms import FALSE_ALARM, WALK, drift_test, walk_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from srt.noise.drift_forms import Statistics
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
@@ -135,13 +134,7 @@ def candidates(data: PreparedRecording, present: Sequence[DriftTerm]) -> list[tu
     return [(s, form) for s in sensors for form in data.drift_shapes if (s, form) not in taken]
 
 
-def select(
-    z: Array,
-    H: Array,
-    R: Array,
-    effects: Mapping[tuple[Sensor, str], Array],
-    tests: int,
-) -> tuple[DriftTerm, float] | None:
+def most_significant(found: Mapping[tuple[Sensor, str], Statistics], tests: int) -> tuple[DriftTerm, float] | None:
     """Most significant form of drift and its p-value; None if none is significant.
 
     The probability of selecting any form without drift is at most :data:`~srt.noise.drift_forms.FALSE_ALARM`
@@ -149,36 +142,19 @@ def select(
 
     Parameters
     ----------
-    z, R : ndarray, shape (n,) and (n, n)
-        Measurements and their covariance.
-    H : ndarray, shape (n, p)
-        Derivative with respect to the estimated parameters.
-    effects : mapping of (sensor, form) to ndarray, shape (n, 3 q)
-        Effects of the coefficients of the three channels, for each of the q functions of a form in turn.
+    found : mapping of (sensor, form) to Statistics
+        Coefficients of the three channels, for each function of a form in turn.
     tests : int
         Number of forms that are tested in the recording, over all sensors.
     """
-    scale = 1.0 / np.sqrt(np.diag(R))
-    L = np.linalg.cholesky(R * np.outer(scale, scale))
-
-    def white(values: Array) -> Array:
-        return np.asarray(solve_triangular(L, (values.T * scale).T, lower=True))
-
-    keys = {f"{s}/{form}": (s, form) for s, form in effects}
-    columns = {name: white(effects[key][:, : 3 * TESTED_TERMS]) for name, key in keys.items()}
-    found = drift_tests(white(z), white(H), columns)
-    if not found:
+    results = {key: test for key, statistics in found.items() if (test := drift_test(statistics)) is not None}
+    if not results:
         return None
-    best = min(found, key=lambda name: found[name].p_value)
-    if found[best].p_value >= FALSE_ALARM / tests:
+    sensor, form = key = min(results, key=lambda key: results[key].p_value)
+    if results[key].p_value >= FALSE_ALARM / tests:
         return None
-    sensor, form = keys[best]
-    sigma = _WIDE * float(np.abs(found[best].amplitude).max())
-    if form == WALK:
-        all_terms = white(effects[sensor, form])
-        (variance,) = restricted_likelihood(white(z), white(H), np.eye(len(z)), (all_terms @ all_terms.T,))
-        sigma = float(np.sqrt(variance))
-    return DriftTerm(sensor, form, sigma), found[best].p_value
+    sigma = walk_sigma(found[key]) if form == WALK else _WIDE * float(np.abs(results[key].amplitude).max())
+    return DriftTerm(sensor, form, sigma), results[key].p_value
 
 
 def change(form: str, coefficients: Array, windows: Array) -> Array:

@@ -5,14 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt.estimation import measurement_covariance
-from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, select
+from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, most_significant
+from srt.noise.drift_forms import residual_statistics
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from srt.estimation.drift_model import Sensor
     from srt.estimation.iteration import Solution
     from srt.estimation.options import Options
+    from srt.noise.drift_forms import Statistics
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -32,41 +37,59 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     if measurements.integrals.time_parts is None:
         return None
     keys = candidates(data, solution.excess.drift)
-    accel = {key: _effect(data, options, solution, *key) for key in keys if key[0] == "accel"}
-    rest, noise = measurements.rest_rate, _rest_noise(data, solution)
-    taken = [data.drift_shapes[term.form].windows for term in solution.excess.drift if term.sensor == "gyro"]
-    constant = np.concatenate([np.ones((len(rest), 1)), *taken], axis=1)
-    gyro = {key: _on_rates(data, key[1]) for key in keys if key[0] == "gyro"}
+    scale = 1.0 / np.sqrt(np.diag(solution.measurement_covariance))
     try:
-        found = [
-            select(measurements.z, measurements.H[:, ~fixed], solution.measurement_covariance, accel, len(keys)),
-            select(rest.ravel(), np.kron(constant, np.eye(3)), noise, gyro, len(keys)),
-        ]
+        L = np.linalg.cholesky(solution.measurement_covariance * np.outer(scale, scale))
     except np.linalg.LinAlgError:  # far outside the model the covariance is not positive definite
         return None
-    return min((term for term in found if term is not None), key=lambda term: term[1], default=(None, 1.0))[0]
+    forms = [key for key in keys if key[0] == "accel"]
+    effects = [_effect(data, options, solution, *key) for key in forms]
+    columns = [measurements.z[:, None], measurements.H[:, ~fixed], *effects]
+    white = solve_triangular(L, np.concatenate(columns, axis=1) * scale[:, None], lower=True)
+    z, H, *effects = np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
+    found = {key: residual_statistics(z[:, 0], H, Z) for key, Z in zip(forms, effects, strict=True)}
+    slope = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
+    found |= gyro_statistics(data, slope, measurements.rest_rate, measurements.integrated, solution.excess.drift)
+    best = most_significant(found, len(keys))
+    return None if best is None else best[0]
 
 
-def _on_rates(data: PreparedRecording, form: str) -> Array:
-    """Effect of the unit coefficients of a form on the rates of all windows, shape (3 W, 3 q)."""
-    return np.asarray(np.kron(data.drift_shapes[form].windows, np.eye(3)), dtype=np.float64)
+def gyro_statistics(
+    data: PreparedRecording, slope: Array, rest: Array, integrated: Mask, present: Sequence[DriftTerm]
+) -> dict[tuple[Sensor, str], Statistics]:
+    """Statistics of the forms of drift of the gyros in the rates at rest, with their noise as specified.
 
-
-def _rest_noise(data: PreparedRecording, solution: Solution) -> Array:
-    """Covariance of the rest rates of all windows, shape (3 W, 3 W), of the noise and bias instability as specified."""
-    measurements = solution.measurements
-    variance = measurement_covariance.window_rate_variance(measurements, data)
-    variance = variance + measurement_covariance.earth_rate_sigma(data) ** 2
-    # Windows with integrated attitude do not show the rate at rest.
-    variance[measurements.integrated] = 1.0
-    out = np.diag(variance.ravel())
+    Parameters
+    ----------
+    data : PreparedRecording
+    slope : ndarray, shape (3, 3)
+        Derivative of compensated rates with respect to the raw ones.
+    rest : ndarray, shape (W, 3), rad/s
+        Compensated rates of the windows less the Earth's.
+    integrated : ndarray of bool, shape (W,)
+        Windows in which the unit moved; their rate is not used.
+    present : sequence of DriftTerm
+        Forms that are modelled.
+    """
+    T, used = data.windows.duration_s, np.flatnonzero(~integrated)
+    raw = data.noise.gyro_white**2 / T[:, None] + 2.0 * (data.noise.gyro_edge / T[:, None]) ** 2
+    noise = np.diag((raw @ (slope**2).T + measurement_covariance.earth_rate_sigma(data) ** 2).ravel())
     if data.noise.gyro_flicker is not None:
-        slope = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
-        own = measurement_covariance.gyro_drift(data, measurements.integrals, slope).rate
-        assert own is not None
-        root = own.reshape(len(out), -1)
-        out = out + root @ root.T
-    return out
+        own = data.noise.gyro_flicker * slope
+        drift = data.drift.windows @ data.drift.windows.T
+        noise = noise + np.kron(drift, own @ own.T)
+    rows = (3 * used[:, None] + np.arange(3)).ravel()
+    L = np.linalg.cholesky(noise[np.ix_(rows, rows)])
+
+    def white(shape: Array) -> Array:
+        return np.asarray(solve_triangular(L, np.kron(shape[used], np.eye(3)), lower=True))
+
+    shapes = data.drift_shapes
+    taken = [shapes[term.form].windows for term in present if term.sensor == "gyro"]
+    H = white(np.concatenate([np.ones((len(rest), 1)), *taken], axis=1))
+    z = solve_triangular(L, rest[used].ravel(), lower=True)
+    forms = [key for key in candidates(data, present) if key[0] == "gyro"]
+    return {key: residual_statistics(z, H, white(shapes[key[1]].windows)) for key in forms}
 
 
 def estimates(

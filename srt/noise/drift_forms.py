@@ -18,11 +18,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc, fdtrc
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from srt.types import Array
 
 
@@ -35,6 +34,8 @@ TESTED_TERMS: Final = 3
 """Terms of the random walk in its test: they have 93 % of its variance."""
 _WARM_UP: Final = {"fast warm-up": 1.0 / 8.0, "warm-up": 1.0 / 3.0}
 """Time constants of the warm-up by name, as a share of the recording."""
+_SEEN: Final = 1e-10
+"""Eigenvalue of the information, relative to the largest, below which a coefficient is not testable."""
 _LEAST_TEMPERATURE_RANGE: Final = 0.1
 """Range of the window temperatures, K, below which a drift with temperature is not tested."""
 
@@ -109,51 +110,94 @@ def _centred(values: Array, intervals: Intervals, *, scaled: bool) -> DriftShape
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Statistics:
+    """What white residuals of a model tell about coefficients that it does not have.
+
+    Attributes
+    ----------
+    gradient : ndarray, shape (q,)
+        Zᵀ r: residuals r, effects Z of the coefficients.
+    information : ndarray, shape (q, q)
+        Zᵀ M Z with the projection M onto the residuals.
+    chi_square : float
+        rᵀ r.
+    freedom : int
+        Degrees of freedom of the residuals.
+    """
+
+    gradient: Array
+    information: Array
+    chi_square: float
+    freedom: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DriftTest:
     """Result of the test of one form.
 
     Attributes
     ----------
     p_value : float
-    amplitude : ndarray, shape (n,)
-        Least-squares estimate of the coefficients.
+    amplitude : ndarray, shape (q,)
+        Least-squares estimate of the tested coefficients.
     """
 
     p_value: float
     amplitude: Array
 
 
-def drift_tests(z: Array, H: Array, candidates: Mapping[str, Array]) -> dict[str, DriftTest]:
-    """Test of each candidate against the model without it.
-
-    The ratio of the decrease of chi-square per coefficient to the remaining chi-square per degree of freedom has
-    Fisher's distribution, whatever the common scale of the noise is. The decrease itself must be significant, too:
-    residuals far below the noise, as those of a noise-free recording, have systematic parts.
+def residual_statistics(z: Array, H: Array, Z: Array) -> Statistics:
+    """Statistics of measurements with white noise of unit variance.
 
     Parameters
     ----------
     z : ndarray, shape (n,)
-        Measurements with white noise of unit variance.
     H : ndarray, shape (n, p)
         Derivative with respect to the parameters of the model; columns that are zero are ignored.
-    candidates : mapping of str to ndarray, shape (n, q)
-        Derivative with respect to the coefficients of each candidate.
+    Z : ndarray, shape (n, q)
+        Derivative with respect to the coefficients.
     """
     norm = np.linalg.norm(H, axis=0)
     Q, T = np.linalg.qr(H[:, norm > 0.0] / norm[norm > 0.0])
     Q = Q[:, np.abs(np.diag(T)) > 1e-10]
-    r = z - Q @ (Q.T @ z)
-    out = {}
-    for name, Z in candidates.items():
-        U, size, V = np.linalg.svd((Z - Q @ (Q.T @ Z)) / np.linalg.norm(Z, axis=0), full_matrices=False)
-        # Coefficients that the parameters of the model explain are not testable.
-        seen = size > 1e-6
-        q, freedom = int(seen.sum()), len(z) - Q.shape[1] - int(seen.sum())
-        if q == 0 or freedom < 1:
-            continue
-        found = U[:, seen].T @ r
-        explained = float(found @ found)
-        left = max(float(r @ r) - explained, 1e-300)
-        p_value = max(float(fdtrc(q, freedom, explained / q / (left / freedom))), float(chdtrc(q, explained)))
-        out[name] = DriftTest(p_value, V[seen].T @ (found / size[seen]) / np.linalg.norm(Z, axis=0))
-    return out
+    r, left = z - Q @ (Q.T @ z), Z - Q @ (Q.T @ Z)
+    return Statistics(left.T @ r, left.T @ left, float(r @ r), len(z) - Q.shape[1])
+
+
+def drift_test(found: Statistics) -> DriftTest | None:
+    """Test of a form against the model without it; None if the residuals do not depend on it.
+
+    The ratio of the decrease of chi-square per coefficient to the remaining chi-square per degree of freedom has
+    Fisher's distribution, whatever the common scale of the noise is. The decrease itself must be significant, too:
+    residuals far below the noise, as those of a noise-free recording, have systematic parts.
+    """
+    tested = slice(3 * TESTED_TERMS)
+    information, gradient = found.information[tested, tested], found.gradient[tested]
+    values, vectors = np.linalg.eigh(information)
+    seen = values > _SEEN * values[-1]
+    q, along = int(seen.sum()), vectors[:, seen].T @ gradient
+    freedom = found.freedom - q
+    if values[-1] <= 0.0 or freedom < 1:
+        return None
+    explained = float(np.sum(along**2 / values[seen]))
+    left = max(found.chi_square - explained, 1e-300)
+    p_value = max(float(fdtrc(q, freedom, explained / q / (left / freedom))), float(chdtrc(q, explained)))
+    return DriftTest(p_value, vectors[:, seen] @ (along / values[seen]))
+
+
+def walk_sigma(found: Statistics) -> float:
+    """Standard deviation of the coefficients of a random walk by restricted maximum likelihood.
+
+    With the eigenvalues λ of the information and the gradient g along its eigenvectors the log likelihood of a variance
+    v is ``½ Σ [v g² / (1 + v λ) − log(1 + v λ)]``.
+    """
+    values, vectors = np.linalg.eigh(found.information)
+    values, along = np.maximum(values, 0.0), (vectors.T @ found.gradient) ** 2
+
+    def cost(log_variance: float) -> float:
+        v = math.exp(log_variance)
+        return float(np.sum(np.log1p(v * values) - v * along / (1.0 + v * values)))
+
+    size = -math.log(float(values[-1]))
+    # From a hundredth of the sigma of the best-known coefficient to a million times that sigma.
+    return math.exp(0.5 * float(minimize_scalar(cost, bounds=(size - 9.2, size + 27.6), method="bounded").x))

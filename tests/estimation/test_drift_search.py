@@ -12,7 +12,16 @@ from scipy.stats import kstest
 
 import srt
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.noise.drift_forms import FALSE_ALARM, WALK, Intervals, drift_shapes, drift_tests
+from srt.noise.drift_forms import (
+    FALSE_ALARM,
+    WALK,
+    Intervals,
+    drift_shapes,
+    drift_test,
+    residual_statistics,
+    walk_sigma,
+)
+from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
 MG = 1e-3 * STANDARD_GRAVITY_M_S2
@@ -53,17 +62,30 @@ def test_p_values_are_uniform_without_drift():
     rng = np.random.default_rng(20261123)
     H, Z = rng.standard_normal((40, 10)), rng.standard_normal((40, 3))
     for scale in (1.0, 5.0):  # the F-test does not depend on the scale of the noise
-        found = [drift_tests(scale * rng.standard_normal(40), H, {"a": Z})["a"].p_value for _ in range(2000)]
+        found = [drift_test(residual_statistics(scale * rng.standard_normal(40), H, Z)).p_value for _ in range(2000)]
         assert kstest(found, "uniform", alternative="greater").pvalue > 1e-3
     # At the stated noise the two tests nearly agree, so that little power is lost.
-    found = [drift_tests(rng.standard_normal(40), H, {"a": Z})["a"].p_value for _ in range(2000)]
+    found = [drift_test(residual_statistics(rng.standard_normal(40), H, Z)).p_value for _ in range(2000)]
     assert np.mean(np.array(found) < 0.05) > 0.02
 
 
 def test_residuals_far_below_the_noise_are_no_drift():
     Z = np.arange(30.0)[:, None]
-    (found,) = drift_tests(1e-6 * Z[:, 0], np.ones((30, 1)), {"a": Z}).values()
-    assert found.p_value > 0.99
+    assert drift_test(residual_statistics(1e-6 * Z[:, 0], np.ones((30, 1)), Z)).p_value > 0.99
+
+
+def test_sigma_of_a_random_walk_is_its_restricted_likelihood():
+    """Against scoring of the dense covariance, and on average the sigma that was drawn."""
+    rng = np.random.default_rng(20261124)
+    H, Z = rng.standard_normal((60, 8)), rng.standard_normal((60, 12))
+    variances = []
+    for _ in range(50):
+        z = rng.standard_normal(60) + Z @ rng.normal(0.0, 3.0, 12)
+        variances.append(walk_sigma(residual_statistics(z, H, Z)) ** 2)
+        (expected,) = restricted_likelihood(z, H, np.eye(60), (Z @ Z.T,))
+        assert variances[-1] == pytest.approx(expected, rel=2e-2)
+    # A variance from 12 coefficients has a relative standard error of √(2 / 12) at least.
+    assert np.mean(variances) == pytest.approx(9.0, rel=3.5 * 1.1 * np.sqrt(2.0 / 12.0 / 50.0))
 
 
 def drifting(grade, accel_mg, gyro_deg_h, seed=3, profile="raised-cosine"):
