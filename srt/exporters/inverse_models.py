@@ -92,8 +92,15 @@ OPENVINS: Final = Exporter(
     title="OpenVINS kalibr_imu_chain.yaml",
     suffixes=(".yaml", ".yml"),
     formula="a = R_IMUtoACC' inv(Ta) (a_m - b_a); w = R_IMUtoGYRO' inv(Tw) (w_m - Tg a - b_g); ' is the transpose",
-    losses=("biases: the file has no field for them, the filter estimates them",),
-    advice=("Extrinsics (T_imu_cam) are those of the axes named above; they must be estimated or turned in the same.",),
+    losses=(
+        "biases: the file has no field for them, the filter estimates them",
+        "the uncertainty of the intrinsics: OpenVINS starts each with a sigma of 1e-3 that no file sets",
+    ),
+    advice=(
+        "Extrinsics (T_imu_cam) are those of the axes named above; they must be estimated or turned in the same.",
+        "If it is to estimate the intrinsics (calib_imu_intrinsics), 1e-3 is far from the sigmas of this calibration: "
+        "leave that off to keep these values, or set the prior in its source (State.cpp).",
+    ),
     frames=("mars", "table", "accel"),
     triangle="lower",
     write=_write_openvins,

@@ -96,6 +96,14 @@ def linear_part(triad: Triad, motion: Array | None = None) -> LinearModel:
     return LinearModel(matrix, bias)
 
 
+def axis_factors(matrix: Array) -> Array:
+    """Factors, one for each axis, with the least error over true values of all directions alike, shape (3,).
+
+    Row i of the sensor model's matrix being m, ``factor_i = m_i / |m|²``.
+    """
+    return np.asarray(np.diag(matrix) / np.sum(matrix**2, axis=1))
+
+
 def lower_rotation(M: Array) -> tuple[Array, Array]:
     """Write ``M = L Q``, L lower-triangular with a positive diagonal and Q a rotation.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from srt.noise.allan import RANDOM_WALK, TERMS
+from srt.noise.allan import FLAT, RANDOM_WALK, TERMS
 
 if TYPE_CHECKING:
     from srt.exporters.export_model import ExportModel
@@ -57,6 +57,12 @@ def statement(model: ExportModel) -> list[str]:
         if term is not None and term[1] and getattr(model.settings, f"{sensor}_random_walk") is None:
             lines.append(f"{sensor} random walk: upper limit (97.5 %), as the log of srt noise does not resolve it")
     return lines
+
+
+def worst_bias_instability(model: ExportModel, sensor: str) -> float | None:
+    """Largest bias instability of a sensor by ``srt noise``, SI, inflated; None if it was not run."""
+    found = _worst(model, sensor, FLAT)
+    return None if found is None else found[0] * (model.settings.inflate or 1.0)
 
 
 def _worst(model: ExportModel, sensor: str, term: int) -> tuple[float, bool] | None:

@@ -34,6 +34,7 @@ from srt.exporters.file_format import (
     to_yaml,
     whole_lines,
 )
+from srt.exporters.linear_model import axis_factors
 from srt.model.sensor_model import Triad, accel_triad, gyro_triad
 from srt.recording import autopilots
 from srt.recording.applied import AppliedCorrection
@@ -118,10 +119,6 @@ _SCALE_LIMITS: Final = (0.8, 1.2)
 """ArduPilot's stated ranges of INS_ACCOFFS (m/s²) and INS_ACCSCAL."""
 
 
-def _factors(matrix: Array) -> Array:
-    return np.asarray(np.diag(matrix) / np.sum(matrix**2, axis=1))
-
-
 def _chosen_instance(model: ExportModel, autopilot: Autopilot) -> int:
     """Instance of the settings, else that of the log. Raises InputError if the two differ or there is none such."""
     of_log = None if model.applied is None else model.applied.instance
@@ -149,7 +146,7 @@ def _ids(model: ExportModel, autopilot: Autopilot) -> dict[str, int]:
 def _parameter_values(model: ExportModel) -> dict[str, Array]:
     values = {
         "accel_offset": single(model.accel.bias),
-        "accel_scale": single(_factors(model.accel.matrix)),
+        "accel_scale": single(axis_factors(model.accel.matrix)),
         "gyro_offset": single(model.gyro.bias),
     }
     if not np.all(values["accel_scale"] > 0.0):

@@ -8,6 +8,7 @@ from srt.exceptions import InputError, did_you_mean
 from srt.exporters.c_header import C_HEADER
 from srt.exporters.forward_models import KALIBR, PYINS
 from srt.exporters.inverse_models import BASALT, IMU_TK, IMUCAL, OPENVINS
+from srt.exporters.kf_gins import KF_GINS
 from srt.exporters.parameter_files import ARDUPILOT, PX4, ROS2, VECTORNAV
 from srt.exporters.preintegration import GTSAM
 
@@ -16,7 +17,21 @@ if TYPE_CHECKING:
 
     from srt.exporters.file_format import Exporter
 
-_ALL: Final = (KALIBR, OPENVINS, BASALT, IMUCAL, IMU_TK, PYINS, VECTORNAV, PX4, ARDUPILOT, ROS2, GTSAM, C_HEADER)
+_ALL: Final = (
+    KALIBR,
+    OPENVINS,
+    BASALT,
+    IMUCAL,
+    IMU_TK,
+    PYINS,
+    VECTORNAV,
+    PX4,
+    ARDUPILOT,
+    ROS2,
+    GTSAM,
+    KF_GINS,
+    C_HEADER,
+)
 _BY_NAME: Final = {item.name: item for item in _ALL}
 
 

@@ -212,6 +212,16 @@ def c_header(texts, w, f, bias):
 
 
 FORMULAS["c-header"] = c_header
+
+
+def kf_gins(texts, w, f, bias):
+    """Its units: °/h, mGal, ppm; increments over dt, the same as rates."""
+    d = yaml.safe_load(texts[""])
+    gyro = (w - np.radians(d["initgyrbias"]) / 3600.0) / (1.0 + 1e-6 * np.array(d["initgyrscale"]))
+    return gyro, (f - 1e-5 * np.array(d["initaccbias"])) / (1.0 + 1e-6 * np.array(d["initaccscale"]))
+
+
+FORMULAS["kf-gins"] = kf_gins
 CASES = [(target, frame) for target in TARGETS for frame in exporters.exporter(target).frames]
 IMPORTED = tuple(name for name, item in exporters.exporters().items() if item.imports)
 

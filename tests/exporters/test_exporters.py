@@ -32,7 +32,7 @@ from srt.exporters.linear_model import lower_rotation, upper_rotation
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import accel_triad, gyro_triad
 
-LOSSY = ("px4", "ardupilot", "gtsam")
+LOSSY = ("px4", "ardupilot", "gtsam", "kf-gins")
 
 
 def ours(calibration, readings, C):

@@ -204,3 +204,29 @@ def test_a_flipped_axis_is_no_pre_calibration(tmp_path):
     path.write_text(json.dumps(document))
     with pytest.raises(srt.SrtError, match="left-handed"):
         load(path, "pyins")
+
+
+def test_kf_gins_gets_states_their_sigmas_and_noise():
+    """Keys and units of its published configuration: °/h, mGal, ppm, °/√h, m/s/√h."""
+    calibration = calibrated(np.random.default_rng(40), size=0.001)
+    found = yaml.safe_load(export(calibration, "kf-gins").texts[""])
+    states = [
+        "initgyrbias",
+        "initaccbias",
+        "initgyrscale",
+        "initaccscale",
+        "initbgstd",
+        "initbastd",
+        "initsgstd",
+        "initsastd",
+    ]
+    assert list(found) == [*states, "imunoise"]
+    sigma = np.sqrt(np.diag(calibration.covariance))
+    units = (("initbgstd", "gyro_bias", np.radians(1.0) / 3600.0), ("initbastd", "accel_bias", 1e-5),
+             ("initsgstd", "gyro_scale", 1e-6), ("initsastd", "accel_scale", 1e-6))  # fmt: skip
+    for name, group, unit in units:
+        np.testing.assert_allclose(found[name], sigma[GROUP_SLICES[group]] / unit, rtol=1e-12)
+    # Scale factors of rows with misalignments of 1e-3 differ from the diagonal by 1e-6.
+    np.testing.assert_allclose(found["initgyrscale"], calibration.errors.group("gyro_scale") * 1e6, rtol=0, atol=5.0)
+    assert found["imunoise"]["arw"] == pytest.approx([np.degrees(2e-6) * 60.0] * 3)
+    assert found["imunoise"]["vrw"] == pytest.approx([3e-4 * 60.0] * 3)

@@ -1,0 +1,1 @@
+"""Calibrations inside navigation software: factors with the sensor errors as variables."""
