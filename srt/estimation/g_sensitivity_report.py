@@ -30,6 +30,10 @@ _LEAST_FREEDOM: Final = 3
 """Degrees of freedom from which the F-test is made."""
 _EARTH_SIGMAS: Final = 3.0
 """Effect over the sigma of the Earth rate below which a g-sensitivity is not distinguishable from it."""
+_ESTIMATED: Final = (
+    "The gyros are g-sensitive, and without it the residuals contradict the noise: the g-sensitivity was estimated too "
+    "(diagnostics.g_sensitivity). 'srt apply' corrects it; what applies the 27 errors alone does not."
+)
 _DEG_PER_H_PER_G: Final = STANDARD_GRAVITY_M_S2 / DEG_PER_H
 
 
@@ -85,13 +89,15 @@ def diagnostics(data: PreparedRecording, solution: Solution) -> dict[str, Any]:
     }
 
 
-def warnings(data: PreparedRecording, measurements: SrtMeasurements) -> tuple[str, ...]:
-    """Warnings: directions in which Γ is not observable, or a significant g-sensitivity that is not estimated."""
+def warnings(data: PreparedRecording, measurements: SrtMeasurements, *, automatic: bool) -> tuple[str, ...]:
+    """Warnings: Γ estimated unasked, not observable in a direction, or significant and not estimated."""
     if measurements.poses is not None:
+        told = (_ESTIMATED,) if automatic else ()
         if not len(measurements.poses.unobserved):
-            return ()
+            return told
         along = " and ".join("(" + ", ".join(f"{x:.2f}" for x in axis) + ")" for axis in measurements.poses.unobserved)
         return (
+            *told,
             f"Gyro g-sensitivity along {along} is not observable: the specific force varies by less than "
             f"{LEAST_FORCE_VARIATION:g} g in this direction. It is set to zero, and no sigma includes its error. Add "
             "sequences with these axes up and down.",

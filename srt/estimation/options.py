@@ -38,7 +38,8 @@ class Options:
         Attitude in the stationary windows: constant (except in windows that moved), or integrated from the gyros.
     gyro_bias : "auto", "pooled", "per-sequence" or "g-sensitive"
         One bias for the test, one per sequence, or a weighting of both by the bias instability ("auto");
-        "g-sensitive": as "auto", with gyro g-sensitivity estimated too.
+        "g-sensitive": as "auto", with gyro g-sensitivity estimated too. With "auto", closed form and least squares do
+        so where the residuals contradict the noise and the rest rates show it (F-test).
     step : "jacobian" or "coefficients"
         Correction of an iteration: by the full Jacobian, added; or by the coefficients of eq. 13, composed.
     start : "auto", "zero" or SensorErrors

@@ -7,6 +7,7 @@ Once the noise is settled, a drift is searched for, and the noise estimated agai
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -14,6 +15,8 @@ import numpy as np
 from srt.estimation import measurement_covariance
 from srt.estimation.drift_model import MOST_TERMS, NOTHING, Unmodelled
 from srt.estimation.drift_search import search
+from srt.estimation.g_sensitivity import MODE
+from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import chi_square, is_misfit, one_group_explains
 from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import consistency_tests, rows_of_sequences
@@ -45,6 +48,8 @@ def iterate_with_unmodelled_errors(
 ) -> tuple[Solution, Solver, Unmodelled]:
     """Iterate, and repeat with unmodelled errors if the residuals contradict the noise.
 
+    If the rest rates then show a g-sensitivity of the gyros, it is estimated first.
+
     Parameters
     ----------
     data : PreparedRecording
@@ -74,6 +79,10 @@ def iterate_with_unmodelled_errors(
         new = present
         fit = chi_square(solution, solver.fixed)
         if is_misfit(*fit):
+            if options.gyro_bias == "auto" and significant_g_sensitivity(solution.measurements, data) is not None:
+                options, solver = replace(options, gyro_bias=MODE), new_solver()
+                solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
+                continue
             if not any(present.sizes) and _one_sequence_explains(solution, data, solver.fixed, *fit):
                 break
             new = _estimated(solution, data, solver.fixed, present)

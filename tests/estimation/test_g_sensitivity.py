@@ -326,10 +326,13 @@ def test_rates_that_noise_alone_moves_raise_no_alarm_more_often_than_stated(monk
     assert low <= alarms <= high
 
 
-def test_auto_says_that_the_rates_follow_the_force():
+def test_auto_estimates_what_the_residuals_show_and_says_so():
     rng, motion = np.random.default_rng(8), motion_of(fixture=1e-3)
     loud = srt.calibrate(read_out(motion, unit(), replace(WHITE, gyro_g_sensitivity=GAMMA), rng), "closed-form")
-    assert any("--gyro-bias g-sensitive" in w for w in loud.warnings)
+    assert any("was estimated too" in w for w in loud.warnings)
+    assert loud.judgement.word == "sound"
+    sigma = np.array(loud.diagnostics["g_sensitivity"]["sigma"])
+    assert np.all(np.abs(np.array(loud.diagnostics["g_sensitivity"]["matrix"]) - GAMMA) < 4.0 * sigma)
     quiet = srt.calibrate(read_out(motion, unit(), WHITE, rng), "closed-form")
     assert not any("g-sensitive" in w for w in quiet.warnings)
     assert "g_sensitivity" not in quiet.diagnostics
