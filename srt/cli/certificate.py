@@ -29,6 +29,7 @@ _NO_FOLDER: Final = (".pdf", ".htm", ".json", ".toml", ".txt", ".png", ".svg")
 @click.option(
     "--against", type=click.Path(path_type=Path), metavar="OLD.json", help="An earlier calibration of the same unit."
 )
+@click.option("--lab", type=click.Path(path_type=Path), metavar="FILE.toml", help="Laboratory, equipment, conditions.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary; warnings and errors only.")
 def certificate(
@@ -37,6 +38,7 @@ def certificate(
     output: Path | None,
     limits: Path | None,
     against: Path | None,
+    lab: Path | None,
     trust: bool,
     quiet: bool,
 ) -> int:
@@ -64,7 +66,9 @@ def certificate(
 
     if recording_path is not None:
         read_document(recording_path)  # a log in another format is to be converted
-    made = srt.certificate(calibration_file, recording_path, limits=limits, against=against, trust=trust)
+    made = srt.certificate(
+        calibration_file, recording_path, limits=limits, against=against, laboratory=lab, trust=trust
+    )
     make_directory(page.parent)
     write_certificate(made, page)
     if made.change is not None and made.change.names:

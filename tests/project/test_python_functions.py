@@ -200,7 +200,7 @@ def test_frames_hold_the_values_of_the_results(recording, unit):
     assert list(look["sequence"]) == [turn.sequence for turn in srt.recognise(recording).turns]
     pair = srt.compare(recording, ["closed-form", "least-squares"])
     assert set(srt.to_frame(pair)) >= {"closed-form value", "least-squares sigma"}
-    assert srt.to_frame(srt.certificate(unit)).shape == (27, 4)
+    assert srt.to_frame(srt.certificate(unit)).shape == (27, 5)
 
 
 def test_figures_are_made_and_written(recording, unit, tmp_path):

@@ -98,6 +98,10 @@ class Reader(HTMLParser):
         if self.inside:
             self.tables[-1][-1][-1] += data.strip()
 
+    def table(self, word):
+        """Rows of the first table with a heading of its columns."""
+        return next(table for table in self.tables if word in table[0])[1:]
+
     @property
     def text(self):
         return " ".join(" ".join(self.texts).split())

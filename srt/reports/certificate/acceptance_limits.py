@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 SUFFIXES: Final = {"ppm": "ppm", "µrad": "urad", "µg": "ug", "°/h": "deg_per_h"}
 """Unit suffixes of the keys, by display unit."""
 SECTIONS: Final = ("value", "sigma")
+GUARD_SIGMAS: Final = 2.0
+"""Guard band of guarded acceptance: the expanded uncertainty with k = 2 (ILAC-G8)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,11 +36,29 @@ class AcceptanceLimits:
         NaN where there is no limit.
     name : str
         Name of the file, without its folder.
+    guard_sigmas : float
+        Guard band of the values in sigmas: 0, simple acceptance.
     """
 
     value: Array
     sigma: Array
     name: str
+    guard_sigmas: float = 0.0
+
+    @property
+    def decision_rule(self) -> str:
+        """Decision rule in sentences (ILAC-G8)."""
+        both = "A sigma passes if it is not larger than its limit; a parameter that was not measured fails."
+        if self.guard_sigmas == 0.0:
+            return (
+                "Decision rule: simple acceptance. A value passes if it lies within its limit; its uncertainty is not "
+                f"subtracted, so that a true value at the limit is accepted in half of all cases. {both}"
+            )
+        return (
+            f"Decision rule: guarded acceptance with a guard band of {self.guard_sigmas:g} sigma. A value passes if it "
+            f"lies within its limit less {self.guard_sigmas:g} sigma; the probability of accepting a true value beyond "
+            f"the limit is at most {0.5 * math.erfc(self.guard_sigmas / math.sqrt(2.0)):.2g}. {both}"
+        )
 
     @property
     def given(self) -> Mask:
@@ -53,7 +73,8 @@ class AcceptanceLimits:
         calibration : Calibration
         """
         # Written so that NaN, no limit, is met.
-        value = ~(np.abs(calibration.errors.vector) > self.value)
+        guard = self.guard_sigmas * np.where(calibration.observed, calibration.sigma, 0.0)
+        value = ~(np.abs(calibration.errors.vector) + guard > self.value)
         sigma = ~(calibration.sigma > self.sigma)
         return np.asarray((value & sigma & calibration.observed) | ~self.given)
 
@@ -61,6 +82,7 @@ class AcceptanceLimits:
 def load_acceptance_limits(path: Path) -> AcceptanceLimits:
     """Read a file of limits: sections ``[value]`` and ``[sigma]``, keys such as ``gyro_scale_ppm``.
 
+    A section ``[decision]`` has ``rule`` ("simple" or "guarded") and ``guard_sigmas``, the guard band (default 2).
     A key names a parameter or a group, and the unit of the table after it; a parameter's own limit goes before that
     of its group.
 
@@ -79,17 +101,34 @@ def load_acceptance_limits(path: Path) -> AcceptanceLimits:
         raise InputError(f"The limits {path} cannot be read: {error.strerror}.") from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"The limits {path} are not valid TOML: {clipped(str(error), 120)}.") from None
-    unknown = [key for key in document if key not in SECTIONS]
+    unknown = [key for key in document if key not in (*SECTIONS, "decision")]
     if unknown:
         raise InputError(
             f"The limits {path} have a part {clipped(unknown[0])!r}{did_you_mean(unknown[0], SECTIONS)}: "
-            "the sections are [value] and [sigma]."
+            "the sections are [value] and [sigma], and [decision]."
         )
     found = {section: _section(path, section, document.get(section, {})) for section in SECTIONS}
-    limits = AcceptanceLimits(found["value"], found["sigma"], path.name)
+    guard = _guard_sigmas(path, document.get("decision", {}))
+    limits = AcceptanceLimits(found["value"], found["sigma"], path.name, guard)
     if not limits.given.any():
         raise InputError(f"The limits {path} limit nothing: add a key such as gyro_scale_ppm = 300.0 under [value].")
     return limits
+
+
+def _guard_sigmas(path: Path, table: Any) -> float:
+    """Guard band of the section [decision]."""
+    known = ("rule", "guard_sigmas")
+    if not isinstance(table, dict) or set(table) - set(known):
+        raise InputError(f"The limits {path}: [decision] has the keys {' and '.join(known)} only; correct it.")
+    rule, width = table.get("rule", "simple"), table.get("guard_sigmas")
+    if rule not in ("simple", "guarded") or (rule == "simple" and width is not None):
+        raise InputError(
+            f'The limits {path}: decision.rule is {clipped(repr(rule))}; write "simple", without guard_sigmas, or '
+            '"guarded".'
+        )
+    if width is not None and (isinstance(width, bool) or not isinstance(width, int | float) or not 0.0 < width < 10.0):
+        raise InputError(f"The limits {path}: decision.guard_sigmas is {clipped(repr(width))}; give a number up to 10.")
+    return 0.0 if rule == "simple" else GUARD_SIGMAS if width is None else float(width)
 
 
 def _section(path: Path, section: str, table: Any) -> Array:

@@ -10,8 +10,10 @@ import numpy as np
 
 from srt.exceptions import DataError
 from srt.presentation import Presented
+from srt.reports.certificate.laboratory import COVERAGE_FACTOR, Laboratory, equipment_table, references_table
 from srt.reports.certificate.parameter_changes import FALSE_ALARM
 from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
+from srt.reports.certificate.uncertainty import budget_table, coverage_note
 from srt.reports.certificate.unit_description import (
     SERIAL_LENGTH,
     application_section,
@@ -56,11 +58,18 @@ class Certificate(Presented):
         "passed", "failed", "doubtful" (limits are met, but the verdict is doubtful), or empty without limits.
     summary : tuple of str
         Main results, in sentences.
+    parties : tuple of (str, str)
+        Laboratory, customer, operator and conditions, as labels and texts.
+    equipment, references : CertificateTable
     description : tuple of (str, str)
         Unit, date, site, data and software, as labels and texts.
     parameters : CertificateTable
     g_sensitivity : CertificateTable or None
         Gyro g-sensitivity with its sigma, if estimated.
+    budget : CertificateTable or None
+        Uncertainty by source.
+    decision : str
+        Decision rule; empty without limits.
     held : tuple of str
         Fixed parameters and the reasons.
     residuals : CertificateTable or None
@@ -87,9 +96,14 @@ class Certificate(Presented):
     unit: str
     outcome: str
     summary: tuple[str, ...]
+    parties: tuple[tuple[str, str], ...]
+    equipment: CertificateTable
+    references: CertificateTable
     description: tuple[tuple[str, str], ...]
     parameters: CertificateTable
     g_sensitivity: CertificateTable | None
+    budget: CertificateTable | None
+    decision: str
     held: tuple[str, ...]
     residuals: CertificateTable | None
     residual_notes: tuple[str, ...]
@@ -116,6 +130,7 @@ def make_certificate(
     course: RecordingHistory | None = None,
     limits: AcceptanceLimits | None = None,
     change: ParameterChanges | None = None,
+    laboratory: Laboratory | None = None,
 ) -> Certificate:
     """Content of a certificate.
 
@@ -127,6 +142,8 @@ def make_certificate(
     limits : AcceptanceLimits, optional
     change : ParameterChanges, optional
         Since an earlier calibration of the unit.
+    laboratory : Laboratory, optional
+        Statements of the laboratory; without it, they are marked as not stated.
 
     Returns
     -------
@@ -143,6 +160,7 @@ def make_certificate(
             f"{source.name} has the status {calibration.status.replace('_', ' ')}, and nothing can be certified by it: "
             "calibrate the unit again."
         )
+    stated = laboratory or Laboratory()
     failed: tuple[str, ...] = ()
     if limits is not None:
         failed = tuple(NAMES[i] for i in np.flatnonzero(~limits.met(calibration)))
@@ -153,9 +171,14 @@ def make_certificate(
         plain(source.serial, SERIAL_LENGTH) or "no serial",
         outcome,
         tuple(_summary(calibration, limits, failed, change)),
+        tuple(stated.rows("certificate", "laboratory", "customer", "operator", "approval", "unit", "conditions")),
+        equipment_table(stated),
+        references_table(calibration, stated),
         tuple(unit_description(source, course, limits)),
-        parameter_table(calibration, limits),
+        parameter_table(calibration, limits, stated.coverage_factor),
         g_sensitivity_table(calibration),
+        budget_table(calibration, stated.coverage_factor),
+        "" if limits is None else limits.decision_rule,
         tuple(_held(calibration)),
         residual_table(calibration),
         tuple(_residual_notes(calibration)),
@@ -172,16 +195,28 @@ def make_certificate(
     )
 
 
-def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = None) -> CertificateTable:
-    """Table of values and sigmas in display units, with the results of the limits.
+def parameter_table(
+    calibration: Calibration, limits: AcceptanceLimits | None = None, coverage_factor: float = COVERAGE_FACTOR
+) -> CertificateTable:
+    """Table of values, sigmas and expanded uncertainties in display units, with the results of the limits.
 
     Parameters
     ----------
     calibration : Calibration
     limits : AcceptanceLimits, optional
         Adds the limit and the result of every parameter that has one.
+    coverage_factor : float
     """
-    head = ("symbol", "parameter", "value", "sigma", "unit", *(("result", "limit") if limits is not None else ()))
+    expanded = f"U (k = {coverage_factor:g})"
+    head = (
+        "symbol",
+        "parameter",
+        "value",
+        "sigma",
+        expanded,
+        "unit",
+        *(("result", "limit") if limits is not None else ()),
+    )
     met = None if limits is None else limits.met(calibration)
     passed = DOUBTFUL if calibration.judgement.word == DOUBTFUL else "passed"
     rows = []
@@ -193,6 +228,7 @@ def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = 
             CertificateCell(name.replace("_", " ")),
             CertificateCell(*_value(i, value, sigma)),
             CertificateCell("fixed", mark="held") if held else CertificateCell(*_value(i, sigma, sigma)),
+            CertificateCell("-" if held else _value(i, coverage_factor * sigma, coverage_factor * sigma)[0]),
             CertificateCell(DISPLAY_UNITS[i]),
         ]
         if limits is not None and met is not None:
@@ -200,12 +236,11 @@ def parameter_table(calibration: Calibration, limits: AcceptanceLimits | None = 
             shown = "failed (not measured)" if result == "failed" and held else result
             row += [CertificateCell(shown, mark=result), CertificateCell(_limit(limits, i))]
         rows.append(tuple(row))
-    note = "" if limits is None else (
-        f"Limits: {plain(limits.name)}. A value meets its limit if it lies within, a sigma if it is not larger; no "
-        "sigma is added to a value."
-    )  # fmt: skip
+    note = coverage_note(coverage_factor)
+    if limits is not None:
+        note += f" Limits: {plain(limits.name)}. {limits.decision_rule}"
     return CertificateTable(
-        "Parameters", head, tuple(rows), "llrrl" + ("ll" if limits is not None else ""), note, _STARTS
+        "Parameters", head, tuple(rows), "llrrrl" + ("ll" if limits is not None else ""), note, _STARTS
     )
 
 

@@ -11,6 +11,7 @@ from srt.recording.reading import read
 from srt.reports.certificate.acceptance_limits import load_acceptance_limits
 from srt.reports.certificate.calibration_file import calibration_file
 from srt.reports.certificate.content import make_certificate
+from srt.reports.certificate.laboratory import load_laboratory
 from srt.reports.certificate.parameter_changes import changes_since
 from srt.reports.certificate.recording_history import check_recording, recording_history
 from srt.result.verdict import USABLE
@@ -30,6 +31,7 @@ def certificate(
     *,
     limits: PathLike | None = None,
     against: Calibration | PathLike | None = None,
+    laboratory: PathLike | None = None,
     output: PathLike | None = None,
     trust: bool = False,
     **stated: Any,
@@ -45,6 +47,8 @@ def certificate(
         TOML file of the limits that the unit must meet.
     against : Calibration, or path-like of the file of one, optional
         Earlier calibration of the unit.
+    laboratory : path-like, optional
+        TOML file of the statements of the laboratory: parties, equipment, references, conditions, coverage factor.
     output : path-like, optional
         Page to write, FILE.html; the PDF is written beside it.
     trust : bool
@@ -68,13 +72,14 @@ def certificate(
     source = calibration_file(calibration, trust=trust)
     given = None if limits is None else load_acceptance_limits(Path(limits))
     change = None if against is None else changes_since(source, calibration_file(against, trust=trust))
+    stated_by = None if laboratory is None else load_laboratory(Path(laboratory))
     course = None
     if recording is not None and source.calibration.status in USABLE:
         samples = read(recording, **stated)
         title = samples.source or "the recording"
         check_recording(source, samples, title)
         course = recording_history(source, samples, title)
-    made = make_certificate(source, course=course, limits=given, change=change)
+    made = make_certificate(source, course=course, limits=given, change=change, laboratory=stated_by)
     if output is not None:
         page = Path(output)
         if page.suffix.lower() != ".html":

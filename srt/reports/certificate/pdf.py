@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import MissingExtraError
 from srt.reports.certificate.figures import certificate_figures, figure_svg
+from srt.reports.certificate.laboratory import NOT_STATED
 from srt.reports.certificate.unit_description import FORMULAS
 from srt.reports.figures.style import FAINT, GREY, INK
 
@@ -40,6 +41,10 @@ _PADDING: Final = 1.3
 _QUIET: Final = "#555555"
 _BAD: Final = "#b03a00"
 _COLOURS: Final = {"passed": "#00694d", "failed": _BAD, "doubtful": _BAD, "changed": _BAD, "held": _QUIET, "": INK}
+_PAGE_ONLY: Final = ("parameters", "convergence", "correlation")
+"""Figures of the HTML page only: the PDF is for reading on paper, and has their numbers in tables."""
+_FIGURE_SHARE: Final = 0.78
+"""Width of a figure over that of the text."""
 _UNDATED: Final = datetime(2000, 1, 1, tzinfo=UTC)
 """Time of creation that every file states, so that the same certificate makes the same file."""
 _FONTS: Final = {"": "DejaVuSans.ttf", "B": "DejaVuSans-Bold.ttf", "I": "DejaVuSans-Oblique.ttf"}
@@ -71,6 +76,10 @@ def _write(certificate: Certificate, document: _Document) -> None:
     if certificate.outcome:
         document.paragraph(certificate.outcome.capitalize(), size=12.0, style="B", colour=_COLOURS[certificate.outcome])
     document.paragraphs(certificate.summary)
+    document.heading("Laboratory, customer and conditions")
+    document.pairs(certificate.parties)
+    document.titled_table(certificate.equipment)
+    document.titled_table(certificate.references)
     document.heading("The unit and its test")
     document.definitions(certificate.description)
     if certificate.recordings is not None:
@@ -82,6 +91,8 @@ def _write(certificate: Certificate, document: _Document) -> None:
     if certificate.held:
         document.paragraph("Fixed, not measured:")
         document.bullets(certificate.held)
+    if certificate.budget is not None:
+        document.titled_table(certificate.budget)
     if certificate.changes is not None:
         document.heading(certificate.changes.title, needs=50.0)
         document.certificate_table(certificate.changes)
@@ -91,6 +102,8 @@ def _write(certificate: Certificate, document: _Document) -> None:
     if certificate.residuals is not None:
         document.certificate_table(certificate.residuals)
     for figure in certificate_figures(certificate):
+        if figure.name in _PAGE_ONLY:
+            continue
         document.figure(figure.title, figure.caption, figure.size_in, figure_svg(certificate, figure))
     document.heading("Application", needs=50.0)
     for words, formula in zip(("Sensor model:", "Compensation:"), FORMULAS, strict=True):
@@ -104,6 +117,13 @@ def _write(certificate: Certificate, document: _Document) -> None:
     if certificate.notes:
         document.heading("Warnings of the calibration")
         document.bullets(certificate.notes)
+    document.paragraph(
+        "The HTML page of this certificate draws the parameters and their correlations, and has all numbers in full; "
+        "the calibration file has the covariance. The certificate is valid for the unit in the state of the test "
+        "only, and may be copied as a whole only.",
+        size=_SMALL_PT,
+        colour=_QUIET,
+    )
 
 
 class _Document(FPDF):
@@ -184,6 +204,25 @@ class _Document(FPDF):
             self.cell(indent, h=_BODY_PT * _LEADING, text=label)
             self.paragraph(text or "-", indent=indent)
 
+    def pairs(self, pairs: Iterable[tuple[str, str]]) -> None:
+        """Set labels and their texts in two pairs of columns, read down the first pair and then the second."""
+        rows = [*pairs]
+        half = -(-len(rows) // 2)
+        rows += [("", "")] * (2 * half - len(rows))
+        self._letters(_SMALL_PT)
+        label = max(self.get_string_width(text) for text, _ in rows) + 2.0 * _PADDING + 1.0
+        text = 0.5 * self.epw - label
+        with self.table(
+            width=self.epw, col_widths=(label, text, label, text), text_align="LEFT", borders_layout="NONE",
+            line_height=_SMALL_PT * _LEADING, padding=(0.15, _PADDING), first_row_as_headings=False,
+        ) as out:  # fmt: skip
+            for left, right in zip(rows[:half], rows[half:], strict=True):
+                line = out.row()
+                for name, value in (left, right):
+                    line.cell(name, style=FontFace(color=_QUIET))
+                    line.cell(value, style=FontFace(color=_QUIET if value == NOT_STATED else INK))
+        self.ln(1.0)
+
     def titled_table(self, table: CertificateTable) -> None:
         """Set a table below its title."""
         self.ln(2.0)
@@ -219,7 +258,7 @@ class _Document(FPDF):
 
     def figure(self, title: str, caption: str, size_in: tuple[float, float], svg: str) -> None:
         """Set a figure with its title and caption, all on one page."""
-        width = min(25.4 * size_in[0], self.epw)
+        width = min(25.4 * size_in[0], _FIGURE_SHARE * self.epw)
         height = width * size_in[1] / size_in[0]
         self.ln(3.0)
         self._keep(height + 18.0)

@@ -1,0 +1,185 @@
+"""Statements of the laboratory on a certificate (ISO/IEC 17025, 7.8): parties, equipment, references, conditions.
+
+The file of the laboratory is TOML. What it does not state is "not stated" on the certificate; nothing is assumed.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import tomllib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from srt.exceptions import InputError, clipped, did_you_mean
+from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
+from srt.sensor_errors import GROUP_SLICES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from srt.result.calibration import Calibration
+
+NOT_STATED: Final = "not stated"
+COVERAGE_FACTOR: Final = 2.0
+"""Coverage factor of expanded uncertainties, unless the laboratory states another: 95 % of a normal distribution."""
+SECTIONS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
+    "certificate": (("number", "Certificate number"), ("date_of_issue", "Date of issue")),
+    "laboratory": (("name", "Laboratory"), ("address", "Its address"), ("accreditation", "Accreditation")),
+    "customer": (("name", "Customer"), ("address", "Customer's address"), ("order", "Order")),
+    "unit": (("manufacturer", "Manufacturer"), ("model", "Model"), ("received", "Received")),
+    "operator": (("name", "Operator"),),
+    "approval": (("name", "Approved by"), ("function", "Function")),
+    "conditions": (
+        ("temperature", "Ambient temperature"), ("humidity", "Humidity"), ("pressure", "Air pressure"),
+        ("vibration", "Vibration"), ("supply", "Supply of the unit"),
+    ),
+}  # fmt: skip
+"""Sections of the file with their keys and labels."""
+_EQUIPMENT: Final = ("name", "serial", "calibrated", "traceability")
+_REFERENCES: Final = ("gravity", "latitude", "heading", "time_base")
+_LENGTH: Final = 200
+"""Largest number of characters of a text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Laboratory:
+    """Statements of the laboratory.
+
+    Attributes
+    ----------
+    texts : mapping of str to mapping of str to str
+        By section and key, of those that are stated.
+    equipment : tuple of mapping of str to str
+    references : mapping of str to str
+        Origin of the reference values: traceability.
+    coverage_factor : float
+    """
+
+    texts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    equipment: tuple[Mapping[str, str], ...] = ()
+    references: Mapping[str, str] = field(default_factory=dict)
+    coverage_factor: float = COVERAGE_FACTOR
+
+    def rows(self, *sections: str) -> Iterator[tuple[str, str]]:
+        """Labels and texts of some sections."""
+        for section in sections:
+            for key, label in SECTIONS[section]:
+                yield label, self.texts.get(section, {}).get(key, NOT_STATED)
+
+
+def load_laboratory(path: Path) -> Laboratory:
+    """Read the file of a laboratory.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read, an unknown section or key, or a value that is no text.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"The laboratory {path} cannot be read: {error.strerror}.") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"The laboratory {path} is not valid TOML: {clipped(str(error), 120)}.") from None
+    known = (*SECTIONS, "equipment", "references")
+    for name in document:
+        if name not in known:
+            raise InputError(
+                f"The laboratory {path} has a part {clipped(name)!r}{did_you_mean(name, known)}: "
+                f"use {', '.join(known)}."
+            )
+    factor = _table(path, "certificate", document.get("certificate", {})).pop("coverage_factor", COVERAGE_FACTOR)
+    if isinstance(factor, bool) or not isinstance(factor, int | float) or not 1.0 <= factor <= 10.0:
+        raise InputError(
+            f"The laboratory {path}: certificate.coverage_factor is {factor!r}; give a number from 1 to 10."
+        )
+    texts = {
+        section: _texts(path, section, document[section], tuple(key for key, _ in keys))
+        for section, keys in SECTIONS.items()
+        if section in document
+    }
+    rows = document.get("equipment", [])
+    if not isinstance(rows, list):
+        raise InputError(f"The laboratory {path}: equipment is no list; write each item as [[equipment]].")
+    equipment = tuple(_texts(path, f"equipment[{k}]", row, _EQUIPMENT) for k, row in enumerate(rows, start=1))
+    references = _texts(path, "references", document.get("references", {}), _REFERENCES)
+    return Laboratory(texts, equipment, references, float(factor))
+
+
+def _table(path: Path, section: str, values: object) -> dict[str, Any]:
+    if not isinstance(values, dict):
+        raise InputError(f"The laboratory {path}: {section} is no section; write [{section}].")
+    return dict(values)
+
+
+def _texts(path: Path, section: str, values: object, keys: tuple[str, ...]) -> dict[str, str]:
+    out = {}
+    for key, value in _table(path, section, values).items():
+        if key == "coverage_factor" and section == "certificate":
+            continue
+        if key not in keys:
+            raise InputError(
+                f"The laboratory {path}: {section}.{clipped(key)} is no known key{did_you_mean(key, keys)}: "
+                f"use {', '.join(keys)}."
+            )
+        if isinstance(value, datetime.date):
+            value = value.isoformat()  # noqa: PLW2901
+        if isinstance(value, bool) or not isinstance(value, str | int | float) or value == "":
+            raise InputError(f"The laboratory {path}: {section}.{key} is no text; write it in quotes.")
+        out[key] = plain(str(value), _LENGTH)
+    return out
+
+
+def references_table(calibration: Calibration, laboratory: Laboratory) -> CertificateTable:
+    """Table of the reference values of the test, with their standard uncertainties and origin.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    laboratory : Laboratory
+    """
+    site, alignment = calibration.site, calibration.alignment
+    # An error of the time base scales the gyros by as much.
+    effect = calibration.contributions.get("clock")
+    clock = None if effect is None else 1e6 * float(effect[GROUP_SLICES["gyro_scale"]].max())
+    tilt = alignment.get("alignment_sigma_mrad")
+    rows = (
+        ("gravity", "Gravity", _number(site.get("gravity_m_s2"), "m/s²", 9),
+         _number(site.get("gravity_sigma_m_s2"), "m/s²", 2)),
+        ("latitude", "Latitude", _number(site.get("latitude_deg"), "°", 7), NOT_STATED),
+        ("heading", "Heading of the fixture", _number(alignment.get("heading_deg"), "°", 6), _number(tilt, "mrad", 3)),
+        ("time_base", "Time base", "clock of the recording", _number(clock, "ppm", 2)),
+    )  # fmt: skip
+    return CertificateTable(
+        "References",
+        ("quantity", "value", "standard uncertainty", "origin"),
+        tuple(
+            tuple(CertificateCell(text) for text in (label, value, sigma, laboratory.references.get(key, NOT_STATED)))
+            for key, label, value, sigma in rows
+        ),
+        "llll",
+        "Gravity and time base scale the accelerometers and the gyros; latitude and heading give the Earth rate.",
+    )
+
+
+def equipment_table(laboratory: Laboratory) -> CertificateTable:
+    """Table of the equipment."""
+    rows = laboratory.equipment or ({},)
+    return CertificateTable(
+        "Equipment",
+        ("equipment", "serial", "calibrated", "traceability"),
+        tuple(tuple(CertificateCell(row.get(key, NOT_STATED)) for key in _EQUIPMENT) for row in rows),
+        "llll",
+    )
+
+
+def _number(value: object, unit: str, digits: int) -> str:
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return NOT_STATED
+    return f"{value:.{digits}g} {unit}" if unit != "°" else f"{value:.{digits}g}°"
