@@ -211,6 +211,70 @@ def write_sensor_logger(
             archive.writestr(name, text)
 
 
+def write_phyphox(path: Path, stamps: np.ndarray, values: np.ndarray, mark: str = ",") -> None:
+    """Zip archive of the app phyphox; with a semicolon it writes decimal commas."""
+    seconds = (stamps - stamps[0]) / 1e9
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, word, unit, columns in (
+            ("Accelerometer.csv", "Acceleration", "m/s^2", values[:, 3:]),
+            ("Gyroscope.csv", "Gyroscope", "rad/s", values[:, :3]),
+            ("Linear Acceleration.csv", "Linear Acceleration", "m/s^2", 0.0 * values[:, 3:]),
+        ):
+            head = mark.join(f'"{text}"' for text in ("Time (s)", *(f"{word} {axis} ({unit})" for axis in "xyz")))
+            rows = [mark.join(map(repr, (t, *row))) for t, row in zip(seconds.tolist(), columns.tolist(), strict=True)]
+            text = "\n".join([head, *rows, ""])
+            archive.writestr(name, text.replace(".", ",") if mark == ";" else text)
+
+
+def microstrain_text(stamps: np.ndarray, values: np.ndarray) -> str:
+    """Table of SensorConnect: rad/s and g, with the unit before the names, other columns between."""
+    unit = "inertial:6254.12345"
+    names = [
+        "Time",
+        *(f"{unit}:scaledAccel{a}" for a in "XYZ"),
+        f"{unit}:flags",
+        *(f"{unit}:scaledGyro{a}" for a in "XYZ"),
+    ]
+    rows = [
+        ",".join(map(repr, (t, *(v / 9.80665 for v in row[3:]), 0, *row[:3])))
+        for t, row in zip(stamps.tolist(), values.tolist(), strict=True)
+    ]
+    return "\n".join(["DATA_START", ",".join(names), *rows, ""])
+
+
+def novatel_text(stamps: np.ndarray, counts: np.ndarray, name: str = "RAWIMUSA") -> str:
+    """Messages of raw increments in counts, with NovAtel's CRC by its bitwise definition."""
+
+    def crc(text: str) -> int:
+        total = 0
+        for byte in text.encode():
+            total ^= byte
+            for _ in range(8):
+                total = (total >> 1) ^ (0xEDB88320 if total & 1 else 0)
+        return total
+
+    lines = ["#BESTPOSA,USB1,0,0;not an IMU*00000000"]
+    info = "00,5," if "X" in name.removeprefix("RAW") else ""
+    for stamp, (gx, gy, gz, ax, ay, az) in zip(
+        (stamps % (604800 * 10**9) / 1e9).tolist(), counts.tolist(), strict=True
+    ):
+        text = f"{name},2200,{stamp:.6f};{info}2200,{stamp:.9f},00000077,{az},{-ay},{ax},{gz},{-gy},{gx}"
+        lines.append(f"#{text}*{crc(text):08x}")
+    return "\n".join([*lines, ""])
+
+
+def vectornav_text(values: np.ndarray) -> str:
+    """Messages VNIMU: magnetometer, accelerations, rates, temperature, pressure."""
+    lines = ["$VNYMR,+1.0,+2.0*00"]
+    for gx, gy, gz, ax, ay, az in values.tolist():
+        text = f"VNIMU,+0.1,-0.2,+0.3,{ax!r},{ay!r},{az!r},{gx!r},{gy!r},{gz!r},+25.5,+101.3"
+        total = 0
+        for byte in text.encode():
+            total ^= byte
+        lines.append(f"${text}*{total:02X}")
+    return "\r\n".join([*lines, ""])
+
+
 def imu_rows(stamps: np.ndarray, values: np.ndarray, instance: int | None = 0) -> list[list[Any]]:
     """Rows of messages: stamp, instance (None: no such column) and readings."""
     first = [] if instance is None else [instance]

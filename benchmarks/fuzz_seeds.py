@@ -326,6 +326,40 @@ def sensor_logger() -> list[Seed]:
     ]
 
 
+def phyphox() -> list[Seed]:
+    stamps, values = ff.samples(ROWS)
+    return [
+        _made(lambda path: ff.write_phyphox(path, stamps, values), "a.zip"),
+        _made(lambda path: ff.write_phyphox(path, stamps, values, mark=";"), "a.zip"),
+    ]
+
+
+def microstrain() -> list[Seed]:
+    stamps, values = ff.samples(ROWS)
+    return [Seed({"a.csv": ff.microstrain_text(stamps, values).encode()}, "a.csv", ImportOptions(time_unit="ns"))]
+
+
+def kf_gins() -> list[Seed]:
+    columns = _columns()
+    table = np.column_stack([columns[name] for name in NAMES[:7]])
+    return [Seed({"imu.txt": _text("", table, " ")}, "imu.txt")]
+
+
+def novatel() -> list[Seed]:
+    stamps, values = ff.samples(ROWS)
+    options = ImportOptions(gyro_lsb=(1e-6,) * 3, accel_lsb=(1e-6,) * 3)
+    counts = np.round(1000.0 * values).astype(int)
+    return [
+        Seed({"a.log": ff.novatel_text(stamps, counts, name).encode()}, "a.log", options)
+        for name in ("RAWIMUA", "RAWIMUSXA")
+    ]
+
+
+def vectornav() -> list[Seed]:
+    text = ff.vectornav_text(ff.samples(ROWS)[1])
+    return [Seed({"a.txt": text.encode()}, "a.txt", ImportOptions(sample_rate_hz=200.0))]
+
+
 def recording_toml() -> list[Seed]:
     samples = _text(",".join(NAMES), np.column_stack(list(_columns().values())))
     others = {f"samples.{kind}": _samples(kind) for kind in ("npz", "h5")}
@@ -364,6 +398,11 @@ READERS: dict[str, Callable[[], list[Seed]]] = {
     "imu-tk": imu_tk,
     "psins": psins,
     "sensor-logger": sensor_logger,
+    "phyphox": phyphox,
+    "microstrain": microstrain,
+    "kf-gins": kf_gins,
+    "novatel": novatel,
+    "vectornav": vectornav,
     "csv": csv,
 }
 """Seeds by the name of the importer."""

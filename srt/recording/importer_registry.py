@@ -72,6 +72,7 @@ IMPORTERS: Final[dict[str, str]] = {
     "rosbag2": "srt.recording.importers.rosbag:ROSBAG2",
     "ulog": "srt.recording.importers.ulog:ULOG",
     "ardupilot": "srt.recording.importers.ardupilot:ARDUPILOT",
+    "phyphox": "srt.recording.importers.sensor_logger:PHYPHOX",
     "sensor-logger": "srt.recording.importers.sensor_logger:SENSOR_LOGGER",
     "matlab": "srt.recording.importers.matlab:MATLAB",
     "hdf5": "srt.recording.importers.arrays:HDF5",
@@ -80,6 +81,10 @@ IMPORTERS: Final[dict[str, str]] = {
     "euroc": "srt.recording.importers.csv_formats:EUROC",
     "kalibr": "srt.recording.importers.csv_formats:KALIBR",
     "imu-tk": "srt.recording.importers.csv_formats:IMU_TK",
+    "microstrain": "srt.recording.importers.csv_formats:MICROSTRAIN",
+    "kf-gins": "srt.recording.importers.csv_formats:KF_GINS",
+    "novatel": "srt.recording.importers.text_messages:NOVATEL",
+    "vectornav": "srt.recording.importers.text_messages:VECTORNAV",
     "psins": "srt.recording.importers.psins:PSINS",
     "csv": "srt.recording.importers.csv_formats:CSV",
 }

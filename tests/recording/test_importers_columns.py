@@ -69,8 +69,9 @@ def test_degrees_of_windows_programs_and_decimal_commas(tmp_path):
     )
     header = "Zeit;Gyro X (°/s);Gyro Y (°/s);Gyro Z (°/s);Acc X (m/s²);Acc Y (m/s²);Acc Z (m/s²)\r\n"
     (tmp_path / "a.csv").write_bytes(("Titel: Messung\r\n\r\n" + header + rows).encode("latin-1"))
-    with pytest.raises(InputError, match="--decimal-comma"):
-        import_file(tmp_path / "a.csv")
+    _, found = import_file(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.gyro, GYRO * DEG)
+    assert found.notes[-1] == "Decimal commas were found, and read as points."
     options = ImportOptions(decimal_comma=True, columns={"time": "zeit"}, time_unit="s")
     _, imported = import_file(tmp_path / "a.csv", options)
     np.testing.assert_array_equal(imported.gyro, GYRO * DEG)

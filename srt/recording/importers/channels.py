@@ -27,11 +27,11 @@ COLUMN_NAMES: Final[dict[tuple[str, Kind | None], tuple[str, ...]]] = {
     (TEMPERATURE, None): ("temperature", "temp", "imutemperature", "imutemp"),
     ("gyro", None): (
         "gyro", "gyr", "gyroscope", "g", "w", "omega", "angularvelocity", "angularrate", "angvel", "rotationrate",
-        "wrss", "scaledgyro", "uncompgyro",
+        "wrss", "scaledgyro", "uncompgyro", "gyroout",
     ),
     ("accel", None): (
         "accel", "acc", "accl", "accelerometer", "acceleration", "a", "alpha", "linearacceleration", "linacc",
-        "specificforce", "f", "arss", "scaledaccel", "uncompaccel", "uncompacc",
+        "specificforce", "f", "arss", "scaledaccel", "uncompaccel", "uncompacc", "acclout", "accelout",
     ),
     ("gyro", "increment"): ("dtheta", "deltatheta", "deltaangle", "dangle", "wm"),
     ("accel", "increment"): ("dv", "dvel", "deltav", "deltavel", "deltavelocity", "velinc", "vm"),
@@ -161,6 +161,8 @@ def meaning_of(name: str) -> ColumnMeaning | None:
     -------
     ColumnMeaning or None
     """
+    # "inertial:6254.12345:scaledAccelX": MicroStrain names the unit before the column.
+    name = name.rpartition(":")[2] if ":" in name.partition("[")[0].partition("(")[0] else name
     brackets = _BRACKETS.search(name)
     unit = normal_unit(brackets.group(1)) if brackets else None
     parts = _words(_BRACKETS.sub("", name))

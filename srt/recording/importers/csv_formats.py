@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,6 +29,9 @@ TEXT_OPTIONS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_c
 
 _PUBLISHED: Final = StatedUnits("rad/s", "m/s^2", "ns")
 """Units that EuRoC and Kalibr define."""
+
+_ROUNDED: Final = re.compile(r"\d[.,]\d{1,9}[eE]\+(1\d|9)")
+"""Large stamp with ten digits or fewer, as spreadsheets write ns, µs or ms since 1970."""
 
 _DATA_NAME: Final = "data.csv"
 
@@ -56,7 +60,16 @@ def read_csv_table(path: Path, options: ImportOptions, stated: StatedUnits | Non
     found = assign(path, layout.header, len(layout.cells), options.columns)
     if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns:
         found = _without_doubtful_time(found, options, stated)
+    if TIME in found.columns and _ROUNDED.fullmatch(layout.cells[found.columns[TIME]].strip()):
+        if options.sample_rate_hz is None:
+            raise InputError(
+                f"{path}: the time stamps were rounded by a spreadsheet ({layout.cells[found.columns[TIME]]}): export "
+                f"the log again, or state the rate with {option('sample_rate_hz')}."
+            )
+        columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
+        found = replace(found, columns=columns, notes=(*found.notes, "The rounded time stamps are not used."))
     table = read_table(path, layout, found.columns, integers=TIME)
+    commas = ("Decimal commas were found, and read as points.",) if layout.decimal_comma > options.decimal_comma else ()
     return samples_in_si(
         options,
         gyro=_triad(table, GYRO_COLUMNS),
@@ -65,7 +78,7 @@ def read_csv_table(path: Path, options: ImportOptions, stated: StatedUnits | Non
         stated=stated or found.stated,
         kind="rate" if stated is not None else None if options.kind is not None else found.kind,
         temperature=table.get(TEMPERATURE),
-        notes=() if stated is not None else with_temperature(found.notes, table),
+        notes=commas if stated is not None else (*with_temperature(found.notes, table), *commas),
     )
 
 
@@ -151,7 +164,7 @@ def _pair_table(path: Path, layout: TableLayout) -> dict[str, NDArray[Any]]:
     columns: dict[str, int] = {}
     for i, name in enumerate(layout.header):
         bare = name.partition("[")[0].partition("(")[0].strip().lower()
-        channel = TIME if bare in ("time", "timestamp", "t") else bare.rpartition("_")[2]
+        channel = TIME if bare in ("time", "timestamp", "t") else re.split(r"[_ ]+", bare)[-1]
         if channel in _PAIR_COLUMNS:
             columns.setdefault(channel, i)
     if not layout.header and width == len(_PAIR_COLUMNS):
@@ -201,7 +214,7 @@ EUROC: Final = Importer(
     None,
     _header_has("timestamp", "w_RS_S_x", "a_RS_S_z"),
     _read_published,
-    frozenset({"columns", "time_unit"}),
+    frozenset({"columns", "time_unit", "delimiter", "decimal_comma"}),
 )
 
 KALIBR: Final = Importer(
@@ -211,7 +224,47 @@ KALIBR: Final = Importer(
     None,
     _header_has("timestamp", "omega_x", "alpha_z"),
     _read_published,
-    frozenset({"columns", "time_unit"}),
+    frozenset({"columns", "time_unit", "delimiter", "decimal_comma"}),
+)
+
+
+def _read_kf_gins(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Read second of week, angle increments in rad and velocity increments in m/s, without a header."""
+    layout = find_layout(path, options)
+    names = (TIME, *GYRO_COLUMNS, *ACCEL_COLUMNS)
+    if len(layout.cells) < len(names):
+        raise InputError(
+            f"{path} has {len(layout.cells)} columns, but {len(names)} are expected: time, angles, velocities."
+        )
+    table = read_table(path, layout, {name: i for i, name in enumerate(names)})
+    return samples_in_si(
+        options,
+        gyro=_triad(table, GYRO_COLUMNS),
+        accel=_triad(table, ACCEL_COLUMNS),
+        time=table[TIME],
+        stated=StatedUnits("rad", "m/s", "s"),
+        kind="increment",
+    )
+
+
+KF_GINS: Final = Importer(
+    "kf-gins",
+    "KF-GINS increments as text (time, angles, velocities)",
+    (),
+    None,
+    lambda _: False,  # seven columns without names may be anything
+    _read_kf_gins,
+    frozenset({"delimiter", "skip"}),
+)
+
+MICROSTRAIN: Final = Importer(
+    "microstrain",
+    "MicroStrain SensorConnect CSV (scaledGyro, scaledAccel)",
+    (),
+    None,
+    lambda path: all(word in head(path) for word in (b"scaledGyroX", b"scaledAccelX")),
+    lambda path, options: read_csv_table(path, options, StatedUnits("rad/s", "g", None)),
+    TEXT_OPTIONS,
 )
 
 IMU_TK: Final = Importer(

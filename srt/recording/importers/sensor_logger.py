@@ -1,8 +1,10 @@
-"""Recordings of the telephone app Sensor Logger: a zip archive, or its folder, with one CSV table for each sensor.
+"""Recordings of the telephone apps Sensor Logger and phyphox: zip archive or folder with one CSV table for each sensor.
 
 Each table has the columns ``time`` (ns since 1970), ``seconds_elapsed``, ``z``, ``y``, ``x``. Units are the app's:
 rad/s for the gyro tables and m/s² for ``TotalAcceleration``. ``AccelerometerUncalibrated`` is in m/s², or in g on iOS
 without "Standardise Units & Frames". ``Accelerometer`` lacks gravity and is not read.
+
+The app phyphox exports such tables, too, with "Time (s)" and units in their heads; its ``Accelerometer`` has gravity.
 """
 
 from __future__ import annotations
@@ -29,6 +31,10 @@ ACCEL_TABLES: Final = {"TotalAcceleration.csv": "m/s^2", "AccelerometerUncalibra
 
 GYRO_TABLES: Final = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
 """Tables of angular rate, in order of preference."""
+
+PHYPHOX_ACCEL: Final = "Accelerometer.csv"
+PHYPHOX_GYRO: Final = "Gyroscope.csv"
+"""Tables of phyphox: "Linear Acceleration.csv" lacks gravity and is not read."""
 
 _TITLE = "archive of Sensor Logger"
 
@@ -91,6 +97,50 @@ def _extract(path: Path, name: str, folder: Path) -> None:
         with archive.open(info) as table, (folder / name).open("wb") as copy:
             shutil.copyfileobj(table, copy)
 
+
+def _sniff_phyphox(path: Path) -> bool:
+    """Tables of the names of the app, with its head: Sensor Logger has tables of the same names."""
+    try:
+        if not _sniff(path) or not {PHYPHOX_ACCEL, PHYPHOX_GYRO} <= _names(path):
+            return False
+        if path.is_dir():
+            return b"Time (s)" in head(path / PHYPHOX_GYRO)
+        with zipfile.ZipFile(path) as archive, archive.open(PHYPHOX_GYRO) as table:
+            return b"Time (s)" in table.read(200)
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
+        return False
+
+
+def _read_phyphox(path: Path, options: ImportOptions) -> ImportedSamples:
+    def read(accel: Path, gyro: Path) -> ImportedSamples:
+        return read_pair(
+            accel,
+            replace(
+                options,
+                second=gyro,
+                time_unit="s",
+                gyro_unit=options.gyro_unit or "rad/s",
+                accel_unit=options.accel_unit or "m/s^2",
+            ),
+        )
+
+    with clear_errors(path, "phyphox export"):
+        names = _names(path)
+    for name in (PHYPHOX_ACCEL, PHYPHOX_GYRO):
+        if name not in names:
+            raise InputError(f"{path} holds no {name}: export the raw data of accelerometer (with g) and gyroscope.")
+    if path.is_dir():
+        return read(path / PHYPHOX_ACCEL, path / PHYPHOX_GYRO)
+    with TemporaryDirectory(prefix="srt-") as folder:
+        for name in (PHYPHOX_ACCEL, PHYPHOX_GYRO):
+            _extract(path, name, Path(folder))
+        try:
+            return read(Path(folder) / PHYPHOX_ACCEL, Path(folder) / PHYPHOX_GYRO)
+        except InputError as error:
+            raise InputError(str(error).replace(folder, str(path)), fault=error.fault) from None
+
+
+PHYPHOX: Final = Importer("phyphox", "phyphox (zip or folder of CSV)", (), None, _sniff_phyphox, _read_phyphox)
 
 SENSOR_LOGGER: Final = Importer(
     "sensor-logger",

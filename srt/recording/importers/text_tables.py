@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
@@ -32,7 +33,7 @@ _HEAD_BYTES = 1 << 16
 _TAIL_BYTES = 1 << 16
 """Bytes at the end whose rows are compared with the last one: some hundred rows."""
 
-_COMMENT_MARKS = ("#", "%")
+_COMMENT_MARKS = ("#", "%", "//")
 
 _INTEGER = re.compile(r"[+-]?\d{1,19}")
 _FEWEST_NUMBERS = 3
@@ -101,11 +102,15 @@ def find_layout(path: Path, options: ImportOptions) -> TableLayout:
         delimiter, cells = rows[best]
         if counts[best] >= _FEWEST_NUMBERS and 2 * counts[best] >= len(cells):
             above = lines[options.skip : number]
-            comment = next(
-                (text.lstrip()[0] for text in above if text.lstrip().startswith(_COMMENT_MARKS)), _COMMENT_MARKS[0]
-            )
+            # NumPy takes one character; heads marked by // are skipped with the lines above.
+            marks = (text.lstrip()[0] for text in above if text.lstrip().startswith(_COMMENT_MARKS[:2]))
+            comment = next(marks, _COMMENT_MARKS[0])
             header = _header(above, delimiter, len(cells))
             return TableLayout(delimiter, options.decimal_comma, header, number, tuple(cells), comment)
+    if not options.decimal_comma:
+        # A spreadsheet of a country that writes 1,5 separates by semicolons or tabs.
+        with suppress(InputError):
+            return find_layout(path, replace(options, decimal_comma=True))
     hint = "" if options.decimal_comma else f", and add {option('decimal_comma')} if it writes 1,5 for 1.5"
     raise InputError(
         f"{path} has no row of numbers near its top, but a table of samples is expected: check that it is one{hint}."
@@ -217,7 +222,7 @@ def _header(above: list[str], delimiter: str | None, width: int) -> tuple[str, .
         if not text:
             continue
         # EuRoC and others mark the header as a comment.
-        names = _cells(text.lstrip("#%").strip(), delimiter)
+        names = _cells(text.lstrip("#%/").strip(), delimiter)
         return tuple(names) if len(names) == width and not any(map(is_number, names)) else ()
     return ()
 
