@@ -6,12 +6,15 @@ rounded numbers, one held, and U the identity.
 
 from __future__ import annotations
 
+import email
 import json
 import os
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
+import tomllib
 import venv
 import zipfile
 from importlib.metadata import version
@@ -64,18 +67,42 @@ def run(*arguments: object) -> str:
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory):
-    """Build the wheel from a copy: what an earlier build left in the tree must not get into it."""
-    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+def source(tmp_path_factory):
+    """Copy of the tree: what an earlier build left in it must not get into a distribution."""
+    source = tmp_path_factory.mktemp("source")
     for name in PACKAGES:
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
+    return source
+
+
+def build_wheel(source, out):
+    """Build a wheel from a folder or a source distribution."""
     # setuptools of the environment where it is new enough, that no index is needed; else pip fetches one to build with.
     here = int(version("setuptools").partition(".")[0]) >= OLDEST_SETUPTOOLS
     isolation = ["--no-build-isolation"] if here else []
     run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", *isolation, "-w", out, source)
     (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="session")
+def wheel(source, tmp_path_factory):
+    return build_wheel(source, tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="session")
+def sdist(source, tmp_path_factory):
+    """Build the source distribution."""
+    if int(version("setuptools").partition(".")[0]) < OLDEST_SETUPTOOLS:
+        pytest.skip("setuptools is too old to build here")
+    out = tmp_path_factory.mktemp("sdist")
+    code = (
+        f"import os; os.chdir({str(source)!r}); from setuptools import build_meta; build_meta.build_sdist({str(out)!r})"
+    )
+    run(sys.executable, "-c", code)
+    (built,) = out.glob("*.tar.gz")
     return built
 
 
@@ -112,6 +139,66 @@ def test_the_wheel_holds_all_modules_and_data_of_the_tree(wheel):
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert held == wanted
+
+
+def test_the_source_distribution_builds_the_same_wheel(sdist, wheel, tmp_path):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert sdist.name == f"strapdown_rotation_test-{project['version']}.tar.gz"
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert {"LICENSE", "README.md", "pyproject.toml", "PKG-INFO"} <= names
+    again = build_wheel(sdist, tmp_path)
+
+    def held(path: Path) -> dict[str, bytes]:
+        with zipfile.ZipFile(path) as built:
+            return {name: built.read(name) for name in built.namelist() if not name.endswith("/RECORD")}
+
+    assert held(again) == held(wheel)
+
+
+def test_its_metadata_is_ready_for_an_index(wheel):
+    """Fields that an index shows, and no addresses."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        text = archive.read(name).decode()
+    metadata = email.message_from_string(text)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert metadata["Name"] == project["name"]
+    assert metadata["Version"] == project["version"]
+    assert metadata["Summary"] == project["description"]
+    assert metadata["Requires-Python"] == project["requires-python"]
+    assert metadata["License-Expression"] == "MIT"
+    assert metadata["License-File"] == "LICENSE"
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    assert metadata.get_all("Classifier") == project["classifiers"]
+    assert metadata.get_payload().startswith("# ")
+    for address in ("Home-page", "Download-URL", "Project-URL", "Author", "Author-email"):
+        assert metadata[address] is None
+    assert project["classifiers"] == sorted(project["classifiers"])
+
+
+def test_the_conda_recipe_follows_the_project():
+    """The recipe itself is not run: conda-build is not among the tools of the tests."""
+    yaml = pytest.importorskip("yaml")
+    recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "meta.yaml").read_text(encoding="utf-8"))
+    whole = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    project = whole["project"]
+    assert recipe["package"] == {"name": project["name"], "version": project["version"]}
+    assert recipe["source"]["path"].endswith(f"/strapdown_rotation_test-{project['version']}.tar.gz")
+    wanted = {f"python {project['requires-python']}", *(each.replace(">=", " >=") for each in project["dependencies"])}
+    assert set(recipe["requirements"]["run"]) == wanted
+    (backend,) = whole["build-system"]["requires"]
+    assert set(recipe["requirements"]["host"]) == {
+        f"python {project['requires-python']}",
+        "pip",
+        backend.replace(">=", " >="),
+    }
+    assert recipe["build"]["entry_points"] == [f"{name} = {place}" for name, place in project["scripts"].items()]
+    assert recipe["about"] == {
+        "summary": project["description"],
+        "license": project["license"],
+        "license_file": "LICENSE",
+    }
 
 
 def readings_of(document: dict, rate: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
