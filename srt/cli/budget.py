@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Figure: FILE.png, .pdf or .svg; one for each estimator, as FILE-graph.png.",
 )
+@click.option("--details", is_flag=True, help="Show all parameters, and the errors that are not in the sum.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def budget(
     scenario: str,
@@ -46,13 +47,14 @@ def budget(
     gyro_bias: GyroBias,
     output: Path | None,
     plot: Path | None,
+    details: bool,
     quiet: bool,
 ) -> int:
     """Predict the accuracy of SCENARIO: a TOML file, or the name of a shipped one such as 'demo'.
 
-    Printed is the 1-sigma error of every parameter by source: noise, quantization and bias instability of gyros and
-    accelerometers, Earth rate times alignment, gravity, g-sensitivity, fixture. --paper prints the paper's own
-    analysis for the same noise.
+    Printed is the 1-sigma error by source, of the worst parameter of each group or (--details) of all: noise,
+    quantization and bias instability of gyros and accelerometers, Earth rate times alignment, gravity, g-sensitivity,
+    fixture. --paper prints the paper's own analysis for the same noise.
 
     Exit codes: 0 success; 1 a recording of the scenario cannot be calibrated; 2 wrong usage or unreadable input.
     """
@@ -90,8 +92,12 @@ def budget(
         from sims.accuracy.budget import NOT_COUNTED
         from srt.reports.text.error_budget import budget_text
 
-        texts = [budget_text(b.estimator, b.sources, b.total, b.not_counted, NOT_COUNTED) for b in found]
+        texts = [
+            budget_text(b.estimator, b.sources, b.total, b.not_counted, NOT_COUNTED, details=details) for b in found
+        ]
         show("\n\n".join(texts))
+        if not details:
+            show("\n--details shows all parameters, and the errors that are not in the sum.")
     announce(output, *figures, quiet=quiet)
     return 0
 

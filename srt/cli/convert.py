@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from srt.cli.grouped_command import GroupedCommand
+from srt.cli.grouped_command import GroupedCommand, RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
 from srt.exceptions import DataError, InputError
@@ -115,8 +115,8 @@ _SAY = [
 
 _WRITE = [
     click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write."),
-    click.option("--to", "samples_format", type=click.Choice(SAMPLES_FORMATS), default="csv", show_default=True,
-                 help="Format of the samples written."),
+    click.option("--samples-format", cls=RenamedOption, earlier=("--to",), type=click.Choice(SAMPLES_FORMATS),
+                 default="csv", show_default=True, help="Format of the samples written."),
     click.option("--force", is_flag=True, help="Write even if the accelerometers do not read gravity."),
     click.option("--overwrite", is_flag=True, help="Write to a folder that is not empty."),
     click.option("-q", "--quiet", is_flag=True, help="No summary."),

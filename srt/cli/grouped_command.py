@@ -1,4 +1,4 @@
-"""Commands whose help shows the options in groups: everyday, fixture, expert."""
+"""Commands whose help shows the options in groups, and options with earlier names that the help leaves out."""
 
 from __future__ import annotations
 
@@ -35,3 +35,26 @@ class GroupedCommand(click.Command):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+class RenamedOption(click.Option):
+    """Option that its earlier names still set; the help shows the present ones only.
+
+    Parameters
+    ----------
+    earlier : sequence of str
+        Names that are accepted and not shown, as "--json".
+    """
+
+    def __init__(self, *args: Any, earlier: Sequence[str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.shown = [*self.opts]
+        self.opts = [*self.opts, *earlier]
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Names and help text, without the earlier names."""
+        names, self.opts = self.opts, self.shown
+        try:
+            return super().get_help_record(ctx)
+        finally:
+            self.opts = names

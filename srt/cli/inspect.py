@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, say, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
 from srt.exceptions import DataError
@@ -15,7 +16,8 @@ from srt.exceptions import DataError
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
 @click.option("--deep", is_flag=True, help="Also calibrate, and look for faults that only a calibration shows.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE", help="Result: FILE.json.")
+@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=click.Path(path_type=Path),
+              metavar="FILE", help="Result: FILE.json.")  # fmt: skip
 @click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("-q", "--quiet", is_flag=True, help="No table; fatal faults only.")
 def inspect(recording: Path, deep: bool, json_file: Path | None, plot: Path | None, quiet: bool) -> int:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import announce, figure_title, show
 from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
 from srt.exceptions import DataError
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 @click.argument("log", type=click.Path(path_type=Path), metavar="LOG")
 @click.option("--into", type=click.Path(path_type=Path), metavar="UNIT", help="Calibration UNIT.json of the same unit "
               "that the terms are written into, for exports.")  # fmt: skip
-@click.option("--json", "json_file", type=click.Path(path_type=Path), metavar="FILE", help="Result: FILE.json.")
+@click.option("-o", "--output", "json_file", cls=RenamedOption, earlier=("--json",), type=click.Path(path_type=Path),
+              metavar="FILE", help="Result: FILE.json.")  # fmt: skip
 @click.option("--plot", type=click.Path(path_type=Path), metavar="FILE", help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import show
 from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
 from srt.exceptions import InputError
@@ -21,8 +22,9 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed; default: that of the scenario.")
 @click.option(
-    "--format",
-    "samples_format",
+    "--samples-format",
+    cls=RenamedOption,
+    earlier=("--format",),
     type=click.Choice(SAMPLES_FORMATS),
     help="Default: as in SCENARIO.",
 )

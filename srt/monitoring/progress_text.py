@@ -5,30 +5,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from srt.constants import DEG
 from srt.model.table1 import SEQUENCES
+from srt.reports.text.group_sigmas import group_heads, group_sigmas
 from srt.reports.text.tables import text_table, wrap
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES
+from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from srt.monitoring.accuracy import SequenceAccuracy
     from srt.monitoring.run_monitor import RunState
-    from srt.types import Array
-
-_HEADS = {
-    "gyro_scale": "gyro\nscale",
-    "gyro_asymmetry": "gyro\nasym.",
-    "gyro_orthogonality": "gyro\northo.",
-    "accel_bias": "accel\nbias",
-    "accel_scale": "accel\nscale",
-    "accel_asymmetry": "accel\nasym.",
-    "accel_misalignment": "misalign-\nment",
-    "gyro_bias": "gyro\nbias",
-}
 
 
 def progress_text(state: RunState, history: Sequence[SequenceAccuracy], targets: Mapping[str, float]) -> str:
@@ -47,8 +34,7 @@ def progress_text(state: RunState, history: Sequence[SequenceAccuracy], targets:
         last = max(k for k, each in enumerate(state.labels, start=1) if each.id == label.id)
         found = "repeat" if label.id in wrong and number == last else "still"
         rows.append([label.id or "", found, *group_sigmas(after.sigma)])
-    units = [DISPLAY_UNITS[part.start] for part in GROUP_SLICES.values()]
-    heads = ["seq.", "", *(f"{_HEADS[name]}\n{unit}" for name, unit in zip(GROUP_SLICES, units, strict=True))]
+    heads = ["seq.", "", *group_heads()]
     lines = ["Largest 1-sigma of each group after each sequence (-: not all observed)"]
     lines += [text_table(heads, rows, "ll" + "r" * len(GROUP_SLICES), gap=1), ""]
     for error in state.errors:
@@ -56,15 +42,6 @@ def progress_text(state: RunState, history: Sequence[SequenceAccuracy], targets:
     lines += wrap(next_text(state))
     lines += wrap(targets_text(history, targets)) if targets else []
     return "\n".join(lines)
-
-
-def group_sigmas(sigma: Array) -> list[str]:
-    """Largest sigma of each group in its display unit, three digits; "-" where not all are observed."""
-    out = []
-    for part in GROUP_SLICES.values():
-        largest = float(np.max(sigma[part])) * DISPLAY_FACTORS[part.start]
-        out.append("-" if not math.isfinite(largest) else f"{largest:.3g}" if largest < 1e4 else f"{largest:.1e}")
-    return out
 
 
 def next_text(state: RunState) -> str:

@@ -221,3 +221,23 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path, monkeypatch, capfd, 
     # Whole files only, and recording.toml, without which there is no recording, after its samples.
     order = ["samples.npz", "recording.toml", "truth.json"]
     assert left == set(order[: len(left)])
+
+
+@pytest.mark.parametrize(
+    ("command", "present", "earlier"),
+    [
+        ("inspect", "--output", "--json"), ("noise", "--output", "--json"),
+        ("convert", "--samples-format", "--to"), ("simulate", "--samples-format", "--format"),
+    ],
+)  # fmt: skip
+def test_earlier_names_of_options_are_accepted_and_not_shown(command, present, earlier, capfd):
+    found = application.app.get_command(click.Context(application.app), command)
+    (option,) = [p for p in found.params if present in p.opts]
+    assert earlier in option.opts
+    assert main([command, "--help"]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert any(f"{present} " in line for line in lines)
+    assert not any(earlier in line.replace(",", " ").split()[:2] for line in lines)
+    extra = ["-o", "out"] if command in ("convert", "simulate") else []
+    assert main([command, "absent", earlier, "x" if command in ("inspect", "noise") else "npz", *extra]) == 2
+    assert "No such option" not in capfd.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from srt.reports.text.calibration import held_summary, parameter_table, report
+from srt.reports.text.group_sigmas import live_table
 from srt.reports.text.tables import WIDTH, wrap
 from srt.result.verdict import FAILED, SOUND
 
@@ -53,7 +54,8 @@ def calibration_summary(
     advice = [line for text in _advice(calibration, source) for line in wrap(text)]
     notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
     lines = [*head, *_shortened(notes, _MOST_LINES - len(head) - len(advice)), *advice]
-    return "\n".join([*lines, "", parameter_table(calibration, truth)])
+    tables = (live_table(calibration), parameter_table(calibration, truth))
+    return "\n".join([*lines, *(f"\n{table}" for table in tables if table)])
 
 
 def calibration_text(

@@ -9,6 +9,7 @@ import numpy as np
 from srt.noise.accuracy_analysis import QUANTITIES
 from srt.reports.text.calibration import sources_table
 from srt.reports.text.tables import fixed, text_table, wrap
+from srt.sensor_errors import GROUP_SLICES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,6 +24,8 @@ def budget_text(
     total: Array,
     not_counted: Mapping[str, Array],
     meanings: Mapping[str, str],
+    *,
+    details: bool = True,
 ) -> str:
     """Tables of the sources of error, those in the sum and those apart from it.
 
@@ -34,8 +37,15 @@ def budget_text(
         Root sum of squares of the sources; infinite where a parameter is not observed.
     meanings : mapping of str to str
         Explanation of each source that is not in the sum.
+    details : bool
+        All parameters and what is not in the sum; False: the parameter with the largest sigma of each group.
     """
     seen = np.flatnonzero(np.isfinite(total)).tolist()
+    if not details:
+        groups = [[i for i in seen if part.start <= i < part.stop] for part in GROUP_SLICES.values()]
+        worst = [max(group, key=lambda i: float(total[i])) for group in groups if group]
+        head = f"Budget of {estimator}, largest of each group: 1-sigma; the squares of the sources add up"
+        return "\n".join([*wrap(head), sources_table(sources, total, worst)])
     text = [f"Budget of {estimator}: 1-sigma; the squares of the sources add up"]
     text.append(sources_table(sources, total, seen))
     text.append("\nNot in the sum")
