@@ -7,7 +7,7 @@ here (Savage 2020, eqs. 6-7 with asymmetry). Truth is the vector of the 27 error
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -226,6 +226,35 @@ def windows(turns: list[Turn], first_rest_s: float) -> list[tuple[float, float]]
         out.append((at + turn.duration_s, at + turn.duration_s + turn.rest_s))
         at = out[-1][1]
     return out
+
+
+DRIFT_FORMS = ("linear", "warm-up", "random walk")
+
+
+def drift_course(form: str, time: np.ndarray, rests: list[tuple[float, float]], rng) -> np.ndarray:
+    """Course of a drift over the recording: a change of one (one sigma of a random walk), zero on average at rest."""
+    share = time / time[-1]
+    if form == "linear":
+        course = share
+    elif form == "warm-up":
+        slowness = rng.uniform(0.1, 0.5)
+        course = np.expm1(-share / slowness) / np.expm1(-1.0 / slowness)
+    else:
+        course = np.cumsum(rng.normal(0.0, 1.0 / np.sqrt(len(time)), len(time)))
+    at_rest = np.any([(time > a) & (time <= b) for a, b in rests], axis=0)
+    return course - course[at_rest].mean()
+
+
+def drifting(unit, turns, first_rest_s, rng, *, form="linear", accel_mg=0.0, gyro_deg_h=0.0):
+    """A recording with a drift of both triads: a change of given size, in a random direction of the channels."""
+    rests = windows(turns, first_rest_s)
+    direction = rng.normal(size=(2, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    sizes = np.array([accel_mg * 1e-3 * 9.80665, gyro_deg_h * DEG / 3600.0])
+    accel, gyro = (
+        drift_course(form, unit.time, rests, rng)[:, None] * size * d for size, d in zip(sizes, direction, strict=True)
+    )
+    return replace(unit, accel=unit.accel + accel, gyro=unit.gyro + gyro)
 
 
 def recording(

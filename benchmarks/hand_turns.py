@@ -2,6 +2,9 @@
 
 Turns of 0.5-30 s with four profiles, units of four grades (``benchmarks/foreign_motion.py``). A cell is the rms of the
 normalised errors of one parameter group over all units of a grade and profile; 1 is expected.
+
+``--drift`` adds drifts of the biases, from 0.1 mg and 10 °/h to 10 mg and 1000 °/h over six minutes, and prints the
+mean NEES per parameter, its band, how often each triad's drift is named, and the largest accelerometer-scale sigma.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ import sys
 from collections import Counter
 
 import numpy as np
-from foreign_motion import GRADES, PROFILES, drawn_errors, hand_turns, recording
+from foreign_motion import DRIFT_FORMS, GRADES, PROFILES, drawn_errors, drifting, hand_turns, recording
 from joblib import Parallel, delayed
 from scipy.stats import chi2
 
@@ -40,12 +43,63 @@ def normalised_errors(seed: int, grade: str, profile: str, estimator: str) -> tu
     return found.status, z
 
 
+DRIFTS = {"none": (0.0, 0.0), "small": (0.1, 10.0), "middle": (4.0, 300.0), "large": (10.0, 1000.0)}
+"""Change of the biases over the recording, mg and °/h."""
+
+
+def drifting_unit(seed: int, grade: str, form: str, size: str, estimator: str) -> tuple:
+    """Status, NEES, number of parameters, sensors whose drift is named, and largest sigma of accelerometer scale."""
+    rng = np.random.default_rng((SEED, 7, seed))
+    errors = drawn_errors(GRADES[grade], rng)
+    turns = hand_turns(rng, shortest_s=SHORTEST_S, longest_s=12.0, count=36, rest_s=5.0)
+    unit = recording(turns, 5.0, errors, GRADES[grade], rng, profile=PROFILES[seed % len(PROFILES)])
+    accel_mg, gyro_deg_h = DRIFTS[size]
+    unit = drifting(unit, turns, 5.0, rng, form=form, accel_mg=accel_mg, gyro_deg_h=gyro_deg_h)
+    found = srt.calibrate(unit, estimator, checks=False)
+    seen = np.flatnonzero(found.observed)
+    error = (found.errors.vector - np.array([errors.get(name, 0.0) for name in NAMES]))[seen]
+    sigma = found.sigma[seen]
+    correlation = found.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
+    nees = float(error / sigma @ np.linalg.solve(correlation, error / sigma))
+    named = {term["sensor"] for term in found.diagnostics.get("drift", ())}
+    return found.status, nees, len(seen), named, float(found.sigma[GROUP_SLICES["accel_scale"]].max())
+
+
+def drift_table(units: int, estimators: list[str], jobs: int) -> int:
+    """Print the table of ``--drift``; 1 if a mean NEES lies above its band."""
+    sizes = [("linear", "none"), *((form, size) for form in DRIFT_FORMS for size in list(DRIFTS)[1:])]
+    cells = [(e, g, f, s) for e in estimators for g in ("industrial", "consumer") for f, s in sizes]
+    tasks = [(u, g, f, s, e) for e, g, f, s in cells for u in range(units)]
+    results = Parallel(n_jobs=jobs)(delayed(drifting_unit)(*task) for task in tasks)
+    print(f"{units} units a cell, seed {SEED}\n")
+    print("| estimator | grade | drift | mg, °/h | status | NEES / n | band | accel. named | gyro named | scale, ppm |")
+    print("|---|---|---|---|---|---:|---|---:|---:|---:|")
+    beyond = 0
+    for i, (estimator, grade, form, size) in enumerate(cells):
+        whole = results[i * units : (i + 1) * units]
+        part = [r for r in whole if r[0] in ("converged", "partial")]
+        freedom = sum(r[2] for r in part)
+        mean = sum(r[1] for r in part) / max(freedom, 1)
+        high = chi2.isf(0.01 / len(cells), freedom) / freedom if freedom else np.nan
+        beyond += not mean <= high
+        status = ", ".join(f"{count} {name}" for name, count in Counter(r[0] for r in whole).most_common())
+        named = [sum(sensor in r[3] for r in part) for sensor in ("accel", "gyro")]
+        print(
+            f"| {estimator} | {grade} | {form} | {DRIFTS[size][0]:g}, {DRIFTS[size][1]:g} | {status} | {mean:.2f} |"
+            f" ≤ {high:.2f} | {named[0]} | {named[1]} | {max((r[4] for r in part), default=np.nan) * 1e6:.0f} |"
+        )
+    return int(beyond > 0)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--units", type=int, default=20, help="of each grade and profile")
     parser.add_argument("--estimators", nargs="+", default=["least-squares"])
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--drift", action="store_true", help="drifting biases instead of profiles and grades")
     options = parser.parse_args()
+    if options.drift:
+        return drift_table(options.units, options.estimators, options.jobs)
     cells = [(e, g, p) for e in options.estimators for g in GRADES for p in PROFILES]
     tasks = [(1000 * list(GRADES).index(g) + u, g, p, e) for e, g, p in cells for u in range(options.units)]
     results = Parallel(n_jobs=options.jobs)(delayed(normalised_errors)(*task) for task in tasks)

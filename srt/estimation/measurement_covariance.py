@@ -20,6 +20,7 @@ from srt.estimation.drift_model import NOTHING
 from srt.estimation.earth_rate_regression import earth_rate_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.model import measurement_model as model
+from srt.model.rotations import cross_matrix
 
 if TYPE_CHECKING:
     from srt.estimation.drift_model import Unmodelled
@@ -421,7 +422,11 @@ def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) ->
     parts = [np.cross(axes, measurements.earth_rate[:, :, None], axis=1), _unknown_earth_rate(measurements, data)]
     delta = np.concatenate(parts, axis=2)
     seen = np.einsum("wab,was->wbs", measurements.window_attitude, delta[measurements.window_sequence])
-    return Disturbance(phi=measurements.integrals.weight_s[:, None, None] * delta, rate=seen)
+    # ∫ exp(−ω̂e× t) dt over the sequence, to the second order in the Earth's angle.
+    T = measurements.integrals.weight_s[:, None]
+    X = cross_matrix(measurements.earth_rate * T)
+    turned = (np.eye(3) - X / 2.0 + X @ X / 6.0) @ delta
+    return Disturbance(phi=T[:, :, None] * turned, rate=seen)
 
 
 def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> Array:

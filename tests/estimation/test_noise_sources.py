@@ -1,0 +1,223 @@
+"""Sources of the measurement covariance one by one, against differences of the simulator or of the samples.
+
+A mutation of one source changes its own test: an alignment error times zero, or a sign of a window's edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from sims.physics.fixture import FixtureDraw
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.table_motion import table1_motion
+from srt.constants import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
+from srt.estimation import measurement_covariance
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import SrtProcessor
+from srt.model import analytic_platform
+from srt.recording.recording import Fixture, Site
+from srt.sensor_errors import N_PARAMETERS, SensorErrors
+from srt.sequences.preparation import prepare_checked
+
+SEQUENCES = ("1", "7", "13")
+K = len(SEQUENCES)
+RATE_HZ = 400.0
+"""Rate at which attitude integration has errors below 1e-12 rad."""
+SITE = Site(9.80665, 5e-6, 0.8)
+FIXTURE = Fixture(0.3, 1e-3, 1e-3, wobble_sigma_rad=0.0)
+PERFECT = SensorErrors(np.zeros(N_PARAMETERS))
+QUIET = ImuModel(
+    gyro_noise=0.002 * DEG_PER_SQRT_H,
+    accel_noise=5.0 * MICRO_G,
+    gyro_quantization=0.5 * ARCSEC,
+    accel_quantization=1e-5,
+    gyro_bias_instability=0.002 * DEG_PER_H,
+    accel_bias_instability=2.0 * MICRO_G,
+)
+
+
+@cache
+def motion(sequences=SEQUENCES):
+    return table1_motion(
+        site=SITE, sequences=sequences, sample_rate_hz=RATE_HZ, stated_fixture=FIXTURE, heading_rad=0.3, dwell_s=4.0
+    )
+
+
+def processed(recording):
+    """Prepared data and measurements of a recording, compensated with no errors and processed with a true mounting."""
+    data = prepare_checked(recording, recording.sequences, "linear")
+    return data, SrtProcessor(data, Options()).process(PERFECT, with_noise=True)
+
+
+def simulated(site=SITE, draw=None):
+    """Measurement vector of a noise-free unit at a site, on a fixture with a draw of errors; the site is as stated."""
+    run = table1_motion(
+        site=site, sequences=SEQUENCES, sample_rate_hz=RATE_HZ, stated_fixture=FIXTURE, heading_rad=0.3, dwell_s=4.0,
+        fixture_draw=draw,
+    )  # fmt: skip
+    return processed(read_out(run.stated_as(site=SITE), PERFECT, ImuModel(), np.random.default_rng(0)))[1].z
+
+
+@cache
+def quiet():
+    return processed(read_out(motion(), PERFECT, QUIET, np.random.default_rng(1)))
+
+
+def effects(data, measurements, name):
+    """Effect of all unit draws of a source on the measurements, shape (n_z, S)."""
+    source = measurement_covariance.disturbances(measurements, data, np.zeros(3))[name]
+    return measurement_covariance.project(measurements, data, source, np.zeros(3))
+
+
+@cache
+def noise_free():
+    return processed(read_out(motion(), PERFECT, ImuModel(), np.random.default_rng(0)))
+
+
+STEP = 1e-3
+"""Angle of the differences, rad: their relative error is STEP² / 6."""
+EARTH_ANGLE = EARTH_RATE_RAD_S * 25.0
+"""Rotation of the Earth during the longest sequence, rad."""
+ALIGNMENT = {
+    "level x": lambda e: FixtureDraw(base=np.array([e, 0.0, 0.0])),
+    "level y": lambda e: FixtureDraw(base=np.array([0.0, e, 0.0])),
+    "north": lambda e: FixtureDraw(base=np.array([0.0, 0.0, e])),
+    "non-orthogonality": lambda e: FixtureDraw(non_orthogonality=e),
+} | {
+    f"start {k} {axis}": lambda e, at=2 * k + i: FixtureDraw(starts=e * np.eye(2 * K)[at].reshape(K, 2))
+    for k in range(K)
+    for i, axis in enumerate(("inner", "outer"))
+}
+
+
+@pytest.mark.parametrize("name", ALIGNMENT)
+def test_alignment_against_the_simulator(name):
+    """Errors of base, axes and start angles act through the Earth's rate; with the vertical measured, north alone."""
+    column = effects(*noise_free(), "earth_rate_alignment")[:, list(ALIGNMENT).index(name)]
+    e = ALIGNMENT[name]
+    found = (simulated(draw=e(STEP)) - simulated(draw=e(-STEP))) / (2.0 * STEP) * FIXTURE.alignment_sigma_rad
+    # The sign of a draw is arbitrary. The largest column is that of north.
+    size = np.abs(effects(*noise_free(), "earth_rate_alignment")).max()
+    # The rest rates neglect the Earth's rotation squared.
+    assert min(np.abs(found - column).max(), np.abs(found + column).max()) <= EARTH_ANGLE**2 * size
+    if name == "north":
+        assert np.abs(column).max() > 0.5 * size
+
+
+def test_gravity_against_the_simulator():
+    step = 1e-3
+    sites = [replace(SITE, gravity_m_s2=SITE.gravity_m_s2 + sign * step) for sign in (1.0, -1.0)]
+    plus, minus = (simulated(site) for site in sites)
+    found = (plus - minus) / (2.0 * step) * SITE.gravity_sigma_m_s2
+    column = effects(*noise_free(), "gravity")[:, 0]
+    # Stated gravity is the nominal one: a true excess is an error of the opposite sign.
+    np.testing.assert_allclose(found, -column, atol=1e-6 * np.abs(column).max())
+
+
+def test_edges_of_windows_against_the_samples():
+    """An angle moved across the edge of a window changes the rest rate and the rotation with opposite signs.
+
+    The edge error of a rotation's start and that of its end are shared with the windows beside it: the difference and
+    not the sum of both effects is left, which a wrong sign would show.
+    """
+    recording = read_out(motion(), PERFECT, ImuModel(gyro_quantization=1.0 * ARCSEC), np.random.default_rng(2))
+    data, measurements = processed(recording)
+    columns = effects(data, measurements, "gyro_quantization").reshape(-1, len(data.windows.duration_s), 2, 3)
+    dt, e, flipped = recording.nominal_interval_s, 1e-8, 0
+    for w, samples in enumerate(data.windows.samples.tolist()):
+        for side, sample in enumerate(samples):
+            if w in (data.end if side else data.start):
+                continue  # beyond it begins another sequence, whose window would change, too
+            for axis in range(3):
+                z = []
+                for sign in (1.0, -1.0):
+                    gyro = recording.gyro.copy()
+                    gyro[sample - 1, axis] += sign * e / dt
+                    gyro[sample, axis] -= sign * e / dt
+                    z.append(processed(replace(recording, gyro=gyro))[1].z)
+                found = (z[0] - z[1]) / (2.0 * e) * data.noise.gyro_edge[axis]
+                column = columns[:, w, side, axis]
+                for rows in (slice(0, 2 * K), slice(len(found) - 3, None)):  # rotations and rest rates
+                    size = np.abs(columns[rows]).max()
+                    # One sample of a rotation of 1 rad/s turns the axes by 0.01 rad.
+                    assert np.abs(found - column)[rows].max() <= 0.02 * size, (w, side, axis)
+                    flipped += np.abs(found + column)[rows].max() > 0.5 * size
+    # A wrong sign of any kind of edge would be seen: at starts and ends of rotations, and in the rest rates.
+    assert flipped >= 6 * K
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_drift_against_the_samples(sensor, monkeypatch):
+    """Covariance of the drift from steps of the bias in all windows and in three parts of every rotation."""
+    monkeypatch.setattr(analytic_platform, "_PARTS", (2, 3))
+    recording = read_out(motion(), PERFECT, QUIET, np.random.default_rng(3))
+    data, measurements = processed(recording)
+    table, floor = (
+        (recording.gyro, data.noise.gyro_flicker) if sensor == "gyro" else (recording.accel, data.noise.accel_flicker)
+    )
+    samples, draws = data.windows.samples, data.drift
+    ends = analytic_platform.equal_parts(data.rotation, draws.parts.shape[1])
+    spans = [*samples.tolist(), *np.stack([ends[:, :-1], ends[:, 1:]], axis=2).reshape(-1, 2).tolist()]
+    values = np.concatenate([draws.windows, draws.parts.reshape(-1, draws.parts.shape[2])])
+    if sensor == "accel":
+        values, spans = data.window_drift, spans[: len(samples)]
+    step, columns = {"gyro": 1e-8, "accel": 1e-6}[sensor], []
+    for axis in range(3):
+        for course in values.T:
+            z = []
+            for sign in (1.0, -1.0):
+                changed = table.copy()
+                for (a, b), value in zip(spans, course.tolist(), strict=True):
+                    changed[a:b, axis] += sign * step * value
+                z.append(processed(replace(recording, **{sensor: changed}))[1].z)
+            columns.append((z[0] - z[1]) / (2.0 * step) * floor[axis])
+    found, G = np.array(columns).T, effects(data, measurements, f"{sensor}_bias_instability")
+    expected, covariance = found @ found.T, G @ G.T
+    unit = np.sqrt(np.diag(expected))
+    # The Earth turns the drift and, by the measured vertical, the Earth's rate turns with that of the accelerometers.
+    assert np.abs(covariance - expected).max() <= 2.0 * EARTH_ANGLE * np.outer(unit, unit).max()
+    assert np.all(unit[: 2 * K] > 0.0)
+
+
+SOURCES = {
+    "gyro_noise": {"gyro_noise": QUIET.gyro_noise},
+    "gyro_quantization": {"gyro_quantization": QUIET.gyro_quantization},
+    "gyro_bias_instability": {"gyro_bias_instability": QUIET.gyro_bias_instability},
+    "accel_noise": {"accel_noise": QUIET.accel_noise},
+    "accel_quantization": {"accel_quantization": QUIET.accel_quantization},
+    "accel_bias_instability": {"accel_bias_instability": QUIET.accel_bias_instability},
+}
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_monte_carlo_of_one_source(name):
+    """60 units with one source of noise: chi-square of the measurements in its space, two-sided 1e-3 over the sources.
+
+    Quantization with a random walk of 0.6 pulses in a window, which is part of the expected covariance: without it the
+    pulses of an axis at rest do not change, and their error is not random.
+    """
+    data, measurements = quiet()
+    G, imu = effects(data, measurements, name), replace(ImuModel(), **SOURCES[name])
+    if name.endswith("quantization"):
+        white = {"gyro_quantization": "gyro_noise", "accel_quantization": "accel_noise"}[name]
+        imu = replace(imu, **{white: 0.3 * SOURCES[name][name]})
+        walk = effects(data, measurements, white) * (0.3 * SOURCES[name][name] / SOURCES[white][white])
+        G = np.concatenate([G, walk], axis=1)
+    row = np.linalg.norm(G, axis=1)
+    scale = np.where(row > 0.0, row, 1.0)
+    U, size, _ = np.linalg.svd(G / scale[:, None], full_matrices=False)
+    kept = size > 1e-3 * size[0]
+    still = noise_free()[1].z
+    rng, total = np.random.default_rng(20261125), 0.0
+    for _ in range(60):
+        recording = read_out(motion(), PERFECT, imu, rng)
+        recording = replace(recording, noise=quiet()[0].recording.noise)
+        z = (processed(recording)[1].z - still) / scale
+        total += float(np.sum((U[:, kept].T @ z / size[kept]) ** 2))
+    freedom = 60 * int(kept.sum())
+    assert chi2.ppf(1e-3 / 12.0, freedom) < total < chi2.isf(1e-3 / 12.0, freedom), total / freedom
