@@ -267,11 +267,15 @@ def _without_details(unit: FleetUnit) -> FleetUnit:
     """Unit with what the tables of a fleet show of its calibration."""
     if unit.calibration is None:
         return unit
-    verdict = {key: value for key, value in unit.calibration.verdict.items() if not isinstance(value, list | dict)}
+    found = unit.calibration
+    large = ("sequences", "parameters", "weakest_combination")
+    verdict = {key: value for key, value in found.verdict.items() if key not in large}
     kept = replace(
         unit.calibration,
-        corrections=(), contributions={}, residuals=(), site={}, noise={}, alignment={}, temperature=None,
-        provenance={}, diagnostics={}, verdict=verdict,
+        corrections=(), contributions={}, residuals=(), site={}, alignment={}, temperature=None, provenance={},
+        # What the verdict is made from stays.
+        noise={k: v for k, v in found.noise.items() if k == "sigma_inflation"},
+        diagnostics={k: v for k, v in found.diagnostics.items() if k == "faults"}, verdict=verdict,
     )  # fmt: skip
     return replace(unit, calibration=kept)
 

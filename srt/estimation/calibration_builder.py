@@ -10,6 +10,7 @@ from srt.estimation import g_sensitivity_report
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.leave_one_out import chi_square_probability, verdict
+from srt.estimation.unseen_errors import unseen_errors
 from srt.result.calibration import Calibration, software
 from srt.result.verdict import LARGEST_RATIO, USABLE, probability_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
@@ -89,7 +90,7 @@ def build_calibration(
         alignment=_alignment(data),
         temperature=_temperature(data),
         provenance=_provenance(data, options),
-        diagnostics=result.diagnostics,
+        diagnostics={**result.diagnostics, "unseen_errors": unseen_errors(data)},
         verdict=evidence,
         warnings=(*warnings, *_warnings(data, options, result, observed)),
     )

@@ -170,7 +170,9 @@ def excess_variance(rates: Array, expected: Array) -> Array:
         # A varying bias shows in many sequences; a deviation of one sequence alone is a fault of that sequence.
         order = np.argsort(np.abs(rates - np.median(rates, axis=0)), axis=0)
         wanders &= scatters(np.take_along_axis(rates, order, axis=0)[:-1])
-    return np.asarray(np.where(wanders, np.var(rates, axis=0, ddof=1) - expected, 0.0))
+    own = np.where(wanders, np.var(rates, axis=0, ddof=1) - expected, 0.0)
+    # The gyros of a unit are alike: if two scatter, the third does too, although its biases happen to lie closer.
+    return np.asarray(np.where(wanders, own, own.mean() if np.count_nonzero(wanders) == 2 else 0.0))
 
 
 def disturbances(

@@ -13,6 +13,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from scipy.special import stdtrit
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
@@ -30,6 +32,8 @@ LARGEST_RATIO: Final = 3.0
 
 A noise figure that is wrong by a factor of three is a wrong figure; labels, windows or the sensor model are next."""
 
+_MANY: Final = 30
+"""Degrees of freedom from which Student's factor of a 95 % interval, 2.04, is taken as the normal one."""
 _SMALLEST: Final = 1e-99
 """p-value below which only this limit is shown: smaller ones underflow."""
 
@@ -114,6 +118,13 @@ def _added(calibration: Calibration, own: Mapping[str, Any]) -> Iterator[str]:
     if noise:
         low, high = evidence["sigma_factor"]
         yield f"The sigmas are {low:.2g} to {high:.2g} times those of the sensors' own noise."
+    freedom = own["degrees_of_freedom"]
+    if (noise or inflation > 1.0) and freedom < _MANY:
+        # The size of the added noise is an estimate of `freedom` squares: Student's distribution.
+        yield (
+            f"It rests on {freedom} degrees of freedom (known to {100.0 / math.sqrt(2.0 * freedom):.0f} %): a 95 % "
+            f"interval is ± {stdtrit(freedom, 0.975):.1f} sigma."
+        )
     if own["probability"] < MISFIT_PROBABILITY and not noise and inflation == 1.0:
         between = evidence.get("between_recordings")
         yield "The merged sigmas include the scatter." if between else "The sigmas do not include it."

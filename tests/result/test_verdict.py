@@ -60,6 +60,13 @@ def test_added_noise_and_the_factor_are_told_after_the_agreement():
     assert "multiplied by 2.1." in judged(200.0, 44, noise={"sigma_inflation": 2.13}).reason
 
 
+def test_few_degrees_of_freedom_widen_the_interval():
+    """Student's t for 95 %: 3.18 with 3 degrees of freedom, 2.04 with 30 (tables)."""
+    few = judged(40.0, 3, noise={"sigma_inflation": 3.65}).reason
+    assert few.endswith("It rests on 3 degrees of freedom (known to 41 %): a 95 % interval is ± 3.2 sigma.")
+    assert "interval" not in judged(100.0, 30, noise={"sigma_inflation": 1.83}).reason
+
+
 @pytest.mark.parametrize("status", STATUSES)
 def test_a_status_that_is_not_usable_is_failed(status):
     assert (judged(44.0, 44, status=status).word == FAILED) == (status not in USABLE)

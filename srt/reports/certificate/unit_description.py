@@ -159,6 +159,8 @@ def _sentences(calibration: Calibration, course: RecordingHistory | None) -> Ite
         yield "Accelerometers were tested up to 1 g: a quadratic term is not known, and grows beyond 1 g."
     fastest = "" if course is None else f" (up to {course.turned_deg_s:.3g} °/s)"
     yield (f"Gyros were tested at the rates of the rotations{fastest}: the scale factor at other rates is not known.")
+    for row in calibration.diagnostics.get("unseen_errors", ()):
+        yield f"No residual shows an error of {row['source']}: {plain(row['sentence'])}"
     known = calibration.temperature
     yield (
         "The temperature of the test was not recorded; the temperature dependence is not known."

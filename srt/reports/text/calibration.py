@@ -79,6 +79,7 @@ def report(
         g_sensitivity_table(calibration),
         budget_table(calibration) if budget else contribution_table(calibration),
         verdict_text(calibration, parameters=verdict),
+        "\n".join(_unseen_errors(calibration)),
         "\n".join(_notes(calibration)),
     ]
     return "\n\n".join(part for part in parts if part)
@@ -292,6 +293,14 @@ def _held(calibration: Calibration) -> Iterable[str]:
         yield "Fixed, not observed"
     for reason, names in reasons.items():
         yield from wrap(f"{', '.join(names)}: {reason}", indent=" ")
+
+
+def _unseen_errors(calibration: Calibration) -> Iterable[str]:
+    rows = calibration.diagnostics.get("unseen_errors")
+    if rows:
+        yield "Errors that no residual shows"
+    for row in rows or ():
+        yield from wrap(row["sentence"], indent=" ")
 
 
 def _notes(calibration: Calibration) -> Iterable[str]:
