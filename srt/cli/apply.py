@@ -267,7 +267,8 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
         )
     gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
     noise = replace(recording.noise, gyro_range=None, accel_range=None)
-    return replace(recording, gyro=gyro, accel=accel, noise=noise)
+    # What a logger had applied before is no longer all that these readings had.
+    return replace(recording, gyro=gyro, accel=accel, noise=noise, applied=None)
 
 
 def samples_suffix(recording: Path) -> str:

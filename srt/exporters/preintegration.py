@@ -18,6 +18,7 @@ import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError
 from srt.exporters.file_format import Exporter, field, from_json, to_json
+from srt.exporters.noise_fields import known_figures, statement
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.sensor_errors import GROUP_SLICES
 
@@ -170,12 +171,15 @@ def preintegration_figures(
 
 
 def _write(model: ExportModel) -> dict[str, str]:
-    settings = model.settings
-    walks = (settings.gyro_random_walk, settings.accel_random_walk)
+    known = known_figures(model)
+    walks = (known.get("gyro_random_walk"), known.get("accel_random_walk"))
     figures = preintegration_figures(model.calibration, "raw", random_walks=walks)
+    for name in ("accelerometer_covariance", "gyroscope_covariance"):
+        # The random walks are inflated already.
+        figures[name] = figures[name] * (model.settings.inflate or 1.0) ** 2
     # A fit of the asymmetry moves the biases.
     figures["bias_accel"], figures["bias_gyro"] = model.accel.bias, model.gyro.bias
-    heading = model.heading(GTSAM)
+    heading = [*model.heading(GTSAM), *statement(model)]
     return {"": to_json({"comment": heading, **{name: value.tolist() for name, value in figures.items()}})}
 
 
@@ -207,5 +211,5 @@ GTSAM: Final = Exporter(
     apply=_apply,
     within=None,
     imports=False,
-    options=frozenset({"gyro_random_walk", "accel_random_walk"}),
+    options=frozenset({"gyro_random_walk", "accel_random_walk", "inflate"}),
 )

@@ -2,7 +2,7 @@
 
 An autopilot or an IMU with registers of its own logs ``y = C A (r − o)``, not the readings r of its sensors. Parameters
 found from y replace A and o inside the system, so that they must be composed with those that the log was made under
-(:func:`srt.exporters.linear_model.before`).
+(:meth:`srt.exporters.linear_model.LinearModel.before`).
 """
 
 from __future__ import annotations

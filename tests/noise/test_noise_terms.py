@@ -151,6 +151,22 @@ def test_exports_have_no_empty_noise_field(shelf, capfd):
     assert "multiplied by 1 (--inflate)" in (shelf / "o.yaml").read_text()
 
 
+def test_gtsam_gets_the_walks_and_the_inflation(shelf):
+    """The calibration of this unit has no white noise of its own: preintegration needs one."""
+    from dataclasses import replace
+
+    calibration = srt.load_calibration(shelf / "unit.json")
+    noise = {**calibration.noise, "gyro_noise_rad_per_sqrt_s": [1e-4] * 3, "accel_noise_m_s2_sqrt_s": [1e-3] * 3}
+    calibration = replace(calibration, noise=noise, site={"gravity_m_s2": 9.8})
+    plain, inflated = (
+        json.loads(export(calibration, "gtsam", settings=ExportSettings(inflate=factor)).texts[""])
+        for factor in (None, 3.0)
+    )
+    for name in ("gyroscope_covariance", "accelerometer_covariance", "bias_acc_covariance", "bias_omega_covariance"):
+        np.testing.assert_allclose(np.array(inflated[name]), 9.0 * np.array(plain[name]), rtol=1e-12)
+    assert "multiplied by 3 (--inflate)" in " ".join(inflated["comment"])
+
+
 def test_another_unit_and_a_moving_log_are_refused(shelf, tmp_path, capfd):
     calibration = srt.load_calibration(shelf / "unit.json")
     other = {**calibration.provenance, "serial": "SN-8"}
