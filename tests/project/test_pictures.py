@@ -1,0 +1,33 @@
+"""The pictures of the documentation are those that the present software draws, and the pages show them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pictures
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", pictures.PICTURES)
+def test_pictures_are_those_of_the_present_software(name, tmp_path):
+    shown = Image.open(pictures.FOLDER / name)
+    if mpl.__version__ not in shown.info["Software"]:
+        pytest.skip(f"drawn by {shown.info['Software']}: letters of another matplotlib differ")
+    pictures.save_figure(pictures.PICTURES[name](), tmp_path / name)
+    drawn = Image.open(tmp_path / name)
+    assert drawn.size == shown.size, "run python benchmarks/pictures.py"
+    differing = np.any(np.asarray(drawn.convert("RGB")) != np.asarray(shown.convert("RGB")), axis=2)
+    # Estimates that differ by rounding may move the edge of a mark by a pixel; a number that changed moves more.
+    assert differing.mean() < 1e-4, "run python benchmarks/pictures.py"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/tutorial.md"])
+def test_the_first_pages_show_the_fixture_and_a_calibration(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for name in pictures.PICTURES:
+        assert f"images/{name})" in text
