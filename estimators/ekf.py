@@ -40,7 +40,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     if options.filter != "iterated":
         options.refuse(("live",), f"The filter {options.filter!r}")
     if options.filter in ("one-pass", "per-sequence", "unscented"):
-        joint = open_joint_model(recording, options)
+        # These filters have no state for the attitude in which a sequence ends and a move begins.
+        joint = open_joint_model(recording, replace(options, ignore_moves=True))
         free = np.array([name not in options.fixed_names for name in NAMES])
         if options.filter == "unscented":
             return run_sequentially(UnscentedFilter(joint, prior, free), joint, progress)

@@ -33,6 +33,7 @@ from srt.estimation.drift_model import MOST_TERMS
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.goodness_of_fit import is_misfit, one_group_explains
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
+from srt.estimation.move_checks import contradicting_move
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.model.prior import Prior
 from srt.model.rotations import rotation_matrix
@@ -144,6 +145,8 @@ def iterate(
             break
         assert iteration.covariance is not None
         sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
+        if joint.tie_ends(sigma):
+            continue
         if np.all(np.abs(correction) <= np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)) and (
             solver.settled and (observability_known or solver.prior is not None)
         ):
@@ -262,13 +265,14 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
 
 
 def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
+    joint, found = _with_sound_moves(joint, solver, progress)
     options = joint.options
     requested = np.array([name in options.fixed_names for name in NAMES])
     uncertain = fixed_sigma(joint.data, options)
     fixed = FixedParameters(
         {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}, uncertain
     )
-    iteration = IterationState(joint.start, ~requested)
+    iteration = IterationState(joint.start, ~requested) if found is None else found
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
@@ -295,6 +299,30 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_initial_values(iteration.state, weak)
     return make_calibration(joint, solver, iteration, fixed, diagnostics)
+
+
+def _with_sound_moves(
+    joint: JointModel, solver: JointSolver, progress: Progress | None
+) -> tuple[JointModel, IterationState | None]:
+    """Leave out the moves that contradict the other measurements, one after the other.
+
+    Returns the model without them, and its solution if one was found.
+    """
+    requested = np.array([name in joint.options.fixed_names for name in NAMES])
+    while joint.data.moves:
+        start = IterationState(joint.start, ~requested)
+        iteration = iterate(joint, solver, start, requested=requested, progress=progress)
+        if iteration.status != "converged":
+            solver.restart()
+            break
+        against = contradictions(joint, BlockSolution(with_prior(joint, solver, iteration)))
+        tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]
+        reasons = contradicting_move(tests, joint.data.is_move)
+        if not reasons:
+            return joint, iteration
+        joint = joint.without_moves(reasons)
+        solver.restart()
+    return joint, None
 
 
 def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.drift_states import drift_chain, drift_states
 from estimators.drift_terms import DriftTerms
 from estimators.joint_state import CompensatedData, JointState, LevelFrame
@@ -24,6 +25,7 @@ from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.measurement_covariance import earth_rate_sigma, excess_variance
+from srt.estimation.move_checks import without_gross_moves
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError, InputError
 from srt.model import measurement_model as model
@@ -32,6 +34,7 @@ from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotat
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
 from srt.sensor_errors import SensorErrors
+from srt.sequences.moves import recorded_moves
 from srt.sequences.plausibility import gap_inside
 from srt.sequences.preparation import nominal_attitude, prepare_checked, sequence_of_label
 from srt.sequences.stationary_windows import find_turns
@@ -39,6 +42,8 @@ from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from estimators.drift_states import DriftChain, DriftStates
     from estimators.linear_system import LinearSystem
     from srt.estimation.options import Options
@@ -59,6 +64,8 @@ _LEAST_WOBBLE: Final = 1e-4
 """Least axis wobble, relative to the sigma of the fixture's angles: the covariance of an attitude must be regular."""
 _LEAST_WALK: Final = 1e-3
 """Smallest step of the bias walk, as a share of the rate noise of a window: the walk's covariance must be regular."""
+_LINEAR: Final = 1e-3
+"""Largest sigma of the sensor errors (accelerometer bias in g) whose square is below a wobble of microradians."""
 _ALONG: Final = 1e-9
 """Largest component of a nominal rotation axis across an axis of the fixture: rounding of products of rotations."""
 
@@ -90,6 +97,8 @@ class JointModel:
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         self.processor = SrtProcessor(data, options, self.integrated)
         self.nominal = [_nominal_start(s) if data.recording.fixture is not None else None for s in data.catalogue]
+        self.ends_tied = False
+        """True if the angle between the fixture's axes is a measurement in end attitudes, too; see :meth:`tie_ends`."""
         self.unmodelled_sigma = (0.0, 0.0, 0.0)
         """Unmodelled error, 1-sigma: rotation, rad; specific force, m/s²; rate, rad/s."""
         stated = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
@@ -133,7 +142,9 @@ class JointModel:
                         fixture_frame = len(self.level_frames) - 1
                 self.window_frame[s] = fixture_frame if self.nominal[k] is not None else len(self.level_frames) - 1
             self.sequence_frame[k] = self.window_frame[e] = self.window_frame[s]
-            for w in (s, e):
+        # A move has no windows of its own.
+        for k in self.order[np.argsort(data.is_move[self.order], kind="stable")].tolist():
+            for w in (int(data.start[k]), int(data.end[k])):
                 if self.window_sequence[w] < 0:
                     self.window_sequence[w] = k
         # A pose without its rotation takes the gyro bias of the sequence before it.
@@ -206,6 +217,15 @@ class JointModel:
         rotation, wobble = (0.0, 0.0) if fixture is None else (fixture.rotation_sigma_rad, fixture.wobble)
         return np.array([rotation, rotation, np.hypot(_LEAST_WOBBLE * rotation, wobble)])
 
+    def tie_ends(self, sigma: Array) -> bool:
+        """Use the fixture in end attitudes once the sensor errors are known to ``sigma``; True if this is new.
+
+        With large errors, products of two of them exceed the wobble, and the iteration would converge slowly.
+        """
+        new = not self.ends_tied and bool(np.all(sigma / PARAMETER_UNITS < _LINEAR))
+        self.ends_tied |= new
+        return new
+
     def nominal_end(self, k: int) -> Array | None:
         """Nominal end attitude of sequence k, T to base; None if one of its rotations is not about a fixture axis."""
         C, sequence = self.nominal[k], self.data.catalogue[k]
@@ -217,6 +237,10 @@ class JointModel:
                 return None
             C = C @ rotation_matrix(axis * angle)
         return C
+
+    def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
+        """Model of the recording without some moves, by their position and with the reason."""
+        return JointModel(self.data.without_moves(reasons), self.options, (self.start.errors, self.start.U))
 
     def with_initial_values(self, state: JointState, fixed: Mask) -> JointState:
         """Give fixed parameters the values of the initial estimate."""
@@ -464,15 +488,16 @@ class JointModel:
         T, weights = self.data.windows.duration_s, self.rest_rate_weights
         noise = self.data.noise
         variance = noise.gyro_white**2 / T[:, None] + 2.0 * (noise.gyro_edge / T[:, None]) ** 2
-        expected = np.mean(weights**2 @ variance, axis=0) + earth_rate_sigma(self.data) ** 2
+        expected = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0) + earth_rate_sigma(self.data) ** 2
         own = weights @ rest
-        self.bias_scatter = np.sqrt(excess_variance(own, expected))
-        steps = np.mean(np.diff(own[self.order], axis=0) ** 2, axis=0) - 2.0 * expected
+        self.bias_scatter = np.sqrt(excess_variance(own[~self.data.is_move], expected))
+        in_time = self.order[~self.data.is_move[self.order]]
+        steps = np.mean(np.diff(own[in_time], axis=0) ** 2, axis=0) - 2.0 * expected
         self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
 
 
 def open_joint_model(recording: Recording, options: Options) -> JointModel:
-    """Open a recording for joint estimation.
+    """Open a recording for joint estimation, with the recorded moves between its sequences unless options exclude them.
 
     Raises
     ------
@@ -486,8 +511,12 @@ def open_joint_model(recording: Recording, options: Options) -> JointModel:
         raise DataError(
             "No sequence of the recording has both stationary windows: record at least one rotation to its end."
         )
-    data = prepare_checked(recording, whole, options.average, poses=poses if recording.fixture is not None else ())
-    return JointModel(data, options, initial_estimate(data, options))
+    moves = () if options.ignore_moves else recorded_moves(recording, labels)
+    data = prepare_checked(
+        recording, whole, options.average, poses=poses if recording.fixture is not None else (), moves=moves
+    )
+    first = initial_estimate(data, options)
+    return JointModel(without_gross_moves(data, options, first), options, first)
 
 
 def pose_nominal(label: SequenceLabel) -> Array:

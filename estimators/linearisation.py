@@ -110,7 +110,7 @@ def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int,
     ends = [
         (k, int(data.end[k]), nominal)
         for k in on_fixture
-        if int(data.end[k]) not in known and (nominal := joint.nominal_end(k)) is not None
+        if joint.ends_tied and int(data.end[k]) not in known and (nominal := joint.nominal_end(k)) is not None
     ]
     kinds = (("start", starts, slice(0, 3)), ("end", ends, slice(2, 3)))
     return [(kind, poses, components) for kind, poses, components in kinds if poses]

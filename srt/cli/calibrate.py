@@ -46,7 +46,7 @@ def choice_option(flag: str, text: str) -> Callable[[FC], FC]:
 
 
 GROUPS = {
-    "Fixture and sensors": ("no_asymmetry", "hold", "gyro_bias", "no_fixture_states"),
+    "Fixture and sensors": ("no_asymmetry", "hold", "gyro_bias", "no_fixture_states", "ignore_moves"),
     "Fleet": ("workers", "scheduler"),
     "Expert": (
         "average", "down", "window_attitude", "step", "start", "max_playbacks", "loss", "filter", "prior", "live",
@@ -88,6 +88,7 @@ GROUPS = {
     is_flag=True,
     help="ekf and graph: do not estimate north, mounting and gravity.",
 )
+@click.option("--ignore-moves", is_flag=True, help="Use no recorded moves between the sequences.")
 @click.option(
     "--workers",
     type=click.IntRange(min=0),

@@ -188,7 +188,7 @@ def _earth(evidence: Evidence) -> Array:
     out = np.zeros((len(data.windows.samples), 3))
     if data.nominal is None:
         return out
-    at_start = np.swapaxes(data.nominal, 1, 2) @ data.earth_rate_base()
+    at_start = np.swapaxes(data.nominal, 1, 2) @ data.earth_rate_base() * data.placed[:, None]
     out[data.start] = at_start
     for k, sequence in enumerate(data.catalogue):
         if sequence is not None:

@@ -79,7 +79,7 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     Parameters
     ----------
     data : PreparedRecording
-        All sequences with nominal rotations.
+        With nominal attitudes; free turns contribute nothing.
     stream : GyroStream
         Raw gyro samples of the rotations.
 
@@ -112,11 +112,14 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     nominal = data.nominal
     if nominal is None:
         raise DataError("A start from the fixture needs nominal attitudes; this recording has none.")
+    labelled = np.array([s is not None for s in data.catalogue])
+    nominal, start = nominal[labelled], data.start[labelled]
     down = nominal[:, 2]
-    down_end = np.stack([end_attitude(s).T @ u for s, u in zip(data.catalogue, down, strict=True) if s is not None])
+    sequences = [s for s in data.catalogue if s is not None]
+    down_end = np.stack([end_attitude(s).T @ u for s, u in zip(sequences, down, strict=True)])
     force = data.windows.accel_mean
     vertical = np.concatenate([down, down_end])
-    readings = np.concatenate([force[data.start], force[data.end]])
+    readings = np.concatenate([force[start], force[data.end[labelled]]])
     Ma, accel_bias = _fit_triad(-data.gravity * vertical, readings, data.gravity, with_bias=True)
     if np.linalg.det(Mg) > 0.0 and np.linalg.det(Ma) <= 0.0:
         raise DataError(
@@ -127,7 +130,7 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     errors, U = to_mars(Triad(Mg, np.zeros(3), np.zeros(3)), Triad(Ma, np.zeros(3), accel_bias))
     earth = U @ np.swapaxes(nominal, 1, 2) @ data.earth_rate_base()
     vector = errors.vector.copy()
-    vector[-3:] = (rest[data.start] - earth @ (Mg @ U.T).T).mean(axis=0)
+    vector[-3:] = (rest[start] - earth @ (Mg @ U.T).T).mean(axis=0)
     return type(errors)(vector), U
 
 
@@ -347,6 +350,7 @@ class _Stage:
             catalogue=tuple(data.catalogue[k] for k in chosen),
             start=data.start[chosen],
             end=data.end[chosen],
+            moves=int(data.is_move[chosen].sum()),
         )
         self.processor, self.sizes = SrtProcessor(self.data, options), sizes
         self.windows = np.unique(np.concatenate([self.data.start, self.data.end]))

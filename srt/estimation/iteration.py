@@ -315,7 +315,7 @@ class Iteration:
     def _scatter(self, measurements: SrtMeasurements) -> Array:
         """1-sigma of the bias between sequences, from the variation of their rest rates beyond noise (sensor axes)."""
         left = measurements.scatter_left()
-        if len(measurements.share) < 3 or left < _LEAST_SCATTER:
+        if np.sum(~self.data.is_move) < 3 or left < _LEAST_SCATTER:
             return np.zeros(3)
         rest = measurements.rest_rate
         forms = [self.data.drift_shapes[term.form].windows for term in self.excess.drift if term.sensor == "gyro"]
@@ -323,7 +323,9 @@ class Iteration:
             shapes = np.concatenate([np.ones((len(rest), 1)), *forms], axis=1)
             weight = np.sqrt(measurements.pool)[:, None]
             rest = rest - shapes @ np.linalg.lstsq(weight * shapes, weight * rest)[0]
-        deviation = (measurements.share @ rest - measurements.pool @ rest) / np.sqrt(left)
+        # A move has no windows of its own.
+        own = measurements.share[~self.data.is_move]
+        deviation = (own @ rest - measurements.pool @ rest) / np.sqrt(left)
         doubt = measurement_covariance.earth_rate_sigma(self.data)
         expected = measurement_covariance.rest_rate_variance(measurements, self.data) + doubt**2
         excess = measurement_covariance.excess_variance(deviation, expected)

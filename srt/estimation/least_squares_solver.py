@@ -24,13 +24,16 @@ from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.drift_search import used_bias_gain
 from srt.estimation.fixed_parameters import fixed_sigma, reason_not_observed, reason_on_request
 from srt.estimation.initial_estimates import initial_estimate
+from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import LeaveOneOutEstimate, leave_one_out_estimate, pooling_weights_without
+from srt.estimation.move_checks import contradicting_move_of_solution, without_gross_moves
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.estimation.solver_result import solver_result
 from srt.estimation.unmodelled_errors import iterate_with_unmodelled_errors
 from srt.model import measurement_model as model
 from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import N_PARAMETERS, NAMES
+from srt.sequences.moves import recorded_moves
 from srt.sequences.preparation import prepare_checked
 from srt.sequences.stationary_windows import find_turns
 
@@ -42,6 +45,7 @@ if TYPE_CHECKING:
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.recording.recording import Recording
     from srt.result.calibration import Calibration
+    from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
@@ -111,8 +115,10 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     """
     options.refuse(("step", "loss", "filter", "prior", "fixture_states", "live", "targets"), "Least squares")
     labels = recording.sequences or find_turns(recording)
-    data = prepare_checked(recording, labels, options.average)
+    moves = () if options.ignore_moves else recorded_moves(recording, labels)
+    data = prepare_checked(recording, labels, options.average, moves=moves)
     first = initial_estimate(data, options)
+    data = _with_sound_moves(without_gross_moves(data, options, first), options, first)
     uncertain = fixed_sigma(data, options)
     on_request = {n: reason_on_request(n, uncertain, data) for n in options.fixed_names}
     fixed, prior, relied = dict(on_request), admission_sigma(), None
@@ -145,6 +151,21 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     leave_one_out = partial(without_sequences, considered=relied is not None)
     result = solver_result(data, options, solution, fixed, leave_one_out, unmodelled, models_drift=True)
     return build_calibration("least-squares", data, options, result, fixed)
+
+
+def _with_sound_moves(
+    data: PreparedRecording, options: Options, first: tuple[SensorErrors, Array]
+) -> PreparedRecording:
+    """Recording without the moves that contradict the other measurements, one after the other."""
+    uncertain = fixed_sigma(data, options)
+    while data.moves:
+        solver = LeastSquaresSolver(options.fixed_names, admission_sigma())
+        solution = iterate(data, options, solver, *first, fixed_sigma=uncertain)
+        reasons = contradicting_move_of_solution(data, solution, solver.fixed)
+        if not reasons:
+            break
+        data = data.without_moves(reasons)
+    return data
 
 
 def without_sequences(

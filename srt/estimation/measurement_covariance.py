@@ -134,7 +134,8 @@ def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording)
 
 def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
-    return np.asarray(np.mean(measurements.share**2 @ window_rate_variance(measurements, data), axis=0))
+    own = measurements.share[~data.is_move]
+    return np.asarray(np.mean(own**2 @ window_rate_variance(measurements, data), axis=0))
 
 
 def earth_rate_sigma(data: PreparedRecording) -> float:
@@ -448,9 +449,9 @@ def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> 
     base = common * fixture.alignment_sigma_rad
     inner = np.broadcast_to(measurements.U[:, 2], (data.K, 3))
     executed = np.stack([inner, to_body[:, :, 1]], axis=2) * fixture.rotation_sigma_rad
-    axes = np.concatenate([base, _own_draw(executed)], axis=2)
+    axes = np.concatenate([base, _own_draw(executed)], axis=2) * data.placed[:, None, None]
     if measurements.nominal_vertical:
-        return axes
+        return np.asarray(axes)
     down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
     vertical: Array = down[:, :, None] * np.einsum("ka,kas->ks", down, axes)[:, None, :]
     return vertical
@@ -461,7 +462,7 @@ def unknown_earth_rate_components(data: PreparedRecording) -> int:
     site, fixture = data.recording.site, data.recording.fixture
     if site.latitude_rad is None:
         return 3
-    return 2 if data.nominal is None or fixture is None or fixture.heading_rad is None else 0
+    return 2 if not data.placed.all() or fixture is None or fixture.heading_rad is None else 0
 
 
 def _unknown_earth_rate(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
@@ -472,15 +473,26 @@ def _unknown_earth_rate(measurements: SrtMeasurements, data: PreparedRecording) 
         return np.zeros((data.K, 3, 0))
     share = 1.0 if site.latitude_rad is None else math.cos(site.latitude_rad)
     size = EARTH_RATE_RAD_S * share / math.sqrt(directions)
-    if data.nominal is not None:
+    fixture = data.recording.fixture
+    of_fixture = np.zeros((data.K, 3, 0))
+    if data.nominal is not None and (site.latitude_rad is None or fixture is None or fixture.heading_rad is None):
         frames = measurements.U @ np.swapaxes(data.nominal, 1, 2)
-        return np.asarray(size * frames[:, :, :directions])
-    # Free rotations: the Earth-fixed frame is propagated if a rotation starts from the end window of another.
+        of_fixture = frames[:, :, :directions] * data.placed[:, None, None]
+    free = _unknown_in_chains(measurements, data, directions)
+    return np.asarray(size * np.concatenate([of_fixture, free], axis=2))
+
+
+def _unknown_in_chains(measurements: SrtMeasurements, data: PreparedRecording, directions: int) -> Array:
+    """Directions of the unknown Earth rate of free turns, in B_Strt, shape (K, 3, chains · directions).
+
+    The Earth-fixed frame is propagated if a rotation starts from the end window of another.
+    """
+    turns = np.flatnonzero(~data.placed).tolist()
     down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
     chains = 0
     carried: dict[int, tuple[int, Array]] = {}
     found: list[tuple[int, Array]] = []
-    for k in range(data.K):
+    for k in turns:
         if int(data.start[k]) in carried:
             chain, frame = carried[int(data.start[k])]
         else:
@@ -493,6 +505,6 @@ def _unknown_earth_rate(measurements: SrtMeasurements, data: PreparedRecording) 
         found.append((chain, frame))
         carried[int(data.end[k])] = chain, measurements.integrals.C_end[k].T @ frame
     out = np.zeros((data.K, 3, chains, directions))
-    for k, (chain, frame) in enumerate(found):
-        out[k, :, chain] = size * frame[:, :directions]
-    return out.reshape(data.K, 3, -1)
+    for k, (chain, frame) in zip(turns, found, strict=True):
+        out[k, :, chain] = frame[:, :directions]
+    return out.reshape(data.K, 3, chains * directions)

@@ -64,6 +64,8 @@ class Options:
         stated, level from the accelerometers.
     prior : Prior, optional
         Prior of the sensor errors, for Kalman filter and factor graph; default: very wide.
+    ignore_moves : bool
+        Use the sequences alone; False: recorded moves between them are measurements, too (not for the closed form).
     live : bool
         Run the Kalman filter as during the test: after every sequence, on all sequences so far.
     targets : mapping of str to float
@@ -84,12 +86,13 @@ class Options:
     filter: Filter = "iterated"
     fixture_states: bool = True
     prior: Prior | None = None
+    ignore_moves: bool = False
     live: bool = False
     targets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         kinds = {"max_playbacks": int, "asymmetry": bool, "measured_vertical": bool, "fixture_states": bool}
-        kinds["live"] = bool
+        kinds |= {"live": bool, "ignore_moves": bool}
         for name, kind in kinds.items():
             value = getattr(self, name)
             if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):

@@ -194,9 +194,10 @@ class SrtProcessor:
         # because the weights of the measurements depend on it.
         self._least_vertical = np.argmin(np.abs(data.windows.accel_mean[data.start]), axis=1)
         # The two axes of T that are horizontal at the start of each labelled sequence.
+        self._labelled = np.array([s is not None for s in data.catalogue])
         self._horizontal = np.array(
-            [[AXES.index(axis) for axis in s.horizontal] for s in data.catalogue if s is not None]
-        )
+            [[AXES.index(axis) for axis in s.horizontal] for s in data.catalogue if s is not None], dtype=np.intp
+        ).reshape(-1, 2)
 
     @property
     def stream(self) -> GyroStream:
@@ -314,24 +315,25 @@ class SrtProcessor:
         """Earth rate ω̂e in each B_Strt, and the nominal vertical there (None without a fixture)."""
         data = self.data
         base = data.earth_rate_base()
+        vertical_part: Array = base[2] * down
         if data.nominal is None:
-            return base[2] * down, None
+            return vertical_part, None
+        placed = data.placed[:, None]
         to_body = U @ np.swapaxes(data.nominal, 1, 2)
-        nominal, nominal_down = to_body @ base, to_body[:, :, 2]
-        if nominal_vertical:
-            return nominal, nominal_down
-        # The smallest rotation from the nominal to the measured vertical: north alone stays nominal.
-        return np.einsum("kab,kb->ka", smallest_rotation(nominal_down, down), nominal), nominal_down
+        nominal, nominal_down = to_body @ base, np.where(placed, to_body[:, :, 2], down)
+        if not nominal_vertical:
+            # The smallest rotation from the nominal to the measured vertical: north alone stays nominal.
+            nominal = np.einsum("kab,kb->ka", smallest_rotation(nominal_down, down), nominal)
+        return np.where(placed, nominal, vertical_part), nominal_down
 
     def _basis(self, down: Array, U: Array) -> Array:
         """Two horizontal directions per sequence: nominal axes of T made horizontal, or any two for a free turn."""
         data = self.data
+        first = cross_matrix(down)[np.arange(data.K), :, self._least_vertical]
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
         if data.nominal is not None:
-            axes = U.T[self._horizontal]
-        else:
-            first = cross_matrix(down)[np.arange(data.K), :, self._least_vertical]
-            first /= np.linalg.norm(first, axis=1, keepdims=True)
-            axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
+            axes[self._labelled] = U.T[self._horizontal]
         if self._stated.directed:
             return np.asarray(axes)  # the nominal axes themselves: their inclination is the measurement
         out: Array = axes @ model.horizontal_projector(down)
@@ -373,10 +375,8 @@ class SrtProcessor:
         data = self.data
         if data.nominal is None or self._stated.posed.all():
             return U  # without a rotation, no gyro axis shows on the table
-        in_T, in_B = (
-            [data.nominal[:, 2]],
-            [-force[data.start] / np.linalg.norm(force[data.start], axis=1)[:, None]],
-        )
+        starts = force[data.start[self._labelled]]
+        in_T, in_B = [data.nominal[self._labelled, 2]], [-starts / np.linalg.norm(starts, axis=1)[:, None]]
         for k, sequence in enumerate(data.catalogue):
             if sequence is not None and len(sequence.rotations) == 1 and data.labels[k].rate is None:
                 angle = float(sequence.angles_rad[0])

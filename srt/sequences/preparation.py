@@ -15,6 +15,7 @@ from srt.model.table1 import SEQUENCES, RotationSequence, axis_vector
 from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, window_draws
 from srt.noise.drift_forms import DriftShape, Intervals, drift_shapes
 from srt.noise.noise_model import NoiseModel, noise_model
+from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.plausibility import (
     check_interval,
     check_rest,
@@ -26,7 +27,7 @@ from srt.sequences.plausibility import (
 from srt.sequences.window_means import Windows, average_windows, averaging_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.window_means import Average
@@ -74,6 +75,8 @@ class PreparedRecording:
         Sequences left out, with the reason.
     poses : tuple of (SequenceLabel, int)
         Windows of sequences that lost their end, which joint estimation uses alone: label and window.
+    moves : int
+        Number of moves between sequences, the last of the K.
     """
 
     recording: Recording
@@ -83,14 +86,20 @@ class PreparedRecording:
     start: Indices
     end: Indices
     noise: NoiseModel
-    average: str
+    average: Average
     voided: dict[str, str]
     poses: tuple[tuple[SequenceLabel, int], ...] = ()
+    moves: int = 0
 
     @property
     def K(self) -> int:
-        """Number of sequences."""
+        """Number of sequences, and moves between them."""
         return len(self.labels)
+
+    @cached_property
+    def is_move(self) -> Mask:
+        """True for moves between sequences, shape (K,)."""
+        return np.arange(self.K) >= self.K - self.moves
 
     @property
     def gravity(self) -> float:
@@ -100,7 +109,12 @@ class PreparedRecording:
     @cached_property
     def ids(self) -> tuple[str, ...]:
         """Id of each sequence; free turns and poses are numbered."""
-        return tuple(label.id or f"{'pose' if label.pose else 'turn'} {k + 1}" for k, label in enumerate(self.labels))
+        names = [label.id or f"{'pose' if label.pose else 'turn'} {k + 1}" for k, label in enumerate(self.labels)]
+        fixed = np.flatnonzero(~self.is_move).tolist()
+        before, after = ({int(which[k]): names[k] for k in fixed} for which in (self.end, self.start))
+        for k in np.flatnonzero(self.is_move).tolist():
+            names[k] = f"move {before[int(self.start[k])]} to {after[int(self.end[k])]}"
+        return tuple(names)
 
     @cached_property
     def posed(self) -> Mask:
@@ -114,10 +128,45 @@ class PreparedRecording:
 
     @cached_property
     def nominal(self) -> Array | None:
-        """C_nom of every sequence's start, T to base, shape (K, 3, 3); None for a recording without a fixture."""
-        if self.recording.fixture is None or any(s is None for s in self.catalogue):
-            return None
-        return np.stack([nominal_attitude(s) for s in self.catalogue if s is not None])
+        """C_nom of every start, T to base, shape (K, 3, 3); None without a fixture, or without a nominal attitude.
+
+        A free turn starts where a sequence starts or ends; where it does not (:attr:`placed`), the row has no meaning.
+        """
+        starts = self._nominal_starts
+        return np.stack([starts.get(k, np.eye(3)) for k in range(self.K)]) if starts else None
+
+    @cached_property
+    def placed(self) -> Mask:
+        """True for the sequences and free turns whose nominal start attitude is known, shape (K,)."""
+        return np.array([k in self._nominal_starts for k in range(self.K)], dtype=np.bool_)
+
+    @cached_property
+    def _nominal_starts(self) -> dict[int, Array]:
+        if self.recording.fixture is None:
+            return {}
+        known = {k: nominal_attitude(s) for k, s in enumerate(self.catalogue) if s is not None}
+        poses = {
+            int(self.end[k]): C @ end_attitude(s) for k, C in known.items() if (s := self.catalogue[k]) is not None
+        }
+        poses |= {int(self.start[k]): C for k, C in known.items()}
+        free = (k for k, s in enumerate(self.catalogue) if s is None and int(self.start[k]) in poses)
+        return known | {k: poses[int(self.start[k])] for k in free}
+
+    def without_moves(self, reasons: Mapping[int, str]) -> PreparedRecording:
+        """Recording without some moves, which are listed with the others that are void.
+
+        Parameters
+        ----------
+        reasons : mapping of int to str
+            Reason by position of the move.
+        """
+        voided = self.voided | {move_title(self.labels[k]): reason for k, reason in reasons.items()}
+        sequences, moves = (
+            [self.labels[k] for k in np.flatnonzero(mask).tolist() if k not in reasons]
+            for mask in (~self.is_move, self.is_move)
+        )
+        poses = [label for label, _ in self.poses]
+        return prepare(self.recording, sequences, self.average, voided=voided, poses=poses, moves=moves)
 
     @cached_property
     def rotation(self) -> Indices:
@@ -206,7 +255,7 @@ class PreparedRecording:
                 ):
                     if flagged and F is not None and weights is not None:
                         lo, hi = samples[w] - a + at
-                        weight = averaging_weights(hi - lo, self.average)  # type: ignore[arg-type]
+                        weight = averaging_weights(hi - lo, self.average)
                         # Mid-sample share of the average that an attitude error at this sample acts on.
                         before = np.cumsum(weight) - 0.5 * weight
                         F[lo:hi] = 1.0 - before if is_end else before
@@ -223,6 +272,11 @@ class PreparedRecording:
         return stream, force, weights
 
 
+def move_title(label: SequenceLabel) -> str:
+    """Name of a move in messages."""
+    return f"The move at {label.start_static_s[1]:g} s"
+
+
 def prepare(
     recording: Recording,
     labels: Sequence[SequenceLabel],
@@ -230,8 +284,11 @@ def prepare(
     *,
     voided: dict[str, str] | None = None,
     poses: Sequence[SequenceLabel] = (),
+    moves: Sequence[SequenceLabel] = (),
 ) -> PreparedRecording:
     """Average the windows and set up the sequences; ``poses`` contribute only their start windows.
+
+    ``moves`` are free turns from an end window to a start window; those of sequences that are missing are left out.
 
     Raises
     ------
@@ -239,8 +296,10 @@ def prepare(
         If no sequence is left, or a rotation would have no samples.
     """
     reasons = tuple((voided or {}).items())
-    key = ("prepared", tuple(labels), average, reasons, tuple(poses))
-    return recording.memo(key, lambda: _prepare(recording, tuple(labels), average, dict(reasons), tuple(poses)))
+    starts, ends = {s.start_static_s for s in labels}, {s.end_static_s for s in labels}
+    kept = tuple(s for s in moves if s.start_static_s in ends and s.end_static_s in starts)
+    key = ("prepared", tuple(labels), average, reasons, tuple(poses), kept)
+    return recording.memo(key, lambda: _prepare(recording, tuple(labels), average, dict(reasons), tuple(poses), kept))
 
 
 def _prepare(
@@ -249,11 +308,13 @@ def _prepare(
     average: Average,
     voided: dict[str, str],
     poses: tuple[SequenceLabel, ...],
+    moves: tuple[SequenceLabel, ...],
 ) -> PreparedRecording:
     if not labels:
         reasons = [f"{k}: {v}" for k, v in voided.items()]
         shown = "; ".join(reasons[:2]) + (f"; and {len(reasons) - 2} more" if len(reasons) > 2 else "")
         raise DataError(f"No usable sequence is left in the recording ({shown or 'none is labelled'}).")
+    labels = (*labels, *moves)
     slices: dict[tuple[int, int], int] = {}
     ends: list[list[int]] = [[], []]
     for label in labels:
@@ -295,6 +356,7 @@ def _prepare(
         average,
         voided,
         tuple(alone),
+        len(moves),
     )
 
 
@@ -312,10 +374,11 @@ def prepare_checked(
     average: Average = "linear",
     *,
     poses: tuple[SequenceLabel, ...] = (),
+    moves: tuple[SequenceLabel, ...] = (),
 ) -> PreparedRecording:
     """Check a labelled recording and prepare it; ``poses`` contribute only their start windows.
 
-    Sequences with a gap or clipped samples are voided; the result says so.
+    Sequences with a gap or clipped samples are voided, and moves with clipped samples; the result says so.
 
     Raises
     ------
@@ -323,8 +386,8 @@ def prepare_checked(
         If no sequence is left, readings at rest or turns are impossible (wrong units), or the unit moved in a
         stationary window.
     """
-    key = ("checked", tuple(labels), average, tuple(poses))
-    return recording.memo(key, lambda: _prepare_checked(recording, tuple(labels), average, tuple(poses)))
+    key = ("checked", tuple(labels), average, tuple(poses), tuple(moves))
+    return recording.memo(key, lambda: _prepare_checked(recording, tuple(labels), average, tuple(poses), tuple(moves)))
 
 
 def _prepare_checked(
@@ -332,6 +395,7 @@ def _prepare_checked(
     labels: tuple[SequenceLabel, ...],
     average: Average,
     poses: tuple[SequenceLabel, ...],
+    moves: tuple[SequenceLabel, ...],
 ) -> PreparedRecording:
     check_interval(recording)
     voided: dict[str, str] = {}
@@ -342,7 +406,7 @@ def _prepare_checked(
             voided[label.title] = f"samples are missing before {recording.time[int(gaps[0])]:.6g} s"
         else:
             whole.append(label)
-    data = prepare(recording, whole, average, voided=voided, poses=poses)
+    data = prepare(recording, whole, average, voided=voided, poses=poses, moves=moves)
     _check_overlap(data)
     # Units are checked before clipping: degrees read as radians exceed any range.
     dt = recording.nominal_interval_s
@@ -350,11 +414,12 @@ def _prepare_checked(
     _check_turned(data)
     _check_rates(data)
     levels = clipping_levels(recording)
-    clipped = {label.title: clipped_samples(recording, _part(recording, label), levels) for label in whole}
-    voided |= {title: str(channels[0]) for title, channels in clipped.items() if channels}
+    parts = {**{s: s.title for s in whole}, **{s: move_title(s) for s in moves}}
+    clipped = {label: clipped_samples(recording, _part(recording, label), levels) for label in parts}
+    voided |= {parts[label]: str(channels[0]) for label, channels in clipped.items() if channels}
     if any(clipped.values()):
-        left = [s for s in whole if not clipped[s.title]]
-        data = prepare(recording, left, average, voided=voided, poses=poses)
+        left, left_moves = ([s for s in some if not clipped[s]] for some in (whole, moves))
+        data = prepare(recording, left, average, voided=voided, poses=poses, moves=left_moves)
     if recording.sequences:
         # Windows that were detected contain no large motion; small motion in them is integrated.
         _check_stillness(data)

@@ -160,6 +160,7 @@ def make(motions, variant, size, noise=NOISE, off=True):
     mode = "per-sequence" if variant.walk else "auto" if variant.instability else "pooled"
     options = Options(gyro_bias=mode, fixture_states=variant.fixture_states, start=errors)
     joint = open_joint_model(recording, options)
+    joint.ends_tied = True
     rng = np.random.default_rng(11)
     state = replace(joint.start, U=motion.U)
     state = joint.initial_attitudes(state, joint.compensate(state))

@@ -1,0 +1,101 @@
+"""Checks of the recorded moves between sequences: a move that contradicts the other measurements is left out.
+
+The unit may have been lifted off the fixture, or the gyros have saturated. Such a move must not spoil the sequences.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import chdtrc
+
+from srt.estimation.leave_one_out import consistency_tests, rows_of_sequences
+from srt.estimation.srt_measurements import SrtProcessor
+from srt.model.rotations import rotation_vector
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from srt.estimation.iteration import Solution
+    from srt.estimation.options import Options
+    from srt.sensor_errors import SensorErrors
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Mask
+
+
+_GROSS_RAD: Final = 0.1
+"""Largest error of a move by the initial estimate, rad: errors of the fixture and of the estimate, over one turn."""
+_PROBABILITY: Final = 1e-3
+"""Probability that a good move is left out of a recording."""
+
+
+def without_gross_moves(
+    data: PreparedRecording, options: Options, first: tuple[SensorErrors, Array]
+) -> PreparedRecording:
+    """Recording without the moves that end elsewhere than the fixture's angles say.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    options : Options
+    first : SensorErrors and ndarray, shape (3, 3)
+        Initial estimate of the sensor errors and of U.
+    """
+    if not data.moves or data.nominal is None:
+        return data
+    errors, U = first
+    measured = SrtProcessor(data, options).process(errors, U=U).integrals.C_end
+    started = {int(data.start[k]): data.nominal[k] for k in np.flatnonzero(~data.is_move).tolist()}
+    reasons = {}
+    for k in np.flatnonzero(data.is_move & data.placed).tolist():
+        nominal = U @ data.nominal[k].T @ started[int(data.end[k])] @ U.T
+        off = float(np.linalg.norm(rotation_vector((nominal.T @ measured[k])[None])))
+        if off > _GROSS_RAD:
+            reasons[k] = f"it ends {np.degrees(off):.1f}° from the start attitude of the next sequence"
+    return data.without_moves(reasons) if reasons else data
+
+
+def contradicting_move(tests: Sequence[tuple[float, int]], is_move: Mask) -> dict[int, str]:
+    """Move that contradicts the other measurements, with the reason; empty if none does.
+
+    Parameters
+    ----------
+    tests : sequence of (float, int)
+        Chi-square of each sequence and move as predicted from all others, and its degrees of freedom.
+    is_move : ndarray of bool, shape (K,)
+
+    Notes
+    -----
+    An error of the noise model enlarges all chi-squares: they are divided by their median, if it is above one. A move
+    is left out only if no sequence contradicts the others by more.
+    """
+    chi_square, freedom = (np.array(values, dtype=np.float64) for values in zip(*tests, strict=True))
+    tested = freedom > 0
+    if not (is_move & tested).any():
+        return {}
+    share = chi_square / np.maximum(freedom, 1.0)
+    scale = max(1.0, float(np.median(share[tested])))
+    excess = np.where(tested, (chi_square / scale - freedom) / np.sqrt(2.0 * np.maximum(freedom, 1.0)), -np.inf)
+    worst = int(np.argmax(excess))
+    probability = float(chdtrc(freedom[worst], chi_square[worst] / scale))
+    if not is_move[worst] or probability > _PROBABILITY / is_move.sum():
+        return {}
+    return {
+        worst: f"it contradicts the other measurements (chi-square {chi_square[worst]:.3g} for {freedom[worst]:.0f} "
+        "degrees of freedom)"
+    }
+
+
+def contradicting_move_of_solution(data: PreparedRecording, solution: Solution, fixed: Mask) -> dict[int, str]:
+    """:func:`contradicting_move` of a weighted least-squares solution."""
+    if not data.moves or solution.status != "converged":
+        return {}
+    horizontal = [np.array([2 * k, 2 * k + 1]) for k in range(data.K)]
+    groups = [horizontal[k] if data.is_move[k] else rows for k, (rows, _) in enumerate(rows_of_sequences(data))]
+    H = np.where(fixed, 0.0, solution.measurements.H)
+    try:
+        found = consistency_tests(solution.measurements.z, H, solution.measurement_covariance, groups)
+    except np.linalg.LinAlgError:
+        return {}
+    return contradicting_move([(test.chi_square, test.degrees_of_freedom) for test in found], data.is_move)
