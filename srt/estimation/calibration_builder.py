@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.estimation import g_sensitivity_report
+from srt.estimation.asymmetry_choice import asymmetry_choice
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.leave_one_out import chi_square_probability, verdict
@@ -90,7 +91,11 @@ def build_calibration(
         alignment=_alignment(data),
         temperature=_temperature(data),
         provenance=_provenance(data, options),
-        diagnostics={**result.diagnostics, "unseen_errors": unseen_errors(data)},
+        diagnostics={
+            **result.diagnostics,
+            "asymmetry": asymmetry_choice(result.errors, covariance, observed),
+            "unseen_errors": unseen_errors(data),
+        },
         verdict=evidence,
         warnings=(*warnings, *_warnings(data, options, result, observed)),
     )

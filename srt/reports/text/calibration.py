@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 from srt.constants import DEG_PER_H
 from srt.reports.text.leave_one_out import verdict_text
 from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, NAMES, SYMBOLS
+from srt.result.verdict import probability_text
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -41,6 +42,8 @@ _LARGEST: Final = 3
 """Number of sources of error in the short table."""
 _DIGITS: Final = 7
 """Largest number of significant digits of a value; the sigma of noise-free data would require more."""
+_SIGNIFICANT: Final = 0.05
+"""p-value below which asymmetries count as significant, the customary one."""
 _SOLVED: Final = 1e-3
 """Fraction of sigma below which a component is solved exactly: solvers stop at 1e-2 sigma or less."""
 
@@ -79,6 +82,7 @@ def report(
         g_sensitivity_table(calibration),
         budget_table(calibration) if budget else contribution_table(calibration),
         verdict_text(calibration, parameters=verdict),
+        "\n".join(_asymmetry(calibration)),
         "\n".join(_unseen_errors(calibration)),
         "\n".join(_notes(calibration)),
     ]
@@ -293,6 +297,28 @@ def _held(calibration: Calibration) -> Iterable[str]:
         yield "Fixed, not observed"
     for reason, names in reasons.items():
         yield from wrap(f"{', '.join(names)}: {reason}", indent=" ")
+
+
+def _asymmetry(calibration: Calibration) -> Iterable[str]:
+    groups = calibration.diagnostics.get("asymmetry")
+    if groups:
+        yield "Asymmetries"
+    for group, row in (groups or {}).items():
+        word = "significant" if row["probability"] < _SIGNIFICANT else "not significant"
+        without = ", ".join(_without(name, **estimate) for name, estimate in row["without"].items())
+        yield from wrap(
+            f"{group.replace('_', ' ')} estimated: {word} (chi-square {row['chi_square']:.3g} for "
+            f"{row['degrees_of_freedom']}, p = {probability_text(row['probability'])}). Fixed at zero: {without}.",
+            indent=" ",
+        )
+
+
+def _without(name: str, value: float, sigma: float) -> str:
+    """Value and sigma of a parameter in display units."""
+    i = INDEX[name]
+    factor = DISPLAY_FACTORS[i]
+    decimals = decimals_for(sigma * factor)
+    return f"{SYMBOLS[i]} {fixed(value * factor, decimals)} ± {fixed(sigma * factor, decimals)} {DISPLAY_UNITS[i]}"
 
 
 def _unseen_errors(calibration: Calibration) -> Iterable[str]:
