@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import socket
 import sys
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -125,6 +126,9 @@ def _lines(corrector: Any, *, covariance: bool) -> None:
     from srt.streams.text_lines import LineCorrector
 
     lines = LineCorrector(corrector, covariance=covariance)
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        # Bytes that are no text spoil their line alone.
+        sys.stdin.reconfigure(errors="replace")
     write, flush = sys.stdout.write, sys.stdout.flush
     for line in sys.stdin:
         corrected = lines.correct(line)
@@ -140,6 +144,8 @@ def _datagrams(corrector: Any, given: dict[str, Any]) -> None:
     address = parse_address(target)
     if address == source:
         raise InputError(f"The stream would receive its own datagrams at {target}: use another port.")
+    from srt.streams.stream_correction import NOT_SENT
+
     correct = _datagram_corrector(corrector, given)
     try:
         family, *_ = socket.getaddrinfo(source.host, source.port, type=socket.SOCK_DGRAM)[0]
@@ -148,8 +154,12 @@ def _datagrams(corrector: Any, given: dict[str, Any]) -> None:
             link.settimeout(given["timeout_s"])
             for packet in _received(link):
                 answer = correct(packet)
-                if answer:
+                if not answer:
+                    continue
+                try:
                     link.sendto(answer, address)
+                except OSError as error:
+                    corrector.event(NOT_SENT, f"a corrected datagram could not be sent ({error.strerror or error})")
     except OSError as error:
         raise InputError(
             f"The stream from {given['source']} to {target} cannot be used ({error.strerror or error}): check both."

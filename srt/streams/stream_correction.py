@@ -24,6 +24,7 @@ MALFORMED: Final = "malformed"
 LOST: Final = "lost"
 CLIPPED: Final = "at the end of the range"
 OTHER_TEMPERATURE: Final = "outside the temperature of the test"
+NOT_SENT: Final = "not sent"
 PASSED_ON: Final = "without an IMU, passed on"
 
 _CLIPPED_FROM: Final = 0.999

@@ -8,6 +8,7 @@ time, gyro x, y, z, accelerometer x, y, z and temperature, or the six readings a
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -38,7 +39,7 @@ class LineCorrector:
         True: six 1-sigma are appended to each line.
     """
 
-    __slots__ = ("_columns", "_corrector", "_covariance", "_first", "_last", "_line", "_step")
+    __slots__ = ("_columns", "_corrector", "_covariance", "_first", "_last", "_line", "_step", "_width")
 
     def __init__(self, corrector: StreamCorrector, *, covariance: bool = False) -> None:
         self._corrector = corrector
@@ -48,6 +49,7 @@ class LineCorrector:
         self._last: float | None = None
         self._step: float | None = None
         self._line = 0
+        self._width = 0
 
     def correct(self, line: str) -> str | None:
         """Correct one line.
@@ -69,7 +71,7 @@ class LineCorrector:
             if len(text) > _LONGEST:
                 raise ValueError("it is too long")  # noqa: TRY301
             return self._json(text) if text[0] == "{" else self._csv(text)
-        except (ValueError, IndexError, KeyError, TypeError, InputError) as error:
+        except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, InputError) as error:
             self._corrector.event(MALFORMED, f"line {self._line} is no sample ({str(error)[:120].rstrip('.')})")
             return None
 
@@ -80,11 +82,14 @@ class LineCorrector:
             if not _is_number(cells[0]):
                 return self._header(cells)
         columns = self._columns or self._nameless(len(cells))
+        if len(cells) != self._width:
+            raise ValueError(f"it has {len(cells)} columns, and those before have {self._width}")
         values = tuple(float(cells[columns[name]]) for name in _READINGS)
         time, temperature = columns.get("time"), columns.get("temperature")
+        stamp = None if time is None else _finite(float(cells[time]))
         corrected = self._corrector.correct(values, None if temperature is None else float(cells[temperature]))
-        if time is not None:
-            self._count_lost(float(cells[time]))
+        if stamp is not None:
+            self._count_lost(stamp)
         for name, value in zip(_READINGS, corrected, strict=False):
             cells[columns[name]] = repr(value)
         return ",".join([*cells, *map(repr, corrected[6:])])
@@ -95,28 +100,31 @@ class LineCorrector:
         except InputError:
             self._first = True
             raise
+        self._width = len(cells)
         return ",".join([*cells, *(_SIGMAS if self._covariance else ())])
 
     def _nameless(self, width: int) -> dict[str, int]:
         if width not in (6, 7, 8):
             raise ValueError(f"it has {width} columns, but 6, 7 or 8 are expected without names")
         names = _READINGS if width == len(_READINGS) else _NAMELESS[:width]
-        self._columns = {name: i for i, name in enumerate(names)}
+        self._columns, self._width = {name: i for i, name in enumerate(names)}, width
         return self._columns
 
     def _json(self, text: str) -> str:
         document: dict[str, Any] = json.loads(text)
         arrays = "gyro" in document
         if arrays:
-            values = (*map(float, document["gyro"]), *map(float, document["accel"]))
+            gyro, accel = (tuple(map(float, document[sensor])) for sensor in ("gyro", "accel"))
+            if (len(gyro), len(accel)) != (3, 3):
+                raise ValueError("gyro and accel are not three numbers each")
+            values = gyro + accel
         else:
             values = tuple(float(document[name]) for name in _READINGS)
-        if len(values) != len(_READINGS):
-            raise ValueError("gyro and accel are not three numbers each")
+        stamp = _finite(float(document["time"])) if "time" in document else None
         temperature = document.get("temperature")
         corrected = self._corrector.correct(values, None if temperature is None else float(temperature))
-        if "time" in document:
-            self._count_lost(float(document["time"]))
+        if stamp is not None:
+            self._count_lost(stamp)
         if arrays:
             document["gyro"], document["accel"] = corrected[:3], corrected[3:6]
         else:
@@ -136,6 +144,12 @@ class LineCorrector:
             self._corrector.event(LOST, f"line {self._line}: {count} samples are missing before {time:.9g}", count)
             return
         self._step = step
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError("its time is not a finite number")
+    return value
 
 
 def _is_number(cell: str) -> bool:

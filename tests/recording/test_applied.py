@@ -73,3 +73,43 @@ def test_the_table_of_a_recording_comes_back(tmp_path):
     toml.write_text(toml.read_text().replace("accel_id = 18", "accel_id = 1.5"))
     with pytest.raises(srt.InputError, match=r"imu.applied.accel_id is 1.5"):
         srt.load_recording(tmp_path / "r")
+
+
+def test_device_ids_find_the_calibration_of_increments_and_drivers(tmp_path):
+    """vehicle_imu names its devices; the drivers' topics are not calibrated, and have the ids that a file needs."""
+    others = {"CAL_ACC0_ID": 77, "CAL_GYRO0_ID": 78, **{f"CAL_ACC0_{a}OFF": 9.0 for a in "XYZ"}}
+    increments = {
+        "timestamp": US, "timestamp_sample": US, **ff.triad("delta_angle", VALUES[:, :3]),
+        **ff.triad("delta_velocity", VALUES[:, 3:]), "delta_angle_dt": np.full(len(US), 5000),
+        "delta_velocity_dt": np.full(len(US), 5000), "accel_device_id": np.full(len(US), 2753036),
+        "gyro_device_id": np.full(len(US), 2818058),
+    }  # fmt: skip
+    ff.write_ulog(tmp_path / "a.ulg", [("vehicle_imu", 0, ff.VEHICLE_IMU, increments)], {**PX4, **others})
+    applied = read(tmp_path / "a.ulg").applied
+    assert (applied.instance, applied.gyro_id, applied.accel_id) == (1, 2818058, 2753036)
+    np.testing.assert_allclose(applied.accel_offset, OFFSET, rtol=2.0**-24)
+    drivers = [
+        (name, 0, ff.SENSOR, dict(zip(("timestamp", "timestamp_sample", "x", "y", "z", "device_id"),
+                                      (US, US, *v.T, np.full(len(US), device)), strict=True)))
+        for name, v, device in (("sensor_gyro", VALUES[:, :3], 2818058), ("sensor_accel", VALUES[:, 3:], 2753036))
+    ]  # fmt: skip
+    ff.write_ulog(tmp_path / "b.ulg", drivers, {**PX4, **others})
+    applied = read(tmp_path / "b.ulg").applied
+    assert applied.is_identity
+    assert (applied.system, applied.instance, applied.gyro_id) == ("px4", 1, 2818058)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "fragment"),
+    [
+        ({"SENS_BOARD_ROT": 77}, "SENS_BOARD_ROT is 77, but 0 to 40"),
+        ({"CAL_ACC1_XSCALE": float("nan")}, "not 9 finite numbers"),
+        ({"CAL_ACC1_XSCALE": 0.0}, "has no inverse"),
+    ],
+)
+def test_parameters_that_cannot_be_are_not_carried(tmp_path, parameters, fragment):
+    topics = [("sensor_combined", 0, ff.COMBINED, ff.combined(US, VALUES))]
+    ff.write_ulog(tmp_path / "a.ulg", topics, PX4 | parameters)
+    imported = read(tmp_path / "a.ulg")
+    assert imported.applied is None
+    assert note(imported, fragment)

@@ -117,6 +117,45 @@ def test_damage_is_counted_and_the_stream_goes_on(told):
     assert len(told) == 1
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"gyro": ' + "[" * 3000,
+        '{"gyro": [1' + "0" * 400 + ', 0, 0], "accel": [0, 0, 9]}',
+        '{"gyro": "abc", "accel": "def"}',
+        '{"gyro": {"x": 1}, "accel": null}',
+        '{"gyro": [1, 2, 3, 4], "accel": [1, 2]}',
+        "1e999,0,0,0,0,0,9.8",
+        "0,0,0,0,0,0,9.8,9,9,9",
+    ],
+)
+def test_hostile_lines_are_malformed(told, line):
+    lines = LineCorrector(corrector(told))
+    assert lines.correct("0,0,0,0,0,0,9.8") is not None
+    assert lines.correct(line) is None
+    assert lines._corrector.counts["malformed"] == 1
+
+
+def test_random_packets_end_nothing(told):
+    """Noise, damaged messages and messages of other lengths; a good one after each is corrected."""
+    common = pytest.importorskip("pymavlink.dialects.v20.common")
+    from srt.streams.mavlink import MavlinkCorrector
+
+    sender, link = common.MAVLink(None), MavlinkCorrector(corrector(told))
+    rng = np.random.default_rng(9)
+    good = bytes(common.MAVLink_highres_imu_message(1, *Y[0, 3:], *Y[0, :3], *[0.0] * 7, 63).pack(sender))
+    answer = link.correct(good)
+    for _ in range(400):
+        packet = bytearray(rng.integers(0, 256, int(rng.integers(1, 300)), dtype=np.uint8).tobytes())
+        if rng.random() < 0.7:
+            packet = bytearray(good) if rng.random() < 0.5 else packet
+            packet[0] = 0xFD if rng.random() < 0.5 else 0xFE
+            at = int(rng.integers(1, len(packet))) if len(packet) > 1 else 0
+            packet[at] ^= int(rng.integers(1, 256))
+        link.correct(bytes(packet))
+        assert link.correct(good) == answer
+
+
 def test_lost_samples_clipping_and_temperature_are_told(told):
     lines = LineCorrector(corrector(told, gyro_range=5.0, accel_range=30.0))
     kept = np.r_[0:10, 14:N]
@@ -127,7 +166,6 @@ def test_lost_samples_clipping_and_temperature_are_told(told):
     high = Y.copy()
     high[:, 0] = 5.0
     lines.correct(csv(high)[0])
-    lines.correct(csv()[0] + ",24.9")
     assert "end of its range" in told[1]
     hot = LineCorrector(corrector(told))
     hot.correct(csv()[0] + ",24.9")
@@ -152,8 +190,13 @@ def test_the_command_answers_each_line(tmp_path):
             child.stdin.write(line + "\n")
             # The answer comes before the next line is written.
             np.testing.assert_array_equal(numbers([child.stdout.readline()])[0, 1:], expected)
+        child.stdin.flush()
+        child.stdin.buffer.write(b"\xff\xfe,1,2\n")
+        child.stdin.buffer.flush()
+        child.stdin.write(csv()[5] + "\n")
+        np.testing.assert_array_equal(numbers([child.stdout.readline()])[0, 1:], TRUE[5])
         child.stdin.close()
-        assert "5 corrected" in child.stderr.read()
+        assert "6 corrected, 1 malformed" in child.stderr.read()
         assert child.wait() == 0
 
 
