@@ -275,7 +275,7 @@ def _without_details(unit: FleetUnit) -> FleetUnit:
         corrections=(), contributions={}, residuals=(), site={}, alignment={}, temperature=None, provenance={},
         # What the verdict is made from stays.
         noise={k: v for k, v in found.noise.items() if k == "sigma_inflation"},
-        diagnostics={k: v for k, v in found.diagnostics.items() if k == "faults"}, verdict=verdict,
+        diagnostics={k: v for k, v in found.diagnostics.items() if k in ("faults", "drift")}, verdict=verdict,
     )  # fmt: skip
     return replace(unit, calibration=kept)
 

@@ -13,7 +13,7 @@ from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.leave_one_out import chi_square_probability, verdict
 from srt.estimation.unseen_errors import unseen_errors
 from srt.result.calibration import Calibration, software
-from srt.result.verdict import LARGEST_RATIO, USABLE, probability_text
+from srt.result.verdict import LARGEST_RATIO, USABLE, p_value_text
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 from srt.sequences.manoeuvres import wrong_rotation_angles
 
@@ -138,8 +138,8 @@ def _status(
     if suspect is not None and not robust:
         again = f" (occurrence {suspect['occurrence']})" if suspect["occurrence"] > 1 else ""
         return "inconsistent", (
-            f"Sequence {suspect['sequence']}{again} contradicts all others (p = "
-            f"{probability_text(suspect['probability'])}): check its label, windows and rotation, and leave it out or "
+            f"Sequence {suspect['sequence']}{again} contradicts all others "
+            f"({p_value_text(suspect['probability'])}): check its label, windows and rotation, and leave it out or "
             "repeat it."
         )
     explained = robust or not evidence or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))

@@ -74,7 +74,17 @@ def verdict_on(calibration: Calibration) -> Verdict:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
     agreement = f"{_agreement(p, merged='own_noise' not in evidence)} ({_chi_square(own)})."
     added = " ".join(_added(calibration, own))
-    return Verdict(DOUBTFUL if added else SOUND, f"{agreement} {added}".rstrip())
+    return Verdict(DOUBTFUL if added else SOUND, " ".join([agreement, *_modelled(calibration), added]).rstrip())
+
+
+def _modelled(calibration: Calibration) -> Iterator[str]:
+    """Sentence on the effects that were estimated besides the 27 errors."""
+    drift = [row for row in calibration.diagnostics.get("drift", ()) if row["modelled"]]
+    sensors = {"gyro": "the gyros", "accel": "the accelerometers"}
+    names = [f"a bias drift of {sensors[row['sensor']]} ({row['form']})" for row in drift]
+    names += ["the g-sensitivity of the gyros"] * ("g_sensitivity" in calibration.diagnostics)
+    if names:
+        yield f"Modelled besides the 27 errors: {', '.join(names)}."
 
 
 def _failure(calibration: Calibration) -> str:
@@ -98,7 +108,7 @@ def _agreement(p: float, *, merged: bool) -> str:
 
 def _chi_square(tested: Mapping[str, Any]) -> str:
     p, freedom = tested["probability"], tested["degrees_of_freedom"]
-    return f"chi-square {tested['chi_square']:.4g} for {freedom} degrees of freedom, p = {probability_text(p)}"
+    return f"chi-square {tested['chi_square']:.4g} for {freedom} degrees of freedom, {p_value_text(p)}"
 
 
 def _added(calibration: Calibration, own: Mapping[str, Any]) -> Iterator[str]:
@@ -143,6 +153,12 @@ _UNITS: Final = {
 def _size(kind: str, value: float) -> str:
     factor, unit = _UNITS[kind]
     return f"{value * factor:.2g}{unit}"
+
+
+def p_value_text(p: float) -> str:
+    """Text of a p-value with its symbol: "p = 0.3", or a limit."""
+    text = probability_text(p)
+    return f"p {text[0]} {text[1:]}" if text.startswith("<") else f"p = {text}"
 
 
 def probability_text(p: float | None) -> str:

@@ -60,6 +60,16 @@ def test_added_noise_and_the_factor_are_told_after_the_agreement():
     assert "multiplied by 2.1." in judged(200.0, 44, noise={"sigma_inflation": 2.13}).reason
 
 
+def test_effects_besides_the_27_errors_are_told():
+    row = {"sensor": "accel", "form": "linear", "modelled": True}
+    found = judged(44.0, 44, diagnostics={"drift": [row], "g_sensitivity": {}})
+    assert found.word == SOUND
+    assert found.reason.endswith(
+        "Modelled besides the 27 errors: a bias drift of the accelerometers (linear), the g-sensitivity of the gyros."
+    )
+    assert "besides" not in judged(44.0, 44, diagnostics={"drift": [row | {"modelled": False}]}).reason
+
+
 def test_few_degrees_of_freedom_widen_the_interval():
     """Student's t for 95 %: 3.18 with 3 degrees of freedom, 2.04 with 30 (tables)."""
     few = judged(40.0, 3, noise={"sigma_inflation": 3.65}).reason

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from srt.constants import DEG_PER_H
 from srt.reports.text.leave_one_out import verdict_text
 from srt.reports.text.tables import WIDTH, decimals_for, fixed, text_table, wrap
-from srt.result.verdict import probability_text
+from srt.result.verdict import p_value_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
@@ -308,7 +308,7 @@ def _asymmetry(calibration: Calibration) -> Iterable[str]:
         without = ", ".join(_without(name, **estimate) for name, estimate in row["without"].items())
         yield from wrap(
             f"{group.replace('_', ' ')} estimated: {word} (chi-square {row['chi_square']:.3g} for "
-            f"{row['degrees_of_freedom']}, p = {probability_text(row['probability'])}). Fixed at zero: {without}.",
+            f"{row['degrees_of_freedom']}, {p_value_text(row['probability'])}). Fixed at zero: {without}.",
             indent=" ",
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
-from srt.result.verdict import probability_text
+from srt.result.verdict import p_value_text, probability_text
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, SYMBOLS
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def sequence_table(calibration: Calibration, *, full: bool = True) -> str:
     worst = calibration.verdict.get("contradicting")
     if worst is not None:
         lines += wrap(
-            f"{word.capitalize()} {_title(worst)} contradicts the others, p = {probability_text(worst['probability'])}."
+            f"{word.capitalize()} {_title(worst)} contradicts the others, {p_value_text(worst['probability'])}."
         )
     return "\n".join(lines)
 
