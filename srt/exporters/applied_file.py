@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def applied_of(text: str, instance: int | None = None) -> AppliedCorrection:
-    """Correction named as "FORMAT:FILE", or "none" for readings of the sensors themselves.
+    """Correction named as "FORMAT:FILE" or "FORMAT.INSTANCE:FILE", or "none" for readings of the sensors themselves.
 
     Parameters
     ----------
@@ -37,10 +37,14 @@ def applied_of(text: str, instance: int | None = None) -> AppliedCorrection:
     """
     if text == NOTHING:
         return AppliedCorrection(NOTHING)
-    target, colon, path = text.partition(":")
-    if not colon or not path:
-        raise InputError(f"The applied correction is {text!r}: give FORMAT:FILE, as px4:vehicle.params, or none.")
-    return load_applied(path, target, instance)
+    name, colon, path = text.partition(":")
+    target, dot, number = name.partition(".")
+    if not colon or not path or (dot and not number.isdecimal()):
+        raise InputError(
+            f"The applied correction is {text!r}: give FORMAT:FILE, as px4:vehicle.params or px4.1:vehicle.params for "
+            "IMU 1, or none."
+        )
+    return load_applied(path, target, int(number) if dot else instance)
 
 
 def load_applied(path: str | PathLike[str], target: str, instance: int | None = None) -> AppliedCorrection:
@@ -68,10 +72,15 @@ def load_applied(path: str | PathLike[str], target: str, instance: int | None = 
     texts = read_texts(chosen, path)
     try:
         if target in AUTOPILOTS:
-            found = AUTOPILOTS[target].applied(parameter_values(texts[""]), instance or 0)
+            values = parameter_values(texts[""])
+            found = AUTOPILOTS[target].applied(values, instance or 0)
             if found is None:
-                name = AUTOPILOTS[target].names(instance or 0)["accel_offset"][0]
-                raise InputError(f"there is no {name} in it: save all parameters of the vehicle.")
+                groups = AUTOPILOTS[target].names(instance or 0).values()
+                missing = next(name for group in groups for name in group if name not in values)
+                raise InputError(
+                    f"there is no {missing} in it: save all parameters of the vehicle, or name another IMU "
+                    f"({target}.1:FILE)."
+                )
             return found
         gyro, accel, g_sensitivity = forward_model(chosen, chosen.read(texts))
     except SrtError as error:

@@ -300,3 +300,48 @@ def test_files_of_linear_corrections_compose(target, tmp_path):
     atol = 12 * 12 * (SINGLE if target == "vectornav" else 2.0**-53)
     for ours, theirs in zip(expected, found, strict=True):
         np.testing.assert_allclose(theirs, ours, rtol=0, atol=atol)
+
+
+def answer(register, values):
+    """Answer of a unit to $VNRRG, with its checksum."""
+    body = ",".join([f"VNRRG,{register:02d}", *(f"{v:+.6f}" for v in values)])
+    total = 0
+    for byte in body.encode():
+        total ^= byte
+    return f"${body}*{total:02X}\r\n"
+
+
+def test_the_command_reads_registers_and_parameters(tmp_path, capfd):
+    """convert --applied keeps the answers of a unit and the parameters that a ground station saved."""
+    rng = np.random.default_rng(16)
+    C = np.round(np.eye(3) + 0.01 * rng.normal(size=(3, 3)), 6)
+    offsets = np.round(0.1 * rng.normal(size=(2, 3)), 6)
+    registers = tmp_path / "registers.txt"
+    registers.write_bytes(
+        (answer(84, [*C.ravel(), *offsets[0]]) + answer(25, [*np.eye(3).ravel(), *offsets[1]])).encode()
+    )
+    log = tmp_path / "log.csv"
+    table = np.column_stack([0.01 * np.arange(1, 101), rng.normal(size=(100, 3)), rng.normal(size=(100, 3)) * 0.1])
+    table[:, 6] += 9.8
+    np.savetxt(log, table, delimiter=",", header="time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z", comments="")
+    given = "--gyro-unit", "rad/s", "--accel-unit", "m/s^2", "--time-unit", "s", "--gravity-m-s2", "9.8", "-q"
+    line = ["convert", str(log), "-o", str(tmp_path / "a"), *given]
+    assert main([*line, "--applied", f"vectornav:{registers}"]) == 0
+    applied = srt.load_recording(tmp_path / "a").applied
+    assert applied.system == "vectornav"
+    # Single precision in the unit, and an inverse there and back.
+    np.testing.assert_allclose(applied.gyro_matrix, C, rtol=0, atol=4 * SINGLE)
+    np.testing.assert_allclose(applied.accel_offset, offsets[1], rtol=0, atol=4 * SINGLE)
+    saved = tmp_path / "vehicle.params"
+    saved.write_text("".join(f"1\t1\t{name}\t{value}\t9\n" for name, value in Px4.parameters.items()))
+    line[3] = str(tmp_path / "b")
+    assert main([*line, "--applied", f"px4:{saved}"]) == 2
+    assert "no CAL_ACC0_XSCALE in it" in capfd.readouterr().err
+    assert main([*line, "--applied", f"px4.1:{saved}"]) == 0
+    applied = srt.load_recording(tmp_path / "b").applied
+    assert (applied.instance, applied.gyro_id) == (1, IDS["gyro"])
+    np.testing.assert_allclose(applied.rotation, Px4.C, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(applied.accel_offset, OFFSET)
+    line[3] = str(tmp_path / "c")
+    assert main([*line, "--applied", "px4"]) == 2
+    assert "give FORMAT:FILE" in capfd.readouterr().err
