@@ -56,6 +56,6 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         reports.append(report.as_dict())
         if progress is not None:
             progress(len(reports), float(np.max(report.sigma / PARAMETER_UNITS)))
-    assert live.joint is not None
-    calibration = run(live.joint, solver, None)
+    # The reports are of the sequences alone; the result includes the moves between them.
+    calibration = run(open_joint_model(recording, options), solver, None)
     return replace(calibration, diagnostics={**calibration.diagnostics, "live": reports})
