@@ -89,8 +89,10 @@ def rotation_effect(parts: Array, shape: Array) -> Array:
     return np.asarray(np.einsum("kpab,kpn->kanb", parts, shape).reshape(len(parts), 3, -1))
 
 
-def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftTerm | None:
-    """Most significant form of drift that the residuals of a joint solution show; None if there is none."""
+def search(
+    joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int
+) -> tuple[DriftTerm, ...]:
+    """Most significant form of drift of each triad that the residuals of a joint solution show."""
     state, compensated, data = iteration.linearisation_point, iteration.compensated, joint.data
     assert state is not None
     assert state.attitude is not None
@@ -114,5 +116,4 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     rest = rest + (state.bias_deviation @ slope.T)[joint.window_sequence]
     rest = rest + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
     found |= gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms)
-    best = most_significant(found, len(keys))
-    return None if best is None else best[0]
+    return most_significant(found, len(keys))

@@ -351,18 +351,18 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
 
 
 def _add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Model the most significant form of drift that the residuals show; True if there is one.
+    """Model the most significant form of drift of each triad that the residuals show; True if there is one.
 
     The unmodelled noise is then estimated again. A robust loss reduces the weight of sequences instead.
     """
-    if solver.weights() or len(joint.drift.terms) == MOST_TERMS:
+    if solver.weights() or len(joint.drift.terms) >= MOST_TERMS:
         return False
     system = with_prior(joint, solver, iteration)
     solution = BlockSolution(system)
-    term = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
-    if term is None:
+    terms = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
+    if not terms:
         return False
-    joint.drift = DriftTerms(joint.data, (*joint.drift.terms, term))
+    joint.drift = DriftTerms(joint.data, (*joint.drift.terms, *terms))
     joint.unmodelled_sigma = (0.0, 0.0, 0.0)
     new = np.zeros(joint.drift.size - len(iteration.state.drift))
     iteration.state = replace(iteration.state, drift=np.append(iteration.state.drift, new))

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 _WIDE: Final = 100.0
 """Prior sigma of the coefficients of a form, in units of their estimate: the prior takes 1e-4 of the estimate."""
-MOST_TERMS: Final = 3
-"""Largest number of forms that are selected."""
+MOST_TERMS: Final = 4
+"""Largest number of forms that are modelled: searching ends when as many, or more, have been selected."""
 _UNITS: Final = {"gyro": (DEG_PER_H, "°/h"), "accel": (1e3 * MICRO_G, "mg")}
 _NAMES: Final = {"gyro": "gyro", "accel": "accelerometer"}
 
@@ -134,8 +134,8 @@ def candidates(data: PreparedRecording, present: Sequence[DriftTerm]) -> list[tu
     return [(s, form) for s in sensors for form in data.drift_shapes if (s, form) not in taken]
 
 
-def most_significant(found: Mapping[tuple[Sensor, str], Statistics], tests: int) -> tuple[DriftTerm, float] | None:
-    """Most significant form of drift and its p-value; None if none is significant.
+def most_significant(found: Mapping[tuple[Sensor, str], Statistics], tests: int) -> tuple[DriftTerm, ...]:
+    """Most significant form of drift of each triad, where one is significant.
 
     The probability of selecting any form without drift is at most :data:`~srt.noise.drift_forms.FALSE_ALARM`
     (Bonferroni's inequality): later selections presuppose a first one.
@@ -148,13 +148,13 @@ def most_significant(found: Mapping[tuple[Sensor, str], Statistics], tests: int)
         Number of forms that are tested in the recording, over all sensors.
     """
     results = {key: test for key, statistics in found.items() if (test := drift_test(statistics)) is not None}
-    if not results:
-        return None
-    sensor, form = key = min(results, key=lambda key: results[key].p_value)
-    if results[key].p_value >= FALSE_ALARM / tests:
-        return None
-    sigma = walk_sigma(found[key]) if form == WALK else _WIDE * float(np.abs(results[key].amplitude).max())
-    return DriftTerm(sensor, form, sigma), results[key].p_value
+    out = []
+    for sensor in dict.fromkeys(sensor for sensor, _ in results):
+        key = min((key for key in results if key[0] == sensor), key=lambda key: results[key].p_value)
+        if results[key].p_value < FALSE_ALARM / tests:
+            wide = _WIDE * float(np.abs(results[key].amplitude).max())
+            out.append(DriftTerm(*key, walk_sigma(found[key]) if key[1] == WALK else wide))
+    return tuple(out)
 
 
 def change(form: str, coefficients: Array, windows: Array) -> Array:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-def search(data: PreparedRecording, options: Options, solution: Solution, fixed: Mask) -> DriftTerm | None:
-    """Most significant form of drift that a solution does not model; None if there is none.
+def search(data: PreparedRecording, options: Options, solution: Solution, fixed: Mask) -> tuple[DriftTerm, ...]:
+    """Most significant form of drift of each triad that a solution does not model.
 
     Parameters
     ----------
@@ -35,13 +35,13 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     """
     measurements = solution.measurements
     if measurements.integrals.time_parts is None:
-        return None
+        return ()
     keys = candidates(data, solution.excess.drift)
     scale = 1.0 / np.sqrt(np.diag(solution.measurement_covariance))
     try:
         L = np.linalg.cholesky(solution.measurement_covariance * np.outer(scale, scale))
     except np.linalg.LinAlgError:  # far outside the model the covariance is not positive definite
-        return None
+        return ()
     forms = [key for key in keys if key[0] == "accel"]
     effects = [_effect(data, options, solution, *key) for key in forms]
     columns = [measurements.z[:, None], measurements.H[:, ~fixed], *effects]
@@ -50,8 +50,7 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     found = {key: residual_statistics(z[:, 0], H, Z) for key, Z in zip(forms, effects, strict=True)}
     slope = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
     found |= gyro_statistics(data, slope, measurements.rest_rate, measurements.integrated, solution.excess.drift)
-    best = most_significant(found, len(keys))
-    return None if best is None else best[0]
+    return most_significant(found, len(keys))
 
 
 def gyro_statistics(
@@ -93,17 +92,18 @@ def gyro_statistics(
 
 
 def estimates(
-    data: PreparedRecording, options: Options, solution: Solution, fixed: Mask, unmodelled: DriftTerm | None = None
+    data: PreparedRecording, options: Options, solution: Solution, fixed: Mask, unmodelled: tuple[DriftTerm, ...] = ()
 ) -> tuple[DriftEstimate, ...]:
-    """Estimated drift of the terms of a solution, and of one that it does not model."""
-    terms = [*solution.excess.drift, *([] if unmodelled is None else [unmodelled])]
+    """Estimated drift of the terms of a solution, and of those that it does not model."""
+    terms = [*solution.excess.drift, *unmodelled]
     if not terms:
         return ()
     gyro = _gyro_coefficients(data, solution, [term for term in terms if term.sensor == "gyro"])
     R, z, H = solution.measurement_covariance, solution.measurements.z, solution.measurements.H[:, ~fixed]
     effects = [_effect(data, options, solution, term.sensor, term.form) for term in terms]
-    if unmodelled is not None:
-        R = R + unmodelled.sigma**2 * effects[-1] @ effects[-1].T
+    for term, effect in zip(terms, effects, strict=True):
+        if term in unmodelled:
+            R = R + term.sigma**2 * effect @ effect.T
     scale = 1.0 / np.sqrt(np.diag(R))
     factor = cho_factor(R * np.outer(scale, scale), lower=True)
     H, unit = H * scale[:, None], np.linalg.norm(H * scale[:, None], axis=0)
@@ -117,7 +117,7 @@ def estimates(
         if term.sensor == "gyro":
             coefficients = gyro[term.form]
         size = change(term.form, coefficients, data.drift_shapes[term.form].windows)
-        out.append(DriftEstimate(term.sensor, term.form, size, modelled=term is not unmodelled))
+        out.append(DriftEstimate(term.sensor, term.form, size, modelled=term not in unmodelled))
     return tuple(out)
 
 

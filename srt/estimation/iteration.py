@@ -240,8 +240,11 @@ class Iteration:
         )
         if not self.solver.estimates_earth_rate:
             return measurements
+        wander = self._compensated(measurements)
+        if self.excess.drifting("gyro"):  # the modelled drift is still in the rates at rest
+            wander = np.hypot(wander, measurements.bias_by_sequence.std(axis=0))
         return measurement_covariance.with_earth_rate_regression(
-            measurements, self.data, self._compensated(measurements), self._bias_gain(measurements), draws
+            measurements, self.data, wander, self._bias_gain(measurements), draws
         )
 
     def _update_earth_rate(self, measurements: SrtMeasurements, correction: Array) -> bool:

@@ -127,7 +127,7 @@ def solver_result(
     drift: tuple[DriftEstimate, ...] = ()
     if solution.status == "converged":
         # A solver that models drift has searched for it before.
-        missing = None if models_drift else search(data, options, solution, fixed)
+        missing = () if models_drift else search(data, options, solution, fixed)
         drift = estimates(data, options, solution, fixed, missing)
     diagnostics = g_sensitivity_report.diagnostics(data, solution)
     if drift:

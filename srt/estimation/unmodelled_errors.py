@@ -88,10 +88,10 @@ def iterate_with_unmodelled_errors(
             new = _estimated(solution, data, solver.fixed, present)
         if np.allclose(new.sizes, present.sizes, rtol=0.1, atol=1e-6):
             more = models_drift and len(present.drift) < MOST_TERMS
-            term = search(data, options, solution, solver.fixed) if more else None
-            if term is None:
+            terms = search(data, options, solution, solver.fixed) if more else ()
+            if not terms:
                 break
-            new = Unmodelled(drift=(*present.drift, term))
+            new = Unmodelled(drift=(*present.drift, *terms))
         present = new
         solver = new_solver()
         solution = iterate(

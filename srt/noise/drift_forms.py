@@ -3,7 +3,7 @@
 A form is a function s(t) with a mean of zero over the stationary windows, scaled to a range of one:
 
 - linear in time;
-- warm-up: ``exp(−t / τ)``, with τ an eighth or a third of the recording;
+- warm-up: ``exp(−t / τ)``, with τ a twelfth, a sixth or two fifths of the recording;
 - linear in temperature;
 - random walk: the first functions of its Karhunen-Loève expansion, ``sin((k − 1/2) π t / T)``.
 
@@ -32,7 +32,7 @@ _WALK_TERMS: Final = 12
 """Terms of the random walk; the omitted ones have at most 2 / (12 π²), 1.7 %, of its variance at the end."""
 TESTED_TERMS: Final = 3
 """Terms of the random walk in its test: they have 93 % of its variance."""
-_WARM_UP: Final = {"fast warm-up": 1.0 / 8.0, "warm-up": 1.0 / 3.0}
+_WARM_UP: Final = {"fast warm-up": 1.0 / 12.0, "warm-up": 1.0 / 6.0, "slow warm-up": 0.4}
 """Time constants of the warm-up by name, as a share of the recording."""
 _SEEN: Final = 1e-10
 """Eigenvalue of the information, relative to the largest, below which a coefficient is not testable."""

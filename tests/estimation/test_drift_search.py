@@ -32,7 +32,8 @@ def test_shapes_are_means_over_the_intervals():
     """Against means of fine samples; each form has a mean of zero over the windows and, but for the walk, range one."""
     intervals = Intervals(START, END, 3, (1, 2), None)
     t = np.linspace(0.0, 1.0, 200_001)
-    functions = {"linear": t[:, None], "warm-up": np.exp(-3.0 * t)[:, None], "fast warm-up": np.exp(-8.0 * t)[:, None]}
+    functions = {"linear": t[:, None], "warm-up": np.exp(-6.0 * t)[:, None], "fast warm-up": np.exp(-12.0 * t)[:, None]}
+    functions["slow warm-up"] = np.exp(-2.5 * t)[:, None]
     order = (np.arange(12) + 0.5) * np.pi
     functions[WALK] = np.sqrt(2.0) * np.sin(t[:, None] * order) / order
     shapes = drift_shapes(intervals)
@@ -164,6 +165,6 @@ def test_warm_up_and_temperature_are_told_apart():
     warm = changed.accel + (temperature[:, None] - 25.0) * np.array([1.0, 0.5, -1.0]) * MG
     found = srt.calibrate(replace(changed, accel=warm, temperature=temperature), "least-squares", checks=False)
     assert found.diagnostics["drift"][0]["form"] == "temperature"
-    course = np.exp(-share / 0.125)[:, None] * np.array([3.0, -4.0, 2.0]) * MG
+    course = np.exp(-share * 12.0)[:, None] * np.array([3.0, -4.0, 2.0]) * MG
     found = srt.calibrate(replace(changed, accel=changed.accel + course), "least-squares", checks=False)
     assert found.diagnostics["drift"][0]["form"] == "fast warm-up"
