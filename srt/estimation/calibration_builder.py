@@ -56,7 +56,8 @@ def build_calibration(
     observed = np.array([name not in fixed for name in NAMES])
     mask = np.outer(observed, observed)
     inflation = _birge_ratio(result)
-    total = sum(result.covariance.values()) if result.total is None else result.total
+    drifted = _drifted_bias(data, result)
+    total = drifted + (sum(result.covariance.values()) if result.total is None else result.total)
     clock = clock_effect(data)
     # An error of the time scale is common to all measurements: the residuals do not show it, so the Birge ratio does
     # not include it.
@@ -78,7 +79,9 @@ def build_calibration(
         held={name: fixed[name] for name in NAMES if name in fixed},
         contributions={
             source: np.where(observed, np.sqrt(np.maximum(np.diag(P), 0.0)) * inflation, 0.0)
-            for source, P in result.covariance.items()
+            for source, P in (
+                {**result.covariance, "gyro_drift": drifted} if drifted.any() else result.covariance
+            ).items()
         }
         | ({"clock": np.where(observed, np.abs(clock), 0.0)} if clock.any() else {}),
         U=None if data.nominal is None else result.U,
@@ -113,6 +116,20 @@ def clock_effect(data: PreparedRecording) -> Array:
         out[GROUP_SLICES["gyro_scale"]] = sigma
     else:
         out[GROUP_SLICES["accel_scale"]] = -sigma
+    return out
+
+
+def _drifted_bias(data: PreparedRecording, result: SolverResult) -> Array:
+    """Covariance of the gyro bias by a modelled drift, shape (27, 27), where no bias instability is stated.
+
+    The bias of this test is one sample of that of the unit. A steady change c has the standard deviation c/√12.
+    """
+    out = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    if data.noise.gyro_flicker is None:
+        at = np.r_[GROUP_SLICES["gyro_bias"]]
+        for term in result.drift:
+            if term.modelled and term.sensor == "gyro":
+                out[at, at] += term.change**2 / 12.0
     return out
 
 
