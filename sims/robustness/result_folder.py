@@ -225,7 +225,7 @@ class ResultFolder:
             path.unlink(missing_ok=True)
 
     def _parts(self) -> list[Path]:
-        return sorted((self.folder / "parts").glob("part-*.parquet"))
+        return sorted((self.folder / "parts").glob(f"part-{'[0-9]' * 6}.parquet"))
 
     def _read(self, path: Path, columns: list[str] | None = None) -> pa.Table:
         try:

@@ -6,11 +6,11 @@ library, or a path relative to the scenario, is read first and the section's own
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Final
 
 from srt.exceptions import InputError
+from srt.recording import toml_text
 
 FOLDERS: Final = ("imu", "fixture", "site", "scenario", "robustness", "plan")
 """Folders of the library."""
@@ -73,10 +73,10 @@ def find(folder: str, name_or_path: str | Path, *, near: Path | None = None) -> 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file. Raises InputError if it cannot be read or is not TOML."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return toml_text.read_toml(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise InputError(f"{path} is not valid TOML: {error}.") from error
 
 

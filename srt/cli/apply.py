@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from srt.cli.messages import show, warn
-from srt.cli.output_paths import SAMPLES_FORMATS, check_directory, check_file, recording_folder
+from srt.cli.output_paths import SAMPLES_FORMATS, check_file, check_recording_target, recording_folder
 from srt.cli.stream import NAMES, STANDARD, run_stream, stream_options
 from srt.exceptions import InputError
 
@@ -164,9 +164,7 @@ def check_output(folder: Path, recording: Path, *, overwrite: bool) -> None:
     """
     if folder.resolve() == recording_folder(recording).resolve():
         raise InputError(f"The folder {folder} holds the recording itself: name another.")
-    check_directory(folder)
-    if folder.is_dir() and not overwrite and any(folder.iterdir()):
-        raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
+    check_recording_target(folder, overwrite=overwrite)
 
 
 def load_fit(path: Path, *, force: bool, trust: bool) -> Calibration:

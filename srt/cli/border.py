@@ -24,6 +24,8 @@ INTERRUPTED: Final = 128 + 2
 BROKEN_PIPE: Final = 128 + 13
 """Exit code after SIGPIPE, as a shell reports it."""
 
+_NO_DIRECTORY: Final = "The working directory does not exist any more: change to another one."
+
 
 class TerminatedError(KeyboardInterrupt):
     """Interruption by SIGTERM or SIGHUP; it takes the way of Ctrl-C, so that temporary files are removed."""
@@ -72,7 +74,8 @@ def _sentences(work: Callable[[], int]) -> int:
         say(f"{error.format_message().rstrip('.')}: see '{path} --help'.")
         return error.exit_code
     except (click.ClickException, SrtError) as error:
-        say(error.format_message() if isinstance(error, click.ClickException) else str(error))
+        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        say(text if _has_working_directory() else _NO_DIRECTORY)  # the cause of the other sentence
         return error.exit_code
     except BrokenPipeError:
         raise
@@ -87,7 +90,7 @@ def _sentences(work: Callable[[], int]) -> int:
 def limit_sentence(error: Exception) -> str | None:
     """Sentence for an error of the machine or a limit of Python; None for any other error."""
     if isinstance(error, FileNotFoundError) and not _has_working_directory():
-        return "The working directory does not exist any more: change to another one."
+        return _NO_DIRECTORY
     if isinstance(error, OSError):
         place = "" if error.filename is None else f" with {error.filename}"
         return f"The operating system refused to work{place} ({error.strerror or error}): check disk and permissions."

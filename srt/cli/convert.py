@@ -9,7 +9,7 @@ import click
 
 from srt.cli.grouped_command import GroupedCommand, RenamedOption
 from srt.cli.messages import show
-from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
+from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
 from srt.exceptions import DataError, InputError
 
 if TYPE_CHECKING:
@@ -202,13 +202,11 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
     InputError
         A folder that cannot be created, that is not empty, or in which the source itself would be replaced.
     """
-    check_directory(folder)
+    check_recording_target(folder, overwrite=overwrite)
     samples = (folder / f"samples.{samples_format}").resolve()
     for path in (source, second):
         if path is not None and path.resolve() == samples:
             raise InputError(f"{path} would be replaced by its own conversion: name another folder than {folder}.")
-    if folder.is_dir() and not overwrite and any(folder.iterdir()):
-        raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
 
 
 def check_gravity(recording: Recording, source: Path) -> None:

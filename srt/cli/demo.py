@@ -9,8 +9,8 @@ import click
 from srt.cli.calibrate import report_problems, run_job
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import show, warn
-from srt.cli.output_paths import check_directory, make_directory, require_matplotlib
-from srt.cli.simulate import check_target, run_scenario, summary, write_simulation
+from srt.cli.output_paths import check_directory, check_recording_target, make_directory, require_matplotlib
+from srt.cli.simulate import run_scenario, summary, write_simulation
 from srt.exceptions import MissingExtraError
 
 SCENARIO = "demo"
@@ -40,7 +40,7 @@ def demo(output: Path, seed: int | None, quiet: bool) -> int:
     folder = output / "recording"
     check_directory(output)
     # A recording with a truth beside it was simulated and can be replaced; any other is kept.
-    check_target(folder, overwrite=(folder / NAME).is_file())
+    check_recording_target(folder, overwrite=(folder / NAME).is_file())
     plot: Path | None = output / "calibration.png"
     try:
         require_matplotlib()

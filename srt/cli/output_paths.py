@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError, MissingExtraError
-from srt.recording.atomic_file import unwritable
+from srt.recording.atomic_file import remove_leftovers, unwritable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,6 +62,20 @@ def check_directory(path: Path) -> None:
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
     _check_folder(existing, path)
+
+
+def check_recording_target(folder: Path, *, overwrite: bool) -> None:
+    """Check that a recording can be written to a folder, before the work; remove what a killed run left there.
+
+    Raises
+    ------
+    InputError
+        A folder that cannot be written to, or, without ``overwrite``, one with files in it.
+    """
+    check_directory(folder)
+    remove_leftovers(folder)
+    if folder.is_dir() and not overwrite and any(folder.iterdir()):
+        raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
 
 
 def make_directory(path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from srt.cli.messages import say, show
-from srt.cli.output_paths import check_directory, check_file
+from srt.cli.output_paths import check_directory, check_file, check_recording_target
 from srt.cli.progress import count_progress
 from srt.exceptions import InputError
 
@@ -145,9 +145,9 @@ def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -
     show("\n".join(f"{key} = {value}" for key, value in values.items()))
     if output is not None:
         from sims import simulate
-        from srt.cli.simulate import check_target, write_simulation
+        from srt.cli.simulate import write_simulation
 
-        check_target(output, overwrite=False)
+        check_recording_target(output, overwrite=False)
         write_simulation(simulate(scenario), output, samples_format=scenario.recording.format, overwrite=False)
         show(f"Written: {output}; 'srt calibrate {output} --truth {output / 'truth.json'}' tries it again.")
     rows = [("estimator", "outcome", "iterations", "largest error / sigma", "message")]

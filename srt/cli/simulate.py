@@ -10,8 +10,7 @@ import click
 
 from srt.cli.grouped_command import RenamedOption
 from srt.cli.messages import show
-from srt.cli.output_paths import SAMPLES_FORMATS, check_directory
-from srt.exceptions import InputError
+from srt.cli.output_paths import SAMPLES_FORMATS, check_recording_target
 
 if TYPE_CHECKING:
     from sims import Scenario, Simulation
@@ -41,20 +40,13 @@ def simulate(
     import sims
 
     chosen = sims.load_scenario(scenario)
-    check_target(output, overwrite=overwrite)
+    check_recording_target(output, overwrite=overwrite)
     simulation = run_scenario(chosen, seed)
     samples_format = samples_format or chosen.recording.format
     write_simulation(simulation, output, samples_format=samples_format, overwrite=overwrite)
     if not quiet:
         show(summary(simulation, output, samples_format))
     return 0
-
-
-def check_target(folder: Path, *, overwrite: bool) -> None:
-    """Raise InputError if the folder cannot be written to, before the simulation."""
-    check_directory(folder)
-    if folder.is_dir() and not overwrite and any(folder.iterdir()):
-        raise InputError(f"The folder {folder} holds files already: name another, or add --overwrite.")
 
 
 def run_scenario(scenario: Scenario, seed: int | None) -> Simulation:

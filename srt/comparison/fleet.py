@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.result.calibration import Calibration
 
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
+"""Beginnings of a text that spreadsheets take for a formula."""
 FORMAT: Final = "srt-fleet"
 VERSION: Final = 1
 FAILED: Final = "failed"
@@ -138,7 +140,10 @@ class Fleet:
                 yield {**about, "parameter": name, "unit_si": UNITS[i], **known, "flagged": mark}
 
     def to_csv(self) -> str:
-        """Long table as CSV; unknown values are empty cells."""
+        """Long table as CSV; unknown values are empty cells.
+
+        An apostrophe precedes texts that a spreadsheet would compute as a formula.
+        """
         text = io.StringIO()
         self._write_rows(text)
         return text.getvalue()
@@ -151,7 +156,7 @@ class Fleet:
     def _write_rows(self, file: TextIO) -> None:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(self.rows())
+        writer.writerows({key: _cell(value) for key, value in row.items()} for row in self.rows())
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form: units, parameters and the long table, without NaN."""
@@ -332,6 +337,11 @@ def _run(tasks: Sequence[UnitTask], engine: Engine | None) -> Iterator[tuple[int
             yield next(iter(engine.run(calibrate_unit, [task])))
         except DataError as error:
             yield number, FleetUnit(task.name, task.recording, None, FAILED, str(error), error.exit_code)
+
+
+def _cell(value: Any) -> Any:
+    """Value of a CSV cell: a spreadsheet does not compute a text that comes from a file or its name."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
 
 def _number(value: float) -> float | None:

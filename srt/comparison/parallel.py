@@ -8,9 +8,11 @@ many share it, and threads of neighbours only wait for one another.
 from __future__ import annotations
 
 import os
+import threading
+import time
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from srt.exceptions import DataError, InputError, MissingExtraError
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
 
 _AHEAD: Final = 4
 """Number of tasks submitted ahead for each worker: no worker waits, and the memory stays constant."""
+_MOST_PER_CORE: Final = 16
+"""Largest number of processes for each core: more only use up memory, and starting them alone takes minutes."""
+_PARENT_S: Final = 1.0
+"""Time between two looks of a worker for the process that started it, s."""
 _CONNECT_S: Final = 10.0
 """Time allowed for the connection to a Dask scheduler, s."""
 
@@ -41,7 +47,7 @@ class Engine:
     Raises
     ------
     InputError
-        Fewer workers than none.
+        Fewer workers than none, or many more than cores.
     """
 
     workers: int = 1
@@ -50,6 +56,12 @@ class Engine:
     def __post_init__(self) -> None:
         if self.workers < 0:
             raise InputError(f"The number of workers is {self.workers}; give 1 or more, or 0 for one on each core.")
+        most = _MOST_PER_CORE * (os.cpu_count() or 1)
+        if self.scheduler is None and self.workers > most:
+            raise InputError(
+                f"The number of workers is {self.workers}, but this machine has {os.cpu_count() or 1} cores: give at "
+                f"most {most}, or 0 for one on each core."
+            )
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Results as they come, in no particular order.
@@ -80,6 +92,27 @@ class Engine:
             return _on_cluster(call, tasks, self.scheduler)
         workers = self.workers or os.cpu_count() or 1
         return (call(task) for task in tasks) if workers == 1 else _on_this_machine(call, tasks, workers)
+
+
+def _of_parent(parent: int, call: Callable[[T], R], task: T) -> R:
+    """Call a function in a worker that ends when its parent has ended."""
+    _end_with(parent)
+    return call(task)
+
+
+@cache
+def _end_with(parent: int) -> None:
+    """Start a thread that ends this process once its parent has ended, as by SIGKILL, which no handler sees.
+
+    Where the system does not give orphans another parent (Windows), idle workers end by themselves after minutes.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def single_threaded(function: Callable[[T], R], task: T) -> R:
@@ -116,7 +149,7 @@ def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: in
             n_jobs=workers, return_as="generator_unordered", batch_size=1, pre_dispatch=_AHEAD * workers
         )
         try:
-            yield from parallel(delayed(call)(task) for task in tasks)
+            yield from parallel(delayed(_of_parent)(os.getpid(), call, task) for task in tasks)
         except TerminatedWorkerError:
             raise DataError(
                 "A worker process was ended from outside or ran out of memory: what finished before is kept; "

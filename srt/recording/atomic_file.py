@@ -3,15 +3,55 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
+import socket
+import zlib
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from srt.exceptions import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+_LEFTOVER: Final = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.tmp(\.\w+)?")
+"""Name of a temporary file: that of its target, the machine and process that write it, and a random number."""
+
+
+@cache
+def _machine() -> str:
+    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files of processes of this machine that were killed; of living ones and others, none."""
+    if os.name == "nt":  # the only question about a process that POSIX answers and Windows does not
+        return
+    with suppress(OSError):
+        for path in folder.glob(".*.tmp*"):
+            found = _LEFTOVER.fullmatch(path.name)
+            if found is not None and found[1] == _machine() and not _lives(int(found[2])):
+                path.unlink(missing_ok=True)
+
+
+@cache
+def _remove_leftovers_once(folder: Path) -> None:
+    """Remove leftovers at the first writing to a folder: a fleet writes thousands of files to one."""
+    remove_leftovers(folder)
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 @contextmanager
@@ -35,7 +75,9 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     # A symbolic link remains, and its target is replaced.
     target = Path(os.path.realpath(path))
-    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.tmp{target.suffix}")
+    _remove_leftovers_once(target.parent)
+    mark = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
+    temporary = target.with_name(f".{target.stem}.{mark}.tmp{target.suffix}")
     try:
         yield temporary
         # Without it, a power failure after the renaming could leave an empty file under the final name.

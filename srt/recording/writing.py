@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from srt.exceptions import InputError, did_you_mean
-from srt.recording.atomic_file import atomic_write_text, unwritable
+from srt.recording.atomic_file import atomic_write_text, remove_leftovers, unwritable
 from srt.recording.folder import TOML_NAME, read_document
 from srt.recording.samples import SAMPLES_FORMATS, Samples, write_samples
 from srt.recording.schema import (
@@ -128,6 +128,7 @@ def _prepare(folder: Path, *, overwrite: bool) -> bool:
         if folder.exists():
             if not folder.is_dir():
                 raise InputError(f"{folder} is a file, but a recording is a folder: name another place.")
+            remove_leftovers(folder)
             if any(folder.iterdir()) and not overwrite:
                 raise InputError(f"The folder {folder} holds files already: name another, or allow overwriting.")
             return False

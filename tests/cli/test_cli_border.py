@@ -13,6 +13,7 @@ import pytest
 
 from srt.cli import main
 from srt.cli.messages import figure_title, printable
+from srt.recording.atomic_file import atomic_path, remove_leftovers
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="signals and streams of POSIX")
 SRT = [sys.executable, "-m", "srt.cli"]
@@ -100,6 +101,51 @@ def test_a_deleted_working_directory_is_one_sentence(tmp_path):
     script = f"mkdir gone && cd gone && rmdir ../gone && {sys.executable} -P -m srt.cli calibrate unit"
     done = subprocess.run(["/bin/sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     one_sentence(done, 2)
+
+
+@POSIX
+def test_a_deleted_working_directory_is_the_cause_of_what_cannot_be_read(recording, tmp_path):
+    """Readers of samples ask for the working directory even for absolute paths."""
+    script = f"mkdir gone && cd gone && rmdir ../gone && {sys.executable} -P -m srt.cli calibrate {recording} -q"
+    done = subprocess.run(["/bin/sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 0 or done.stderr.startswith("srt: The working directory does not exist any more")
+
+
+@pytest.mark.parametrize("command", ["simulate", "robustness", "plan"])
+def test_long_keys_are_refused_at_once_by_every_command_that_reads_toml(command, tmp_path, capfd):
+    """Python's own reader takes minutes for this line."""
+    file = tmp_path / "x.toml"
+    file.write_text(".".join(["a"] * 100_000) + " = 1\n")
+    began = time.monotonic()
+    assert main([command, str(file), "-o", str(tmp_path / "out.toml")]) == 2
+    assert time.monotonic() - began < 10.0
+    assert "has more than 32 parts" in capfd.readouterr().err
+
+
+@POSIX
+def test_leftovers_of_a_killed_run_are_removed_by_the_next(tmp_path):
+    """Killed between the writing of a temporary file and its renaming; the file of a living process remains."""
+    folder = tmp_path / "unit"
+    folder.mkdir()
+    script = (
+        "import os, signal, sys\nfrom pathlib import Path\nfrom srt.recording.atomic_file import atomic_path\n"
+        "with atomic_path(sys.argv[1]) as temporary:\n temporary.write_bytes(b'x')\n"
+        " os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(folder / "samples.npz")], check=False)
+    (left,) = folder.iterdir()
+    assert left.name.startswith(".samples.")
+    with atomic_path(tmp_path / "unit" / "other.npz") as living:
+        living.write_bytes(b"y")
+        assert list(folder.iterdir()) == [living]  # the first writing to the folder removed the leftover
+        remove_leftovers(folder)
+        assert living.exists()
+    (folder / "other.npz").unlink()
+    subprocess.run([sys.executable, "-c", script, str(folder / "samples.npz")], check=False)
+    assert len(list(folder.iterdir())) == 1
+    assert main(["simulate", "noise-free", "-o", str(folder), "-q"]) == 0  # a folder with leftovers alone is empty
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
 
 @pytest.mark.parametrize(

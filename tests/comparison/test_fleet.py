@@ -245,6 +245,15 @@ def test_a_unit_that_kills_its_worker_stops_no_other(tmp_path):
     assert all(row["status"] == "failed" and row["value"] == "" for row in rows)
 
 
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(1)", "\t=1"])
+def test_names_are_no_formulas_in_a_spreadsheet(tmp_path, name):
+    fleet = calibrate_fleet({name: tmp_path / "none"})
+    (row,) = csv.DictReader(io.StringIO(fleet.to_csv()))
+    assert row["unit"] == "'" + name
+    assert row["message"] == fleet.units[0].message
+    assert fleet.to_dict()["units"][0]["name"] == name  # JSON is not opened by spreadsheets
+
+
 def test_a_defect_of_the_program_is_one_units_own(tmp_path, monkeypatch):
     def defect(path):
         raise ZeroDivisionError("of\nzero")

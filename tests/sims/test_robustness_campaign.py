@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -400,6 +401,53 @@ def test_no_scheduler_is_said(small, tmp_path, monkeypatch):
 def test_workers_cannot_be_negative():
     with pytest.raises(InputError, match="-1"):
         Engine(-1)
+
+
+def test_far_more_workers_than_cores_are_refused():
+    with pytest.raises(InputError, match="100000, but this machine has"):
+        Engine(100_000)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+def test_workers_end_with_their_parent(tmp_path):
+    """A parent killed outright cannot end its workers: they look for it."""
+    (tmp_path / "waiting.py").write_text(
+        "import os, pathlib, sys, time\nfrom srt.comparison.parallel import Engine\n"
+        "def wait(i):\n    pathlib.Path(__file__).with_name(f'{os.getpid()}.pid').touch()\n    time.sleep(60.0)\n"
+    )
+    script = "import waiting; list(waiting.Engine(2).run(waiting.wait, range(2)))"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, env=environment)
+    deadline = time.monotonic() + 60.0
+    try:
+        while len(list(tmp_path.rglob("*.pid"))) < 2:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        process.wait()
+    workers = [int(path.stem) for path in tmp_path.rglob("*.pid")]
+    while any(_runs(worker) for worker in workers):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def _runs(process):
+    """A process that has not ended; zombies that wait for init to collect them have."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_a_foreign_file_among_the_parts_is_left_alone(small, tmp_path):
+    campaign = small(trials=2)
+    whole = run_campaign(campaign, tmp_path / "a")
+    foreign = tmp_path / "a" / "parts" / "part-notes.parquet"
+    foreign.write_bytes(b"notes")
+    assert run_campaign(campaign, tmp_path / "a").equals(whole)
+    assert foreign.read_bytes() == b"notes"
 
 
 def die(_):

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import datetime
 import math
-import tomllib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.exceptions import InputError, clipped, did_you_mean
+from srt.recording.toml_text import read_toml
 from srt.reports.certificate.tables import CertificateCell, CertificateTable, plain
 from srt.sensor_errors import GROUP_SLICES
 
@@ -82,10 +82,10 @@ def load_laboratory(path: Path) -> Laboratory:
         A file that cannot be read, an unknown section or key, or a value that is no text.
     """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = read_toml(path)
     except OSError as error:
         raise InputError(f"The laboratory {path} cannot be read: {error.strerror}.") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(f"The laboratory {path} is not valid TOML: {clipped(str(error), 120)}.") from None
     known = (*SECTIONS, "equipment", "references")
     for name in document:
