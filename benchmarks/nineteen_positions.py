@@ -2,8 +2,7 @@
 
 Recordings by ``benchmarks/foreign_motion.py``: 18 rotations of 90 degrees in 9 s with soft ends, rests of 20 s (60 s at
 first), 100 Hz, 0.001 °/√h and 10 µg/√Hz, heading unknown; without and with quadratic terms, lever arms and lag of the
-accelerometers. The bound is computed here from the motion alone: its unknowns are the estimated errors, gravity, the
-heading and the attitude of every rest; its measurements the mean readings of the rests and the integrated rotations.
+accelerometers. The bound is computed from the motion alone (``benchmarks/motion_bound.py``).
 PSINS' figures are one draw of its own demonstration with the same noise, under Octave.
 """
 
@@ -18,7 +17,6 @@ from time import perf_counter
 import numpy as np
 from foreign_motion import (
     DEG,
-    EARTH_RATE_RAD_S,
     GRAVITY_M_S2,
     NINETEEN_START_DEG,
     PSINS_EXTRAS,
@@ -27,10 +25,11 @@ from foreign_motion import (
     nineteen_positions,
     recording,
 )
+from motion_bound import Chain, Conditions, Leg, motion_bound
 from scipy.spatial.transform import Rotation
 
 import srt
-from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
+from srt.sensor_errors import GROUP_SLICES, NAMES
 
 SEED = 20261122
 GRADE = Grade(0.001 * DEG / 60.0, 10e-6 * 9.80665, 3e-5, 1.5e-4, 0.2 * DEG / 3600.0, 2e-3)
@@ -51,89 +50,17 @@ CASES = {  # extras, parameters fixed
 
 
 def bound(fixed: tuple[str, ...]) -> np.ndarray:
-    """Cramér-Rao bound of the 27 errors, 1-sigma, zero for those that are fixed; about a unit without errors."""
+    """Cramér-Rao bound of the 27 errors, 1-sigma, zero for those that are fixed."""
     turns, first_rest_s = nineteen_positions()
-    free = [n for n in NAMES if not n.startswith(fixed)]
-    durations = [first_rest_s, *(turn.rest_s for turn in turns)]
-    attitude = Rotation.from_euler("ZYX", NINETEEN_START_DEG, degrees=True)
-    earth = EARTH_RATE_RAD_S * np.array([np.cos(LATITUDE_RAD), 0.0, -np.sin(LATITUDE_RAD)])
-    n_errors, W = len(free), len(durations)
-    n = n_errors + 2 + 3 * W  # errors, gravity, heading, attitudes as small rotations in the body
-    information = np.zeros((n, n))
-    information[n_errors, n_errors] = 1.0 / GRAVITY_SIGMA_M_S2**2
-
-    def add(rows: np.ndarray, sigma: float) -> None:
-        nonlocal information
-        information += rows.T @ rows / sigma**2
-
-    for w, T in enumerate(durations):
-        at = slice(n_errors + 2 + 3 * w, n_errors + 5 + 3 * w)
-        down, rate = attitude.inv().apply([0.0, 0.0, 1.0]), attitude.inv().apply(earth)
-        force = -GRAVITY_M_S2 * down
-        rows = np.zeros((3, n))
-        rows[:, :n_errors] = by_errors(free, "accel", force)
-        rows[:, n_errors], rows[:, at] = -down, cross(force)
-        add(rows, GRADE.accel_m_s2_sqrt_s / np.sqrt(T))
-        rows = np.zeros((3, n))
-        rows[:, :n_errors] = by_errors(free, "gyro", rate)
-        rows[:, n_errors + 1] = attitude.inv().apply(np.cross([0.0, 0.0, 1.0], earth))
-        rows[:, at] = cross(rate)
-        add(rows, GRADE.gyro_rad_per_sqrt_s / np.sqrt(T))
-        if w == len(turns):
-            break
-        turn = turns[w]
-        axis = np.array(turn.axis)
-        s = (np.arange(400) + 0.5) / 400
-        angle = 0.5 * (1.0 - np.cos(np.pi * s)) * turn.angle_rad
-        speed = 0.5 * np.pi * np.sin(np.pi * s) * turn.angle_rad / turn.duration_s
-        turned = Rotation.from_rotvec(angle[:, None] * axis)
-        C = turned.as_matrix()
-        step = turn.duration_s / len(s)
-        after = Rotation.from_rotvec(turn.angle_rad * axis)
-        rows = np.zeros((3, n))
-        for R, v in zip(C, speed, strict=True):
-            rate = v * axis + (attitude * Rotation.from_matrix(R)).inv().apply(earth)
-            rows[:, :n_errors] += R @ by_errors(free, "gyro", rate) * step
-        # Rotation between the rests in start axes: φ = δA_End (carried to the start) − δA_Strt + turned Earth heading.
-        rows[:, at] -= np.eye(3)
-        rows[:, at.stop : at.stop + 3] = after.as_matrix()
-        rows[:, n_errors + 1] += attitude.inv().apply(np.cross([0.0, 0.0, 1.0], earth)) * turn.duration_s
-        add(rows, GRADE.gyro_rad_per_sqrt_s * np.sqrt(turn.duration_s))
-        attitude = attitude * after
-    scale = 1.0 / np.sqrt(np.diag(information))
-    # One combination is free: the heading of all attitudes, with that of the Earth rate. It shows no error.
-    covariance = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13, hermitian=True)
-    out = np.zeros(len(NAMES))
-    out[[INDEX[name] for name in free]] = (np.sqrt(np.diag(covariance)) * scale)[:n_errors]
-    return out
-
-
-def cross(v: np.ndarray) -> np.ndarray:
-    """Derivative of components in the body, Aᵀ v, with respect to a small rotation behind A: v ×."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def by_errors(free: list[str], sensor: str, v: np.ndarray) -> np.ndarray:
-    """Derivative of a reading of v with respect to the free errors, shape (3, n)."""
-    out = np.zeros((3, len(free)))
-    for j, name in enumerate(free):
-        group, _, axes = name.rpartition("_")
-        if not group.startswith(sensor):
-            continue
-        i = "xyz".index(axes[0])
-        kind = group.removeprefix(sensor + "_")
-        if kind == "bias":
-            out[i, j] = 1.0
-        elif kind == "scale":
-            out[i, j] = v[i]
-        elif kind == "asymmetry":
-            out[i, j] = abs(v[i])
-        else:
-            k = "xyz".index(axes[1])
-            out[i, j] = v[k] if kind == "misalignment" else 0.5 * v[k]
-            if kind == "orthogonality":
-                out[k, j] = 0.5 * v[i]
-    return out
+    chain = Chain(
+        Rotation.from_euler("ZYX", NINETEEN_START_DEG, degrees=True),
+        [first_rest_s, *(turn.rest_s for turn in turns)],
+        [[Leg(np.array(turn.axis), turn.angle_rad, turn.duration_s)] for turn in turns],
+    )
+    conditions = Conditions(
+        GRADE.gyro_rad_per_sqrt_s, GRADE.accel_m_s2_sqrt_s, GRAVITY_M_S2, GRAVITY_SIGMA_M_S2, LATITUDE_RAD
+    )
+    return motion_bound([chain], conditions, [n for n in NAMES if not n.startswith(fixed)])
 
 
 def study(

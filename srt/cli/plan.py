@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from sims.scenarios.plan_file import PlanFile
+    from srt.planning.plan import Plan
 
 _SHEET_SUFFIXES: Final = (".md",)
 _SCENARIO_SUFFIXES: Final = (".toml",)
@@ -45,6 +46,12 @@ class PlanFiles(NamedTuple):
 )
 @click.option("--table-1", is_flag=True, help="Compare with the 17 sequences of Table 1 in the same time.")
 @click.option(
+    "--compare",
+    multiple=True,
+    metavar="PROTOCOL",
+    help="Compare with a protocol in the same time: a shipped one (srt list protocols), or FILE.toml.",
+)
+@click.option(
     "--after",
     type=click.Path(path_type=Path),
     metavar="CALIBRATION",
@@ -65,6 +72,7 @@ def plan(
     document: Path | None,
     plot: Path | None,
     table_1: bool,
+    compare: tuple[str, ...],
     after: Path | None,
     sequence: str | None,
     trust: bool,
@@ -78,6 +86,7 @@ def plan(
     Exit codes: 0 all targets are met; 1 some are not, or cannot be; 2 wrong usage or unreadable input.
     """
     import sims.scenarios.plan_file as files
+    from srt.recording.protocol import load_protocol
 
     for path, suffixes, what in (
         (output, _SCENARIO_SUFFIXES, "The schedule"),
@@ -87,6 +96,8 @@ def plan(
     ):
         if path is not None:
             check_file(path, suffixes, what)
+    for name in compare:
+        load_protocol(name)
     if total_time is not None and not (math.isfinite(total_time) and total_time > 0.0):
         raise InputError(f"--total-time is {total_time:g}: give a positive number of seconds.")
     chosen = files.load_plan_file(plan_file)
@@ -97,17 +108,19 @@ def plan(
         print_signature(chosen, sequence)
         return 0
     if after is not None:
-        if any(given is not None for given in (output, sheet, document, plot)) or table_1:
+        if any(given is not None for given in (output, sheet, document, plot)) or table_1 or compare:
             raise InputError("--after proposes single sequences and writes no plan: leave the other options out.")
         with one_thread("sims"):
             return propose(chosen, after, trust=trust, quiet=quiet)
     if plot is not None:
         require_matplotlib()
     with one_thread("sims"):
-        return make(chosen, PlanFiles(output, sheet, document, plot), table_1=table_1, quiet=quiet)
+        return make(chosen, PlanFiles(output, sheet, document, plot), compare, table_1=table_1, quiet=quiet)
 
 
-def make(chosen: PlanFile, files: PlanFiles, *, table_1: bool, quiet: bool) -> int:
+def make(
+    chosen: PlanFile, files: PlanFiles, compare: tuple[str, ...] = (), *, table_1: bool = False, quiet: bool
+) -> int:
     """Make a plan, write the files that are asked for, and print it."""
     import srt
     from sims.scenarios.plan_file import scenario_toml
@@ -142,11 +155,22 @@ def make(chosen: PlanFile, files: PlanFiles, *, table_1: bool, quiet: bool) -> i
             except InputError as error:
                 comparison = "\n".join(wrap(f"Table 1 is no alternative: {error}"))
             show(comparison)
+        if compare:
+            show("\n\n".join(compare_with(name, chosen, found) for name in compare))
     announce(*files, quiet=quiet)
     if found.unmet:
         say(unmet_targets_text(found))
         return 1
     return 0
+
+
+def compare_with(name: str, chosen: PlanFile, found: Plan) -> str:
+    """Sentence on a protocol in the time of a plan."""
+    from sims.accuracy.protocol_accuracy import protocol_accuracy
+    from srt.planning.plan_text import protocol_text
+
+    rival = protocol_accuracy(name, chosen, found.total_s)
+    return protocol_text(found, rival.name, rival.sigma, on_fixture=rival.on_fixture)
 
 
 def print_signature(chosen: PlanFile, text: str) -> None:

@@ -120,7 +120,11 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
     force = data.windows.accel_mean
     vertical = np.concatenate([down, down_end])
     readings = np.concatenate([force[start], force[data.end[labelled]]])
-    Ma, accel_bias = _fit_triad(-data.gravity * vertical, readings, data.gravity, with_bias=True)
+    specific_force = -data.gravity * vertical
+    accel_bias = _fit_triad(specific_force, readings, data.gravity, with_bias=True)[1]
+    # An asymmetry enters the misalignments where the poses of an axis are not alike in number up and down. With that of
+    # the own axis, the matrix is free of it, but the bias rests on the poses in which the axis is horizontal.
+    Ma = np.stack([_fit_own_asymmetry(specific_force, readings, data.gravity, i) for i in range(3)])
     if np.linalg.det(Mg) > 0.0 and np.linalg.det(Ma) <= 0.0:
         raise DataError(
             "The accelerometers come out left-handed against the gyros: " + _wrong_axes(Ma, "accelerometer")
@@ -198,6 +202,14 @@ def _fit_triad(x: Array, y: Array, scale: float = 1.0, *, with_bias: bool = Fals
     A, target = np.concatenate([design, _RIDGE * np.eye(n)]), np.concatenate([y / scale, _RIDGE * np.eye(n, 3)])
     solution = np.linalg.lstsq(A, target, rcond=None)[0]
     return solution[:3].T, solution[3] * scale if with_bias else np.zeros(3)
+
+
+def _fit_own_asymmetry(x: Array, y: Array, scale: float, axis: int) -> Array:
+    """Row m of an axis in y = m x + bias + asymmetry · |x| of the own axis, with a weak prior, shape (3,)."""
+    own = np.abs(x[:, axis, None]) / scale
+    A = np.concatenate([np.hstack([x / scale, np.ones((len(x), 1)), own]), _RIDGE * np.eye(5)])
+    target = np.concatenate([y[:, axis] / scale, _RIDGE * np.eye(5)[axis]])
+    return np.asarray(np.linalg.lstsq(A, target, rcond=None)[0][:3])
 
 
 def _wrong_axes(M: Array, sensor: str) -> str:

@@ -32,7 +32,7 @@ from srt.estimation.solver_result import solver_result
 from srt.estimation.unmodelled_errors import iterate_with_unmodelled_errors
 from srt.model import measurement_model as model
 from srt.model.table1 import SEQUENCES
-from srt.sensor_errors import N_PARAMETERS, NAMES
+from srt.sensor_errors import N_PARAMETERS, NAMES, expand_names
 from srt.sequences.moves import recorded_moves
 from srt.sequences.preparation import prepare_checked
 from srt.sequences.stationary_windows import find_turns
@@ -81,10 +81,15 @@ class LeastSquaresSolver:
         scale, L, A = self._whitened(measurements.H, covariance)
         if near and not self._selected:
             self.fixed = self.requested | ~admit(A, ~self.requested)
-            self._selected = True
         if near and self._considered is not None:
-            by_fixed = measurements.H * np.where(self.fixed, self._considered, 0.0)
-            scale, L, A = self._whitened(measurements.H, covariance + by_fixed @ by_fixed.T)
+            while True:
+                by_fixed = measurements.H * np.where(self.fixed, self._considered, 0.0)
+                scale, L, A = self._whitened(measurements.H, covariance + by_fixed @ by_fixed.T)
+                fixed = self.fixed | ~admit(A, ~self.fixed)
+                if self._selected or np.array_equal(fixed, self.fixed):
+                    break
+                self.fixed = fixed
+        self._selected |= near
         free = np.flatnonzero(~self.fixed)
         normal = A[:, free].T @ A[:, free]
         if not near:
@@ -121,6 +126,11 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     data = _with_sound_moves(without_gross_moves(data, options, first), options, first)
     uncertain = fixed_sigma(data, options)
     on_request = {n: reason_on_request(n, uncertain, data) for n in options.fixed_names}
+    if all(label.pose or label.rate is not None for label in data.labels):
+        # Only the Earth rate at rest would show these, weakly and not linearly: the frame that carries it from rest to
+        # rest turns with the errors of many revolutions.
+        names = expand_names(["gyro_orthogonality"])
+        on_request = {n: reason_not_observed(n) for n in names} | on_request
     fixed, prior, relied = dict(on_request), admission_sigma(), None
     for _ in range(_ROUNDS + 1):
         requested = tuple(fixed)
@@ -137,10 +147,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         weak = ~solver.fixed & (sigma > OBSERVED_BELOW * prior)
         vague = ~solver.fixed & (sigma > np.where(uncertain > 0.0, uncertain, np.inf))
         insufficient = vague.any() or solver.fixed.sum() > len(on_request) or solution.status != "converged"
-        sufficient = set(SEQUENCES) <= set(data.ids) or data.posed.all() or not insufficient
-        if relied is None and data.nominal is not None and not sufficient:
+        if relied is None and insufficient and _relies_on_fixture(data):
             # The test does not determine all parameters: what the nominal angles of the fixture give more accurately
-            # keeps their value, and the weights include its uncertainty.
+            # keeps their value, and the weights include the uncertainty of what is kept.
             prior, relied = np.where(uncertain > 0.0, np.minimum(prior, uncertain), prior), uncertain
             continue
         for n, is_fixed, is_weak in zip(NAMES, solver.fixed, weak, strict=True):
@@ -151,6 +160,11 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     leave_one_out = partial(without_sequences, considered=relied is not None)
     result = solver_result(data, options, solution, fixed, leave_one_out, unmodelled, models_drift=True)
     return build_calibration("least-squares", data, options, result, fixed)
+
+
+def _relies_on_fixture(data: PreparedRecording) -> bool:
+    """Return True for a test on a fixture that is neither Table 1 nor poses alone, which measure the directions."""
+    return data.nominal is not None and not data.posed.all() and not set(SEQUENCES) <= set(data.ids)
 
 
 def _with_sound_moves(

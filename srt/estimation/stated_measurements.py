@@ -4,7 +4,8 @@ A pose does not rotate, so that the change of its horizontal specific force show
 rate, this change shows many revolutions, modulo one. The two horizontal measurements of such sequences are replaced:
 
 * pose: if no sequence of the recording rotates and a fixture states the vertical, the horizontal components of the
-  pose's mean specific force along the nominal axes; otherwise the change between its halves, which has no derivative;
+  pose's mean specific force along the nominal axes; otherwise the change between its halves in axes of the unit, which
+  has no derivative;
 * stated rate Ω about an axis: in each half of the steady window ``|ω̂| − ω̂e·ω̂/|ω̂| − |Ω|``. The Earth rate along the
   axis is constant while the unit turns about it, and the magnitude is free of mounting errors.
 """
@@ -124,6 +125,7 @@ class StatedMeasurements:
         gyro, accel = triads
         horizontal, jacobian = horizontal.copy(), jacobian.copy()
         jacobian[self.posed] = 0.0
+        horizontal[self.posed] = np.einsum("kia,ka->ki", basis, force[1] - force[0])[self.posed]
         if self.directed:
             horizontal = np.einsum("kia,ka->ki", basis, 0.5 * (force[0] + force[1]))
             jacobian = basis @ (0.5 * sum(model.force_error_jacobian(f, accel) for f in force))
@@ -138,6 +140,6 @@ class StatedMeasurements:
         """Effect of force disturbances, shape (K, 3, S) in start and end window, on the measurements, (K, 2, S)."""
         if self.directed:
             return np.asarray(basis @ (0.5 * (start + end)))
-        out: Array = basis @ (integrals.C_end @ end - start)
+        out: Array = basis @ (np.where(self.posed[:, None, None], end, integrals.C_end @ end) - start)
         out[self.rated] = 0.0
         return out

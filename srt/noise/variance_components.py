@@ -44,6 +44,8 @@ def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array
     R0, parts = R0 * np.outer(scale, scale), [C * np.outer(scale, scale) for C in components]
     # Initial values: the traces agree.
     sizes = np.array([max(float(z @ z) / max(float(np.trace(C)), 1e-300), 0.0) / len(parts) for C in parts])
+    effective = np.array([bool(np.any(C)) for C in parts])
+    sizes = np.where(effective, sizes, 0.0)
     for _ in range(_STEPS):
         R = R0 + sum(v * C for v, C in zip(sizes, parts, strict=True))
         W = np.linalg.inv(R)
@@ -52,7 +54,8 @@ def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array
         Pz = P @ z
         score = np.array([-0.5 * np.trace(A) + 0.5 * float(Pz @ C @ Pz) for A, C in zip(PC, parts, strict=True)])
         fisher = np.array([[0.5 * np.sum(A * B.T) for B in PC] for A in PC])
-        free = (sizes > 0.0) | (score > 0.0)
+        # A component without effect on the residuals, as a rotation error in a test of poses alone, stays zero.
+        free = ((sizes > 0.0) | (score > 0.0)) & effective
         if not free.any():
             break
         step = np.zeros(len(parts))

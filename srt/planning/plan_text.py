@@ -6,11 +6,13 @@ import math
 import textwrap
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from srt.planning.plan_document import format_sigma, symbols
 from srt.planning.timetable import clock
 from srt.reports.text.calibration import source_label
 from srt.reports.text.tables import decimals_for, fixed, text_table, wrap
-from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, SYMBOLS
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, INDEX, N_PARAMETERS, NAMES, SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from srt.planning.next_sequence import Proposal
     from srt.planning.plan import Plan
     from srt.planning.signature_table import SignatureRow
+    from srt.types import Array
 
 _LABEL_WIDTH: Final = 38
 """Width of the column of sequences, characters."""
@@ -96,6 +99,21 @@ def table_1_text(plan: Plan, table_1: Plan) -> str:
             f"{table_1.ratio:.3f} of its target; this plan is {better:.0f} % better."
         )
     )
+
+
+def protocol_text(plan: Plan, name: str, sigma: Array, *, on_fixture: bool) -> str:
+    """Comparison of a plan with a protocol in the same time; ``sigma``, shape (27,), is infinite where not observed."""
+    wanted = ~np.isnan(plan.targets)
+    missing = [NAMES[k] for k in np.flatnonzero(wanted & np.isinf(sigma))]
+    ratio = np.where(wanted & np.isfinite(sigma), sigma / plan.targets, 0.0)
+    worst = int(np.argmax(ratio))
+    where = "" if on_fixture else ", without the fixture, which cannot run it"
+    said = f"Protocol {name} in the same time{where}: "
+    if ratio[worst] > 0.0:
+        said += f"{NAMES[worst]} at {ratio[worst]:.3f} of its target (this plan: {plan.ratio:.3f} at worst)"
+    if missing:
+        said += f"{'; ' if ratio[worst] > 0.0 else ''}not observed: {', '.join(missing)}"
+    return "\n".join(wrap(said + "."))
 
 
 def signature_text(candidate: Candidate, fixture: FixtureKinematics, rows: Iterable[SignatureRow]) -> str:

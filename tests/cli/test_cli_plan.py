@@ -182,3 +182,15 @@ def test_shipped_plans_are_read():
     assert len(names("plan")) == 6
     for name in names("plan"):
         load_plan_file(name).conditions()
+
+
+def test_a_plan_is_compared_with_protocols(tmp_path, capsys):
+    file = write(tmp_path / "lab.toml", targets="gyro_scale_ppm = 100.0", plan="total_time_s = 300.0")
+    names = ("table-1", "19-positions", "24-face-tumble")
+    assert main(["plan", file, *(word for name in names for word in ("--compare", name))]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "Protocol table-1 in the same time: gyro_scale_" in out
+    assert "Protocol 19-positions in the same time, without the fixture, which cannot run it: gyro_scale_" in out
+    assert "not observed: gyro_scale_x, gyro_scale_y, gyro_scale_z." in out
+    assert main(["plan", file, "--compare", "20-positions"]) == 2
+    assert "There is no shipped protocol '20-positions'" in capsys.readouterr().err

@@ -149,6 +149,7 @@ def test_errors_agree_with_their_sigmas(name):
         simulation = sims.simulate(scenario(name, seed))
         found = srt.calibrate(simulation.recording, "least-squares", checks=False)
         assert found.status == "partial", found.message
+        assert not any("larger than" in warning for warning in found.warnings), found.warnings
         off = (found.errors.vector - simulation.truth.vector)[at]
         total += float(off @ np.linalg.solve(found.covariance[np.ix_(at, at)], off))
     if name == "24-face-tumble":

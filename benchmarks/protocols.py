@@ -1,0 +1,204 @@
+"""Accuracy of the shipped protocols in equal time: Cramér-Rao bound, and rms error of simulated units.
+
+Every protocol lasts 600 s, its rests scaled to that, without a fixture: a tactical unit with white noise alone, poses
+placed to 1°, turns to 0.5°. The bound is computed from the nominal motion (``benchmarks/motion_bound.py``); the units
+are simulated and calibrated by least squares, asymmetries fixed at zero, which they are. ``python
+benchmarks/protocols.py --units 20 --markdown docs/protocols.md --plot docs/images/protocols.png`` writes tables and
+figure of the page.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+from motion_bound import Chain, Conditions, Leg, motion_bound
+from scipy.spatial.transform import Rotation
+
+import sims
+import srt
+from sims.scenarios.scenario import scenario_from_dict
+from srt.constants import DEG, DEG_PER_SQRT_H, MICRO_G
+from srt.recording.protocol import Protocol, load_protocol
+from srt.sensor_errors import DISPLAY_FACTORS, GROUP_SLICES, NAMES
+
+PROTOCOLS = (
+    "table-1", "19-positions", "11-positions", "7-positions", "9-positions", "two-axis-table", "hand-turned",
+    "ferraris", "rate-table", "24-face-tumble", "six-face-tumble",
+)  # fmt: skip
+TOTAL_S = 600.0
+GYRO_DEG_PER_SQRT_H, ACCEL_UG_PER_SQRT_HZ = 0.05, 50.0
+LATITUDE_DEG, GRAVITY_M_S2, GRAVITY_SIGMA_M_S2 = 45.0, 9.80665, 5e-6
+FIRST_SEED = 70_000
+FIXED = ("gyro_asymmetry", "accel_asymmetry")
+GROUPS = {
+    "gyro_scale": "gyro scale, ppm",
+    "gyro_orthogonality": "gyro orthogonality, µrad",
+    "gyro_bias": "gyro bias, °/h",
+    "accel_scale": "accelerometer scale, ppm",
+    "accel_misalignment": "accelerometer misalignment, µrad",
+    "accel_bias": "accelerometer bias, µg",
+}
+ASYMMETRIES = {"gyro_asymmetry": "gyro asymmetry, ppm", "accel_asymmetry": "accelerometer asymmetry, ppm"}
+PRIOR = {"scale": 0.1, "orthogonality": 0.1, "misalignment": 0.1, "asymmetry": 0.01}
+NOT_SHOWN = 1.0 / 3.0
+"""A bound above this share of the prior means that the protocol does not show the group."""
+
+
+def prior() -> np.ndarray:
+    out = np.array([PRIOR.get(name.split("_")[1], math.inf) for name in NAMES])
+    out[GROUP_SLICES["accel_bias"]], out[GROUP_SLICES["gyro_bias"]] = 1.0, 0.02
+    return out
+
+
+def chains(protocol: Protocol) -> list[Chain]:
+    """Rests and legs of a protocol, each placed pose in some heading."""
+    out: list[Chain] = []
+    for step in protocol.steps:
+        legs = []
+        for (axis, angle), duration in zip(step.rotations, step.durations_s(), strict=True):
+            ramps = 0.0 if step.turn_s is not None else 2.0 * step.rate_rad_s / step.acceleration_rad_s2
+            legs.append(Leg(axis, angle, duration, 0.0 if step.stated_rate_rad_s is None else duration - ramps))
+        if step.down is not None:
+            first = np.cross(step.down, np.eye(3)[int(np.argmin(np.abs(step.down)))])
+            first /= np.linalg.norm(first)
+            level = np.stack([first, np.cross(step.down, first), step.down])
+            out.append(Chain(Rotation.from_matrix(level), [step.rest_s[0] if legs else step.rest_s[1]]))
+        if legs:
+            out[-1].turns.append(legs)
+            out[-1].rests_s.append(step.rest_s[1])
+    return out
+
+
+def bound(name: str, fixed: tuple[str, ...]) -> np.ndarray:
+    """Bound of the 27 errors in the units of the tables; NaN where the protocol does not show them."""
+    protocol = load_protocol(name).lasting(TOTAL_S)
+    free = [n for n in NAMES if not n.startswith(fixed)] if fixed else list(NAMES)
+    if all(step.pose for step in protocol.steps):  # the axes are those of the accelerometers
+        free = [n for n in free if n not in ("accel_misalignment_xy", "accel_misalignment_xz", "accel_misalignment_yz")]
+    conditions = Conditions(
+        GYRO_DEG_PER_SQRT_H * DEG_PER_SQRT_H, ACCEL_UG_PER_SQRT_HZ * MICRO_G, GRAVITY_M_S2, GRAVITY_SIGMA_M_S2,
+        LATITUDE_DEG * DEG, protocol.rate_sigma or 1.0,
+    )  # fmt: skip
+    sigma = motion_bound(chains(protocol), conditions, free, prior())
+    shown = (sigma > 0.0) & (sigma < NOT_SHOWN * prior())
+    return np.where(shown, sigma, math.nan) * DISPLAY_FACTORS
+
+
+def simulated(name: str, seed: int) -> tuple[np.ndarray, str]:
+    """Errors of a calibrated unit in the units of the tables, NaN where not observed, and the status."""
+    quiet = dict.fromkeys(
+        ("gyro_bias_instability_deg_per_h", "accel_bias_instability_ug"),
+        0.0,
+    )
+    noise = {"gyro_noise_deg_per_sqrt_h": GYRO_DEG_PER_SQRT_H, "accel_noise_ug_per_sqrt_hz": ACCEL_UG_PER_SQRT_HZ}
+    tables = {
+        "seed": seed,
+        "imu": {
+            "from": "tactical-fog",
+            "noise": quiet | noise,
+            "errors": {"gyro_asymmetry_ppm": 0.0, "accel_asymmetry_ppm": 0.0},
+        },
+        "site": {
+            "latitude_deg": LATITUDE_DEG, "gravity_m_s2": GRAVITY_M_S2, "gravity_sigma_m_s2": GRAVITY_SIGMA_M_S2,
+        },
+        "protocol": {"from": name, "total_time_s": TOTAL_S, "settle_s": 0.0},
+        "recording": {"sample_rate_hz": 50.0},
+    }  # fmt: skip
+    simulation = sims.simulate(scenario_from_dict(tables))
+    found = srt.calibrate(simulation.recording, "least-squares", checks=False, hold=FIXED)
+    off = (found.errors.vector - simulation.truth.vector) * DISPLAY_FACTORS
+    usable = found.status in ("converged", "partial")
+    return np.where(found.observed & usable, off, math.nan), found.status
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of the shown values; NaN if a third of them or more is not shown."""
+    shown = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(shown**2))) if 3 * shown.size > 2 * values.size else math.nan
+
+
+def figure(value: float) -> str:
+    if math.isnan(value):
+        return "–"
+    digits = max(0, 2 - math.floor(math.log10(max(value, 1e-9))) - 1)
+    return f"{value:.{min(digits, 3)}f}"
+
+
+def plot(path: Path, bounds: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    fig, axes = plt.subplots(2, 3, figsize=(12.0, 7.0), sharey=True, layout="constrained")
+    place = np.arange(len(PROTOCOLS))[::-1]
+    for ax, (group, title) in zip(axes.flat, GROUPS.items(), strict=True):
+        at = GROUP_SLICES[group]
+        limit = np.array([rms(bounds[name][at]) for name in PROTOCOLS])
+        found = np.array([rms(errors[name][:, at]) for name in PROTOCOLS])
+        ax.barh(place, limit, color="#9ecae1", label="Cramér-Rao bound", log=True)
+        ax.plot(found, place, "o", color="#08306b", label="rms error of simulated units")
+        ax.set_yticks(place, PROTOCOLS)
+        ax.set_title(title, fontsize=10)
+        ax.grid(axis="x", alpha=0.3)
+    axes[0, 0].legend(loc="upper right", fontsize=8)
+    fig.savefig(path, dpi=110)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--units", type=int, default=20)
+    parser.add_argument("--markdown", type=Path, help="Page in which the tables are replaced.")
+    parser.add_argument("--plot", type=Path, help="Figure to write.")
+    options = parser.parse_args()
+    bounds = {name: bound(name, FIXED) for name in PROTOCOLS}
+    errors, notes = {}, []
+    for name in PROTOCOLS:
+        runs = [simulated(name, seed) for seed in range(FIRST_SEED, FIRST_SEED + options.units)]
+        errors[name] = np.array([off for off, _ in runs])
+        bad = sum(status not in ("converged", "partial") for _, status in runs)
+        if bad:
+            notes.append(f"{name}: {bad} of {options.units} units not converged or inconsistent, and left out")
+        print(name, flush=True)
+    head = ["| protocol | " + " | ".join(GROUPS.values()) + " |", "|---|" + "---:|" * len(GROUPS)]
+    lines = head + [
+        f"| {name} | "
+        + " | ".join(
+            f"{figure(rms(errors[name][:, GROUP_SLICES[g]]))} ({figure(rms(bounds[name][GROUP_SLICES[g]]))})"
+            for g in GROUPS
+        )
+        + " |"
+        for name in PROTOCOLS
+    ]
+    more = GROUPS | ASYMMETRIES
+    lines += ["", "The bound where asymmetries are estimated too:", ""]
+    lines += ["| protocol | " + " | ".join(more.values()) + " |", "|---|" + "---:|" * len(more)]
+    for name in PROTOCOLS:
+        limit = bound(name, ())
+        lines.append(f"| {name} | " + " | ".join(figure(rms(limit[GROUP_SLICES[g]])) for g in more) + " |")
+    if notes:
+        lines += ["", "; ".join(notes) + "."]
+    text = "\n".join(lines)
+    print(text)
+    if options.markdown is not None:
+        page = options.markdown.read_text(encoding="utf-8")
+        before, _, rest = page.partition(BEGIN)
+        options.markdown.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+    if options.plot is not None:
+        plot(options.plot, bounds, errors)
+    return 0
+
+
+BEGIN, END = "<!-- table: benchmarks/protocols.py -->", "<!-- end of table -->"
+
+if __name__ == "__main__":
+    sys.exit(main())
