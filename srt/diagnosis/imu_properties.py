@@ -146,7 +146,7 @@ def asymmetry_omitted(evidence: Evidence) -> Iterator[Finding]:
         return
     held = evidence.result
     fit = stationary_rate_fit(evidence)
-    if held is None or held.status not in USABLE or fit is None:
+    if held is None or held.status not in (*USABLE, "inconsistent") or fit is None:  # its omission is a misfit
         return
     free = _with_asymmetry(evidence, fit)
     if free is None or free.status not in USABLE:

@@ -73,7 +73,7 @@ def test_the_good_folder_is_good(folder):
         ("latitude_deg", "latitud_deg", ["site.latitud_deg", "did you mean latitude_deg?", "height_m"]),
         ("heading_deg", "heading", ["fixture.heading", "did you mean heading_deg?"]),
         ("gyro_noise_deg_per_sqrt_h", "noise", ["imu.noise", "gyro_noise_deg_per_sqrt_h"]),
-        ("start_static_s = [4", "start_s = [4", ["sequence[2].start_s", "did you mean start_static_s?"]),
+        ("start_static_s = [4", "start_static = [4", ["sequence[2].start_static", "did you mean start_static_s?"]),
         ('samples = "samples.csv"\n', "", ["recording.samples is missing"]),
         ('gyro_unit = "rad/s"\n', "", ["recording.gyro_unit is missing", '"deg/h"', '"counts"']),
         ('accel_unit = "m/s^2"\n', "", ["recording.accel_unit is missing", '"mg"']),
