@@ -292,17 +292,29 @@ def test_the_weights_name_the_bad_sequence(loss):
     assert sorted(weights.values())[1] > 10.0 * weights["4"]
 
 
-@harmless
-def test_a_tilt_while_turning_does_no_harm(estimator, name, seed):
-    """The gyros sense the slip like any other rotation: less than a sigma, with the same noise."""
+def tilted_while_turning(seed, name):
+    """0.5 mrad within the rotation; the mount is set right before the next sequence."""
     label = next(s for s in clean(seed)[0].sequences if s.id == name)
     a, b = label.start_static_s[1], label.end_static_s[0]
-    recording = Unit(seed).run(motion=lambda m: disturbances.tilt_step(m, a + 0.3 * (b - a), TILT_RAD))[0]
-    calibration = srt.calibrate(recording, estimator, checks=False)
+    return Unit(seed).run(motion=lambda m: disturbances.tilt_step(m, a + 0.3 * (b - a), TILT_RAD))[0]
+
+
+def with_wobble(recording):
+    return replace(recording, fixture=replace(recording.fixture, wobble_sigma_rad=float(np.linalg.norm(TILT_RAD))))
+
+
+@harmless
+def test_a_tilt_while_turning_is_named_and_does_no_harm_where_the_axes_may_wobble(estimator, name, seed):
+    """The end attitude leaves the axes by fifty times their wobble; gyros sense it like any other rotation."""
+    recording = tilted_while_turning(seed, name)
+    steady = srt.calibrate(recording, estimator, checks=False)
+    assert steady.status == "inconsistent"
+    assert named_sequence(steady) == name
+    calibration = srt.calibrate(with_wobble(recording), estimator, checks=False)
     assert calibration.status == "converged"
     assert named_sequence(calibration) is None
-    moved = np.abs(calibration.errors.vector - reference(seed, estimator).errors.vector)
-    assert np.all(moved < reference(seed, estimator).sigma)
+    there = srt.calibrate(with_wobble(clean(seed)[0]), estimator, checks=False)
+    assert np.all(np.abs(calibration.errors.vector - there.errors.vector) < there.sigma)
 
 
 def with_the_noise_of(seed, noisy, exact, starts):
