@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtrc
 
+from srt.estimation.goodness_of_fit import SUSPECT_PROBABILITY
 from srt.estimation.leave_one_out import consistency_tests, rows_of_sequences
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotations import rotation_vector
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 _GROSS_RAD: Final = 0.1
 """Largest error of a move by the initial estimate, rad: errors of the fixture and of the estimate, over one turn."""
-_PROBABILITY: Final = 1e-3
-"""Probability that a good move is left out of a recording."""
 
 
 def without_gross_moves(
@@ -79,7 +78,7 @@ def contradicting_move(tests: Sequence[tuple[float, int]], is_move: Mask) -> dic
     excess = np.where(tested, (chi_square / scale - freedom) / np.sqrt(2.0 * np.maximum(freedom, 1.0)), -np.inf)
     worst = int(np.argmax(excess))
     probability = float(chdtrc(freedom[worst], chi_square[worst] / scale))
-    if not is_move[worst] or probability > _PROBABILITY / is_move.sum():
+    if not is_move[worst] or probability > SUSPECT_PROBABILITY:
         return {}
     return {
         worst: f"it contradicts the other measurements (chi-square {chi_square[worst]:.3g} for {freedom[worst]:.0f} "
