@@ -62,6 +62,6 @@ def budget_figure(found: Budget, *, title: str = "") -> Figure:
     axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25", "50", "75", "100 %"])
     axes.set_xlabel("share of the variance; one sigma in all beside the bar")
     axes.set_title(title or f"What limits the {found.estimator}")
-    style(axes)
+    style(axes, grid="x")
     figure.legend(loc="outside lower center", ncols=3, fontsize=SMALL, frameon=False)
     return figure

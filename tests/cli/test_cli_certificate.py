@@ -75,7 +75,7 @@ def test_page_and_pdf_with_everything(lab, tmp_path, capfd):
     assert {path.name for path in page.parent.iterdir()} == {page.name, document.name}
     text = page.read_text(encoding="utf-8")
     assert text.count("<svg") == 5
-    assert "Change since the last calibration" in text
+    assert "As found and as left: change since the last calibration" in text
     data = document.read_bytes()
     assert data.startswith(b"%PDF")
     assert b"/Type /Page" in data

@@ -305,7 +305,9 @@ def change_table(source: CalibrationFile, change: ParameterChanges) -> Certifica
         f"{change.limit:.2f} sigma is marked: over the {compared} compared parameters, the probability of any false "
         f"mark is at most {FALSE_ALARM:.0%}."
     )
-    return CertificateTable("Change since the last calibration", head, tuple(rows), "llrrrrlrl", note, _STARTS)
+    return CertificateTable(
+        "As found and as left: change since the last calibration", head, tuple(rows), "llrrrrlrl", note, _STARTS
+    )
 
 
 def residual_table(calibration: Calibration) -> CertificateTable | None:
@@ -366,7 +368,7 @@ def _summary(
     if limits is not None:
         count = int(limits.given.sum())
         yield (
-            f"{len(failed)} of {count} limited parameters failed: {_symbols(failed)}."
+            f"{len(failed)} of {_count(count, 'limited parameter')} failed: {_symbols(failed)}."
             if failed
             else f"All {count} limited parameters lie within their limits, but the calibration is doubtful."
             if calibration.judgement.word == DOUBTFUL
@@ -381,10 +383,15 @@ def _summary(
     if change is not None:
         names = change.names
         yield (
-            f"Since {plain(change.old.name)}, {len(names)} parameters changed significantly: {_symbols(names)}."
+            f"Since {plain(change.old.name)}, {_count(len(names))} changed significantly: {_symbols(names)}."
             if names
             else f"Since {plain(change.old.name)}, no parameter changed significantly."
         )
+
+
+def _count(number: int, noun: str = "parameter") -> str:
+    """Number with its noun, singular or plural."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _symbols(names: Iterable[str]) -> str:
