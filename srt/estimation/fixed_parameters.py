@@ -66,26 +66,22 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
 
 
 _REMEDIES: Final = {
-    "gyro_scale": "a rotation about {0} while {0} is horizontal, or a run at a stated rate about {0}",
-    "gyro_asymmetry": "rotations about {0} in both senses while {0} is horizontal",
-    "gyro_orthogonality": "half turns about {0} and {1} in alternation",
-    "accel_bias": "poses with {0} up, {0} down and {0} horizontal",
-    "accel_scale": "poses with {0} up and {0} down",
-    "accel_asymmetry": "poses with {0} up, {0} down, horizontal and inclined",
-    "accel_misalignment": "half turns about axes near {0} and {1}, and poses between them",
+    "gyro_scale": "a rotation about the axis while it is horizontal, or a run at a stated rate about it",
+    "gyro_asymmetry": "rotations about the axis in both senses while it is horizontal",
+    "gyro_orthogonality": "half turns about both axes in alternation",
+    "accel_bias": "poses with the axis up, down and horizontal",
+    "accel_scale": "poses with the axis up and down",
+    "accel_asymmetry": "poses with the axis up, down, horizontal and inclined",
+    "accel_misalignment": "half turns about axes near both, and poses between them",
     "gyro_bias": "longer rests",
 }
-"""What shows the parameters of a group, with the letters of the parameter's axes."""
+"""What shows the parameters of a group; the same words for all axes, so that a list of parameters has one reason."""
 
 
 def reason_not_observed(name: str) -> str:
     """Reason text of a parameter that the data do not show, with what to add to the test."""
     group = next(group for group in _REMEDIES if name.startswith(group))
-    axes = name.rpartition("_")[2]
-    return (
-        "not distinguishable from the other parameters by the poses and rotations of this recording: add "
-        + _REMEDIES[group].format(*axes)
-    )
+    return f"not distinguishable from the other parameters by this recording: add {_REMEDIES[group]}"
 
 
 def reason_on_request(name: str, sigma: Array, data: PreparedRecording) -> str:

@@ -187,11 +187,11 @@ def test_a_rate_of_the_wrong_sense_is_refused():
 def test_what_is_not_observed_is_named_with_what_to_add():
     recording = tumble(np.diag([1.002, 0.999, 1.0015]), BIAS)
     found = srt.calibrate(recording, "least-squares", checks=False, hold=("accel_asymmetry",))
-    assert "add a rotation about x" in found.held["gyro_scale_x"]
+    assert "add a rotation about the axis" in found.held["gyro_scale_x"]
     assert "poses between them" in found.held["accel_misalignment_yx"]
     upright = recording.with_sequences(recording.sequences[:2])  # z down and z up
     found = srt.calibrate(upright, "least-squares", checks=False, hold=("accel_asymmetry",))
-    assert "poses with x up" in found.held["accel_bias_x"]
+    assert "add poses with the axis up" in found.held["accel_bias_x"]
 
 
 def test_windows_of_poses_do_not_overlap():
