@@ -331,7 +331,9 @@ class Iteration:
         deviation = (own @ rest - measurements.pool @ rest) / np.sqrt(left)
         doubt = measurement_covariance.earth_rate_sigma(self.data)
         expected = measurement_covariance.rest_rate_variance(measurements, self.data) + doubt**2
-        excess = measurement_covariance.excess_variance(deviation, expected)
+        excess = measurement_covariance.excess_variance(
+            deviation, expected, bounded=self.data.recording.noise.gyro_noise is None
+        )
         return np.asarray(np.sqrt(measurements.gyro.matrix**2 @ excess))
 
     def _release_moving(self, measurements: SrtMeasurements) -> bool:

@@ -148,7 +148,7 @@ def earth_rate_sigma(data: PreparedRecording) -> float:
     return EARTH_RATE_RAD_S * math.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad)
 
 
-def excess_variance(rates: Array, expected: Array) -> Array:
+def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> Array:
     """Variance of biases between sequences beyond what their noise explains, shape (3,), (rad/s)².
 
     Parameters
@@ -158,6 +158,8 @@ def excess_variance(rates: Array, expected: Array) -> Array:
     expected : ndarray, shape (3,), (rad/s)²
         Variance by noise alone. An axis has no excess if noise explains its rates (chi-square, p > 1e-3) with or
         without the sequence that deviates most.
+    bounded : bool
+        True: an axis without excess has what the three axes together cannot exclude, as no figure is stated.
     """
     n = len(rates) - 1
 
@@ -166,14 +168,19 @@ def excess_variance(rates: Array, expected: Array) -> Array:
         squares = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
         return np.asarray(squares > expected * chdtri(m, _SCATTER_PROBABILITY))
 
-    wanders = scatters(rates)
+    wanders, near = scatters(rates), rates
     if n > 2:
         # A varying bias shows in many sequences; a deviation of one sequence alone is a fault of that sequence.
         order = np.argsort(np.abs(rates - np.median(rates, axis=0)), axis=0)
-        wanders &= scatters(np.take_along_axis(rates, order, axis=0)[:-1])
+        near = np.take_along_axis(rates, order, axis=0)[:-1]
+        wanders &= scatters(near)
     own = np.where(wanders, np.var(rates, axis=0, ddof=1) - expected, 0.0)
     # The gyros of a unit are alike: if two scatter, the third does too, although its biases happen to lie closer.
-    return np.asarray(np.where(wanders, own, own.mean() if np.count_nonzero(wanders) == 2 else 0.0))
+    alike = own.mean() if np.count_nonzero(wanders) == 2 else 0.0
+    if bounded:
+        shown = np.mean(np.maximum(own, np.var(near, axis=0, ddof=1) - expected))
+        alike = max(alike, shown, 0.0) + float(expected.mean()) * math.sqrt(2.0 / (3.0 * n))
+    return np.asarray(np.where(wanders, own, alike))
 
 
 def disturbances(
