@@ -184,6 +184,28 @@ _stuck("gyro_stuck", ("gyro",), dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=Tr
 _stuck("accel_stuck", ("accel",), 0.5)
 
 
+def _axis_stuck(fault: str, sensor: str, severity: dict[str, float], unseen: dict[str, str]) -> None:
+    @injection(fault, severity, "s", unseen=unseen)
+    def axis_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """One axis repeats its last reading for a time during a rotation, and then continues normally."""
+        recording, axis = case.recording, int(rng.integers(3))
+        label = recording.sequences[int(rng.integers(len(recording.sequences)))]
+        turning = recording.window_indices(label.start_static_s[1], label.end_static_s[0])
+        count = min(_samples(recording, severity), (turning.stop - turning.start) // 2)
+        first = int(rng.integers(turning.start, turning.stop - count))
+        values = getattr(recording, sensor).copy()
+        values[first : first + count, axis] = values[first - 1, axis]
+        return _with(recording, sensor, values)
+
+
+_PULSES: Final = (
+    "Pulses of one laser gyro repeat for seconds where its axis does not turn, or turns steadily: most such freezes "
+    "are not named, and neither is the rotation that they spoil."
+)
+_axis_stuck("gyro_axis_stuck", "gyro", dict.fromkeys(GRADES[1:], 0.5), {GRADES[0]: _PULSES})
+_axis_stuck("accel_axis_stuck", "accel", dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=True)), {})
+
+
 def _wrapped(fault: str, sensor: str, share: float) -> None:
     @injection(fault, share, "of the largest reading")
     def wrapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:

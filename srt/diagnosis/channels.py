@@ -162,18 +162,28 @@ def _holds_gravity(vectors: Array) -> bool:
     return turned and _range_of_size(vectors) < _GRAVITY
 
 
-@check("samples_stuck", "gyro_stuck", "accel_stuck")
+@check("samples_stuck", "gyro_stuck", "accel_stuck", "gyro_axis_stuck", "accel_axis_stuck")
 def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
-    """Find runs of equal rows that are longer than the recording's own repeats explain."""
-    for fault, runs in zip(("samples_stuck", "gyro_stuck", "accel_stuck"), repeated_runs(evidence), strict=True):
-        if runs:
-            run = max(runs, key=lambda r: r.count)
-            yield finding(
-                fault,
-                count=run.count + 1,
-                time=float(evidence.recording.time[run.first]),
-                sequence=evidence.place_title(run.first),
-            )
+    """Find runs of equal rows, or of equal readings of one axis, that chance does not explain; the longest of each."""
+    names = ("samples_stuck", "gyro_stuck", "accel_stuck", *CHANNELS)
+    longest = {
+        name: max(runs, key=lambda run: run.count)
+        for name, runs in zip(names, repeated_runs(evidence), strict=True)
+        if runs
+    }
+    stuck = {name: (name, run) for name, run in longest.items() if name not in CHANNELS}
+    for sensor in ("gyro", "accel"):
+        axes = [(name, longest[name]) for name in CHANNELS if name in longest and name.startswith(sensor)]
+        if axes:
+            stuck[f"{sensor}_axis_stuck"] = max(axes, key=lambda item: item[1].count)
+    for fault, (name, run) in stuck.items():
+        yield finding(
+            fault,
+            channel=name,
+            count=run.count + 1,
+            time=float(evidence.recording.time[run.first]),
+            sequence=evidence.place_title(run.first),
+        )
 
 
 _WRAP_JUMP: Final = 0.9
@@ -197,12 +207,15 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
     """Find gyros that read zero when stationary, and never between zero and a threshold."""
     if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
         return
+    if any(found.fault == "gyro_wrapped" for found in wrapped_readings(evidence)):
+        return  # readings that overflow lie on several grids, which hides their step
     windows = evidence.data.windows.samples.tolist()
     stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
     share = np.mean(stationary == 0.0, axis=0)
     for axis in np.flatnonzero(share > _DEAD_SHARE).tolist():
         size = np.abs(evidence.rate[:, axis])
-        moving = evidence.rate[size > 0.0]
+        # The limit at which a channel saturates is no multiple of its step.
+        moving = evidence.rate[(size > 0.0) & (size < size.max())]
         if len(moving) < _MANY:
             continue
         threshold = float(size[size > 0.0].min())

@@ -15,7 +15,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
-    from srt.types import Array, Indices, Mask
+    from srt.recording.recording import Recording
+    from srt.types import Indices, Mask
 
 
 FALSE_ALARM: Final = 1e-6
@@ -40,6 +41,11 @@ _SUPPORT: Final = 3
 _GOES_ON: Final = 0.9
 """Share of the other sensor's rows that repeat, above which that sensor is frozen, too."""
 
+_COMPANIONS: Final = (None, 2, 1, 1, 1, 1, 2, 2, 2)
+"""For each row of :func:`_repeats`, the row that must change meanwhile: the other sensor; of a channel, its triad."""
+_FIRST_CHANNEL: Final = 3
+"""First row of a single channel."""
+
 
 @dataclass(frozen=True, slots=True)
 class RepeatRun:
@@ -49,37 +55,49 @@ class RepeatRun:
     count: int
 
 
-def repeated_runs(evidence: Evidence) -> tuple[list[RepeatRun], list[RepeatRun], list[RepeatRun]]:
-    """Runs too long for chance: of all six channels, of the gyros, and of the accelerometers.
+def repeated_runs(evidence: Evidence) -> list[list[RepeatRun]]:
+    """Runs too long for chance, a list for each row of :func:`_repeats`: all, gyros, accelerometers, single channels.
 
-    A run of one sensor is given only where the other sensor changes. Without windows there are none.
+    A run of one sensor is given only where the other sensor changes, that of one channel where its triad changes and
+    not at the channel's extremes, where it saturates. Without windows there are none.
     """
+    found: list[list[RepeatRun]] = [[] for _ in _COMPANIONS]
     if evidence.data is None:
-        return [], [], []
+        return found
     data, windows = evidence.data, evidence.data.windows.samples
-    runs: tuple[list[RepeatRun], list[RepeatRun], list[RepeatRun]] = ([], [], [])
-    likes = np.zeros((3, 3, data.K), dtype=np.intp)
+    runs: list[list[RepeatRun]] = [[] for _ in _COMPANIONS]
+    likes = np.zeros((len(_COMPANIONS), 3, data.K), dtype=np.intp)
     for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
         first, edges = int(windows[s, 0]), (int(windows[s, 1]), int(windows[e, 0]), int(windows[e, 1]))
-        gyro, accel = (
-            _repeats(table, first, edges[2]) for table in (evidence.recording.gyro, evidence.recording.accel)
-        )
-        for which, same in enumerate((gyro & accel, gyro, accel)):
+        rows = _repeats(evidence.recording, first, edges[2])
+        for which, (same, companion) in enumerate(zip(rows, _COMPANIONS, strict=True)):
             start, count = _longest(same)
-            other = (None, accel, gyro)[which]
-            both = other is not None and count > 0 and other[start : start + count].mean() >= _GOES_ON
+            alike = companion is not None and rows[companion, start : start + count]
+            both = count > 0 and np.mean(alike) >= _GOES_ON
             runs[which].append(RepeatRun(first + start, 0 if both else count))
             if same.any():
                 parts = np.split(same, [edge - first - 1 for edge in edges[:2]])
                 likes[which, :, k] = [_longest(part)[1] for part in parts]
     total = int((windows[data.end, 1] - windows[data.start, 0]).sum())
-    found: tuple[list[RepeatRun], list[RepeatRun], list[RepeatRun]] = ([], [], [])
     for which, longest in enumerate(runs):
         like = max(_ordinary(likes[which, (0, 2)].ravel()), _ordinary(likes[which, 1]))
         found[which].extend(
-            run for run in longest if run.count > like and run.count > _by_chance(evidence, which, run, total)
+            run
+            for run in longest
+            if run.count > like
+            and run.count > _by_chance(evidence, which, run, total)
+            and not _at_extreme(evidence, which, run)
         )
     return found
+
+
+def _at_extreme(evidence: Evidence, which: int, run: RepeatRun) -> bool:
+    """True for a run of one channel at its largest or smallest reading."""
+    channel = which - _FIRST_CHANNEL
+    if channel < 0:
+        return False
+    column = (evidence.recording.gyro, evidence.recording.accel)[channel // 3][:, channel % 3]
+    return bool(column[run.first] in (column.min(), column.max()))
 
 
 def _ordinary(longest: Indices) -> float:
@@ -87,12 +105,14 @@ def _ordinary(longest: Indices) -> float:
     return _LONGER * float(np.quantile(longest, _QUANTILE)) if len(longest) >= _FEWEST else math.inf
 
 
-def _repeats(table: Array, a: int, b: int) -> Mask:
-    """True for each of the rows a + 1 to b - 1 that equals the row before it."""
-    same: Mask = table[a + 1 : b, 0] == table[a : b - 1, 0]
-    if same.any():  # rare with noise
-        same &= np.all(table[a + 1 : b, 1:] == table[a : b - 1, 1:], axis=1)
-    return same
+def _repeats(recording: Recording, a: int, b: int) -> Mask:
+    """True for each of the rows a + 1 to b - 1 that equals the row before it, shape (9, b - a - 1).
+
+    In all channels, in those of the gyros, in those of the accelerometers, and in each of the six.
+    """
+    single = np.concatenate([x[a + 1 : b] == x[a : b - 1] for x in (recording.gyro, recording.accel)], axis=1).T
+    gyro, accel = single[:3].all(axis=0), single[3:].all(axis=0)
+    return np.stack([gyro & accel, gyro, accel, *single])
 
 
 def _longest(same: Mask) -> tuple[int, int]:
@@ -114,8 +134,7 @@ def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> fl
         for a, b in ((max(0, run.first - beside), run.first), (after, min(n, after + beside))):
             if b - a < 2:
                 continue
-            gyro, accel = _repeats(recording.gyro, a, b), _repeats(recording.accel, a, b)
-            same = (gyro & accel, gyro, accel)[which]
+            same = _repeats(recording, a, b)[which]
             repeats = np.count_nonzero(same)
             longest = max(longest, _longest(same)[1])
             if repeats or beside >= _LEAST_BESIDE:

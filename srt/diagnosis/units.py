@@ -102,7 +102,7 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
     ):
         if not scales.known or LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
             power = _power_of_two(scales)
-            if power is not None:
+            if power is not None and not (power < 1.0 and _mostly_clipped(evidence, sensor)):
                 yield finding(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
             continue
         off = math.log(scales.typical)
@@ -118,6 +118,12 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
             yield finding(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
         elif distance < _MATCH:
             yield finding(nearest.fault, **_fields(evidence, sensor, scales, nearest))
+
+
+def _mostly_clipped(evidence: Evidence, sensor: str) -> bool:
+    """True if a triad saturates in most sequences, which makes all its readings too small."""
+    clipped = {k for k, parts in clipped_parts(evidence) for part in parts if part.channel.startswith(sensor)}
+    return evidence.data is not None and (None in clipped or len(clipped) > 0.5 * evidence.data.K)
 
 
 def _wrong_kind(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Finding | None:

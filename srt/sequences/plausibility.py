@@ -41,6 +41,9 @@ _NO_NOISE: Final = 1e-7
 """Ratio of the second difference of successive readings to the largest reading, below which readings are noise-free:
 the Earth rate in a rotation of 1 rad/s makes 1e-8 at 100 Hz, the noise of a navigation-grade unit 1e-5."""
 
+_HELD: Final = 50
+"""Number of equal readings of a pulse output in a row from which an extreme is held: by chance at 4 % of the rates."""
+
 _MOSTLY_NOISY: Final = 0.5
 """Share of repeated extreme readings with noise in another channel of the triad, above which they are clipped."""
 
@@ -219,7 +222,8 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
 
     A noisy channel does not repeat its extreme reading. Three equal readings in a row at the extreme, many more
     readings there than one step inside, or several at the full scale of a converter are clipped, whatever range is
-    stated. Coarse or noise-free readings repeat at any value: clipping is then found by the stated range only.
+    stated. Pulses are clipped where several axes or senses hold one extreme. Other coarse, and noise-free readings
+    repeat at any value: clipping is then found by the stated range only.
 
     Parameters
     ----------
@@ -248,6 +252,9 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
         triad = slice(3 * s, 3 * s + 3)
         bottom, top = _limits_seen(values, least * per_sample)
         low[triad], high[triad] = np.maximum(low[triad], bottom), np.minimum(high[triad], top)
+        if pulse is not None:
+            held = _held_pulses(values, least * per_sample)
+            low[triad], high[triad] = np.maximum(low[triad], held[0]), np.minimum(high[triad], held[1])
     return ClippingLevels(low, high)
 
 
@@ -274,6 +281,24 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
             if extreme > least and _is_limit(sign * channel, extreme, step, others):
                 limits[axis] = sign * extreme
     return low, high
+
+
+def _held_pulses(triad: Array, least: float) -> tuple[Array, Array]:
+    """Lowest and highest readings of channels with pulses if they are range limits; otherwise infinite.
+
+    The remainder of a pulse is carried to the next sample, so that readings stay equal only where a sample has a whole
+    number of pulses: for n samples, within 1/n of it. Two axes, or senses of one, do so at the largest reading of the
+    triad only if it is clipped there.
+    """
+    peak = float(np.abs(triad).max())
+    held = np.array([[_is_held(triad[:, axis] == sign * peak) for axis in range(3)] for sign in (-1.0, 1.0)])
+    seen = held & (peak > least) & (held.sum() > 1)
+    return np.where(seen[0], -peak, -np.inf), np.where(seen[1], peak, np.inf)
+
+
+def _is_held(at: Mask) -> bool:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], at, [False]))))
+    return bool(np.any(edges[1::2] - edges[::2] >= _HELD))
 
 
 def _is_limit(channel: Array, extreme: float, step: float, others_noisy: Mask) -> bool:

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 import srt
 from sims.faults.injection import GRADES, Case
@@ -65,6 +66,16 @@ def test_words_that_overflow_are_no_axis_map(grade, sensor):
     assert found[0] == f"{sensor}_wrapped"
 
 
+@pytest.mark.parametrize("share", [0.571, 0.6, 0.629])
+def test_words_that_overflow_between_pulses_have_no_dead_band(share):
+    """The range is no multiple of a pulse, so that readings that overflow lie between those that do not."""
+    gyro = recording("navigation-rlg").gyro
+    half = share * np.abs(gyro).max()
+    found = causes(replace(recording("navigation-rlg"), gyro=(gyro + half) % (2.0 * half) - half))
+    assert found[0] == "gyro_wrapped"
+    assert "gyro_dead_band" not in found
+
+
 @pytest.mark.parametrize("grade", GRADES)
 @pytest.mark.parametrize("unit", [1.0, DEG])
 def test_thousandths_of_a_unit_are_no_counts(grade, unit):
@@ -80,6 +91,66 @@ def test_a_corrected_recording_is_sound(grade):
     interval = raw.interval_s if raw.kind == "increment" else None
     corrected = applier.apply(raw.gyro, raw.accel, **({} if interval is None else {"dt": interval}))
     assert causes(replace(raw, gyro=np.asarray(corrected[0]), accel=np.asarray(corrected[1]))) == []
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_readings_off_their_grid_are_sound(grade):
+    """A filter or a conversion leaves rounding on readings that their unit had quantized."""
+    rng = np.random.default_rng(17)
+    raw = recording(grade)
+    gyro, accel = (table + rng.normal(0.0, 1e-12, table.shape) for table in (raw.gyro, raw.accel))
+    assert causes(replace(raw, gyro=gyro, accel=accel)) == []
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_filtered_readings_are_sound(grade):
+    """A moving average of three samples, as in many units, without stated noise, which it changes.
+
+    The filter runs before the logger, which does not record the moves between the sequences.
+    """
+    raw = recording(grade)
+    pieces = np.flatnonzero(np.diff(raw.time) > 1.5 * raw.nominal_interval_s) + 1
+    gyro, accel = (
+        np.concatenate([uniform_filter1d(piece, 3, axis=0, mode="nearest") for piece in np.split(table, pieces)])
+        for table in (raw.gyro, raw.accel)
+    )
+    noise = replace(raw.noise, gyro_noise=None, accel_noise=None)
+    assert causes(replace(raw, gyro=gyro, accel=accel, noise=noise)) == []
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_a_corrected_recording_without_labels_has_its_windows(grade):
+    raw = recording(grade)
+    applier = srt.Applier(srt.calibrate(raw, checks=False))
+    interval = raw.interval_s if raw.kind == "increment" else None
+    corrected = applier.apply(raw.gyro, raw.accel, **({} if interval is None else {"dt": interval}))
+    bare = replace(raw, gyro=np.asarray(corrected[0]), accel=np.asarray(corrected[1]), sequences=())
+    found = srt.diagnose(bare, calibrating=False)
+    assert found.findings == ()
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+@pytest.mark.parametrize("grade", GRADES[1:])  # pulses of the first repeat for seconds
+def test_one_axis_that_freezes_is_named_alone(grade, sensor):
+    """Half a second in the middle of a rotation, in which no other axis freezes."""
+    label = recording(grade).sequences[12]
+    first = recording(grade).window_indices(label.start_static_s[1], label.end_static_s[0]).start + 60
+    readings = getattr(recording(grade), sensor).copy()
+    readings[first : first + 50, 1] = readings[first - 1, 1]
+    found = srt.diagnose(replace(recording(grade), **{sensor: readings}), calibrating=False).findings
+    assert found[0].fault == f"{sensor}_axis_stuck"
+    assert found[0].details["channel"] == f"{sensor}_y"
+    assert abs(found[0].details["count"] - 50) <= 2
+
+
+@pytest.mark.parametrize("share", [0.5, 0.7, 0.9])
+@pytest.mark.parametrize("grade", GRADES)
+def test_an_axis_held_at_its_limit_is_clipped_not_frozen(grade, share):
+    """Half the rate is no wrong value of a count either; the stated range is ten times as wide."""
+    limit = share * np.abs(recording(grade).gyro).max()
+    found = causes(replace(recording(grade), gyro=recording(grade).gyro.clip(-limit, limit)))
+    assert found[0] == "gyro_clipped"
+    assert "gyro_axis_stuck" not in found
 
 
 @pytest.mark.parametrize("grade", GRADES)

@@ -63,6 +63,8 @@ def test_what_reading_refuses_is_named_by_the_error(fault, grade):
 @pytest.mark.parametrize("grade", GRADES)
 def test_a_fault_is_named_first(fault, grade):
     injection = INJECTIONS[fault]
+    if grade in injection.unseen:
+        pytest.skip(injection.unseen[grade])
     assert grade in injection.severity
     assert examine(injection.recording(case(grade)))[0].fault == fault
 
@@ -269,7 +271,7 @@ def test_no_readings_make_a_check_raise(kind, n, scale, seed, labelled):
 
 def test_nothing_is_found_without_windows():
     evidence = WithoutRecognition(case("industrial-mems").recording.with_sequences(()))
-    assert repeated_runs(evidence) == ([], [], [])
+    assert repeated_runs(evidence) == [[]] * 9
     assert find_spikes(evidence).sample.size == 0
 
 
