@@ -421,7 +421,7 @@ def sequence_diagnostics(
         return ()
     H, rows_by_sequence = np.where(fixed, 0.0, solution.measurements.H), rows_of_sequences(data)
     try:
-        R = solution.measurement_covariance + np.diag(_second_order_variance(data, len(solution.measurements.z)))
+        R = solution.measurement_covariance + np.diag(second_order_variance(data, len(solution.measurements.z)))
         against = consistency_tests(solution.measurements.z, H, R, [rows for rows, _ in rows_by_sequence])
         without = leave_one_out(data, options, solution, rows_by_sequence)
     except np.linalg.LinAlgError:
@@ -429,7 +429,7 @@ def sequence_diagnostics(
     return tuple(SequenceDiagnostics(*row) for row in zip(data.ids, data.occurrences, against, without, strict=True))
 
 
-def _second_order_variance(data: PreparedRecording, rows: int) -> Array:
+def second_order_variance(data: PreparedRecording, rows: int) -> Array:
     """Variance of the neglected squares of the fixture's errors in each of the measurements, (m/s²)².
 
     The measurement covariance has their first order. With 1 mrad, squares tilt gravity by 1 µrad: nothing beside the

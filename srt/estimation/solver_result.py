@@ -9,8 +9,8 @@ import numpy as np
 
 from srt.estimation import g_sensitivity_report
 from srt.estimation.drift_search import estimates, search
-from srt.estimation.goodness_of_fit import chi_square
-from srt.estimation.leave_one_out import sequence_diagnostics
+from srt.estimation.goodness_of_fit import chi_square, is_misfit
+from srt.estimation.leave_one_out import second_order_variance, sequence_diagnostics
 from srt.estimation.unmodelled_errors import fit_to_sensor_noise
 from srt.result.calibration import Residual
 from srt.sensor_errors import NAMES
@@ -123,6 +123,10 @@ def solver_result(
     """
     fixed = np.array([name in fixed_reasons for name in NAMES])
     statistic, freedom = chi_square(solution, fixed)
+    if is_misfit(statistic, freedom):
+        R = solution.measurement_covariance
+        with_squares = chi_square(solution, fixed, R + np.diag(second_order_variance(data, len(R))))[0]
+        statistic = statistic if is_misfit(with_squares, freedom) else with_squares
     outside = solution.status == "outside_model"
     drift: tuple[DriftEstimate, ...] = ()
     if solution.status == "converged":

@@ -17,6 +17,7 @@ import scipy.io
 
 import srt
 from srt.exceptions import InputError
+from srt.recording.folder import load_recording as load_folder
 from srt.recording.import_options import ImportOptions
 from srt.recording.importer_registry import import_file
 from srt.recording.importers import child_process
@@ -278,12 +279,21 @@ def test_samples_outside_the_folder(tmp_path):
     np.testing.assert_array_equal(loaded.time, TIME)
 
 
-def test_a_foreign_file_for_a_recording(tmp_path):
+def test_a_foreign_file_for_a_recording_folder(tmp_path):
+    def refusal(path):
+        with pytest.raises(InputError) as caught:
+            load_folder(path)
+        return _one_sentence(caught)
+
     euroc(tmp_path / "imu.csv")
-    message = recording_refusal(tmp_path / "imu.csv")
-    assert f"convert the file (EuRoC CSV): srt convert {tmp_path / 'imu.csv'} -o DIR" in message
+    assert f"convert the file (EuRoC CSV): srt convert {tmp_path / 'imu.csv'} -o DIR" in refusal(tmp_path / "imu.csv")
     (tmp_path / "imu0").mkdir()
     euroc(tmp_path / "imu0" / "data.csv")
-    assert "convert the folder (EuRoC CSV)" in recording_refusal(tmp_path / "imu0")
+    assert "convert the folder (EuRoC CSV)" in refusal(tmp_path / "imu0")
     (tmp_path / "x.bin").write_bytes(bytes(100))
-    assert "name another file" in recording_refusal(tmp_path / "x.bin")
+    assert "name another file" in refusal(tmp_path / "x.bin")
+
+
+def test_a_foreign_file_needs_its_gravity(tmp_path):
+    euroc(tmp_path / "imu.csv")
+    assert "Gravity is not known: give it with gravity_m_s2=" in recording_refusal(tmp_path / "imu.csv")
