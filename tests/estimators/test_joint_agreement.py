@@ -26,6 +26,7 @@ from srt.estimation import iteration
 from srt.estimation.closed_form_solver import ClosedFormSolver
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.least_squares_solver import LeastSquaresSolver
+from srt.estimation.observability import admission_sigma
 from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.model.table1 import AXES
@@ -322,7 +323,7 @@ def test_estimators_agree_on_all_components(linear):
     of them, and its covariance nowhere below theirs.
     """
     data = linear.data
-    least = by_play_back(data, LeastSquaresSolver(()))
+    least = by_play_back(data, LeastSquaresSolver((), admission_sigma()))
     found = linear.by_joint_estimation(least.sigma)
     brute, sampling = linear.by_brute_force(slice(None))
     check_agreement(found, least, brute, sampling, linear.truth)
@@ -342,7 +343,10 @@ def test_closed_form_differs_as_its_covariance_allows(still_planet, monkeypatch,
     """
     recording, _ = record(0, noise=SMALL, share=SHARE, sample_rate_hz=50.0)
     data = prepare_checked(recording, recording.sequences, OPTIONS.average)
-    closed, best = by_play_back(data, ClosedFormSolver(data, OPTIONS)), by_play_back(data, LeastSquaresSolver(()))
+    closed, best = (
+        by_play_back(data, ClosedFormSolver(data, OPTIONS)),
+        by_play_back(data, LeastSquaresSolver((), admission_sigma())),
+    )
     variance = np.diag(closed.P - best.P) / best.sigma**2
     assert variance.min() > 100.0 * AGREE
     # Rounding is 1e-9 of these sigmas.
