@@ -34,6 +34,7 @@ EXTRAS = {
     "srt/reports": ("pandas",),
     "srt/reports/certificate": ("report",),
     "srt/reports/figures": ("plot",),
+    "srt/stacks": ("graph",),
     "estimators": ("ekf", "graph"),
     "sims": (),
     "sims/robustness": ("campaign",),
