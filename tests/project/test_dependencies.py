@@ -35,6 +35,7 @@ EXTRAS = {
     "srt/reports/certificate": ("report",),
     "srt/reports/figures": ("plot",),
     "srt/stacks": ("graph",),
+    "srt/streams": ("formats",),
     "estimators": ("ekf", "graph"),
     "sims": (),
     "sims/robustness": ("campaign",),
