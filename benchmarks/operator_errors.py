@@ -19,7 +19,7 @@ import numpy as np
 import sims
 from sims.faults.execution import slipped
 from sims.physics.sequences import TABLE_1
-from srt.monitoring.run_monitor import run_state, truncated
+from srt.planning.monitoring.run_monitor import run_state, truncated
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

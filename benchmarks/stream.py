@@ -16,8 +16,8 @@ import numpy as np
 
 from srt.result.calibration import Calibration
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
-from srt.streams.stream_correction import StreamCorrector, StreamOptions
-from srt.streams.text_lines import LineCorrector
+from srt.stacks.stream_correction import StreamCorrector, StreamOptions
+from srt.stacks.text_lines import LineCorrector
 
 
 def unit() -> Calibration:

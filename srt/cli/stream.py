@@ -90,7 +90,7 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any]) -> i
     """
     from srt.constants import DEG, STANDARD_GRAVITY_M_S2
     from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
-    from srt.streams.stream_correction import StreamCorrector, StreamOptions
+    from srt.stacks.stream_correction import StreamCorrector, StreamOptions
 
     dt = given["increments_s"]
     kind = "rate" if dt is None else "increment"
@@ -123,7 +123,7 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any]) -> i
 
 
 def _lines(corrector: Any, *, covariance: bool) -> None:
-    from srt.streams.text_lines import LineCorrector
+    from srt.stacks.text_lines import LineCorrector
 
     lines = LineCorrector(corrector, covariance=covariance)
     if isinstance(sys.stdin, io.TextIOWrapper):
@@ -144,7 +144,7 @@ def _datagrams(corrector: Any, given: dict[str, Any]) -> None:
     address = parse_address(target)
     if address == source:
         raise InputError(f"The stream would receive its own datagrams at {target}: use another port.")
-    from srt.streams.stream_correction import NOT_SENT
+    from srt.stacks.stream_correction import NOT_SENT
 
     correct = _datagram_corrector(corrector, given)
     try:
@@ -180,8 +180,8 @@ def _received(link: socket.socket) -> Iterator[bytes]:
 def _datagram_corrector(corrector: Any, given: dict[str, Any]) -> Callable[[bytes], bytes]:
     """Function of a datagram: MAVLink by its first byte, else lines of text."""
     from srt.recording.import_options import parse_lsb
-    from srt.streams import mavlink
-    from srt.streams.text_lines import LineCorrector
+    from srt.stacks import mavlink
+    from srt.stacks.text_lines import LineCorrector
 
     texts = given["gyro_lsb"], given["accel_lsb"]
     if (texts[0] is None) != (texts[1] is None):

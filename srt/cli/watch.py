@@ -17,7 +17,7 @@ from srt.exceptions import DataError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from srt.monitoring.followed_test import FollowedTest
+    from srt.planning.monitoring.followed_test import FollowedTest
 
 
 @click.command()
@@ -69,8 +69,8 @@ def watch(
         require_matplotlib()
     from srt.cli.calibrate import parse_targets, report_problems, run_job
     from srt.estimation.options import Options
-    from srt.monitoring.followed_test import FollowedTest
-    from srt.monitoring.growing_recording import GrowingRecording
+    from srt.planning.monitoring.followed_test import FollowedTest
+    from srt.planning.monitoring.growing_recording import GrowingRecording
 
     targets = Options(targets=parse_targets(target)).targets
     followed = FollowedTest(tuple(filter(None, (order or "").replace(" ", "").split(","))), targets)
@@ -82,7 +82,7 @@ def watch(
         show(followed.text())
         show()
     if plot is not None:
-        from srt.monitoring.sigma_figure import sigma_figure
+        from srt.planning.monitoring.sigma_figure import sigma_figure
         from srt.reports.figures.style import save_figure
 
         title = figure_title(recording_folder(recording).resolve().name)

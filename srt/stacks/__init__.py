@@ -1,1 +1,1 @@
-"""Calibrations inside navigation software: factors with the sensor errors as variables."""
+"""Calibrations inside navigation software: readings corrected as they arrive, and factors of navigation graphs."""

@@ -15,8 +15,8 @@ import srt
 from srt.cli import main
 from srt.cli.stream import parse_address
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
-from srt.streams.stream_correction import StreamCorrector, StreamOptions
-from srt.streams.text_lines import LineCorrector
+from srt.stacks.stream_correction import StreamCorrector, StreamOptions
+from srt.stacks.text_lines import LineCorrector
 
 RNG = np.random.default_rng(1)
 CALIBRATION = srt.Calibration(
@@ -139,7 +139,7 @@ def test_hostile_lines_are_malformed(told, line):
 def test_random_packets_end_nothing(told):
     """Noise, damaged messages and messages of other lengths; a good one after each is corrected."""
     common = pytest.importorskip("pymavlink.dialects.v20.common")
-    from srt.streams.mavlink import MavlinkCorrector
+    from srt.stacks.mavlink import MavlinkCorrector
 
     sender, link = common.MAVLink(None), MavlinkCorrector(corrector(told))
     rng = np.random.default_rng(9)

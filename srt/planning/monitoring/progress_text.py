@@ -14,8 +14,8 @@ from srt.sensor_errors import DISPLAY_UNITS, GROUP_SLICES
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from srt.monitoring.accuracy import SequenceAccuracy
-    from srt.monitoring.run_monitor import RunState
+    from srt.planning.monitoring.accuracy import SequenceAccuracy
+    from srt.planning.monitoring.run_monitor import RunState
 
 
 def progress_text(state: RunState, history: Sequence[SequenceAccuracy], targets: Mapping[str, float]) -> str:

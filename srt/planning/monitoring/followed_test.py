@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from srt.monitoring.accuracy import accuracy_after, best_repetition
-from srt.monitoring.progress_text import next_text, progress_text, sequence_line
-from srt.monitoring.run_monitor import run_state, sequence_order
+from srt.planning.monitoring.accuracy import accuracy_after, best_repetition
+from srt.planning.monitoring.progress_text import next_text, progress_text, sequence_line
+from srt.planning.monitoring.run_monitor import run_state, sequence_order
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from srt.monitoring.accuracy import SequenceAccuracy
-    from srt.monitoring.run_monitor import OperatorError, RunState
+    from srt.planning.monitoring.accuracy import SequenceAccuracy
+    from srt.planning.monitoring.run_monitor import OperatorError, RunState
     from srt.recording.recording import Recording
 
 

@@ -9,10 +9,10 @@ import pytest
 import sims
 import srt
 from srt.model.table1 import SEQUENCES
-from srt.monitoring.accuracy import accuracy_after, best_repetition
-from srt.monitoring.dwells import rest_motions, rests
-from srt.monitoring.followed_test import FollowedTest
-from srt.monitoring.run_monitor import run_state, truncated
+from srt.planning.monitoring.accuracy import accuracy_after, best_repetition
+from srt.planning.monitoring.dwells import rest_motions, rests
+from srt.planning.monitoring.followed_test import FollowedTest
+from srt.planning.monitoring.run_monitor import run_state, truncated
 from srt.recording.recording import Recording, Site
 
 

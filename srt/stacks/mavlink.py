@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError, MissingExtraError
-from srt.streams.stream_correction import LOST, MALFORMED, PASSED_ON
+from srt.stacks.stream_correction import LOST, MALFORMED, PASSED_ON
 
 if TYPE_CHECKING:
     from srt.recording.import_options import Triple
-    from srt.streams.stream_correction import StreamCorrector
+    from srt.stacks.stream_correction import StreamCorrector
 
 MARKS: Final = (0xFD, 0xFE)
 """First bytes of packets of MAVLink 2 and 1."""

@@ -17,7 +17,7 @@ from srt.constants import DEG
 from srt.diagnosis.staged_diagnosis import StagedDiagnosis
 from srt.exceptions import DataError, InputError, did_you_mean
 from srt.model.table1 import AXES, SEQUENCES, axis_vector
-from srt.monitoring.dwells import rest_motions
+from srt.planning.monitoring.dwells import rest_motions
 from srt.sequences.manoeuvres import end_attitude, quarter_turn, quarters
 from srt.sequences.recognition import labelled, recognise
 

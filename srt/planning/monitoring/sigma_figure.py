@@ -28,7 +28,7 @@ from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from srt.monitoring.accuracy import SequenceAccuracy
+    from srt.planning.monitoring.accuracy import SequenceAccuracy
 
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, INK, GREY)
 _MARKERS = "osD^v<>P"

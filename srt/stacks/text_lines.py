@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Final
 from srt.exceptions import InputError
 from srt.recording.import_options import CHANNELS
 from srt.recording.importers.channels import assign
-from srt.streams.stream_correction import LOST, MALFORMED
+from srt.stacks.stream_correction import LOST, MALFORMED
 
 if TYPE_CHECKING:
-    from srt.streams.stream_correction import StreamCorrector
+    from srt.stacks.stream_correction import StreamCorrector
 
 _READINGS: Final = tuple(name for name in CHANNELS if name.startswith(("gyro", "accel")))
 _NAMELESS: Final = ("time", *_READINGS, "temperature")

@@ -1,1 +1,0 @@
-"""Correction of readings as they arrive: lines of text and MAVLink."""
