@@ -12,6 +12,9 @@ N, RATE = 2000, 200.0
 WINDOWS = np.array([[k * N, (k + 1) * N] for k in range(34)])
 
 
+INSTABILITY = ("accel_bias_instability", "gyro_bias_instability")
+
+
 def recording(gyro, accel, **noise):
     time = np.arange(1, len(gyro) + 1) / RATE
     return srt.Recording(time, gyro, accel, accuracy_trials.SITE, noise=srt.ImuNoise(**noise))
@@ -33,7 +36,7 @@ def test_white_noise_is_found():
     bound = 3.5 * 0.5 * np.sqrt(3.0 / 34000.0)
     np.testing.assert_allclose(found.gyro_white, 1e-4, rtol=bound + 0.005)
     np.testing.assert_allclose(found.accel_white, 2e-3, rtol=bound + 0.005)
-    assert found.estimated == ("gyro_noise", "gyro_quantization", "accel_noise", "accel_quantization")
+    assert found.estimated == ("gyro_noise", "gyro_quantization", "accel_noise", "accel_quantization", *INSTABILITY)
 
 
 def test_pulses_are_told_from_random_walk():
@@ -53,7 +56,7 @@ def test_stated_noise_is_believed():
     )
     np.testing.assert_array_equal(found.gyro_white, 3e-4)
     np.testing.assert_allclose(found.accel_edge, 1e-3 / np.sqrt(12.0))
-    assert found.estimated == ("gyro_quantization", "accel_noise")
+    assert found.estimated == ("gyro_quantization", "accel_noise", *INSTABILITY)
 
 
 def test_floors():

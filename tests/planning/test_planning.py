@@ -296,11 +296,15 @@ def test_conditions_without_noise_or_sense(figures):
 
 @pytest.fixture(scope="module")
 def half_done():
-    """A test that ran but for the sequences about z, and its file."""
+    """A test that ran but for the sequences about z, and its file.
+
+    The graph keeps what the test shows of combinations of unobserved parameters; least squares would fix seven of them.
+    """
+    pytest.importorskip("gtsam")
     file = file_of(WHITE)
     ids = [name for name in SEQUENCES if name not in {"3", "3a", "6", "9", "10"}]
     scenario = table_1_scenario(file, 9, sequences=ids)
-    return file, srt.calibrate(sims.simulate(scenario).recording, "least-squares")
+    return file, srt.calibrate(sims.simulate(scenario).recording, "graph")
 
 
 def test_the_next_sequences_show_what_is_missing(half_done):
