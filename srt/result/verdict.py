@@ -34,6 +34,12 @@ A noise figure that is wrong by a factor of three is a wrong figure; labels, win
 
 _MANY: Final = 30
 """Degrees of freedom from which Student's factor of a 95 % interval, 2.04, is taken as the normal one."""
+IN_USED_READINGS: Final = frozenset({
+    "gyro_dead_band", "gyro_axis_stuck", "accel_axis_stuck", "gyro_stuck", "accel_stuck", "sample_rate",
+    "sensor_time_offset", "earth_rate_absent",
+})  # fmt: skip
+"""Faults of readings that the estimate uses all the same, and that residuals need not show."""
+
 _SMALLEST: Final = 1e-99
 """p-value below which only this limit is shown: smaller ones underflow."""
 
@@ -61,7 +67,9 @@ class Verdict:
 def verdict_on(calibration: Calibration) -> Verdict:
     """Verdict on a calibration, from its status and the chi-square of its residuals."""
     evidence = calibration.verdict
-    overridden = [f for f in calibration.diagnostics.get("faults", ()) if f["effect"].startswith("exit")]
+    faults = calibration.diagnostics.get("faults", ())
+    overridden = [f for f in faults if f["effect"].startswith("exit")]
+    wrong = [f for f in faults if f["fault"] in IN_USED_READINGS]
     own = evidence.get("own_noise", evidence)
     p = own.get("probability")
     if calibration.status not in USABLE:
@@ -74,7 +82,9 @@ def verdict_on(calibration: Calibration) -> Verdict:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
     agreement = f"{_agreement(p, merged='own_noise' not in evidence)} ({_chi_square(own)})."
     added = " ".join(_added(calibration, own))
-    return Verdict(DOUBTFUL if added else SOUND, " ".join([agreement, *_modelled(calibration), added]).rstrip())
+    found = [f"A fault was found in the readings: {wrong[0]['sentence']}"] if wrong else []
+    word = DOUBTFUL if added or found else SOUND
+    return Verdict(word, " ".join([*found, agreement, *_modelled(calibration), added]).rstrip())
 
 
 def _modelled(calibration: Calibration) -> Iterator[str]:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import srt
+from srt.diagnosis.faults import FAULTS
 from srt.estimation.leave_one_out import verdict
 from srt.result.calibration import STATUSES
-from srt.result.verdict import DOUBTFUL, FAILED, SOUND, USABLE
+from srt.result.verdict import DOUBTFUL, FAILED, IN_USED_READINGS, SOUND, USABLE
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 OBSERVED = np.ones(N_PARAMETERS, dtype=bool)
@@ -88,6 +89,16 @@ def test_an_overridden_fault_is_doubtful():
     assert found.word == DOUBTFUL
     assert found.reason.endswith("Labels are exchanged.")
     assert judged(44.0, 44, diagnostics={"faults": [fault | {"effect": "warning"}]}).word == SOUND
+
+
+@pytest.mark.parametrize("name", sorted(IN_USED_READINGS))
+def test_a_fault_of_the_used_readings_is_doubtful(name):
+    """Residuals that agree do not show it: a dead band of consumer gyros shifted results by 279 sigma in silence."""
+    assert FAULTS[name].effect == "warning"
+    fault = {"fault": name, "effect": "warning", "sentence": "A channel is stuck.", "details": {}}
+    found = judged(44.0, 44, diagnostics={"faults": [fault]})
+    assert found.word == DOUBTFUL
+    assert found.reason.startswith("A fault was found in the readings: A channel is stuck. The residuals agree")
 
 
 def test_the_file_holds_the_verdict_and_loads_without_one(tmp_path):
