@@ -136,7 +136,7 @@ def readings(rate: np.ndarray, force: np.ndarray, errors: dict[str, float], grad
 
 @dataclass(frozen=True)
 class Extras:
-    """What the model of the sensor errors does not have.
+    """Effects that the model of the sensor errors does not have.
 
     Quadratic terms of the accelerometers (s²/m), position of each accelerometer in body axes (m, row i is
     accelerometer i), and lag of the accelerometers against the gyros (s).

@@ -119,7 +119,7 @@ def trial(grade: str, kind: str, seed: int) -> Trial:
 
 
 def outcome(one: Trial) -> tuple[bool, bool]:
-    """Whether the error was named in time, and whether anything was named before it."""
+    """Two truth values: the error was named in time; something was named before it."""
     found = run_state(one.until_deadline).errors
     named = any(error.sequence == one.sequence and error.kind in NAMED_AS[one.kind] for error in found)
     return named, bool(run_state(one.before).errors)

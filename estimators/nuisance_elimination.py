@@ -3,7 +3,7 @@
 An orthogonal transformation (QR) of the rows of a sequence concentrates its nuisance parameters, such as attitudes,
 edge errors and the white part of the drift, in the first rows. The other rows are white measurements of the filter's
 state.
-What the next sequence needs, the states of the drift and an attitude or edge error that both share, is handed on: the
+The states of the drift, and an attitude or edge error that both share, are handed on to the next sequence: the
 rows of these columns become the transition of the filter's states.
 """
 

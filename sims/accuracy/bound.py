@@ -59,7 +59,7 @@ FIXTURE_SIGMAS = tuple(
 _MOUNTING, _SKEW, _GRAVITY, _STARTS = slice(3, 6), 6, 7, slice(8, 10)
 # The readings in a pose do not depend on the motion before it: moves are fast, windows have one sample.
 _POSE_RATE_HZ, _POSE_PROFILE = 10.0, RateProfile(20.0, 200.0)
-# What is rounding: a derivative, over the largest of its measurement; a singular value, columns equilibrated, over the
+# Limits of rounding: derivative over the largest of its measurement; a singular value, columns equilibrated, over the
 # largest; the share of a sensor error in a direction of which nothing is known.
 _NO_DERIVATIVE, _SINGULAR, _NO_SHARE = 1e-10, 1e-11, 1e-6
 _LEAST_MOVE = 0.1

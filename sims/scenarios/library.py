@@ -97,7 +97,7 @@ def resolved(tables: dict[str, Any], *, name: str, near: Path | None = None) -> 
     tables : dict
         Tables of a scenario; not changed.
     name : str
-        What error messages call the scenario.
+        Name of the scenario in error messages.
     near : Path, optional
         Folder that relative paths in ``from`` start from.
 

@@ -417,7 +417,7 @@ def scenario_from_dict(tables: dict[str, Any], *, name: str = "scenario", near: 
     ----------
     tables : dict
     name : str
-        What error messages call the scenario.
+        Name of the scenario in error messages.
     near : Path, optional
         Folder that relative paths in ``from`` start from.
     """

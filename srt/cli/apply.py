@@ -265,7 +265,7 @@ def correct(calibration: Calibration, recording: Recording, frame: Any, *, check
         )
     gyro, accel = applier.apply(recording.gyro, recording.accel, dt=recording.interval_s if increments else None)
     noise = replace(recording.noise, gyro_range=None, accel_range=None)
-    # What a logger had applied before is no longer all that these readings had.
+    # These readings have had more than the correction that the logger applied.
     return replace(recording, gyro=gyro, accel=accel, noise=noise, applied=None)
 
 

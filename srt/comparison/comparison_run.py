@@ -39,7 +39,7 @@ def compare(
     reference : str, optional
         Estimate that the others are compared with. Default: the first of graph, ekf, least-squares, closed-form.
     truth : SensorErrors, optional
-        Of a simulated recording.
+        True errors of a simulated recording.
     options : Options, optional
         The same for all.
     progress : callable, optional

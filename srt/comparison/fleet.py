@@ -278,7 +278,7 @@ def _without_details(unit: FleetUnit) -> FleetUnit:
     kept = replace(
         unit.calibration,
         corrections=(), contributions={}, residuals=(), site={}, alignment={}, temperature=None, provenance={},
-        # What the verdict is made from stays.
+        # The values that the verdict is made from stay.
         noise={k: v for k, v in found.noise.items() if k == "sigma_inflation"},
         diagnostics={k: v for k, v in found.diagnostics.items() if k in ("faults", "drift")}, verdict=verdict,
     )  # fmt: skip

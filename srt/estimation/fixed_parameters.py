@@ -75,7 +75,7 @@ _REMEDIES: Final = {
     "accel_misalignment": "half turns about axes near both, and poses between them",
     "gyro_bias": "longer rests",
 }
-"""What shows the parameters of a group; the same words for all axes, so that a list of parameters has one reason."""
+"""Motion that shows the parameters of a group; the same words for all axes, so that a list has one reason."""
 
 
 def reason_not_observed(name: str) -> str:

@@ -77,7 +77,7 @@ class SrtMeasurements:
     nominal_vertical : bool
         True if the vertical was the nominal one.
     stated : StatedMeasurements
-        What labels of poses and of rate tables state, and which measurements compare with it.
+        Statements of the labels of poses and rate tables, and the measurements that compare with them.
     poses : PoseRegression, or None
         Regression of ``rest_rate`` on specific force; None where gyro g-sensitivity is not estimated.
     earth_rate_regression : EarthRateRegression, or None

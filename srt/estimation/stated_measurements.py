@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatedMeasurements:
-    """What the labels of a recording state; the arrays do not depend on the sensor errors.
+    """Statements of a recording's labels as arrays, which do not depend on the sensor errors.
 
     Attributes
     ----------

@@ -116,7 +116,7 @@ def lower_rotation(M: Array) -> tuple[Array, Array]:
         raise InputError("A triad of this calibration is left-handed or flat: it has no such form; calibrate again.")
     q, r = np.linalg.qr(M.T)
     signs = np.where(np.diag(r) < 0.0, -1.0, 1.0)
-    # What stands above the diagonal is zero, not rounding: formats have no room for it.
+    # Elements above the diagonal become exactly zero: formats have no room for their rounding.
     return np.tril(r.T * signs), signs[:, None] * q.T
 
 

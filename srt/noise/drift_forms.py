@@ -111,7 +111,7 @@ def _centred(values: Array, intervals: Intervals, *, scaled: bool) -> DriftShape
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
-    """What white residuals of a model tell about coefficients that it does not have.
+    """Information of a model's white residuals on coefficients that it does not have.
 
     Attributes
     ----------

@@ -68,7 +68,7 @@ def read(
     like : path-like or Recording, optional
         Recording of which site, fixture, noise and sequences are taken. What is stated precedes it.
     **stated
-        What the data do not state, with the unit in the name. Samples: ``kind``, ``gyro_unit``, ``accel_unit``,
+        Properties that the data lack, with the unit in the name. Samples: ``kind``, ``gyro_unit``, ``accel_unit``,
         ``time_unit``, ``gyro_lsb`` and ``accel_lsb`` (SI units per count, or a text as "1/131 deg/s"),
         ``gyro_offset``, ``accel_offset``, ``sample_rate_hz``, ``columns``, ``map_gyro``, ``map_accel``, ``topic`` and
         the other fields of :class:`~srt.recording.import_options.ImportOptions`. Place: ``latitude_deg``,

@@ -37,7 +37,7 @@ class SequenceAccuracy:
     sigma : ndarray, shape (27,), SI
         Infinite for parameters that are not observed yet.
     calibration : Calibration or None
-        Of the sequences so far, by least squares; None if they support none.
+        Sigmas from the sequences so far, by least squares; None if they support none.
     """
 
     sequence: str

@@ -56,7 +56,7 @@ class OperatorError:
     until_s : float
         End of the attempt that it spoils: the sequence, turned later than that, is a repetition.
     sentence : str
-        What was found, and what to do.
+        Finding, and the action to take.
     """
 
     kind: str

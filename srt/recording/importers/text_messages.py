@@ -43,7 +43,7 @@ class _Messages:
     pattern : re.Pattern
         Groups: text that the checksum covers, name, fields, checksum.
     checksum : callable
-        Of the text, as hexadecimal digits.
+        Checksum of the text, as hexadecimal digits.
     places : callable
         From the fields of one message to those of week, second (None without time), gyros, accelerometers, temperature
         (None without).

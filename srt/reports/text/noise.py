@@ -26,7 +26,7 @@ def noise_report(terms: NoiseTerms, allan: AllanDeviation, *, title: str) -> str
     ----------
     terms : NoiseTerms
     allan : AllanDeviation
-        Of the same window.
+        Noise terms of the same window.
     title : str
 
     Returns
