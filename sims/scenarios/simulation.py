@@ -50,7 +50,7 @@ class Simulation:
     windows : tuple of ((start, end), (start, end))
         Stationary windows before and after each turn, s, whether or not the recording labels them.
     motion : TrueMotion
-        The true integrals; read them out again for other errors on the same motion.
+        True integrals; ``read_out`` makes of them a recording of the same motion with other errors.
     scenario : Scenario
     """
 
@@ -115,14 +115,14 @@ def draw_errors(
     sizes : dict
         Standard deviation by group name, SI; zero for absent groups.
     distribution : "normal", "uniform" or "none"
-        Uniform has the same sigma: within ±√3 of it.
+        Uniform: within ±√3 sigma, so that its standard deviation is the same.
     values : dict, optional
         Values by parameter name, SI; they replace drawn values.
     """
     drawn: dict[str, float] = {}
     for group in GROUPS:
         count = len(group.suffixes)
-        # Both are drawn whatever the distribution, so that a seed keeps its meaning when a group is
+        # Both are always drawn, so that a seed gives the same numbers for either distribution and if a group is
         # switched off.
         normal, uniform = rng.standard_normal(count), rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), count)
         unit = {"normal": normal, "uniform": uniform, "none": np.zeros(count)}[distribution]
@@ -174,7 +174,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
 
 
 def imu_model(scenario: Scenario, rng: np.random.Generator) -> ImuModel:
-    """Noise model of the unit with a drawn g-sensitivity; no noise at all if the scenario has none."""
+    """Noise model of the unit with a drawn g-sensitivity; a perfect IMU if the scenario has no noise."""
     noise = scenario.imu.noise
     g_sensitivity = rng.standard_normal((3, 3)) * noise.g_sensitivity_sigma
     if not scenario.recording.noise:

@@ -1,9 +1,9 @@
 """Axes and frames: swapped axes and wrong signs, from the labels and from gravity against the gyros.
 
-The specific force of a body that only rotates is fixed to the Earth, so in body axes ``df/dt = f × ω``. The rotations
-therefore give ``K`` of ``df/dt = f × (K ω̃)`` without any label: the identity for correct readings, the inverse of the
-gyros' factor for a wrong unit, and ``K = det(Pa) Pa Pg⁻¹`` for axes ``f̃ = Pa f`` and ``ω̃ = Pg ω`` that are signed
-permutations. A common sign of all accelerometers cancels.
+The specific force of a body that only rotates is fixed to the Earth, so in body axes ``df/dt = f × ω``. The readings
+f̃ and ω̃ of the rotations therefore give ``K`` of ``df̃/dt = f̃ × (K ω̃)`` without labels. Correct readings give
+``K = I``. Gyro readings in a unit that is wrong by the factor c give ``K = I / c``. Signed permutations of the axes,
+``f̃ = Pa f`` and ``ω̃ = Pg ω``, give ``K = det(Pa) Pa Pg⁻¹``. A common sign of all accelerometers cancels.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ def _is(first: Array, second: Array) -> bool:
 
 
 def _relative_finding(relation: Array) -> Finding:
-    """Fault of gyros against accelerometers, without labels that tell which is right: the simpler explanation."""
+    """Fault of the gyros relative to the accelerometers if no labels tell which is wrong: the simpler one."""
     proper = np.linalg.det(relation) > 0.0
-    # Improper gyros make K improper; improper accelerometers make it proper, with the sign reversed.
-    if not proper or _is(relation, -_EYE):
+    # Improper gyros make K improper; improper accelerometers make K = -Pa, proper.
+    if not proper:
         return _permutation_finding(relation.T, _EYE)
     other = _one_sensor("accel", -relation)
     return other if other is not None else _permutation_finding(relation.T, _EYE)
@@ -107,11 +107,11 @@ _LEAST_EIGENVALUE: Final = 1e-3
 _UNEXPLAINED_BY_LABELS: Final = 0.3
 """Share of the power that the labels may leave unexplained: correct readings leave a few %, wrong labels most."""
 _UNEXPLAINED_BY_GYROS: Final = 0.65
-"""The same for the rotation of gravity: a hand accelerates the unit about as much as gravity rotates in it."""
+"""Share that K may leave unexplained: the acceleration by a hand changes f about as much as the rotation does."""
 _FEWEST_BLOCKS: Final = 50
-"""Blocks in which nine coefficients explain 6 % of pure noise."""
+"""Smallest number of blocks: with 50, nine coefficients explain 6 % of pure noise."""
 _AXIS_TOLERANCE: Final = 0.5
-"""Deviation of an element of a unit row that still belongs to the same axis: 30°, near half-way to the next."""
+"""Deviation of an element of a unit row that still belongs to the same axis: 30°."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ named as the cause. Words in braces are filled in from the recording. How reliab
 [fault-detection.md](fault-detection.md).
 
 Effects: **exit 2**, the recording is refused on reading; **exit 1**, it cannot be calibrated; **warning**, it is
-calibrated with a warning; **note**, only `srt inspect` tells it.
+calibrated with a warning; **note**, only `srt inspect` reports it.
 
 This page is made from `srt/diagnosis/faults.toml` by `python -m srt.diagnosis.document`.
 """

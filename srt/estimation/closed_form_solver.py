@@ -1,7 +1,7 @@
 """Estimator ``closed-form``: solves the formulas of :mod:`srt.model.closed_form` at the current sensor errors.
 
-Eq. 13 of Savage 2020 [P] reads one component of the measurements per parameter. The solver keeps this choice of
-components, S, and inverts their full Jacobian: ``δ = (S H)⁻¹ S z``; at zero error that equals the coefficients of the
+Eq. 13 of Savage 2020 [P] reads one combination of measured components per parameter. The solver keeps this choice, S,
+and inverts their full Jacobian: ``δ = (S H)⁻¹ S z``; at zero error that equals the coefficients of the
 paper. Leave-one-out solves the formulas that the other sequences support.
 """
 
@@ -39,7 +39,7 @@ _BIAS = GROUP_SLICES["gyro_bias"]
 
 
 class ClosedFormSolver:
-    """Solution of the components that the closed form reads, one per parameter, and of the pooled rest rate.
+    """Solution of the formulas of the closed form, one combination of components per parameter, and of the rest rate.
 
     Parameters
     ----------
@@ -81,8 +81,7 @@ class ClosedFormSolver:
     def selection(self) -> Array:
         """Selection matrix S from the measurements to the formulas, shape (number of kept parameters, n_z).
 
-        One row per formula, its combination of components averaged over the occurrences of a sequence; then the rest
-        rates.
+        A row per formula: its components, each averaged over the repetitions of the sequence; then a row per gyro bias.
         """
         own = np.zeros((len(self.formulas), len(self.components)))
         order = {c: j for j, c in enumerate(self.components)}
@@ -122,7 +121,7 @@ class ClosedFormSolver:
 
     @cached_property
     def coefficients(self) -> Array:
-        """Coefficients of [P] eq. 13 for the averaged components; the rest rate is the gyro bias; shape (27, n_z)."""
+        """Coefficients of [P] eq. 13 for the averaged components, and 1 for gyro bias by rest rate; shape (27, n_z)."""
         A = closed_form.inversion_matrix(self.formulas, self.data.gravity) @ self._averaged
         for i in self.rest_axes:
             A[_BIAS.start + i, A.shape[1] - 3 + i] = 1.0
@@ -168,7 +167,7 @@ def without_sequences(
     fixed = options.fixed_names
     axes = [i for i in range(3) if NAMES[_BIAS.start + i] not in fixed]
     rates = np.eye(n)[[n - 3 + i for i in axes]]
-    # For uncorrelated measurements, the information of a sequence is its share of the variance.
+    # As for uncorrelated measurements, a sequence's information is taken as its share of the parameter's variance.
     weight = solution.gain**2 * np.diag(solution.measurement_covariance)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     estimated = np.asarray(solution.gain.any(axis=1), dtype=np.bool_)
@@ -203,7 +202,7 @@ _PLACE: Final = {component: i for i, component in enumerate(_COMPONENTS)}
 
 @lru_cache(maxsize=256)
 def _supported(ids: frozenset[str], fixed: tuple[str, ...]) -> tuple[tuple[int, ...], Array]:
-    """Parameters for which a set of sequences has formulas, and the coefficients of :data:`_COMPONENTS` in these."""
+    """Parameters that a set of sequences determines, and the coefficients of :data:`_COMPONENTS` in their formulas."""
     asymmetry = not {*NAMES[GROUP_SLICES["gyro_asymmetry"]]} <= {*fixed}
     formulas = [f for f in closed_form.formulas(ids, asymmetry=asymmetry) if f.parameter not in fixed]
     coefficients = np.zeros((len(formulas), len(_COMPONENTS)))
@@ -214,7 +213,7 @@ def _supported(ids: frozenset[str], fixed: tuple[str, ...]) -> tuple[tuple[int, 
 
 
 def _measured(data: PreparedRecording, without: int = -1) -> Array:
-    """Components from the measurements, averaged over occurrences, shape (number of components, n_z)."""
+    """:data:`_COMPONENTS` from the measurements, averaged over repetitions; sequence ``without`` is omitted."""
     out = np.zeros((len(_COMPONENTS), 2 * data.K + len(data.windows.duration_s) + 3))
     for k, sequence in enumerate(data.catalogue):
         if k == without or sequence is None:

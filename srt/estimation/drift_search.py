@@ -56,7 +56,7 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
 def gyro_statistics(
     data: PreparedRecording, slope: Array, rest: Array, integrated: Mask, present: Sequence[DriftTerm]
 ) -> dict[tuple[Sensor, str], Statistics]:
-    """Statistics of the forms of drift of the gyros in the rates at rest, with their noise as specified.
+    """Test statistic of each form of gyro drift in the rest rates, weighted by the specified noise.
 
     Parameters
     ----------
@@ -122,7 +122,10 @@ def estimates(
 
 
 def _gyro_coefficients(data: PreparedRecording, solution: Solution, terms: list[DriftTerm]) -> dict[str, Array]:
-    """Coefficients (q, 3) of the gyros' forms from the rest rates, rad/s; the rotations are far less sensitive."""
+    """Coefficients of each form of gyro drift from the rest rates, rad/s; the rotations are far less sensitive.
+
+    The shape of each is (number of functions of the form, 3).
+    """
     shapes = [data.drift_shapes[term.form].windows for term in terms]
     constant = np.ones((len(solution.measurements.rest_rate), 1))
     weight = np.sqrt(solution.measurements.pool)[:, None]
@@ -133,7 +136,7 @@ def _gyro_coefficients(data: PreparedRecording, solution: Solution, terms: list[
 
 
 def used_bias_gain(data: PreparedRecording, options: Options, solution: Solution) -> Array:
-    """Share of a sequence's own rest rate that was used as its bias, shape (3,)."""
+    """Weight of a sequence's own rest rate in its bias, per axis, shape (3,); see ``bias_gain``."""
     if solution.excess.drifting("gyro"):
         return np.ones(3)
     compensated = np.sqrt(np.linalg.inv(solution.measurements.gyro.matrix) ** 2 @ solution.wander**2)
@@ -141,6 +144,6 @@ def used_bias_gain(data: PreparedRecording, options: Options, solution: Solution
 
 
 def _effect(data: PreparedRecording, options: Options, solution: Solution, sensor: str, form: str) -> Array:
-    """Effect of the unit coefficients of a form on the measurements, shape (n_z, 3 q)."""
+    """Effect of a unit value of each coefficient on the measurements, shape (n_z, 3 × functions of the form)."""
     draws = measurement_covariance.drift_form(solution.measurements, data, sensor, form)
     return measurement_covariance.project(solution.measurements, data, draws, used_bias_gain(data, options, solution))

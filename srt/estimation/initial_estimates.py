@@ -2,8 +2,8 @@
 
 *From the fixture* (nominal rotations and attitudes known). The gyro increments of a rotation, less bias, sum to
 ``Σ ω̃ dt = Mg U (angle · axis)``, and the mean specific force of a static pose is ``f̃ = Ma (−g û_dwn) + λ_Bias``. Both
-are linear in the matrices, so that linear least squares needs no initial value. Asymmetries are left out: over six
-faces |f| of all axes is collinear with the bias, and ± pairs of rotations cancel those of the gyros.
+are linear in the matrices, so that linear least squares needs no initial value. Asymmetries are left out: they are
+small, and pairs of opposite rotations or poses cancel their effect on the scale factors.
 
 *From gravity* (free rotations). Each pose gives only |f| = g. This determines the accelerometer matrix up to a
 rotation; the symmetric matrix is taken, which is close to the truth if the sensor axes nearly coincide. A weak prior
@@ -13,8 +13,9 @@ determines the rest.
 error of 50 % makes a full rotation look like half of one or like three halves, close to wrong minima; half a rotation
 looks like a quarter or three quarters, which still leads to the right minimum. Therefore the shortest rotations are
 fitted first, and their result is the initial value for longer ones. The residuals are all three components of the
-change of specific force, because at large angles the vertical one gives the sign. The weights are approximate (0.01 rad
-per rotation), with a prior of the size of the expected errors; this is accurate enough for an initial estimate.
+change of specific force: the horizontal ones, g sin θ, are equal for attitude errors of θ and π − θ. The vertical one
+separates these. The weights are approximate (0.01 rad per rotation), with a prior of the size of the expected errors;
+this is accurate enough for an initial estimate.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ def estimate_from_fixture(data: PreparedRecording, stream: GyroStream) -> tuple[
 
 
 _ONE_BIAS: Final = 1.5
-"""Largest rms, over the noise, of the rates at rest about one bias: larger, and the bias changes in the test."""
+"""Largest rms of the rest rates about one bias, over their noise; beyond it the bias is taken to drift."""
 
 
 def _pooled_bias(data: PreparedRecording) -> Array | None:
@@ -175,8 +176,8 @@ def _mean_earth_rate(data: PreparedRecording, k: int, sequence: RotationSequence
 def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias: Array) -> Array | None:
     """Summed raw gyro increments of each rotation of sequence k, less bias, shape (number of rotations, 3), rad.
 
-    Returns None if the pauses between the rotations cannot be found. They are the only mark here: axes do not count,
-    because they may be far from those of the table.
+    Returns None if the pauses between the rotations cannot be found. Only pauses separate the rotations; axes are not
+    used, because raw axes may be far from those of the table.
     """
     s, e = stream.rotation[k]
     increments = stream.increments[:, s:e] - bias[:, None] * stream.interval_s[s:e]
@@ -192,9 +193,11 @@ def rotation_angles(stream: GyroStream, k: int, sequence: RotationSequence, bias
 
 
 def _fit_triad(x: Array, y: Array, scale: float = 1.0, *, with_bias: bool = False) -> tuple[Array, Array]:
-    """Least-squares solution M, b of y = M x + b with a weak prior; x and y are of size ``scale``, and b may be zero.
+    """Least-squares solution M, b of y = M x + b with a weak prior; x and y are of size ``scale``.
 
-    The prior makes it an initial estimate for every recording. The fits of the diagnosis answer other questions:
+    b is zero unless ``with_bias``.
+
+    The prior gives an initial estimate for every recording. The fits of the diagnosis answer other questions:
     whether the labels explain the readings, and which triad most of them agree on (:mod:`srt.diagnosis.triad_fits`).
     """
     design = np.hstack([x / scale, np.ones((len(x), 1))]) if with_bias else x / scale
@@ -283,7 +286,7 @@ for _group, _size in {
 }.items():
     _PRIOR[GROUP_SLICES[_group]] = _size
 _ROTATION_SIGMA_RAD: Final = 0.01
-"""Assumed 1-sigma of the attitude after a rotation, rad; also the weight of the Down measurements over g."""
+"""Assumed 1-sigma of the attitude after a rotation, rad; also the 1-sigma of a_Down / g."""
 _REST_SIGMA_RAD_S: Final = 1e-5
 """Assumed 1-sigma of the pooled rest rate, rad/s (2 °/h)."""
 _STAGE_FACTOR: Final = 1.5
@@ -291,7 +294,7 @@ _STAGE_FACTOR: Final = 1.5
 _TOLERANCE: Final = 1e-3
 """Relative change of cost and of the unknowns below which a stage ends."""
 _FIRST_STEP: Final = 0.1
-"""Largest first step, in units of the prior: 3 of 150 units ended in a wrong minimum with 1, none of 650 with 0.1."""
+"""Largest first step, in units of the prior: 3 of 150 IMUs ended in a wrong minimum with 1, none of 650 with 0.1."""
 _EVALUATIONS: Final = 60
 """Largest number of evaluations in a stage."""
 
@@ -409,5 +412,5 @@ class _Stage:
         )
         z = np.concatenate([change.ravel(), measured.z[rows], measured.z[-3:]]) / scale
         H = np.concatenate([H.reshape(3 * K, -1), measured.H[rows], measured.H[-3:]]) * self.sizes / scale[:, None]
-        # H is the derivative with respect to the remaining errors: its sign is opposite to that of the fitted ones.
+        # H is the derivative by the errors left after compensation; by the fitted ones it is -H.
         return np.concatenate([z, u]), np.concatenate([-H, np.eye(N_PARAMETERS)])

@@ -1,5 +1,7 @@
 """Iteration of the solution until the corrections are negligible (Savage 2020 [P], §8).
 
+Closed form and least squares use it; Kalman filter and factor graph have that of :mod:`estimators.iteration`.
+
 Each iteration re-processes (plays back, [P] §8) the recorded data with the corrected compensation, and solves for a
 correction δ = G z. Two steps are available:
 

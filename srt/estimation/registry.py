@@ -1,7 +1,9 @@
 """Registry of estimators, and the choice of one for a recording.
 
-Estimators are functions ``(recording, options, progress) -> Calibration``. Those of ``srt`` are listed here, those of
-other packages in the entry-point group ``srt.estimators``; any distribution can add its own.
+Estimators are functions ``(recording, options, progress) -> Calibration``. Those of ``srt`` are listed here. Those of
+other packages are entry points of the group ``srt.estimators``: this repository states its own in ``pyproject.toml``,
+and any distribution can add more. An estimator that is to be compared by default also needs its name in
+:data:`ESTIMATORS`. The recipe is in ``docs/estimators.md``.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
 """Formats that state the compensation: ``true = M (measured − b)`` or ``true = M measured − b``.
 
 OpenVINS: ``w_I = R_GYROtoIMU Dw (w_m − Tg a_I − b_g)``, ``a_I = R_ACCtoIMU Da (a_m − b_a)``; the file holds the
-inverses Tw, Ta and the rotations from I. Tw and Ta are triangular; the reader ignores the other entries.
-With both rotations free any axes will do. Tg is the gyro g-sensitivity Γ in the axes I: Kalibr's A times C_gyro_i.
+inverses Tw, Ta and the rotations from I. Tw and Ta are triangular; OpenVINS ignores the other entries, the reader here
+refuses them. As both rotations are free, the file can state any axes. Tg is the gyro g-sensitivity Γ in the axes I:
+Kalibr's A times C_gyro_i.
 
 imucal: ``acc = R_a⁻¹ K_a⁻¹ (U − b_a)``, ``gyr = R_g⁻¹ K_g⁻¹ (U − K_ga acc − b_g)``, K diagonal and the rows of R of
 unit length; m/s² and deg/s.
 
-imu_tk: ``X' = T K (X − B)``, K diagonal, T of unit diagonal, upper-triangular for the accelerometers, which decides the
-axes: ``Ma = (T K)⁻¹ C_IB``.
+imu_tk: ``X' = T K (X − B)``, K diagonal, T of unit diagonal, upper-triangular for the accelerometers. This choice
+decides the axes: ``Ma = (T K)⁻¹ C_IB``.
 
 Basalt: ``cal = (I + S) raw − b``, S lower-triangular for the accelerometers; this choice decides the axes.
 """
@@ -177,7 +178,7 @@ _IMU_TK_PARTS: Final = {"_acc": "acc", "_gyro": "gyr"}
 
 
 def _write_imu_tk(model: ExportModel) -> dict[str, str]:
-    # The inverse of an upper triangle is one; what stands below the diagonal is rounding.
+    # The inverse of an upper-triangular matrix is upper-triangular too; only rounding is below the diagonal.
     corrections = {"_acc": np.triu(model.accel.inverse), "_gyro": model.gyro.inverse}
     biases = {"_acc": model.accel.bias, "_gyro": model.gyro.bias}
     out = {}

@@ -199,7 +199,8 @@ class _AttitudeChain:
 
     def extend(self, phi: Array, first: int) -> Array:
         """Append the rotation vectors (3, m) of the samples from ``first`` on; return Ĉ at mid-interval, (3, 3, m)."""
-        # Ĉ relative to inertial space: the solution of [P] eq. 2 without its term of the Earth's rotation.
+        # Ĉ relative to inertial space: the solution of [P] eq. 2 without its term of the Earth's rotation, which
+        # _ErrorSums.integrals takes into account.
         chained = rotations.multiply(self._last, rotations.prefix_product(rotations.from_rotation_vector(phi)))
         self._last = chained[:, -1:]
         ended = np.flatnonzero((self._starts > first) & (self._starts <= first + phi.shape[1]))
@@ -248,7 +249,7 @@ class _ErrorSums:
     def integrals(
         self, edges: rotations.Quaternions, to_start: Array, earth_rate: Array, gyro: Triad
     ) -> RotationIntegrals:
-        """Transform the sums to each sequence's B_Strt.
+        """Transform the sums to each sequence's B_Strt, and remove the Earth's rotation from the inertial attitudes.
 
         Parameters
         ----------

@@ -52,7 +52,7 @@ _GYRO_SCALE: Final = (("x", "2", "2a", "y", 1.0), ("y", "1", "1a", "x", -1.0), (
 """First six formulas of eq. 13, or the three of eq. 14, which :func:`formulas` writes out: gyro axis, sequence,
 sequence of opposite rotation, component and sign of the signature."""
 
-_EQUATION_13: Final = (
+_EQUATION_13_AFTER_GYRO_SCALE: Final = (
     _f("gyro_orthogonality_yz", (1 / 4, "4", "y")),  # υyz = Δ4y/4g
     _f("gyro_orthogonality_zx", (1 / 4, "5", "x")),  # υzx = Δ5x/4g
     _f("gyro_orthogonality_xy", (1 / 4, "6", "y")),  # υxy = Δ6y/4g
@@ -118,7 +118,7 @@ def formulas(sequences: Collection[str], *, asymmetry: bool = True) -> tuple[For
     found = {f.parameter for f in chosen}
     # A gyro asymmetry without a formula is fixed at a given value; formulas that use it remain valid.
     given = {name for name in NAMES if name.startswith("gyro_asymmetry")} - found
-    for formula in _EQUATION_13:
+    for formula in _EQUATION_13_AFTER_GYRO_SCALE:
         if {c.sequence for _, c in formula.components} <= have and {p for _, p in formula.parameters} <= found | given:
             kept = tuple((c, p) for c, p in formula.parameters if p in found)
             chosen.append(Formula(formula.parameter, formula.components, kept))

@@ -7,10 +7,10 @@ For every sequence and any vertical (``u`` down, ``f = -g u`` the specific force
     a_Down    = u · δf                                  for every stationary window
     δω_window = δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias         at rest: the gyro bias
 
-with ``δf = δMa f + δλ_Asym ∘ |f| + δλ_Bias``. The predicted measurement is H times the errors; the measured values z
-are in :mod:`srt.estimation.srt_measurements`. The model neglects products of two errors, and the Earth's rate times an
-error of the vertical (1e-3 of a coefficient). Away from zero error, each triad's error is multiplied by D, the inverse
-slope of its sensor model at the current estimate.
+with ``δf = δMa f + δλ_Asym ∘ |f| + δλ_Bias``. The measured ``a_Down = g − |f|`` has the same derivative. The predicted
+measurement is H times the errors; the measured values z are in :mod:`srt.estimation.srt_measurements`. The model
+neglects products of two errors, and the Earth's rate times an error of the vertical (1e-3 of a coefficient). Away from
+zero error, each triad's error is multiplied by D, the inverse slope of its sensor model at the current estimate.
 
 Joint estimation treats the attitudes of the stationary windows as unknowns. Its measurements are the mean specific
 force and the mean rate of a window, and the rotation between two windows (:func:`specific_force_residual`,

@@ -71,6 +71,9 @@ def ideal_rotations(
 ) -> RotationIntegrals:
     """Integrals of exact rotations about IMU axes at constant rates, with error-free sensors.
 
+    Planning and accuracy analysis use them. A calibration takes the integrals of the recorded rotations from
+    :func:`srt.model.analytic_platform.integrate_attitude`.
+
     Parameters
     ----------
     sequences : sequence of RotationSequence

@@ -6,6 +6,9 @@ the errors in Mg and Ma are in :mod:`srt.sensor_errors`. The model is piecewise 
 errors of 50 % are allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the same sign of its determinant for every
 sign vector σ.
 
+The inverse exists three times: :meth:`Triad.compensate`, for arrays of samples in
+:mod:`srt.model.analytic_platform` (``_compensate``), and for applied calibrations in :mod:`srt.result.triad_inverse`.
+
 Gauge. A gyro matrix ``Mg`` in any frame T is ``Mg = P U`` with P symmetric positive definite and U a rotation (polar
 decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix is P; the accelerometer matrix becomes
 ``Ma Uᵀ``. [P] eq. 8 holds to first order; P is exact.

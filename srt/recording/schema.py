@@ -1,6 +1,7 @@
 """Keys of ``recording.toml``: name, type, unit and range of each, and its attribute.
 
-Reader and writer both use these tables. Unknown keys are refused with the most similar known name.
+Reader and writer both use these tables. A new key also needs its field in :mod:`srt.recording.recording`. Unknown keys
+are refused with the most similar known name.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Labels of an unlabelled recording from its protocol: the steps are matched with the rests and turns, in order.
 
 Each step expects a rest with a certain IMU direction down, reached by a certain turn or by placing the unit. Dynamic
-programming finds the rests and turns of the recording that agree with all steps; rests between a step and the placing
-of the next may be passed over. The raw readings are compared, so that the limits admit uncalibrated sensors and hands.
+programming finds the rests and turns of the recording that agree with all steps. A rest before a step that places the
+unit may be skipped. Raw readings are compared; the limits are therefore wide enough for uncalibrated sensors and for
+turning by hand.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 _ANGLE: Final = 30.0 * DEG
-"""Largest angle between an expected and a measured direction or rotation: hands, and sensors before calibration."""
+"""Largest angle between an expected and a measured direction or rotation. Hands and uncalibrated sensors need it."""
 _SCALE: Final = 0.15
-"""Share of a rotation's path that is added to it for the scale factors of the gyros."""
+"""Share of a rotation's path that is added to the limit :data:`_ANGLE`, for the scale factors of the gyros."""
 _PASSED_OVER: Final = 0.1
 """Cost of a rest that no step expects, in units of the largest mismatch of a step."""
 _STEADY: Final = 0.98
@@ -167,7 +168,7 @@ def _match(protocol: Protocol, expected: list[_Expected], found: _Found) -> list
 
 
 def _mismatch(step: Step, found: _Found, window: int) -> float:
-    """Difference between a step's turn and that after a rest, in units of the limit; infinite beyond it."""
+    """Difference between a step's turn and the measured turn after a rest, in units of the limit; infinite beyond."""
     if found.breaks[window]:
         return np.inf
     angle, path = found.turns[window]

@@ -96,7 +96,7 @@ def test_default_stand_error_is_1_mrad(folder, capfd):
     assert roll.split()[2] == "1.0"
 
 
-def test_without_a_recording_it_is_the_play_backs(folder, tmp_path, capfd):
+def test_mount_alignment_without_a_recording_is_that_of_the_calibration(folder, tmp_path, capfd):
     assert run(folder, "--calibration", folder / "unit.json", "-o", tmp_path / "mount.json") == 0
     out, _ = capfd.readouterr()
     assert "From the rotation U" in out

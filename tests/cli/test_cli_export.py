@@ -235,7 +235,7 @@ def test_held_parameters_are_a_warning(tmp_path, capfd):
     assert "held, not observed: gyro_bias_x" in err
 
 
-def test_what_the_target_would_cut_is_refused(tmp_path, capfd):
+def test_value_beyond_the_limits_of_the_target_is_refused(tmp_path, capfd):
     vector = VECTOR.copy()
     vector[9:12] = 5.0
     wrong = Calibration("closed-form", "converged", "Done.", SensorErrors(vector), np.eye(N_PARAMETERS) * 1e-10)

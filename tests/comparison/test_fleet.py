@@ -205,7 +205,7 @@ def test_too_few_units_are_not_judged():
         assert np.isfinite(few.median).all() == (units > 0)
 
 
-def test_what_is_not_known_takes_no_part():
+def test_unknown_sigmas_are_excluded_from_the_outlier_test():
     rng = np.random.default_rng(1)
     y, sigma = rng.standard_normal((8, 3)), np.ones((8, 3))
     judged = find_outliers(y, sigma)

@@ -120,7 +120,7 @@ def test_common_gravity_is_an_unknown_of_all_recordings():
     np.testing.assert_allclose(merged.contributions["gravity"], effect, atol=1e-15)
 
 
-def test_what_is_common_is_not_averaged_down():
+def test_common_errors_are_not_averaged_down():
     """16 recordings with equal sigmas leave a sixteenth of their own variance and all of the common one."""
     rng = np.random.default_rng(3)
     own = random_covariance(rng)
@@ -379,7 +379,7 @@ def pair(**changes):
         (pair(covariance=np.ones((N_PARAMETERS, N_PARAMETERS)) - 2.0 * np.eye(N_PARAMETERS, k=1)), "not positive"),
     ],
 )
-def test_what_cannot_be_merged_is_refused(calibrations, fragment):
+def test_incompatible_calibrations_are_refused(calibrations, fragment):
     with pytest.raises(srt.InputError, match=fragment):
         merge_calibrations(calibrations)
 
@@ -393,7 +393,7 @@ def test_the_same_samples_do_not_count_twice():
         merge_calibrations([first, second], ["a", "a"])
 
 
-def test_what_did_not_converge_is_left_out():
+def test_calibration_without_convergence_is_left_out():
     first, second = pair(status="not_converged")
     third = replace(first, errors=SensorErrors(np.full(N_PARAMETERS, 1e-7)))
     merged = merge_calibrations([first, second, third], ["a", "b", "c"], between=False)

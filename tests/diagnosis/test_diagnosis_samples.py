@@ -53,7 +53,7 @@ def test_a_sound_recording_raises_nothing(grade):
 
 @pytest.mark.parametrize("fault", ON_READING)
 @pytest.mark.parametrize("grade", GRADES)
-def test_what_reading_refuses_is_named_by_the_error(fault, grade):
+def test_error_of_a_refused_recording_names_the_fault(fault, grade):
     with pytest.raises(SrtError) as refused:
         INJECTIONS[fault].recording(case(grade))
     assert refused.value.fault == fault

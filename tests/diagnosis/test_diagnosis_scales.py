@@ -202,7 +202,7 @@ def test_wrong_labels_are_no_wrong_axes():
 @pytest.mark.parametrize(
     "matrix", [np.zeros((3, 3)), np.full((3, 3), np.nan), np.ones((3, 3)), np.diag([1.0, 1.0, 0.0])]
 )
-def test_what_is_near_no_axes_is_none(matrix):
+def test_matrix_far_from_a_signed_permutation_gives_none(matrix):
     assert nearest_axes(matrix) is None
 
 

@@ -13,7 +13,7 @@ NONE = {name: 0.0 for name in NAMES if "asymmetry" in name}
 
 
 @pytest.mark.parametrize("group", ["gyro_asymmetry", "accel_asymmetry"])
-def test_without_is_what_another_calibration_finds(group):
+def test_result_without_asymmetry_equals_that_of_a_second_calibration(group):
     """The unit has none: both are linear in a correction of a few sigma, and end within 0.01 sigma of the optimum."""
     recording = Case("tactical-fog", 5, {"errors": {"values": NONE}}).recording
     row = srt.calibrate(recording, "least-squares", checks=False).diagnostics["asymmetry"][group]

@@ -184,7 +184,7 @@ def test_a_rate_of_the_wrong_sense_is_refused():
         srt.calibrate(recording.with_sequences(tuple(turned)), "least-squares", checks=False)
 
 
-def test_what_is_not_observed_is_named_with_what_to_add():
+def test_unobservable_parameters_are_named_with_the_missing_data():
     recording = tumble(np.diag([1.002, 0.999, 1.0015]), BIAS)
     found = srt.calibrate(recording, "least-squares", checks=False, hold=("accel_asymmetry",))
     assert "add a rotation about the axis" in found.held["gyro_scale_x"]
@@ -200,7 +200,7 @@ def test_windows_of_poses_do_not_overlap():
     assert all(a < b for a, b in pairwise(edges))
 
 
-def test_what_the_fixture_gives_more_accurately_keeps_its_value():
+def test_parameters_known_better_from_the_fixture_keep_their_values():
     """Ferraris' poses and turns on a fixture of 1 mrad: gravity does not show misalignments, the fixture does."""
     simulation = sims.simulate(
         scenario("ferraris", 4, fixture={"from": "lab-1mrad"}, recording={"sample_rate_hz": 100.0})

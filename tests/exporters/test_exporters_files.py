@@ -51,7 +51,7 @@ def test_a_file_comes_back_as_a_pre_calibration(tmp_path, target):
 
 
 @pytest.mark.parametrize("target", [name for name in TARGETS if name not in IMPORTED])
-def test_what_holds_too_little_is_no_pre_calibration(tmp_path, target):
+def test_incomplete_file_is_refused_as_pre_calibration(tmp_path, target):
     with pytest.raises(srt.InputError, match="not a pre-calibration"):
         load(tmp_path / "unit", target)
 

@@ -70,7 +70,7 @@ def test_windows_of_a_few_samples_tell_nothing():
     assert instability_at_rest(np.ones((20, 3)), np.array([[0, 10], [10, 20]]), DT) is None
 
 
-def test_what_is_stated_goes_before_and_what_is_not_is_told():
+def test_stated_instability_has_precedence_and_an_estimated_one_is_named():
     recording = Case("industrial-mems", 31).recording
     windows = np.array([recording.window_indices(*s.end_static_s).indices(10**9)[:2] for s in recording.sequences])
     assert noise_model(recording, windows).accel_flicker == pytest.approx(50.0 * MICRO_G)

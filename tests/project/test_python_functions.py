@@ -120,7 +120,7 @@ def test_units_of_arrays(recording):
     np.testing.assert_array_equal(turned.gyro[:, 1], -recording.gyro[:, 0])
 
 
-def test_what_is_stated_replaces_what_a_recording_states(recording, folder):
+def test_keyword_arguments_replace_values_of_the_recording(recording, folder):
     assert srt.read(recording) is recording
     again = srt.read(folder, gyro_noise_deg_per_sqrt_h=0.004, serial="other")
     assert again.noise.gyro_noise == pytest.approx(2.0 * recording.noise.gyro_noise)

@@ -26,7 +26,7 @@ def written(folder, text, name="lab.toml"):
     return folder / name
 
 
-def test_what_is_not_stated_is_marked(saved):
+def test_missing_statements_are_marked(saved):
     made = make_certificate(saved(calibration()))
     assert len(made.parties) == sum(map(len, SECTIONS.values()))
     assert {text for _, text in made.parties} == {NOT_STATED}

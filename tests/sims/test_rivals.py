@@ -180,7 +180,7 @@ def test_rotation_errors_need_a_generator():
         ferraris_motions(site=SITE, face_s=1.0, rotation_sigma_rad=1e-3)
 
 
-def test_what_to_install_is_said_where_imucal_is_absent(monkeypatch):
+def test_missing_imucal_is_reported_with_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "imucal", None)
     with pytest.raises(MissingExtraError, match=r"strapdown-rotation-test\[benchmark\]"):
         imucal_errors({}, sample_rate_hz=RATE_HZ, gravity_m_s2=9.8)

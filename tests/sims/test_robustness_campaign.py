@@ -391,7 +391,7 @@ def test_every_axis_is_described():
 # Engines
 
 
-def test_no_scheduler_is_said(small, tmp_path, monkeypatch):
+def test_missing_scheduler_is_reported(small, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("srt.comparison.parallel._CONNECT_S", 0.5)
     with pytest.raises(InputError, match="No Dask scheduler answers at"):

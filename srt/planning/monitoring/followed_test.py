@@ -64,12 +64,12 @@ class FollowedTest:
         Returns
         -------
         list of (str, bool)
-            Lines on what is new, and True for those that ask for action: errors.
+            New lines; True marks the operator's errors, which need action.
         """
         bare = recording.with_sequences(()) if recording.sequences else recording
         state = self.state = run_state(bare, self.order)
         news = []
-        # The last window still grows; a sequence that was there before keeps its line.
+        # The last window still grows, so a sequence may vanish again, and its entry with it; others keep theirs.
         del self.history[len(state.labels) :]
         for number in range(len(self.history), len(state.labels)):
             self.history.append(accuracy_after(bare, state.labels[: number + 1]))

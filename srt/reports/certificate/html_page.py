@@ -27,7 +27,7 @@ _STYLED: Final = {
     BLUE: "var(--blue)",
     "#000000": "var(--ink)",
 }
-"""Colours of the figures that the style of the page sets; the others are legible on light and on dark."""
+"""Figure colours replaced by variables of the page's style; the others are legible on both backgrounds."""
 _PX_PER_INCH: Final = 96
 """Pixels of CSS to an inch."""
 _REFERENCE: Final = re.compile(r'(\bid="|href="#|url\(#)')
