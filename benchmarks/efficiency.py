@@ -56,7 +56,7 @@ from srt.sensor_errors import (
     SYMBOLS,
     SensorErrors,
 )
-from srt.sequences.preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence

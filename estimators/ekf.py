@@ -32,7 +32,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     InputError
         If an option belongs to another estimator.
     DataError
-        As :func:`srt.sequences.preparation.prepare_checked`.
+        As :func:`srt.sequences.checked_preparation.prepare_checked`.
     """
     options.refuse(("loss",), "The Kalman filter")
     prior = options.prior or default_prior()

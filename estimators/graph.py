@@ -255,7 +255,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     Raises
     ------
     DataError
-        As :func:`srt.sequences.preparation.prepare_checked`.
+        As :func:`srt.sequences.checked_preparation.prepare_checked`.
     """
     options.refuse(("live", "targets", "filter"), "The factor graph")
     return run(open_joint_model(recording, options), GraphSolver(options.loss, options.prior), progress)

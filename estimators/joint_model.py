@@ -34,9 +34,10 @@ from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotat
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
 from srt.sensor_errors import SensorErrors
+from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
 from srt.sequences.plausibility import gap_inside
-from srt.sequences.preparation import nominal_attitude, prepare_checked, sequence_of_label
+from srt.sequences.preparation import nominal_attitude, sequence_of_label
 from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
@@ -503,7 +504,7 @@ def open_joint_model(recording: Recording, options: Options) -> JointModel:
     Raises
     ------
     DataError
-        As :func:`srt.sequences.preparation.prepare_checked`, and if no sequence has both stationary windows.
+        As :func:`srt.sequences.checked_preparation.prepare_checked`, and if no sequence has both stationary windows.
     """
     labels = recording.sequences or find_turns(recording)
     whole = tuple(s for s in labels if not _end_is_missing(recording, s))

@@ -30,8 +30,8 @@ from srt.exceptions import DataError, InputError
 from srt.model.analytic_platform import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
 from srt.sensor_errors import GROUP_SLICES, NAMES
+from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.manoeuvres import end_attitude
-from srt.sequences.preparation import prepare_checked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -24,7 +24,7 @@ from estimators.joint_model import JointModel
 from estimators.kalman_filter import prior_root
 from estimators.linearisation import linearise
 from estimators.sequential_filter import SequenceUpdate, SequentialFilter, require_valid
-from srt.sequences.preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
     from estimators.drift_states import DriftStates

@@ -22,7 +22,7 @@ from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
-from srt.sequences.preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked
 
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution

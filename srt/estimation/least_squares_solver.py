@@ -33,8 +33,8 @@ from srt.estimation.unmodelled_errors import iterate_with_unmodelled_errors
 from srt.model import measurement_model as model
 from srt.model.table1 import SEQUENCES
 from srt.sensor_errors import N_PARAMETERS, NAMES, expand_names
+from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
-from srt.sequences.preparation import prepare_checked
 from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:

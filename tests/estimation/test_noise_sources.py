@@ -22,7 +22,7 @@ from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import analytic_platform
 from srt.recording.recording import Fixture, Site
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
-from srt.sequences.preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked
 
 SEQUENCES = ("1", "7", "13")
 K = len(SEQUENCES)

@@ -32,7 +32,7 @@ from srt.model.prior import Prior
 from srt.model.table1 import AXES
 from srt.recording.recording import Fixture, ImuNoise, Site
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
-from srt.sequences.preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked
 
 pytest.importorskip("filterpy")
 pytest.importorskip("gtsam")

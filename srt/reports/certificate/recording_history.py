@@ -21,7 +21,7 @@ from srt.model import rotations
 from srt.model.table1 import SEQUENCES
 from srt.result.applier import Applier
 from srt.sensor_errors import GROUP_SLICES
-from srt.sequences.preparation import prepare_checked
+from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.recognition import label_sequences
 from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import moved_windows
