@@ -491,7 +491,7 @@ class JointModel:
         variance = noise.gyro_white**2 / T[:, None] + 2.0 * (noise.gyro_edge / T[:, None]) ** 2
         expected = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0) + earth_rate_sigma(self.data) ** 2
         own = weights @ rest
-        unstated = self.data.recording.noise.gyro_noise is None
+        unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
         self.bias_scatter = np.sqrt(excess_variance(own[~self.data.is_move], expected, bounded=unstated))
         in_time = self.order[~self.data.is_move[self.order]]
         steps = np.mean(np.diff(own[in_time], axis=0) ** 2, axis=0) - 2.0 * expected

@@ -333,9 +333,9 @@ class Iteration:
         deviation = (own @ rest - measurements.pool @ rest) / np.sqrt(left)
         doubt = measurement_covariance.earth_rate_sigma(self.data)
         expected = measurement_covariance.rest_rate_variance(measurements, self.data) + doubt**2
-        excess = measurement_covariance.excess_variance(
-            deviation, expected, bounded=self.data.recording.noise.gyro_noise is None
-        )
+        # Without a fixture, errors of the rotations are larger, and the bound would spoil the weights.
+        unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
+        excess = measurement_covariance.excess_variance(deviation, expected, bounded=unstated)
         return np.asarray(np.sqrt(measurements.gyro.matrix**2 @ excess))
 
     def _release_moving(self, measurements: SrtMeasurements) -> bool:
