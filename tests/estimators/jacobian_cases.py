@@ -32,7 +32,7 @@ def exp(v):
 def derivative(function, size=3, step=1e-3):
     """Derivative at zero by differences of fourth order, the derivative's index last.
 
-    What is left is step⁴ of the fifth derivative over 30, and rounding over the step: both 1e-12 of a function of
+    The remainder is step⁴ of the fifth derivative over 30, and rounding over the step: both 1e-12 of a function of
     size one.
     """
     out = []

@@ -60,7 +60,7 @@ def test_full_model_with_navigation_noise(seed):
         estimate, covariance = difference(a, b)
         assert estimate <= AGREE + rounding(dense)
         assert covariance <= AGREE
-    # What a prior of covariance P₀ about zero does to first order: −P P₀⁻¹ x, and −P P₀⁻¹ P.
+    # Effect of a prior of covariance P₀ about zero, to first order: −P P₀⁻¹ x, and −P P₀⁻¹ P.
     pull = dense.P @ np.linalg.solve(default_prior().covariance, np.column_stack([dense.x, dense.P]))
     expected = Found(dense.x - pull[:, 0], dense.P - pull[:, 1:])
     shift = difference(dense, expected)
@@ -106,7 +106,7 @@ def test_full_model_where_the_bias_drifts():
     informed, ekf = jointly(make(), SolveStep(default_prior())), jointly(make(), KalmanSolver(default_prior()))
     for a, b in ((graph, dense), (ekf, informed)):
         assert max(difference(a, b)) <= AGREE + rounding(b)
-    # What drifts is known worse for it.
+    # A parameter that drifts is known less well.
     still = navigation_problem(1)()
     assert np.all(dense.sigma > jointly(still, SolveStep()).sigma)
 

@@ -73,7 +73,7 @@ def openvins(texts, w, f, bias):
     assert head == "%YAML:1.0"
     imu = yaml.safe_load(rest)["imu0"]
     Tw, Ta = np.array(imu["Tw"]), np.array(imu["Ta"])
-    # What its reader keeps of a matrix of the model "kalibr" is the lower triangle.
+    # Its reader keeps the lower triangle of a matrix of the model "kalibr".
     assert imu["model"] == "kalibr"
     Dw, Da = np.tril(np.linalg.inv(Tw)), np.tril(np.linalg.inv(Ta))
     a = mm(np.array(imu["R_IMUtoACC"]).T @ Da, f - bias[1])

@@ -84,7 +84,7 @@ def test_fit_to_flicker_noise():
     assert over.max() == pytest.approx(ripple + second, abs=1.1 * third)
     assert over.min() == pytest.approx(-ripple + second, abs=1.1 * third)
     assert ripple == pytest.approx(0.055, rel=1e-3)
-    # Of the processes in use, a decade inside their range.
+    # The processes in use, a decade inside their range.
     frequency = 1.0 / (2.0 * np.pi * np.geomspace(10.0 * CORRELATION_TIMES_S[0], 0.1 * CORRELATION_TIMES_S[-1], 501))
     found = spectrum(frequency, CORRELATION_TIMES_S)
     missing = 2.0 / math.pi * math.atan(1.0 / math.sqrt(1000.0))

@@ -107,7 +107,7 @@ class Reader(HTMLParser):
         return " ".join(" ".join(self.texts).split())
 
 
-# What it says
+# Sentences of the certificate
 
 
 def drawn(made, name):

@@ -55,7 +55,7 @@ def test_derivatives_of_the_sums(g_sensitive):
             for sign in (1.0, -1.0)
         )
         turn = rotation_vector((low.rotation.T @ high.rotation)[None])[0] / (2.0 * step)
-        # Of a column, rounding is 1e-16 · 10 / 1e-6; the sums take a sample's own rotation to order dt/T = 1/200 of
+        # Rounding of a column is 1e-16 · 10 / 1e-6; the sums take a sample's own rotation to order dt/T = 1/200 of
         # what one sample does, 1/200 of the whole.
         for part, value in (
             (ROTATION, turn),
