@@ -220,14 +220,9 @@ def placed_motion(
         for turns, rest_s in zip(placement.steps, placement.rests_s, strict=True):
             starts.append(clock.at(clock.now))
             old, after = attitude, samples(rest_s)
-            for leg, turn in enumerate(turns):
-                still = settle_s if leg == len(turns) - 1 else 0.0
-                n_samples = clock.samples(turn.duration_s + still) + (after if leg == len(turns) - 1 else 0)
-                fixed = constants @ attitude
-                if turn.duration_s > 0.0:
-                    clock.record(_turn_episode(fixed, turn.vector, turn.duration_s, n_samples, turn.shape(rng)))
-                else:
-                    clock.record(_rest_episode(fixed, n_samples))
+            for leg, turn in enumerate(turns, start=1):
+                still = (settle_s, after) if leg == len(turns) else (0.0, 0)
+                _record_turn(clock, constants @ attitude, turn, still, rng)
                 attitude = attitude @ rotation(turn.vector)
             end = clock.at(clock.now - after), clock.at(clock.now)
             pairs.append((before, end))
@@ -248,6 +243,17 @@ def placed_motion(
         draw=None,
     )
     return motion, tuple(starts)
+
+
+def _record_turn(
+    clock: Clock, constants_b: Array, turn: Turn, still: tuple[float, int], rng: np.random.Generator | None
+) -> None:
+    """Record a turn, and the settling time (s) and number of samples at rest after it."""
+    n_samples = clock.samples(turn.duration_s + still[0]) + still[1]
+    if turn.duration_s > 0.0:
+        clock.record(_turn_episode(constants_b, turn.vector, turn.duration_s, n_samples, turn.shape(rng)))
+    else:
+        clock.record(_rest_episode(constants_b, n_samples))
 
 
 def _rest_episode(constants_b: Array, n_samples: int) -> Episode:

@@ -28,7 +28,8 @@ from pydantic import Field
 
 from sims.physics.sequences import TABLE_1
 from sims.scenarios import library
-from sims.scenarios.scenario import Finite, Flag, Scenario, TomlTable, scenario_from_dict, validated
+from sims.scenarios.scenario import Finite, Flag, Scenario, scenario_from_dict
+from sims.scenarios.toml_table import TomlTable, validated
 from srt.estimation.options import Options
 from srt.estimation.registry import find_estimator
 from srt.exceptions import InputError, did_you_mean

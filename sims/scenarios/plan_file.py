@@ -37,9 +37,8 @@ from sims.scenarios.scenario import (
     Scenario,
     ScheduleConfig,
     SiteConfig,
-    TomlTable,
-    validated,
 )
+from sims.scenarios.toml_table import TomlTable, validated
 from srt.constants import DEG
 from srt.exceptions import InputError
 from srt.planning.conditions import Conditions

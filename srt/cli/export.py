@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -64,20 +64,11 @@ def export(
     recording: Path | None,
     frame: str | None,
     fit_asymmetry: bool,
-    topic: str | None,
-    rate_hz: float | None,
-    gyro_random_walk: float | None,
-    accel_random_walk: float | None,
-    inflate: float | None,
-    instance: int | None,
-    prefix: str | None,
-    precision: str | None,
-    samples: str | None,
-    namespace: str | None,
     applied: str | None,
     force: bool,
     trust: bool,
     quiet: bool,
+    **settings: Any,
 ) -> int:
     """Write CALIBRATION, the JSON file of 'srt calibrate -o', in the format of another tool.
 
@@ -106,27 +97,16 @@ def export(
     readings, measured_rate = None, None
     if recording is not None:
         readings, measured_rate = _readings(calibration, calibration_file, recording, force=force)
-    if rate_hz is None and "rate_hz" in chosen.options:
-        rate_hz = measured_rate
+    if settings["rate_hz"] is None and "rate_hz" in chosen.options:
+        settings["rate_hz"] = measured_rate
     made = make(
         calibration,
         target,
         readings=readings,
         frame=frame,
         asymmetry="fit" if fit_asymmetry else "leave",
-        settings=ExportSettings(
-            topic,
-            rate_hz,
-            gyro_random_walk,
-            accel_random_walk,
-            instance,
-            inflate,
-            prefix,
-            precision,
-            samples,
-            namespace,
-        ),
-        applied=None if applied is None else applied_of(applied, instance),
+        settings=ExportSettings(**settings),
+        applied=None if applied is None else applied_of(applied, settings["instance"]),
     )
     written = () if output is None else save(made, output)
     if calibration.held:

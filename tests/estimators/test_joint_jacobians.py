@@ -32,14 +32,19 @@ def motions():
     return simulated_motions()
 
 
+def unwhitened_residuals(system):
+    """Residuals of every kind of rows in their own units."""
+    return {
+        rows.kind: np.linalg.solve(system.whitening[rows.kind], system.b[rows.index][..., None])[..., 0]
+        for rows in system.rows
+    }
+
+
 def unwhitened(system):
     """Residuals and Jacobians of every kind of rows in their own units."""
-    A = system.A.toarray()
+    A, residuals = system.A.toarray(), unwhitened_residuals(system)
     return {
-        rows.kind: (
-            np.linalg.solve(system.whitening[rows.kind], system.b[rows.index][..., None])[..., 0],
-            np.linalg.solve(system.whitening[rows.kind], A[rows.index]),
-        )
+        rows.kind: (residuals[rows.kind], np.linalg.solve(system.whitening[rows.kind], A[rows.index]))
         for rows in system.rows
     }
 
@@ -103,7 +108,7 @@ def test_system_against_played_back_differences(motions, variant, size):
 
     def residuals(delta):
         state = apply_correction(case.state, system, delta)
-        return unwhitened(linearise(joint, state, joint.compensate(state), system.free, case.prior))
+        return unwhitened_residuals(linearise(joint, state, joint.compensate(state), system.free, case.prior))
 
     seen = set()
     for name in ("errors", "bias", *FIXTURE, "gravity", "earth_rate", "attitude"):
@@ -114,7 +119,7 @@ def test_system_against_played_back_differences(motions, variant, size):
             delta[column] = step = step_of(name, i)
             plus, minus = residuals(delta), residuals(-delta)
             for kind, out in expected.items():
-                out[..., i] = (plus[kind][0] - minus[kind][0]) / (2.0 * step)
+                out[..., i] = (plus[kind] - minus[kind]) / (2.0 * step)
         for kind, (_, J) in found.items():
             block, tolerance = J[..., columns], allowed(case, kind, name, (len(columns),))
             worst = np.unravel_index(np.argmax(np.abs(block - expected[kind]) - tolerance), block.shape)
@@ -159,7 +164,7 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
         rates[sample - 1, axis] += size / dt
         rates[sample, axis] -= size / dt
         other = open_joint_model(replace(data.recording, gyro=rates), joint.options)
-        return unwhitened(linearise(other, case.state, other.compensate(case.state), system.free, case.prior))
+        return unwhitened_residuals(linearise(other, case.state, other.compensate(case.state), system.free, case.prior))
 
     sigma = data.noise.gyro_edge
     for w, side in np.argwhere(edges >= 0).tolist():
@@ -169,7 +174,7 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
             plus, minus = residuals(sample, axis, e), residuals(sample, axis, -e)
             for kind in ("force", "rate", "turn"):
                 J = found[kind][1][..., column] / sigma[axis]
-                expected = -(plus[kind][0] - minus[kind][0]) / (2.0 * e)
+                expected = -(plus[kind] - minus[kind]) / (2.0 * e)
                 scale = 1.0 / data.windows.duration_s.min() if kind == "rate" else 1.1
                 rounding = 1e-14 * (0.1 if kind == "rate" else G) / e
                 tolerance = scale * (D * within + two_sided) + rounding
@@ -206,8 +211,8 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
         for (a, b), value in zip(spans, instability.tolist(), strict=True):
             table[a:b, axis] += value
         other = open_joint_model(replace(data.recording, **{sensor: table}), joint.options)
-        rows = unwhitened(linearise(other, case.state, other.compensate(case.state), system.free, case.prior))
-        return np.concatenate([rows[kind][0] for kind in kinds]).ravel()
+        rows = unwhitened_residuals(linearise(other, case.state, other.compensate(case.state), system.free, case.prior))
+        return np.concatenate([rows[kind] for kind in kinds]).ravel()
 
     effects = []
     for sensor, step in (("gyro", 1e-8), ("accel", 1e-6)):

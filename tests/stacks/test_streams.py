@@ -261,6 +261,16 @@ def test_lines_through_udp(tmp_path):
     assert "1 malformed" in link.end()
 
 
+def readings(message):
+    """Rates and specific forces of a HIGHRES_IMU message."""
+    return np.array([message.xgyro, message.ygyro, message.zgyro, message.xacc, message.yacc, message.zacc])
+
+
+def assert_corrected(found, gyro, accel):
+    """Compare with the calibration; fields are floats of 32 bits: half a unit in the last place, and rounding."""
+    np.testing.assert_allclose(found, np.hstack(CALIBRATION.apply(gyro, accel)), rtol=2.0**-24 + 1e-13)
+
+
 def test_mavlink_through_udp(tmp_path):
     common = pytest.importorskip("pymavlink.dialects.v20.common")
     sender = common.MAVLink(None, srcSystem=7, srcComponent=3)
@@ -272,25 +282,21 @@ def test_mavlink_through_udp(tmp_path):
         sender.seq = (sender.seq + 1) % 256
         return data
 
-    def highres(y, temperature=25.0, updated=0x103F):
+    def highres(y):
         return common.MAVLink_highres_imu_message(
-            123456, *y[3:], *y[:3], 0.1, 0.2, 0.3, 1000.0, 1.0, 2.0, temperature, updated, 2
+            123456, *y[3:], *y[:3], 0.1, 0.2, 0.3, 1000.0, 1.0, 2.0, 25.0, 0x103F, 2
         )
 
     def answer():
         (message,) = reader.parse_buffer(link.socket.recv(65536))
-        return message, np.array(
-            [message.xgyro, message.ygyro, message.zgyro, message.xacc, message.yacc, message.zacc]
-        )
+        return message, readings(message)
 
     link.wait(packed(highres(Y[0])))
     sender.seq = 100
     link.send(packed(highres(Y[1])))
     message, values = answer()
     y32 = Y[1].astype(np.float32).astype(float)
-    expected = np.hstack(CALIBRATION.apply(y32[:3], y32[3:]))
-    # The fields are floats of 32 bits: half a unit in the last place of the result, beside a rounding of doubles.
-    np.testing.assert_allclose(values, expected, rtol=2.0**-24 + 1e-13)
+    assert_corrected(values, y32[:3], y32[3:])
     assert (message.get_srcSystem(), message.get_srcComponent(), message.id, message.time_usec) == (7, 3, 2, 123456)
     assert message.xmag == pytest.approx(0.1, rel=1e-6)
 
@@ -298,15 +304,13 @@ def test_mavlink_through_udp(tmp_path):
     scaled = common.MAVLink_scaled_imu_message(500, *counts[3:].tolist(), *counts[:3].tolist(), 0, 0, 0, 4000)
     link.send(packed(scaled))
     message, values = answer()
-    expected = np.hstack(CALIBRATION.apply(counts[:3] * 1e-3, counts[3:] * 9.80665e-3))
-    np.testing.assert_allclose(values, expected, rtol=2.0**-24 + 1e-13)
+    assert_corrected(values, counts[:3] * 1e-3, counts[3:] * 9.80665e-3)
     assert (message.get_type(), message.time_usec, message.temperature) == ("HIGHRES_IMU", 500_000, 40.0)
 
     raw = common.MAVLink_raw_imu_message(600, *counts[3:].tolist(), *counts[:3].tolist(), 0, 0, 0)
     link.send(packed(raw))
     message, values = answer()
-    expected = np.hstack(CALIBRATION.apply(counts[:3] * np.radians(1.0 / 131.0), counts[3:] * 9.80665 / 4096.0))
-    np.testing.assert_allclose(values, expected, rtol=2.0**-24 + 1e-13)
+    assert_corrected(values, counts[:3] * np.radians(1.0 / 131.0), counts[3:] * 9.80665 / 4096.0)
 
     beat = common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
     link.send(packed(beat))
@@ -320,7 +324,7 @@ def test_mavlink_through_udp(tmp_path):
     link.send(packed(highres(Y[3])))
     _, values = answer()
     y32 = Y[3].astype(np.float32).astype(float)
-    np.testing.assert_allclose(values, np.hstack(CALIBRATION.apply(y32[:3], y32[3:])), rtol=2.0**-24 + 1e-13)
+    assert_corrected(values, y32[:3], y32[3:])
     errors = link.end()
     assert "3 malformed" in errors
     # Two packets were damaged beyond their numbers, and five numbers skipped; the one of NaN was whole.
