@@ -110,7 +110,14 @@ def test_limitations_follow_the_test(saved):
 
 
 @pytest.mark.parametrize(
-    "hostile", ["</title><script>alert(1)</script>", "a$b$c & \"'<b>", "\u202egnp\x00\n<!--", "x" * 5000]
+    "hostile",
+    [
+        "</title><script>alert(1)</script>",
+        '"; } body { display: none } /* \\',
+        "a$b$c & \"'<b>",
+        "\u202egnp\x00\n<!--",
+        "x" * 5000,
+    ],
 )
 def test_texts_of_files_are_no_markup(saved, hostile):
     """Text of files is escaped in the page and in its pictures, one of which shows the sequence's name."""
@@ -141,6 +148,9 @@ def test_texts_of_files_are_no_markup(saved, hostile):
     assert not re.search("[\x00\u202e]", text)
     assert all(not key.startswith("on") for _, attributes in Reader(text).tags for key in attributes)
     assert max(map(len, made.unit.split("\n"))) <= 200
+    # The foot of a printed page names the unit: a string of the style sheet without a character that could end it.
+    foot = re.search(r'@bottom-left \{ content: "((?:[^\W_]|\\[0-9a-f]+ )*)";', text)
+    assert re.sub(r"\\([0-9a-f]+) ", lambda c: chr(int(c[1], 16)), foot[1]) == made.title
 
 
 def test_the_page_asks_for_nothing(saved):

@@ -15,6 +15,8 @@ from srt.reports.certificate.figures import certificate_figures, figure_svg
 from srt.reports.figures.style import BLUE, FAINT, GREY, INK
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
+
     from srt.reports.certificate.content import Certificate
     from srt.reports.certificate.figures import CertificateFigure
 
@@ -76,8 +78,17 @@ def html_page(certificate: Certificate) -> str:
 
     source = (files("srt.reports.certificate") / _TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["css_string"] = _css_string
     drawn = {figure.name: _page_figure(certificate, figure) for figure in certificate_figures(certificate)}
     return environment.from_string(source).render(certificate=certificate, figures=drawn)
+
+
+def _css_string(text: str) -> Markup:
+    """Quote a text for a style sheet; letters and digits apart, each character by its number."""
+    from markupsafe import Markup
+
+    # A space ends the number, so that a digit which follows is not read as part of it.
+    return Markup('"' + "".join(c if c.isalnum() else f"\\{ord(c):x} " for c in text) + '"')  # noqa: S704
 
 
 def _page_figure(certificate: Certificate, figure: CertificateFigure) -> PageFigure:
