@@ -10,7 +10,7 @@ import click
 
 from srt.cli.calibration_jobs import Display, Job
 from srt.cli.messages import announce, figure_title, progress_line, show
-from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder, require_matplotlib
+from srt.cli.output_paths import PLOT_SUFFIXES, RESULT_SUFFIXES, check_file, recording_folder
 from srt.cli.progress import live_text
 from srt.exceptions import DataError
 
@@ -22,6 +22,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
+@click.option(
+    "--estimator",
+    default="auto",
+    show_default=True,
+    metavar="NAME",
+    help="Estimator of the sigmas so far and of the result, as for calibrate.",
+)
 @click.option("--order", metavar="IDS", help="Sequences in their order, as 1,2,3; default: Table 1.")
 @click.option(
     "--target",
@@ -42,6 +49,7 @@ if TYPE_CHECKING:
 @click.option("-q", "--quiet", is_flag=True, help="Errors of the test and the end result's warnings only.")
 def watch(
     recording: Path,
+    estimator: str,
     order: str | None,
     target: tuple[str, ...],
     every: float,
@@ -57,7 +65,8 @@ def watch(
     so far are shown, and the next sequence. An error is named at once: a sequence skipped, turned by another angle or
     in the other direction, a motion when the unit should stand still.
 
-    The result at the end is that of 'srt calibrate' on the whole recording. Ctrl-C ends the test, too.
+    The result at the end is that of 'srt calibrate' on the whole recording, with the same estimator. Ctrl-C ends the
+    test, too.
 
     Exit codes: 0 converged and no error open; 1 an error of the test is open, or the data do not support a result;
     2 wrong usage or unreadable input.
@@ -65,15 +74,14 @@ def watch(
     for path, suffixes, what in ((output, RESULT_SUFFIXES, "The result"), (plot, PLOT_SUFFIXES, "The plot")):
         if path is not None:
             check_file(path, suffixes, what)
-    if plot is not None:
-        require_matplotlib()
-    from srt.cli.calibrate import parse_targets, report_problems, run_job
+    from srt.cli.calibrate import check_tools, parse_targets, report_problems, run_job
     from srt.estimation.options import Options
     from srt.planning.monitoring.followed_test import FollowedTest
     from srt.planning.monitoring.growing_recording import GrowingRecording
 
+    check_tools(estimator, plot)
     targets = Options(targets=parse_targets(target)).targets
-    followed = FollowedTest(tuple(filter(None, (order or "").replace(" ", "").split(","))), targets)
+    followed = FollowedTest(tuple(filter(None, (order or "").replace(" ", "").split(","))), targets, estimator)
     with GrowingRecording(recording) as growing, live_text(quiet=quiet) as update:
         follow(growing.grown, lambda: _look(growing, followed, update, quiet=quiet), every, idle)
     if not followed.history:
@@ -89,7 +97,7 @@ def watch(
         save_figure(sigma_figure(followed.history, targets, title=title), plot)
         announce(plot, quiet=quiet)
     job = Job(recording, recording_folder(recording).resolve().name, output, None)
-    code = report_problems(job, run_job(job, "auto", Options(), Display(None, False, False, False, quiet, False)))
+    code = report_problems(job, run_job(job, estimator, Options(), Display(None, False, False, False, quiet, False)))
     return max(code, DataError.exit_code if followed.open_errors else 0)
 
 

@@ -88,6 +88,18 @@ def test_refusals(finished, tmp_path, capfd):
     ):
         assert main(["watch", *arguments, "--idle", "0"]) == 2
         assert sentence in capfd.readouterr().err
+    assert main(["watch", good, "--estimator", "kalman"]) == 2
+    assert "kalman" in capfd.readouterr().err
+    labelled = tmp_path / "labelled"
+    labelled.mkdir()
+    document = (finished / "good" / "recording.toml").read_text()
+    label = '[[sequence]]\nid = "1"\nstart_static_s = [9000.0, 9001.0]\nend_static_s = [9002.0, 9003.0]\n'
+    (labelled / "recording.toml").write_text(f"{document}\n{label}")
+    shutil.copy(finished / "good" / "samples.csv", labelled)
+    assert main(["watch", str(labelled), "--idle", "0"]) == 2
+    err = capfd.readouterr().err
+    assert f"{labelled}: " in err
+    assert "A test that still runs has no labels: remove [[sequence]] from recording.toml." in " ".join(err.split())
     empty = tmp_path / "empty"
     empty.mkdir()
     shutil.copy(finished / "good" / "recording.toml", empty)

@@ -37,7 +37,7 @@ class SequenceAccuracy:
     sigma : ndarray, shape (27,), SI
         Infinite for parameters that are not observed yet.
     calibration : Calibration or None
-        Sigmas from the sequences so far, by least squares; None if they support none.
+        Result of the sequences so far; None if they support none.
     """
 
     sequence: str
@@ -53,7 +53,9 @@ class SequenceAccuracy:
         return worst, ratios[worst]
 
 
-def accuracy_after(recording: Recording, labels: tuple[SequenceLabel, ...]) -> SequenceAccuracy:
+def accuracy_after(
+    recording: Recording, labels: tuple[SequenceLabel, ...], estimator: str = "auto"
+) -> SequenceAccuracy:
     """Accuracy of a test after the last of some sequences.
 
     Parameters
@@ -61,10 +63,12 @@ def accuracy_after(recording: Recording, labels: tuple[SequenceLabel, ...]) -> S
     recording : Recording
     labels : tuple of SequenceLabel
         Sequences so far.
+    estimator : str
+        That of the result at the end, so that the targets are judged by its sigmas.
     """
     sigma = np.full(N_PARAMETERS, math.inf)
     try:
-        found = estimate(labelled(recording, labels), "least-squares")
+        found = estimate(labelled(recording, labels), estimator)
     except (DataError, InputError):
         return SequenceAccuracy(labels[-1].id or "", sigma, None)
     seen = found.observed

@@ -25,6 +25,8 @@ class FollowedTest:
         Sequences in their order; empty: Table 1.
     targets : mapping of str to float, SI
         Wanted sigma by parameter.
+    estimator : str
+        As for :func:`srt.calibrate`.
 
     Attributes
     ----------
@@ -39,9 +41,12 @@ class FollowedTest:
         An unknown sequence.
     """
 
-    def __init__(self, order: Sequence[str] = (), targets: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self, order: Sequence[str] = (), targets: Mapping[str, float] | None = None, estimator: str = "auto"
+    ) -> None:
         self.order = sequence_order(order)
         self.targets = dict(targets or {})
+        self.estimator = estimator
         self.state: RunState | None = None
         self.history: list[SequenceAccuracy] = []
         self.advice = ""
@@ -72,7 +77,7 @@ class FollowedTest:
         # The last window still grows, so a sequence may vanish again, and its entry with it; others keep theirs.
         del self.history[len(state.labels) :]
         for number in range(len(self.history), len(state.labels)):
-            self.history.append(accuracy_after(bare, state.labels[: number + 1]))
+            self.history.append(accuracy_after(bare, state.labels[: number + 1], self.estimator))
             news.append((sequence_line(state, number, self.history[-1]), False))
         for error in state.errors:
             key = (error.kind, error.sequence, round(error.time_s))

@@ -38,7 +38,9 @@ class GrowingRecording:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         given = Path(path)
         self.folder = given.parent if given.suffix == ".toml" else given
-        main = read_document(given).get("recording", {})
+        document = read_document(given)
+        self._labelled = "sequence" in document
+        main = document.get("recording", {})
         name = main.get("samples") if isinstance(main, dict) else None
         if not isinstance(name, str) or not name:
             raise InputError(f"{self.folder}: recording.samples is missing: name the file that the logger writes.")
@@ -88,7 +90,13 @@ class GrowingRecording:
         self._copied += complete
         if target.read_bytes()[:_HEAD].count(b"\n") < _FEWEST_LINES:
             return None
-        return replace(load_recording(copy), source=str(self.folder))
+        try:
+            return replace(load_recording(copy), source=str(self.folder))
+        except InputError as error:
+            sentence = str(error).replace(str(copy), str(self.folder))
+            if self._labelled:
+                sentence += f" A test that still runs has no labels: remove [[sequence]] from {TOML_NAME}."
+            raise InputError(sentence) from None
 
 
 _HEAD: Final = 1 << 12

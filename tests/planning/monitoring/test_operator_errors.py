@@ -108,7 +108,9 @@ def test_accuracy_after_all_sequences_is_that_of_the_calibration(whole):
     bare = whole.recording.with_sequences(())
     labels = run_state(bare).labels
     after = accuracy_after(bare, labels)
-    np.testing.assert_allclose(after.sigma, srt.calibrate(bare, "least-squares", checks=False).sigma, rtol=1e-9)
+    np.testing.assert_allclose(after.sigma, srt.calibrate(bare, checks=False).sigma, rtol=1e-9)
+    with_moves = accuracy_after(bare, labels, "least-squares").sigma
+    np.testing.assert_allclose(with_moves, srt.calibrate(bare, "least-squares", checks=False).sigma, rtol=1e-9)
     few = accuracy_after(bare, labels[:1])
     assert np.isinf(few.sigma).any()
     assert best_repetition(bare, labels, after, {}) is None
