@@ -132,7 +132,7 @@ class BlockSolution:
     def predicted_root(self, step: int, rows: Indices) -> Array:
         """Square root H of the covariance H Hᵀ of the predicted rows A δ of one step."""
         columns, root = self._roots[step]
-        return np.asarray(self.system.A[rows][:, columns] @ root)
+        return np.asarray(self.system.A[rows].toarray()[:, columns] @ root)
 
     @cached_property
     def leverage(self) -> Array:

@@ -18,7 +18,7 @@ from scipy.sparse import hstack
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.block_solution import BlockSolution, eliminate
+from estimators.block_solution import eliminate
 from estimators.drift_terms import DriftTerms, search
 from estimators.elimination_steps import global_columns
 from estimators.linear_system import N_ERRORS
@@ -29,7 +29,7 @@ from estimators.solution_analysis import (
     analyse_solution,
     goodness_of_fit,
     make_calibration,
-    with_prior,
+    whole_solution,
 )
 from estimators.solver import IterationState, JointSolver
 from srt.estimation.drift_model import MOST_TERMS
@@ -318,7 +318,7 @@ def _with_sound_moves(
         if iteration.status != "converged":
             solver.restart()
             break
-        against = contradictions(joint, BlockSolution(with_prior(joint, solver, iteration)))
+        against = contradictions(joint, whole_solution(joint, solver, iteration))
         tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]
         reasons = contradicting_move(tests, joint.data.is_move)
         if not reasons:
@@ -336,8 +336,8 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
     """
     if solver.weights():
         return False
-    system = with_prior(joint, solver, iteration)
-    solution = BlockSolution(system)
+    solution = whole_solution(joint, solver, iteration)
+    system = solution.system
     statistic, freedom = goodness_of_fit(joint, solver, solution, system)
     # Unmodelled noise from an earlier round is always estimated again: it may be too large now.
     if not any(joint.unmodelled_sigma):
@@ -360,8 +360,8 @@ def _add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState
     """
     if solver.weights() or len(joint.drift.terms) >= MOST_TERMS:
         return False
-    system = with_prior(joint, solver, iteration)
-    solution = BlockSolution(system)
+    solution = whole_solution(joint, solver, iteration)
+    system = solution.system
     terms = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
     if not terms:
         return False

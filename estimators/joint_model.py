@@ -229,15 +229,11 @@ class JointModel:
 
     def nominal_end(self, k: int) -> Array | None:
         """Nominal end attitude of sequence k, T to base; None if one of its rotations is not about a fixture axis."""
-        C, sequence = self.nominal[k], self.data.catalogue[k]
-        if C is None or sequence is None:
-            return None
-        for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
-            inner, outer = np.array([0.0, 0.0, 1.0]), C[1]
-            if min(np.linalg.norm(np.cross(axis, along)) for along in (inner, outer)) > _ALONG:
-                return None
-            C = C @ rotation_matrix(axis * angle)
-        return C
+        return self._nominal_ends[k]
+
+    @cached_property
+    def _nominal_ends(self) -> list[Array | None]:
+        return [_nominal_end(C, s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
 
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
         """Model of the recording without some moves, by their position and with the reason."""
@@ -545,6 +541,18 @@ def _nominal_start(sequence: RotationSequence | None) -> Array | None:
     if sequence is None or sequence.along_outer[-1] == "z":
         return None
     return nominal_attitude(sequence)
+
+
+def _nominal_end(C: Array | None, sequence: RotationSequence | None) -> Array | None:
+    """Nominal attitude after the rotations of a sequence that starts at C, if all are about an axis of the fixture."""
+    if C is None or sequence is None:
+        return None
+    for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
+        across = np.cross(axis, np.stack([[0.0, 0.0, 1.0], C[1]]))  # inner and outer axis
+        if np.linalg.norm(across, axis=1).min() > _ALONG:
+            return None
+        C = C @ rotation_matrix(axis * angle)
+    return C
 
 
 def _compensated_covariance(D: Array, variance: Array) -> Array:

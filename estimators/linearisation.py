@@ -191,6 +191,8 @@ class _Builder:
         index = self.m + np.arange(count * size).reshape(count, size, 1)
         for name, number, jacobian in blocks:
             width = jacobian.shape[2]
+            if width == 0:  # no drift is modelled
+                continue
             at = np.broadcast_to(np.asarray(number), count)
             members = np.flatnonzero(at >= 0)
             columns = self.columns[name].start + width * at[members, None, None] + np.arange(width)

@@ -18,11 +18,10 @@ from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import compare_with_targets
-from estimators.block_solution import BlockSolution
 from estimators.iteration import default_prior, iterate
 from estimators.joint_model import JointModel
 from estimators.kalman_filter import KalmanSolver
-from estimators.solution_analysis import with_prior
+from estimators.solution_analysis import whole_solution
 from estimators.solver import IterationState
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.initial_estimates import initial_estimate, rotation_angles
@@ -193,7 +192,7 @@ def _rank(solution: tuple[JointModel, KalmanSolver, IterationState]) -> tuple[bo
     joint, solver, iteration = solution
     if iteration.system is None or iteration.status == "outside_model":
         return True, math.inf
-    residual = BlockSolution(with_prior(joint, solver, iteration)).residual
+    residual = whole_solution(joint, solver, iteration).residual
     return iteration.status != "converged", float(residual @ residual)
 
 

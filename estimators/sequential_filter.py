@@ -20,14 +20,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.block_solution import BlockSolution
 from estimators.elimination_steps import global_columns
 from estimators.iteration import apply_correction
 from estimators.kalman_filter import FilterRun, filter_diagnostics, hand_on, padded, prior_root
 from estimators.linear_system import attitude_columns
 from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances
-from estimators.solution_analysis import FixedParameters, make_calibration, with_prior
+from estimators.solution_analysis import FixedParameters, make_calibration, whole_solution
 from estimators.solver import IterationState, JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
@@ -197,7 +196,7 @@ class SequentialFilter(JointSolver):
         for _ in range(_ATTITUDE_PASSES):
             iteration.linearisation_point, iteration.compensated = state, compensated
             iteration.system = linearise(joint, state, compensated, self.free)
-            solution = BlockSolution(with_prior(joint, self, iteration))
+            solution = whole_solution(joint, self, iteration)
             kept = np.where(attitude_columns(iteration.system), solution.delta, 0.0)
             state = apply_correction(state, iteration.system, kept)
         assert iteration.system is not None

@@ -133,11 +133,11 @@ def analyse_solution(
     nothing = np.zeros((N_PARAMETERS, N_PARAMETERS))
     if iteration.system is None or iteration.covariance is None or iteration.status == "outside_model":
         return SolutionAnalysis({"none": nothing}, nothing)
-    system = with_prior(joint, solver, iteration)
     try:
-        solution = BlockSolution(system)
+        solution = whole_solution(joint, solver, iteration)
     except np.linalg.LinAlgError:
         return SolutionAnalysis({"none": nothing}, iteration.covariance)
+    system = solution.system
     against = contradictions(joint, solution)
     table = tuple(deletion_table(joint, solution, against))
     if solver.weights():
@@ -203,14 +203,25 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
         return None
 
 
-def with_prior(joint: JointModel, solver: JointSolver, iteration: IterationState) -> LinearSystem:
-    """Last linearised system, with the rows of the sensor errors' prior."""
-    assert iteration.system is not None
-    if solver.prior is None:
-        return iteration.system
-    assert iteration.linearisation_point is not None
-    assert iteration.compensated is not None
-    return linearise(joint, iteration.linearisation_point, iteration.compensated, iteration.free, solver.prior)
+def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationState) -> BlockSolution:
+    """Solution of all columns of the last linearised system, with the rows of the sensor errors' prior.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the active columns are linearly dependent.
+    """
+    system, prior = iteration.system, solver.prior
+    assert system is not None
+    if iteration.whole is not None and iteration.whole[0] is system and iteration.whole[1] is prior:
+        return iteration.whole[2]
+    complete = system
+    if prior is not None:
+        assert iteration.linearisation_point is not None
+        assert iteration.compensated is not None
+        complete = linearise(joint, iteration.linearisation_point, iteration.compensated, iteration.free, prior)
+    iteration.whole = system, prior, BlockSolution(complete)
+    return iteration.whole[2]
 
 
 def _fixed_values(solution: BlockSolution, uncertain: Array, free: Mask) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from estimators.block_solution import BlockSolution
     from estimators.joint_model import JointModel
     from estimators.joint_state import CompensatedData, JointState
     from estimators.linear_system import LinearSystem
@@ -93,6 +94,8 @@ class IterationState:
     corrections : list of float
         Largest correction of every iteration, accelerometer bias in g.
     status, message : str
+    whole : tuple of LinearSystem, Prior or None, BlockSolution
+        Last linearisation and prior, and the solution of all columns that follows from them.
     """
 
     state: JointState
@@ -104,3 +107,4 @@ class IterationState:
     corrections: list[float] | None = None
     status: str = "not_converged"
     message: str = ""
+    whole: tuple[LinearSystem, Prior | None, BlockSolution] | None = None
