@@ -15,6 +15,8 @@ from srt.recording.schema import COUNTS, TIME_UNITS
 from srt.recording.timing import GAP_STEPS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from srt.recording.applied import AppliedCorrection
@@ -136,6 +138,9 @@ def samples_in_si(
             f"{option('kind')} is {options.kind}, but this format holds samples of kind {kind}: leave it out."
         )
     chosen: Kind = kind or options.kind or "rate"
+    _require_units(
+        options, {"gyro": stated.gyro, "accel": stated.accel} | ({} if time is None else {"time": stated.time})
+    )
     changes: list[str] = []
     units: dict[str, str] = {}
     arrays: dict[str, Array] = {}
@@ -395,24 +400,28 @@ def to_recording(
     return recording
 
 
+def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> None:
+    """Raise InputError that names all quantities of which neither the file nor the user states the unit."""
+    missing, ways = [], []
+    for quantity, unit in stated.items():
+        name = f"{quantity}_unit"
+        # The value of a count implies the unit "counts".
+        if unit or getattr(options, name) or getattr(options, f"{quantity}_lsb", None) is not None:
+            continue
+        allowed: Iterable[str] = TIME_UNITS
+        if quantity in SENSOR_UNITS:
+            allowed = [*SENSOR_UNITS[quantity]["rate"], *SENSOR_UNITS[quantity]["increment"], COUNTS]
+        missing.append(quantity)
+        ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}")
+    if missing:
+        raise InputError(f"The file does not state the unit of {', '.join(missing)}: give {'; and '.join(ways)}.")
+
+
 def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str]) -> tuple[str, str]:
     """Unit of a sensor or of time, and its text with its origin; a contradiction becomes a note."""
     given: str | None = getattr(options, name)
     if given is None and stated is None:
-        sensor = name.removesuffix("_unit")
-        # The value of a count implies the unit "counts".
-        if sensor in SENSOR_UNITS and getattr(options, f"{sensor}_lsb") is not None:
-            return COUNTS, f"{COUNTS} (as given)"
-        allowed = (
-            [*SENSOR_UNITS[sensor]["rate"], *SENSOR_UNITS[sensor]["increment"], COUNTS]
-            if sensor in SENSOR_UNITS
-            else list(TIME_UNITS)
-        )
-        columns = "column is" if sensor == "time" else "columns are"
-        raise InputError(
-            f"The file does not state in what unit its {sensor} {columns}: state it with "
-            f"{option(name)} ({name} in recording.toml), as one of {', '.join(allowed)}."
-        )
+        return COUNTS, f"{COUNTS} (as given)"
     if given is None:
         assert stated is not None
         return stated, f"{stated} (as in the file)"

@@ -118,7 +118,7 @@ def test_like_another_recording(log, tmp_path, capsys):
         ([*SI, "--gravity-m-s2", "-9.81"], ["gravity_m_s2 is -9.81", "9.5 to 10.1"]),
         ([*SI, *SITE, "--latitude-deg", "95"], ["latitude_deg is 95", "-90 to 90"]),
         ([*SI, *SITE, "--alignment-sigma-mrad", "0"], ["alignment_sigma_mrad is 0"]),
-        ([*SITE], ["log.csv", "in what unit its gyro", "--gyro-unit"]),
+        ([*SITE], ["log.csv", "the unit of gyro, accel", "--gyro-unit", "--accel-unit"]),
         ([*SI, *SITE, "--format", "euroq"], ["no format 'euroq' (did you mean euroc?)"]),
         ([*SI, *SITE, "--topic", "/imu"], ["--topic is given, but the format csv"]),
         ([*SI, *SITE, "--gyro-unit", "counts"], ["--gyro-lsb"]),

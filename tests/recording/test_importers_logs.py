@@ -160,7 +160,7 @@ def test_sensor_logger_comes_back_from_its_archive_and_its_folder(tmp_path, fold
 def test_sensor_logger_of_unknown_unit_asks_for_it(tmp_path):
     path = tmp_path / "a.zip"
     ff.write_sensor_logger(path, STAMPS, VALUES, ("AccelerometerUncalibrated", "GyroscopeUncalibrated"))
-    with pytest.raises(InputError, match="in what unit its accel columns are"):
+    with pytest.raises(InputError, match="the unit of accel: give --accel-unit"):
         read(path)
     np.testing.assert_array_equal(read(path, accel_unit="g").accel, VALUES[:, 3:] * 9.80665)
     ff.write_sensor_logger(path, STAMPS, VALUES, ("Accelerometer", "Gyroscope"))
