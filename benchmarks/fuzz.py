@@ -114,6 +114,7 @@ class Fork:
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, 1)
             os.dup2(nowhere, 2)
+            sys.stdout = sys.stderr = os.fdopen(nowhere, "w")  # a test may have replaced the streams of this process
             tempfile.tempdir = str(scratch)
             with os.fdopen(sink, "wb") as out:
                 child_process.answer(request, out)

@@ -12,6 +12,9 @@ from srt.recording.recording import SequenceLabel
 from srt.sensor_errors import GROUP_SLICES
 from srt.sequences.moves import recorded_moves
 
+pytest.importorskip("filterpy")
+pytest.importorskip("gtsam")
+
 ESTIMATORS = ["least-squares", "ekf", "graph"]
 
 
@@ -22,8 +25,6 @@ def moved():
 
 @cache
 def found(estimator, **options):
-    if estimator == "graph":
-        pytest.importorskip("gtsam")
     return srt.calibrate(moved()[0], estimator, checks=False, **options)
 
 

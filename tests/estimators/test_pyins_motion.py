@@ -19,6 +19,9 @@ import srt
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
 from srt.sensor_errors import GROUP_SLICES, NAMES
 
+for package in ("pyins", "filterpy", "gtsam"):
+    pytest.importorskip(package)
+
 pytestmark = pytest.mark.filterwarnings("ignore:Gimbal lock detected:UserWarning")
 
 LATITUDE_DEG = 34.0
