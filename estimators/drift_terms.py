@@ -12,6 +12,7 @@ import numpy as np
 
 from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, most_significant
 from srt.estimation.drift_search import gyro_statistics
+from srt.estimation.error_sources import by_drift
 from srt.model import measurement_model as model
 from srt.model.sensor_model import gyro_triad
 from srt.noise.drift_forms import Statistics
@@ -63,7 +64,7 @@ class DriftTerms:
         out = np.zeros((len(slope), 3, self.size))
         for term, at in self.of(sensor):
             shape = getattr(self.data.drift_shapes[term.form], of)
-            out[:, :, at] = window_effect(slope, shape) if of == "windows" else rotation_effect(slope, shape)
+            out[:, :, at] = by_drift(slope, shape)
         return out
 
     def estimates(self, coefficients: Array) -> tuple[DriftEstimate, ...]:
@@ -77,16 +78,6 @@ class DriftTerms:
             )
             for t, s in zip(self.terms, self.slices, strict=True)
         )
-
-
-def window_effect(slope: Array, shape: Array) -> Array:
-    """Effect of the coefficients of a form on the compensated means of windows, shape (W, 3, 3 n)."""
-    return np.asarray(np.einsum("wab,wn->wanb", slope, shape).reshape(len(slope), 3, -1))
-
-
-def rotation_effect(parts: Array, shape: Array) -> Array:
-    """Effect of the coefficients of a form on the attitude errors of rotations, shape (K, 3, 3 n)."""
-    return np.asarray(np.einsum("kpab,kpn->kanb", parts, shape).reshape(len(parts), 3, -1))
 
 
 def search(
@@ -103,9 +94,7 @@ def search(
     rows, W = solution.system.rows_of("force").index.ravel(), solution.system.whitening["force"]
     for sensor, form in keys:
         if sensor == "accel":
-            effect = (-W @ window_effect(compensated.force_slope, data.drift_shapes[form].windows)).reshape(
-                len(rows), -1
-            )
+            effect = (-W @ by_drift(compensated.force_slope, data.drift_shapes[form].windows)).reshape(len(rows), -1)
             by_columns = np.asarray(solution.system.A[rows].T @ effect)
             information = effect.T @ effect - by_columns.T @ solution.with_columns(by_columns)
             chi_square = float(residual @ residual)

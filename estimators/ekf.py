@@ -10,8 +10,8 @@ import numpy as np
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.covariance_filter import CovarianceFilter
 from estimators.iteration import default_prior, run
-from estimators.joint_model import open_joint_model
 from estimators.kalman_filter import KalmanSolver
+from estimators.recording_opening import open_joint_model
 from estimators.sequential_filter import SequentialFilter, run_sequentially
 from estimators.square_root_filter import SquareRootFilter
 from estimators.unscented_filter import UnscentedFilter

@@ -27,7 +27,7 @@ from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, S, U, X
 
 from estimators import factors
 from estimators.linear_system import N_ERRORS, total
-from estimators.linearisation import edge_numbers, fixed_headings, fixture_attitudes
+from estimators.linearisation import fixed_headings, fixture_attitudes
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -80,7 +80,6 @@ class FactorGraph:
         self.axes = np.flatnonzero(free[N_ERRORS:])
         self.weights = np.ones(joint.data.K) if weights is None else weights
         self.gravity = joint.options.fixture_states
-        self.edges = edge_numbers(joint, compensated)
         self.graph: Any = gtsam.NonlinearFactorGraph()
         self.values: Any = gtsam.Values()
         self.kinds: list[factors.FactorGroup] = []
@@ -126,7 +125,7 @@ class FactorGraph:
         assert state.attitude is not None
         for w, attitude in enumerate(state.attitude):
             self.values.insert(A(w), gtsam.Rot3(attitude))
-        for number in range(int(self.edges.max()) + 1):
+        for number in range(self.compensated.edges.unknowns):
             self.values.insert(Q(number), np.zeros(3))
         for sensor, drift in self.compensated.drift.items():
             for key, size in zip(DRIFT_KEYS[sensor], (drift.states, drift.unknowns), strict=True):
@@ -174,6 +173,11 @@ class FactorGraph:
         step, effects = int(drift.steps[kind][number]), (drift.by_state[kind], drift.by_noise[kind])
         return [(int(key(step)), J[number]) for key, J in zip(DRIFT_KEYS[sensor], effects, strict=True)]
 
+    def _edges(self, kind: str, number: int) -> list[tuple[int, Array]]:
+        """Linear terms of the errors at window edges that a window or rotation shares."""
+        shared = self.compensated.edges.shared.get(kind, ())
+        return [(int(Q(own[number])), J[number % len(J)]) for own, J in shared if own[number] >= 0]
+
     def _windows(self) -> None:
         """Add one factor per window for force and rate together, as a disturbance affects both."""
         joint, compensated = self.joint, self.compensated
@@ -198,12 +202,7 @@ class FactorGraph:
             linear += [(key, -np.concatenate([J, np.zeros_like(J)])) for key, J in self._drift("accel", "force", w)]
             linear += [(key, -np.concatenate([np.zeros_like(J), J])) for key, J in self._drift("gyro", "rate", w)]
             linear += self._forms(-np.concatenate([compensated.drift_form[kind][w] for kind in ("force", "rate")]))
-            slope = compensated.edge_slope / T[w]
-            linear += [
-                (int(Q(number)), np.concatenate([np.zeros((3, 3)), sign * slope]))
-                for number, sign in zip(self.edges[w].tolist(), (1.0, -1.0), strict=True)
-                if number >= 0
-            ]
+            linear += [(key, -np.concatenate([np.zeros((3, 3)), J])) for key, J in self._edges("rate", w)]
             owner = int(joint.window_sequence[w])
             self._add(
                 "window", w, owner, noise[w], factors.ErrorFunction(linear, windows.keys(w), partial(windows.at, w))
@@ -224,13 +223,9 @@ class FactorGraph:
         )
         self.kinds.append(rotations)
         for k in range(data.K):
-            start, end = int(data.start[k]), int(data.end[k])
             linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("gyro", "turn", k)
             linear += self._forms(compensated.drift_form["turn"][k])
-            if self.edges[start, 1] >= 0:
-                linear.append((int(Q(self.edges[start, 1])), -compensated.edge_slope))
-            if self.edges[end, 0] >= 0:
-                linear.append((int(Q(self.edges[end, 0])), compensated.rotation[k] @ compensated.edge_slope))
+            linear += self._edges("turn", k)
             terms = factors.ErrorFunction(linear, rotations.keys(k), partial(rotations.at, k), scaled=True)
             self._add("turn", k, k, noise[k], terms)
 
@@ -278,7 +273,7 @@ class FactorGraph:
             terms = factors.ErrorFunction([], [int(A(w))], factors.heading(keep, int(A(w))))
             graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
         unit = isotropic(3, 1.0)
-        for number in range(int(self.edges.max()) + 1):
+        for number in range(self.compensated.edges.unknowns):
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
         for sensor, drift in self.compensated.drift.items():
             self._drift_chain(sensor, drift)

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from estimators.factor_graph import DRIFT_KEYS, FactorGraph
 from estimators.iteration import default_prior, run
-from estimators.joint_model import open_joint_model
+from estimators.recording_opening import open_joint_model
 from estimators.solver import JointSolver, LinearSolution
 from srt.sensor_errors import N_PARAMETERS
 

@@ -22,23 +22,18 @@ from estimators.drift_states import drift_chain, drift_states
 from estimators.drift_terms import DriftTerms
 from estimators.joint_state import CompensatedData, JointState, LevelFrame
 from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation import error_sources as sources
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
-from srt.estimation.initial_estimates import initial_estimate
-from srt.estimation.measurement_covariance import earth_rate_sigma, excess_variance
-from srt.estimation.move_checks import without_gross_moves
+from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
-from srt.exceptions import DataError, InputError
+from srt.exceptions import InputError
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
 from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
 from srt.sensor_errors import SensorErrors
-from srt.sequences.checked_preparation import prepare_checked
-from srt.sequences.moves import recorded_moves
-from srt.sequences.plausibility import gap_inside
 from srt.sequences.preparation import nominal_attitude, sequence_of_label
-from srt.sequences.stationary_windows import find_turns
 from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
 
@@ -47,10 +42,11 @@ if TYPE_CHECKING:
 
     from estimators.drift_states import DriftChain, DriftStates
     from estimators.linear_system import LinearSystem
+    from srt.estimation.error_sources import Slopes, Source
     from srt.estimation.options import Options
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.table1 import RotationSequence
-    from srt.recording.recording import Recording, SequenceLabel
+    from srt.recording.recording import SequenceLabel
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -165,16 +161,12 @@ class JointModel:
         self.walk_share = 6.0 * steps / span if span > 0.0 else np.zeros(0)
 
     def _level_frame(self, *, fixture: bool) -> LevelFrame:
-        site, stated = self.data.recording.site, self.data.recording.fixture
-        if site.latitude_rad is None:
-            return LevelFrame(np.zeros(3), np.full(3, EARTH_RATE_RAD_S / math.sqrt(3.0)), fixture)
-        north, down = (
-            EARTH_RATE_RAD_S * math.cos(site.latitude_rad),
-            -EARTH_RATE_RAD_S * math.sin(site.latitude_rad),
-        )
-        if fixture and stated is not None and stated.heading_rad is not None:
-            return LevelFrame(np.array([north, 0.0, down]), np.zeros(3), fixture)
-        return LevelFrame(np.array([0.0, 0.0, down]), np.array([1.0, 1.0, 0.0]) * north / math.sqrt(2.0), fixture)
+        latitude = self.data.recording.site.latitude_rad
+        unknown = sources.unknown_earth_rate(self.data.recording, placed=fixture)
+        known = np.zeros(3)
+        if latitude is not None:
+            known = EARTH_RATE_RAD_S * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
+        return LevelFrame(np.where(unknown > 0.0, 0.0, known), unknown, fixture)
 
     def update_mounting_prior(self, state: JointState) -> None:
         """Update the prior of the mounting near the solution, so that it does not depend on the initial estimate."""
@@ -205,8 +197,7 @@ class JointModel:
     @property
     def alignment_sigma(self) -> float:
         """Standard deviation of base, mounting and non-orthogonality of the axes, rad."""
-        fixture = self.data.recording.fixture
-        return 0.0 if fixture is None else fixture.alignment_sigma_rad
+        return sources.alignment_sigma(self.data.recording)
 
     @property
     def start_sigma(self) -> Array:
@@ -214,9 +205,8 @@ class JointModel:
 
         The non-orthogonality of all poses is one angle of the fixture, an unknown; it varies by the axis wobble.
         """
-        fixture = self.data.recording.fixture
-        rotation, wobble = (0.0, 0.0) if fixture is None else (fixture.rotation_sigma_rad, fixture.wobble)
-        return np.array([rotation, rotation, np.hypot(_LEAST_WOBBLE * rotation, wobble)])
+        inner, outer, wobble = sources.start_sigma(self.data.recording).tolist()
+        return np.array([inner, outer, math.hypot(_LEAST_WOBBLE * inner, wobble)])
 
     def tie_ends(self, sigma: Array) -> bool:
         """Use the fixture in end attitudes once the sensor errors are known to ``sigma``; True if this is new.
@@ -264,47 +254,47 @@ class JointModel:
 
     def compensate(self, state: JointState) -> CompensatedData:
         """Compensate the recorded data with an estimate, and integrate the rotations."""
-        data, windows = self.data, self.data.windows
+        windows = self.data.windows
         gyro, accel = gyro_triad(state.errors), accel_triad(state.errors)
         slope = np.linalg.inv(gyro.matrix)
         deviation = state.bias_deviation @ slope.T
         force, rate = accel.compensate(windows.accel_mean), gyro.compensate(windows.gyro_mean)
         force_jacobian = model.force_error_jacobian(force, accel)
         rate_jacobian = model.rate_error_jacobian(rate, gyro)
-        D_force, D_rate = accel.sensitivity(force), gyro.sensitivity(rate)
+        raw_rate, raw_force = rate, force
         rate = rate - deviation[self.window_sequence]
         deviation = deviation + self.drift.raw("gyro", state.drift, "parts").mean(axis=1) @ slope.T
         integrals, rotation, force = self._integrate(state, deviation, force)
-        by_drift = self._drift_form(integrals, D_rate, D_force)
+        by = sources.slopes(gyro, accel, raw_rate, raw_force, integrals)
+        by_drift = self._drift_form(by)
         force, rate = force - by_drift["force"] @ state.drift, rate - by_drift["rate"] @ state.drift
         rotation = rotation_matrix(-self._rotation_drift(integrals, state)) @ rotation
-        A = slope * data.noise.gyro_edge
-        separate_edges = self._edges_are_unknowns(integrals.weight_s)
+        noise = self._sensor_noise(by)
         return CompensatedData(
             force=force,
             rate=rate,
             force_jacobian=force_jacobian,
             rate_jacobian=rate_jacobian,
-            force_noise=self._force_noise(D_force),
-            rate_noise=self._rate_noise(D_rate, separate_edges=separate_edges),
-            rotation_noise=self._rotation_noise(integrals, A, separate_edges=separate_edges),
-            rate_slope=D_rate,
+            force_noise=sources.own_covariances(noise, "force"),
+            rate_noise=sources.own_covariances(noise, "rate"),
+            rotation_noise=sources.own_covariances(noise, "turn"),
+            rate_slope=by.rate,
             rotation=rotation,
             rotation_jacobian=model.attitude_error_jacobian(integrals),
             duration_s=integrals.weight_s,
-            edge_slope=A * float(separate_edges),
-            force_slope=D_force,
+            edges=noise["gyro_quantization"],
+            force_slope=by.force,
             drift_form=by_drift,
-            drift=self._drift(integrals, D_rate, D_force),
+            drift=self._drift(by),
         )
 
-    def _drift_form(self, integrals: RotationIntegrals, D_rate: Array, D_force: Array) -> dict[str, Array]:
+    def _drift_form(self, by: Slopes) -> dict[str, Array]:
         """Effect of the coefficients of the modelled drift on all measurements."""
-        assert integrals.time_parts is not None
+        assert by.integrals.time_parts is not None
         return {
-            "force": self.drift.jacobian("accel", "windows", D_force),
-            "rate": self.drift.jacobian("gyro", "windows", D_rate),
-            "turn": self.drift.jacobian("gyro", "parts", integrals.time_parts),
+            "force": self.drift.jacobian("accel", "windows", by.force),
+            "rate": self.drift.jacobian("gyro", "windows", by.rate),
+            "turn": self.drift.jacobian("gyro", "parts", by.integrals.time_parts),
         }
 
     def _rotation_drift(self, integrals: RotationIntegrals, state: JointState) -> Array:
@@ -313,13 +303,13 @@ class JointModel:
         assert integrals.time_parts is not None
         return np.asarray(np.einsum("kpab,kpb->ka", integrals.time_parts, drift - drift.mean(axis=1, keepdims=True)))
 
-    def _drift(self, integrals: RotationIntegrals, D_rate: Array, D_force: Array) -> dict[str, DriftStates]:
-        """Bias instability as specified, by sensor; the derivatives are those of compensated rate and force."""
+    def _drift(self, by: Slopes) -> dict[str, DriftStates]:
+        """Bias instability as specified, by sensor."""
         noise, out = self.data.noise, {}
         if self._gyro_chain is not None and noise.gyro_flicker is not None:
-            out["gyro"] = drift_states(self._gyro_chain, noise.gyro_flicker, ("rate", D_rate), integrals.time_parts)
+            out["gyro"] = drift_states(self._gyro_chain, noise.gyro_flicker, ("rate", by.rate), by.integrals.time_parts)
         if self._accel_chain is not None:
-            out["accel"] = drift_states(self._accel_chain, noise.accel_flicker, ("force", D_force))
+            out["accel"] = drift_states(self._accel_chain, noise.accel_flicker, ("force", by.force))
         return out
 
     @cached_property
@@ -363,46 +353,16 @@ class JointModel:
             force[e] = integrals.C_end[k].T @ processed.carried[k, 1] if self.integrated[e] else force[e]
         return integrals, rotation, force
 
-    def _edges_are_unknowns(self, duration_s: Array) -> bool:
-        """True if quantization at window edges is relevant and estimated: window and rotation share this error."""
-        noise = self.data.noise
-        white = noise.gyro_white**2 * float(duration_s.min())
-        return bool(np.any(2.0 * noise.gyro_edge**2 > _RELEVANT_EDGE_NOISE * white))
-
-    def _force_noise(self, D: Array) -> dict[str, Array]:
-        """Covariance of the compensated specific forces by source; D is the derivative of compensation."""
-        noise, windows = self.data.noise, self.data.windows
-        return {
-            "accel_noise": _compensated_covariance(D, noise.accel_white**2 * windows.white_factor[:, None]),
-            "accel_quantization": _compensated_covariance(D, noise.accel_edge**2 * windows.edge_factor[:, None]),
-            "pose_excess": np.broadcast_to(self.unmodelled_sigma[1] ** 2 * np.eye(3), D.shape),
-        }
-
-    def _rate_noise(self, D: Array, *, separate_edges: bool) -> dict[str, Array]:
-        """Covariance of the compensated rates by source."""
-        noise, T = self.data.noise, self.data.windows.duration_s[:, None]
-        # An edge error that no rotation shares, or that is not estimated, is noise of the window's rate.
-        own_edges = np.where(separate_edges, 2.0 - self.is_end.astype(float) - self.is_start, 2.0)[:, None]
-        by_source = {
-            "gyro_noise": _compensated_covariance(D, noise.gyro_white**2 / T),
-            "gyro_quantization": _compensated_covariance(D, own_edges * (noise.gyro_edge / T) ** 2),
-            "rest_excess": np.broadcast_to(self.unmodelled_sigma[2] ** 2 * np.eye(3), D.shape),
-        }
+    def _sensor_noise(self, by: Slopes) -> dict[str, Source]:
+        """Noise of the sensors and unmodelled errors."""
+        # Errors at the edges are unknowns if they matter.
+        white = self.data.noise.gyro_white**2 * float(by.integrals.weight_s.min())
+        shared = bool(np.any(2.0 * self.data.noise.gyro_edge**2 > _RELEVANT_EDGE_NOISE * white))
+        out = sources.white_noise(self.data, by) | sources.quantization(self.data, by, shared=shared)
         if self.integrated.any():
             # In a window with integrated attitude the gyros measure motion: 1 rad/s gives the rate no weight.
-            by_source["gyro_noise"][self.integrated] = np.eye(3)
-        return by_source
-
-    def _rotation_noise(self, integrals: RotationIntegrals, A: Array, *, separate_edges: bool) -> dict[str, Array]:
-        """Covariance of the rotations by source; A is the compensated angle of a 1-sigma edge error."""
-        assert integrals.noise is not None
-        C = integrals.C_end
-        edges = np.broadcast_to(A @ A.T, C.shape) + C @ (A @ A.T) @ np.swapaxes(C, 1, 2)
-        return {
-            "gyro_noise": integrals.noise @ self.data.noise.gyro_white**2,
-            "gyro_quantization": 0.0 * edges if separate_edges else edges,
-            "turn_excess": np.broadcast_to(self.unmodelled_sigma[0] ** 2 * np.eye(3), C.shape),
-        }
+            out["gyro_noise"].own["rate"][self.integrated] = np.eye(3)
+        return out | sources.unmodelled(self.data, *self.unmodelled_sigma)
 
     def initial_attitudes(self, state: JointState, compensated: CompensatedData) -> JointState:
         """Attitudes from the data: level from the specific force, heading from the fixture or along the rotations."""
@@ -482,10 +442,9 @@ class JointModel:
         rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))
         rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.rate_slope), rest)
         rest = rest + state.bias_deviation[self.window_sequence]
-        T, weights = self.data.windows.duration_s, self.rest_rate_weights
-        noise = self.data.noise
-        variance = noise.gyro_white**2 / T[:, None] + 2.0 * (noise.gyro_edge / T[:, None]) ** 2
-        expected = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0) + earth_rate_sigma(self.data) ** 2
+        weights, variance = self.rest_rate_weights, sources.raw_rate_variance(self.data)
+        doubt = sources.earth_rate_sigma(self.data.recording)
+        expected = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0) + doubt**2
         own = weights @ rest
         unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
         self.bias_scatter = np.sqrt(excess_variance(own[~self.data.is_move], expected, bounded=unstated))
@@ -494,46 +453,11 @@ class JointModel:
         self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
 
 
-def open_joint_model(recording: Recording, options: Options) -> JointModel:
-    """Open a recording for joint estimation, with the recorded moves between its sequences unless options exclude them.
-
-    Raises
-    ------
-    DataError
-        As :func:`srt.sequences.checked_preparation.prepare_checked`, and if no sequence has both stationary windows.
-    """
-    labels = recording.sequences or find_turns(recording)
-    whole = tuple(s for s in labels if not _end_is_missing(recording, s))
-    poses = tuple(s for s in labels if s.id is not None and (s not in whole or _rotation_is_incomplete(recording, s)))
-    if not whole:
-        raise DataError(
-            "No sequence of the recording has both stationary windows: record at least one rotation to its end."
-        )
-    moves = () if options.ignore_moves else recorded_moves(recording, labels)
-    data = prepare_checked(
-        recording, whole, options.average, poses=poses if recording.fixture is not None else (), moves=moves
-    )
-    first = initial_estimate(data, options)
-    return JointModel(without_gross_moves(data, options, first), options, first)
-
-
 def pose_nominal(label: SequenceLabel) -> Array:
     """Nominal start attitude C_nom of a label."""
     sequence = sequence_of_label(label)
     assert sequence is not None
     return nominal_attitude(sequence)
-
-
-def _rotation_is_incomplete(recording: Recording, label: SequenceLabel) -> bool:
-    """True if samples are missing after a complete start window."""
-    first, last = recording.window_indices(*label.start_static_s), recording.window_indices(*label.end_static_s)
-    lost = gap_inside(recording, slice(first.start, last.stop)).size > 0
-    return lost and gap_inside(recording, first).size == 0
-
-
-def _end_is_missing(recording: Recording, label: SequenceLabel) -> bool:
-    window = recording.window_indices(*label.end_static_s)
-    return bool(window.stop - window.start < 2)
 
 
 def _nominal_start(sequence: RotationSequence | None) -> Array | None:
@@ -553,11 +477,6 @@ def _nominal_end(C: Array | None, sequence: RotationSequence | None) -> Array | 
             return None
         C = C @ rotation_matrix(axis * angle)
     return C
-
-
-def _compensated_covariance(D: Array, variance: Array) -> Array:
-    """Covariance of compensated values from the variances of raw channels, (n, 3, 3)."""
-    return np.asarray((D * variance[:, None, :]) @ np.swapaxes(D, 1, 2))
 
 
 def _any_level_attitude(down: Array) -> Array:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from estimators.drift_states import DriftStates
+    from srt.estimation.error_sources import Source
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
 
@@ -84,9 +85,8 @@ class CompensatedData:
     rotation_jacobian : ndarray, shape (K, 3, 27)
         Derivative of the rotation's attitude error with respect to the 27 sensor errors.
     duration_s : ndarray, shape (K,)
-    edge_slope : ndarray, shape (3, 3), rad
-        Derivative of the compensated angle with respect to a normalised (1-sigma) error of the raw angle at a window
-        edge; zero if edge errors are not estimated.
+    edges : Source
+        Quantization of the angle; its shared unknowns, if it has any, are the errors at the window edges.
     force_slope : ndarray, shape (W, 3, 3)
         Derivative of the compensated specific force with respect to the raw one.
     drift_form : dict of str to ndarray, shape (n, 3, number of coefficients)
@@ -106,7 +106,7 @@ class CompensatedData:
     rotation: Array
     rotation_jacobian: Array
     duration_s: Array
-    edge_slope: Array
+    edges: Source
     force_slope: Array
     drift_form: dict[str, Array]
     drift: dict[str, DriftStates]

@@ -9,6 +9,7 @@ from scipy.sparse import csr_array
 
 from estimators.joint_model import pose_nominal
 from estimators.linear_system import FIXTURE, N_ERRORS, LinearSystem, RowGroup, total, whiten
+from srt.estimation.error_sources import shared_edges
 from srt.model import measurement_model as model
 from srt.model.rotations import inverse_right_jacobian, rotation_vector
 from srt.sensor_errors import N_PARAMETERS
@@ -69,13 +70,6 @@ def linearise(
     )
 
 
-def edge_numbers(joint: JointModel, compensated: CompensatedData) -> Indices:
-    """Index of the unknown quantization error at both edges of every window, shape (W, 2); −1 if not estimated."""
-    shared = np.stack([joint.is_end, joint.is_start], axis=1) & bool(compensated.edge_slope.any())
-    numbers = np.cumsum(shared.ravel()).reshape(shared.shape) - 1
-    return np.where(shared, numbers, -1)
-
-
 def fixed_headings(joint: JointModel) -> Indices:
     """Windows with a fixed heading: the first window of a free level frame; without fixture states, every start."""
     data, fixed = joint.data, []
@@ -116,7 +110,7 @@ def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int,
     return [(kind, poses, components) for kind, poses, components in kinds if poses]
 
 
-def _columns(joint: JointModel, compensated: CompensatedData, edges: Indices) -> dict[str, slice]:
+def _columns(joint: JointModel, compensated: CompensatedData) -> dict[str, slice]:
     """Columns of the system by name."""
     sizes = {
         "errors": N_ERRORS,
@@ -126,7 +120,7 @@ def _columns(joint: JointModel, compensated: CompensatedData, edges: Indices) ->
         "earth_rate": 3 * len(joint.level_frames),
         "drift_form": joint.drift.size,
         "attitude": 3 * len(compensated.force),
-        "edge": 3 * int(edges.max() + 1),
+        "edge": 3 * compensated.edges.unknowns,
     }
     for sensor in ("gyro", "accel"):
         drift = compensated.drift.get(sensor)
@@ -157,8 +151,7 @@ class _Builder:
     def __init__(self, joint: JointModel, state: JointState, compensated: CompensatedData) -> None:
         assert state.attitude is not None
         self.joint, self.state, self.compensated, self.attitude = joint, state, compensated, state.attitude
-        self.edges = edge_numbers(joint, compensated)
-        self.columns = _columns(joint, compensated, self.edges)
+        self.columns = _columns(joint, compensated)
         self.n = max(c.stop for c in self.columns.values())
         self.entries: list[tuple[Array, Array, Array]] = []
         self.b: list[Array] = []
@@ -233,7 +226,6 @@ class _Builder:
             ],
         )
         residual, by_attitude, by_earth = model.angular_rate_residual(compensated.rate, A, joint.earth_rate(self.state))
-        per_rate = compensated.edge_slope / joint.data.windows.duration_s[:, None, None]
         self.add(
             "rate",
             sequence,
@@ -244,8 +236,7 @@ class _Builder:
                 ("bias", sequence if joint.bias_walks else 0, -compensated.rate_jacobian[:, :, N_ERRORS:]),
                 ("attitude", windows, by_attitude @ to_body),
                 ("earth_rate", joint.window_frame, by_earth),
-                ("edge", self.edges[:, 0], per_rate),
-                ("edge", self.edges[:, 1], -per_rate),
+                *self.edge_blocks("rate", -1.0),
                 ("drift_form", 0, -compensated.drift_form["rate"]),
                 *self.drift_blocks("gyro", "rate", -1.0),
             ],
@@ -254,7 +245,7 @@ class _Builder:
     def add_rotations(self) -> None:
         """Rotation between the windows of every sequence."""
         joint, compensated, data = self.joint, self.compensated, self.joint.data
-        sequences, slope = np.arange(data.K), compensated.edge_slope
+        sequences = np.arange(data.K)
         start, end = self.attitude[data.start], self.attitude[data.end]
         residual, by_start, by_end, by_rotation, by_earth = model.rotation_residual(
             compensated.rotation, start, end, joint.earth_rate(self.state)[data.start], compensated.duration_s
@@ -271,8 +262,7 @@ class _Builder:
                 ("attitude", data.start, by_start @ np.swapaxes(start, 1, 2)),
                 ("attitude", data.end, by_end @ np.swapaxes(end, 1, 2)),
                 ("earth_rate", joint.sequence_frame, by_earth),
-                ("edge", self.edges[data.start, 1], -by_rotation @ slope),
-                ("edge", self.edges[data.end, 0], by_rotation @ compensated.rotation @ slope),
+                *self.edge_blocks("turn", by_rotation),
                 ("drift_form", 0, by_rotation @ compensated.drift_form["turn"]),
                 *self.drift_blocks("gyro", "turn", by_rotation),
             ],
@@ -308,16 +298,17 @@ class _Builder:
                 ],
             )
 
+    def edge_blocks(self, kind: str, by_effect: Array | float) -> list[Block]:
+        """Blocks of the errors at window edges; ``by_effect`` is the derivative of the residual by their effect."""
+        return [("edge", number, _product(by_effect, J)) for number, J in self.compensated.edges.shared.get(kind, ())]
+
     def drift_blocks(self, sensor: str, kind: str, by_drift: Array | float) -> list[Block]:
         """Blocks of the drift of a sensor; ``by_drift`` is the derivative of the residual by the drift's effect."""
         drift = self.compensated.drift.get(sensor)
         if drift is None:
             return []
         effects = (f"{sensor}_drift", drift.by_state[kind]), (f"{sensor}_drift_noise", drift.by_noise[kind])
-        return [
-            (name, drift.steps[kind], by_drift * J if isinstance(by_drift, float) else by_drift @ J)
-            for name, J in effects
-        ]
+        return [(name, drift.steps[kind], _product(by_drift, J)) for name, J in effects]
 
     def add_drift(self) -> None:
         """States of the bias instability: their distribution at the start, white unknowns, and transitions."""
@@ -386,15 +377,15 @@ class _Builder:
 
     def add_edges(self) -> None:
         """Unknowns of the quantization at window edges: independent, with unit variance."""
-        data, count = self.joint.data, int(self.edges.max() + 1)
+        data, count = self.joint.data, self.compensated.edges.unknowns
         unit = np.broadcast_to(np.eye(3), (count, 3, 3))
         owner, step = np.empty((2, count), dtype=np.intp)
         if count:
             # Rotation and window share an edge; its prior belongs to the earlier of the two.
-            first = self.joint.rank[self.joint.window_sequence]
+            edges, first = shared_edges(data), self.joint.rank[self.joint.window_sequence]
             for windows, side in ((data.end, 0), (data.start, 1)):
-                owner[self.edges[windows, side]] = np.arange(data.K)
-                step[self.edges[windows, side]] = np.minimum(self.joint.rank, first[windows])
+                owner[edges[windows, side]] = np.arange(data.K)
+                step[edges[windows, side]] = np.minimum(self.joint.rank, first[windows])
         zero = np.zeros((count, 3))
         self.add("edge", owner, zero, {"gyro_quantization": unit}, [("edge", np.arange(count), unit)], step)
 
@@ -407,3 +398,7 @@ class _Builder:
         blocks: list[Block] = [("errors", 0, E[:, :, :N_ERRORS])]
         blocks += [("bias", i, E[:, :, N_ERRORS:] / number) for i in range(number)]
         self.add("prior", _RECORDING, difference[None], {"prior": prior.covariance[None]}, blocks)
+
+
+def _product(by_effect: Array | float, J: Array) -> Array:
+    return by_effect * J if isinstance(by_effect, float) else np.asarray(by_effect @ J)

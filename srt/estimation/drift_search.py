@@ -9,6 +9,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt.estimation import measurement_covariance
 from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, most_significant
+from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
+from srt.estimation.rest_rate_scatter import bias_gain
 from srt.noise.drift_forms import residual_statistics
 
 if TYPE_CHECKING:
@@ -70,9 +72,9 @@ def gyro_statistics(
     present : sequence of DriftTerm
         Forms that are modelled.
     """
-    T, used = data.windows.duration_s, np.flatnonzero(~integrated)
-    raw = data.noise.gyro_white**2 / T[:, None] + 2.0 * (data.noise.gyro_edge / T[:, None]) ** 2
-    noise = np.diag((raw @ (slope**2).T + measurement_covariance.earth_rate_sigma(data) ** 2).ravel())
+    used = np.flatnonzero(~integrated)
+    doubt = earth_rate_sigma(data.recording)
+    noise = np.diag((raw_rate_variance(data) @ (slope**2).T + doubt**2).ravel())
     if data.noise.gyro_flicker is not None:
         own = data.noise.gyro_flicker * slope
         drift = data.drift.windows @ data.drift.windows.T
@@ -140,7 +142,7 @@ def used_bias_gain(data: PreparedRecording, options: Options, solution: Solution
     if solution.excess.drifting("gyro"):
         return np.ones(3)
     compensated = np.sqrt(np.linalg.inv(solution.measurements.gyro.matrix) ** 2 @ solution.wander**2)
-    return measurement_covariance.bias_gain(solution.measurements, data, options.gyro_bias, compensated)
+    return bias_gain(solution.measurements, data, options.gyro_bias, compensated)
 
 
 def _effect(data: PreparedRecording, options: Options, solution: Solution, sensor: str, form: str) -> Array:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.estimation.measurement_covariance import Disturbance, project
+from srt.estimation.rest_rate_scatter import window_rate_variance
+from srt.estimation.unknown_earth_rate import unknown_earth_rate_components, unknown_earth_rate_draws
+from srt.model import measurement_model as model
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
+    from srt.estimation.srt_measurements import SrtMeasurements
+    from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
 
@@ -76,3 +82,43 @@ def earth_rate_regression(rate: Array, on_rest_rate: Array, sigma: Array, compon
     prior = np.diag(np.concatenate([np.zeros(3), np.ones(S)]))
     gain = np.linalg.solve(A.T @ A + prior, A.T)[3:].reshape(S, W, 3) / sigma
     return EarthRateRegression(rate, on_rest_rate, gain, components, np.zeros(S), np.zeros((S, N_PARAMETERS)))
+
+
+def with_earth_rate_regression(
+    measurements: SrtMeasurements, data: PreparedRecording, wander: Array, bias_gain: Array, draws: Array | None
+) -> SrtMeasurements:
+    """Measurements with the unknown Earth rate estimated from the rates at rest and removed.
+
+    Without a heading, the horizontal part of the Earth rate is unknown; without a latitude, all three components are.
+    The effect on z is not linear: over a long recording the second order is many sigma of a navigation-grade unit. The
+    unknown part is therefore estimated from the rates of the windows and removed before z is formed, as g-sensitivity
+    is. The Jacobian and the covariance include this estimate.
+
+    Parameters
+    ----------
+    measurements, data : SrtMeasurements, PreparedRecording
+    wander : ndarray, shape (3,), rad/s
+        1-sigma of the bias between sequences, compensated.
+    bias_gain : ndarray, shape (3,)
+        As in :func:`srt.estimation.measurement_covariance.project`.
+    draws : ndarray, shape (S,), or None
+        Estimate with which the data were processed; the new estimate replaces it to first order.
+    """
+    n = unknown_earth_rate_components(data)
+    if not n:
+        return measurements
+    rate = unknown_earth_rate_draws(measurements, data)
+    seen = np.einsum("wab,was->wbs", measurements.window_attitude, rate[measurements.window_sequence])
+    regression = earth_rate_regression(rate, seen, np.sqrt(window_rate_variance(measurements, data) + wander**2), n)
+    phi = measurements.integrals.weight_s[:, None, None] * rate
+    on_z = project(measurements, data, Disturbance(phi=phi, rate=seen), bias_gain)
+    by_errors = regression.fit(model.rate_error_jacobian(measurements.rate, measurements.gyro))
+    used = np.zeros(rate.shape[2]) if draws is None else draws
+    present = regression.fit((measurements.rest_rate + seen @ used)[:, :, None])[:, 0]
+    return replace(
+        measurements,
+        z=measurements.z - on_z @ (present - used),
+        H=measurements.H - on_z @ by_errors,
+        rest_rate=measurements.rest_rate - seen @ (present - used),
+        earth_rate_regression=replace(regression, draws=present, by_errors=by_errors),
+    )

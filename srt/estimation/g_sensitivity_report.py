@@ -14,6 +14,7 @@ from scipy.special import fdtrc
 
 from srt.constants import DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.estimation import measurement_covariance
+from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import LEAST_FORCE_VARIATION, MODE
 from srt.result.calibration import G_SENSITIVITY
 
@@ -142,5 +143,5 @@ def significant_g_sensitivity(measurements: SrtMeasurements, data: PreparedRecor
     if np.min(fdtrc(count, freedom, F)) > FALSE_ALARM_PROBABILITY / 3.0:
         return None
     size = float(np.abs((right[seen].T / singular[seen]) @ by_force).max())
-    doubt = _EARTH_SIGMAS * measurement_covariance.earth_rate_sigma(data)
+    doubt = _EARTH_SIGMAS * earth_rate_sigma(data.recording)
     return size if size * data.gravity > doubt else None

@@ -21,7 +21,10 @@ import numpy as np
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.estimation import measurement_covariance
 from srt.estimation.drift_model import NOTHING, Unmodelled
+from srt.estimation.earth_rate_regression import with_earth_rate_regression
+from srt.estimation.error_sources import earth_rate_sigma
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+from srt.estimation.rest_rate_scatter import bias_gain, excess_variance, rest_rate_variance
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
 from srt.model.sensor_model import compose, outside_model
@@ -245,9 +248,7 @@ class Iteration:
         wander = self._compensated(measurements)
         if self.excess.drifting("gyro"):  # the modelled drift is still in the rates at rest
             wander = np.hypot(wander, measurements.bias_by_sequence.std(axis=0))
-        return measurement_covariance.with_earth_rate_regression(
-            measurements, self.data, wander, self._bias_gain(measurements), draws
-        )
+        return with_earth_rate_regression(measurements, self.data, wander, self._bias_gain(measurements), draws)
 
     def _update_earth_rate(self, measurements: SrtMeasurements, correction: Array) -> bool:
         """Update the unknown part of the Earth rate; return True if the change is negligible."""
@@ -310,9 +311,7 @@ class Iteration:
     def _bias_gain(self, measurements: SrtMeasurements) -> Array:
         if self.excess.drifting("gyro"):  # a drift of deg/s is not linear in the attitude: each sequence has its bias
             return np.ones(3)
-        return measurement_covariance.bias_gain(
-            measurements, self.data, self.options.gyro_bias, self._compensated(measurements)
-        )
+        return bias_gain(measurements, self.data, self.options.gyro_bias, self._compensated(measurements))
 
     def _compensated(self, measurements: SrtMeasurements) -> Array:
         return np.asarray(np.sqrt(np.linalg.inv(measurements.gyro.matrix) ** 2 @ self.wander**2))
@@ -331,11 +330,11 @@ class Iteration:
         # A move has no windows of its own.
         own = measurements.share[~self.data.is_move]
         deviation = (own @ rest - measurements.pool @ rest) / np.sqrt(left)
-        doubt = measurement_covariance.earth_rate_sigma(self.data)
-        expected = measurement_covariance.rest_rate_variance(measurements, self.data) + doubt**2
+        doubt = earth_rate_sigma(self.data.recording)
+        expected = rest_rate_variance(measurements, self.data) + doubt**2
         # Without a fixture, errors of the rotations are larger, and the bound would spoil the weights.
         unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
-        excess = measurement_covariance.excess_variance(deviation, expected, bounded=unstated)
+        excess = excess_variance(deviation, expected, bounded=unstated)
         return np.asarray(np.sqrt(measurements.gyro.matrix**2 @ excess))
 
     def _release_moving(self, measurements: SrtMeasurements) -> bool:

@@ -239,30 +239,24 @@ class SrtProcessor:
         force = accel.compensate(data.windows.accel_mean)
         stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
-        down = -force[data.start] / np.linalg.norm(force[data.start], axis=1, keepdims=True)
-        earth_rate, nominal_down = self._earth_rate(U, down, nominal_vertical)
-        if earth_rate_offset is not None:
-            earth_rate = earth_rate + earth_rate_offset
-        if nominal_vertical and nominal_down is not None:
-            down = nominal_down
+        nominal_vertical = nominal_vertical and data.nominal is not None
+        earth_rate, down = self._earth_rate(U, force[data.start], nominal_vertical)
+        earth_rate = earth_rate if earth_rate_offset is None else earth_rate + earth_rate_offset
+        sample = data.noise.gyro_sample(data.recording.nominal_interval_s)
         integrals, attitude = integrate_attitude(
-            stream,
-            gyro,
-            earth_rate,
-            bias_offset=bias_offset,
-            sample_noise_rad=data.noise.gyro_sample(data.recording.nominal_interval_s),
-            with_noise=with_noise,
+            stream, gyro, earth_rate, bias_offset=bias_offset, sample_noise_rad=sample, with_noise=with_noise
         )
         carried = self._carried_force(integrals, attitude, accel, force)
         basis = self._basis(down, U)
         window_C = np.where(self._is_end[:, None, None], integrals.C_end[self._sequence], np.eye(3))
         rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
+        ends = force[data.start], force[data.end]
         # Δa_H = horizontal part of (â_End − â_Strt)  ([P] eq. 1)
         horizontal, H = self._stated.replace(
             np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0]),
-            model.horizontal_jacobian(integrals, basis, force[data.start], force[data.end], accel),
+            model.horizontal_jacobian(integrals, basis, *ends, accel),
             basis=basis,
-            force=(force[data.start], force[data.end]),
+            force=ends,
             earth_rate=earth_rate,
             triads=(gyro, accel),
         )
@@ -285,7 +279,7 @@ class SrtProcessor:
             accel=accel,
             U=self._orientation(integrals, force, U),
             integrated=self.integrated,
-            nominal_vertical=nominal_vertical and nominal_down is not None,
+            nominal_vertical=nominal_vertical,
             stated=self._stated,
             poses=poses,
         )
@@ -311,20 +305,22 @@ class SrtProcessor:
             ]
         )
 
-    def _earth_rate(self, U: Array, down: Array, nominal_vertical: bool) -> tuple[Array, Array | None]:
-        """Earth rate ω̂e in each B_Strt, and the nominal vertical there (None without a fixture)."""
+    def _earth_rate(self, U: Array, force: Array, nominal_vertical: bool) -> tuple[Array, Array]:
+        """Earth rate ω̂e and the vertical, from the specific force or nominal, in each B_Strt."""
         data = self.data
         base = data.earth_rate_base()
+        down = -force / np.linalg.norm(force, axis=1, keepdims=True)
         vertical_part: Array = base[2] * down
         if data.nominal is None:
-            return vertical_part, None
+            return vertical_part, down
         placed = data.placed[:, None]
         to_body = U @ np.swapaxes(data.nominal, 1, 2)
         nominal, nominal_down = to_body @ base, np.where(placed, to_body[:, :, 2], down)
-        if not nominal_vertical:
-            # The smallest rotation from the nominal to the measured vertical: north alone stays nominal.
-            nominal = np.einsum("kab,kb->ka", smallest_rotation(nominal_down, down), nominal)
-        return np.where(placed, nominal, vertical_part), nominal_down
+        if nominal_vertical:
+            return np.where(placed, nominal, vertical_part), nominal_down
+        # The smallest rotation from the nominal to the measured vertical: north alone stays nominal.
+        nominal = np.einsum("kab,kb->ka", smallest_rotation(nominal_down, down), nominal)
+        return np.where(placed, nominal, vertical_part), down
 
     def _basis(self, down: Array, U: Array) -> Array:
         """Two horizontal directions per sequence: nominal axes of T made horizontal, or any two for a free turn."""

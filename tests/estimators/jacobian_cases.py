@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,8 +19,11 @@ from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("gtsam")
-from estimators.joint_model import JointModel, open_joint_model
 from estimators.linearisation import linearise
+from estimators.recording_opening import open_joint_model
+
+if TYPE_CHECKING:
+    from estimators.joint_model import JointModel
 
 EPS = np.finfo(float).eps
 G = 9.80665

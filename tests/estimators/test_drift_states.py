@@ -11,7 +11,8 @@ from accuracy_trials import GRADES, INSTABILITY, SITE, noisy_recording
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from srt.estimation.measurement_covariance import accel_drift, gyro_drift
+from srt.estimation.error_sources import slopes
+from srt.estimation.measurement_covariance import bias_drift
 from srt.estimation.options import Options
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude
@@ -21,10 +22,10 @@ from srt.sensor_errors import N_PARAMETERS, SensorErrors
 pytest.importorskip("filterpy")
 from estimators.block_solution import BlockSolution
 from estimators.iteration import default_prior
-from estimators.joint_model import open_joint_model
 from estimators.kalman_filter import run_filter
 from estimators.linearisation import linearise
 from estimators.nuisance_elimination import eliminate_nuisances
+from estimators.recording_opening import open_joint_model
 
 ALL = np.ones(N_PARAMETERS, dtype=bool)
 
@@ -42,8 +43,9 @@ def dense_sigma(joint, state, system):
     integrals, _ = integrate_attitude(
         joint.processor.stream, gyro_triad(state.errors), np.zeros((data.K, 3)), with_noise=True
     )
-    gyro = gyro_drift(data, integrals, np.linalg.inv(gyro_triad(state.errors).matrix))
-    accel = accel_drift(data, accel_triad(state.errors).sensitivity(compensated.force))
+    triads = gyro_triad(state.errors), accel_triad(state.errors)
+    by = slopes(*triads, compensated.rate, compensated.force, integrals)
+    gyro, accel = bias_drift(data, by, "gyro"), bias_drift(data, by, "accel")
     start, end = state.attitude[data.start], state.attitude[data.end]
     by_rotation = model.rotation_residual(
         compensated.rotation, start, end, joint.earth_rate(state)[data.start], compensated.duration_s

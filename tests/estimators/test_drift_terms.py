@@ -18,9 +18,9 @@ from srt.sensor_errors import N_PARAMETERS, SensorErrors
 pytest.importorskip("filterpy")
 from estimators.drift_terms import DriftTerms
 from estimators.iteration import default_prior
-from estimators.joint_model import open_joint_model
 from estimators.kalman_filter import run_filter
 from estimators.linearisation import linearise
+from estimators.recording_opening import open_joint_model
 
 ALL = np.ones(N_PARAMETERS, dtype=bool)
 TERMS = (DriftTerm("accel", "linear", 1.0), DriftTerm("gyro", "warm-up", 1e-2), DriftTerm("accel", WALK, 1e-2))

@@ -23,8 +23,8 @@ from linear_problems import AGREE, ALL, EPS, IN_G, RESOLVED, Found, SolveStep, d
 from estimators.ekf import default_prior
 from estimators.graph import GraphSolver
 from estimators.iteration import iterate
-from estimators.joint_model import open_joint_model
 from estimators.kalman_filter import KalmanSolver, run_filter
+from estimators.recording_opening import open_joint_model
 from estimators.solver import IterationState
 
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from srt.estimation.error_sources import shared_edges
 from srt.model import analytic_platform
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise import markov_drift
@@ -22,9 +23,9 @@ pytest.importorskip("gtsam")
 from jacobian_cases import CASES, EPS, HZ, RATE, VARIANTS, G, make, simulated_motions
 
 from estimators.iteration import apply_correction
-from estimators.joint_model import open_joint_model
 from estimators.linear_system import FIXTURE, N_ERRORS
-from estimators.linearisation import edge_numbers, linearise
+from estimators.linearisation import linearise
+from estimators.recording_opening import open_joint_model
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +150,7 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
     case = make(motions, VARIANTS[variant], size)
     joint, system = case.joint, case.system
     data = joint.data
-    edges = edge_numbers(joint, system.compensated)
+    edges = shared_edges(data)
     assert edges.max() + 1 == 2 * data.K
     found = unwhitened(system)
     dt, e = 1.0 / HZ, 1e-8

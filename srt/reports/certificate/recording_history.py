@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.constants import DEG
-from srt.estimation.measurement_covariance import bias_gain, with_earth_rate_regression
+from srt.estimation.earth_rate_regression import with_earth_rate_regression
 from srt.estimation.options import Options
 from srt.estimation.registry import BUILT_IN
+from srt.estimation.rest_rate_scatter import bias_gain
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError, InputError, clipped
 from srt.model import rotations

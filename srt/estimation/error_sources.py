@@ -1,0 +1,220 @@
+"""Sources of error of a recording, one by one, as linear rows that all estimators read (Savage 2020 [P], §9).
+
+A source acts on the compensated mean specific force ("force") and mean rate ("rate") of every window, and on the
+attitude error φ of every rotation ("turn"), in two ways: errors of single windows and rotations, which are independent,
+with their covariance; and errors that several of them share, as unit-variance unknowns with their derivatives. The
+joint estimators whiten with the first and estimate the second; closed form and least squares project both onto the SRT
+measurements (:mod:`srt.estimation.measurement_covariance`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from srt.constants import EARTH_RATE_RAD_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from srt.model.rotation_integrals import RotationIntegrals
+    from srt.model.sensor_model import Triad
+    from srt.recording.recording import Recording
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Indices, Mask
+
+
+KINDS: Final = ("force", "rate", "turn")
+"""Measurements that a source acts on."""
+
+
+class Slopes(NamedTuple):
+    """Derivatives of the compensated data with respect to errors of the raw channels.
+
+    Attributes
+    ----------
+    force, rate : ndarray, shape (W, 3, 3)
+        Of the mean specific force and mean rate of every window.
+    angle : ndarray, shape (3, 3)
+        Of the angle of a rotation, in the axes of its sample.
+    integrals : RotationIntegrals
+        Of the rotations, with their noise integrals.
+    """
+
+    force: Array
+    rate: Array
+    angle: Array
+    integrals: RotationIntegrals
+
+
+def slopes(gyro: Triad, accel: Triad, rate: Array, force: Array, integrals: RotationIntegrals) -> Slopes:
+    """Derivatives at compensated mean rates and specific forces of the windows, shape (W, 3)."""
+    angle = np.asarray(np.linalg.inv(gyro.matrix), dtype=np.float64)
+    return Slopes(accel.sensitivity(force), gyro.sensitivity(rate), angle, integrals)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """Errors of one source.
+
+    Attributes
+    ----------
+    own : dict of str to ndarray, shape (n, 3, 3)
+        Covariance of the errors of single windows ("force", "rate") and rotations ("turn"), which are independent.
+    shared : dict of str to list of (ndarray of int, shape (n,); ndarray, shape (n or 1, 3, 3))
+        Number of a shared unknown (−1: none) of three unit-variance components, and the derivatives by it.
+    """
+
+    own: dict[str, Array] = field(default_factory=dict)
+    shared: dict[str, list[tuple[Indices, Array]]] = field(default_factory=dict)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of the shared unknowns."""
+        return 1 + max((int(number.max(initial=-1)) for part in self.shared.values() for number, _ in part), default=-1)
+
+
+def own_covariances(sources: Mapping[str, Source], kind: str) -> dict[str, Array]:
+    """Covariance of the independent errors of a kind by source."""
+    return {name: source.own[kind] for name, source in sources.items() if kind in source.own}
+
+
+def white_noise(data: PreparedRecording, by: Slopes, integrated: Mask | None = None) -> dict[str, Source]:
+    """Angle random walk of rotations and window means; velocity random walk of window means.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    by : Slopes
+    integrated : ndarray of bool, shape (W,), optional
+        Windows over which the attitude is integrated, so that their mean rate and φ share noise; without it, the two
+        count as independent.
+    """
+    noise, windows, integrals = data.noise, data.windows, by.integrals
+    if integrals.noise is None:
+        raise ValueError("the measurements were processed without their noise integrals")
+    T, q = windows.duration_s, noise.gyro_white
+    rate, turn = _through(by.rate, q**2 / T[:, None]), integrals.noise @ q**2
+    shared: dict[str, list[tuple[Indices, Array]]] = {}
+    if integrated is not None and integrated.any():
+        number = np.where(integrated, np.cumsum(integrated) - 1, -1)
+        mean = by.rate * (q / np.sqrt(T)[:, None])[:, None, :]
+        rate = np.where(integrated[:, None, None], 0.0, rate)
+        shared = {"rate": [(number, mean)], "turn": []}
+        for which, C in ((data.start, np.broadcast_to(np.eye(3), turn.shape)), (data.end, integrals.C_end)):
+            # F is 1/2 on average over the window: that part of φ is the window mean; the remainder is independent.
+            part = 0.5 * T[which, None, None] * C @ mean[which]
+            shared["turn"].append((number[which], part))
+            turn = turn - np.where(integrated[which, None, None], part @ np.swapaxes(part, 1, 2), 0.0)
+    force = _through(by.force, noise.accel_white**2 * windows.white_factor[:, None])
+    return {"gyro_noise": Source({"rate": rate, "turn": turn}, shared), "accel_noise": Source({"force": force})}
+
+
+def quantization(data: PreparedRecording, by: Slopes, *, shared: bool = True) -> dict[str, Source]:
+    """Quantization of angle and velocity at the edges of the windows, where the rotations begin and end.
+
+    Window and rotation share the error of their edge, with opposite signs. If ``shared`` is false, they count as
+    independent, which is a good approximation for small quantization.
+    """
+    noise, T = data.noise, data.windows.duration_s[:, None, None]
+    A = by.angle * noise.gyro_edge
+    per_rate, end = by.rate * noise.gyro_edge / T, by.integrals.C_end @ A
+    outer = per_rate @ np.swapaxes(per_rate, 1, 2)
+    force = Source({"force": _through(by.force, noise.accel_edge**2 * data.windows.edge_factor[:, None])})
+    if not shared:
+        turn = A @ A.T + end @ np.swapaxes(end, 1, 2)
+        return {"gyro_quantization": Source({"rate": 2.0 * outer, "turn": turn}), "accel_quantization": force}
+    edges = shared_edges(data)
+    alone = np.sum(edges < 0, axis=1)[:, None, None]
+    return {
+        "gyro_quantization": Source(
+            {"rate": alone * outer, "turn": np.zeros_like(end)},
+            {
+                "rate": [(edges[:, 0], -per_rate), (edges[:, 1], per_rate)],
+                "turn": [(edges[data.start, 1], -A[None]), (edges[data.end, 0], end)],
+            },
+        ),
+        "accel_quantization": force,
+    }
+
+
+def shared_edges(data: PreparedRecording) -> Indices:
+    """Number of the error at the first and last edge of every window, shape (W, 2); −1 if no rotation shares it."""
+    used = np.zeros((len(data.windows.duration_s), 2), dtype=np.bool_)
+    used[data.end, 0] = used[data.start, 1] = True
+    return np.where(used, np.cumsum(used.ravel()).reshape(used.shape) - 1, -1)
+
+
+def raw_rate_variance(data: PreparedRecording) -> Array:
+    """Noise variance of the mean gyro reading of every window, white noise and quantization, (W, 3), (rad/s)²."""
+    T = data.windows.duration_s[:, None]
+    return np.asarray(data.noise.gyro_white**2 / T + 2.0 * (data.noise.gyro_edge / T) ** 2)
+
+
+def unmodelled(data: PreparedRecording, rotation: float, force: float, rate: float = 0.0) -> dict[str, Source]:
+    """Errors beyond the noise of the sensors, 1-sigma: of rotations, rad, specific forces, m/s², and rates, rad/s."""
+    W, unit = len(data.windows.duration_s), np.eye(3)
+    return {
+        "turn_excess": Source({"turn": np.broadcast_to(rotation**2 * unit, (data.K, 3, 3))}),
+        "pose_excess": Source({"force": np.broadcast_to(force**2 * unit, (W, 3, 3))}),
+        "rest_excess": Source({"rate": np.broadcast_to(rate**2 * unit, (W, 3, 3))}),
+    }
+
+
+def by_drift(slope: Array, course: Array) -> Array:
+    """Effect of a bias that follows each of S courses in each of the three channels, shape (n, 3, 3 S).
+
+    Parameters
+    ----------
+    slope : ndarray, shape (W, 3, 3) or (K, P, 3, 3)
+        Derivatives by the biases in every window, or in the parts of every rotation.
+    course : ndarray, shape (W, S) or (K, P, S)
+        Bias in the same windows or parts.
+    """
+    form = "wab,wn->wanb" if slope.ndim == 3 else "kpab,kpn->kanb"
+    return np.asarray(np.einsum(form, slope, course).reshape(len(slope), 3, -1))
+
+
+def start_sigma(recording: Recording) -> Array:
+    """Standard deviation of inner angle, outer angle and axis wobble of a pose, shape (3,), rad; zero without fixture.
+
+    The non-orthogonality of the axes is common to all poses, as levelling and north are; see ``alignment_sigma``.
+    """
+    fixture = recording.fixture
+    if fixture is None:
+        return np.zeros(3)
+    return np.array([fixture.rotation_sigma_rad, fixture.rotation_sigma_rad, fixture.wobble])
+
+
+def alignment_sigma(recording: Recording) -> float:
+    """Standard deviation of levelling, north, mounting and non-orthogonality of the axes, rad."""
+    return 0.0 if recording.fixture is None else recording.fixture.alignment_sigma_rad
+
+
+def unknown_earth_rate(recording: Recording, *, placed: bool) -> Array:
+    """Standard deviation of the unknown part of the Earth rate, north, east, down, shape (3,), rad/s.
+
+    All components are unknown without a latitude, the horizontal ones without a heading. A free turn, not ``placed`` on
+    the fixture, has no heading.
+    """
+    latitude, fixture = recording.site.latitude_rad, recording.fixture
+    if latitude is None:
+        return np.full(3, EARTH_RATE_RAD_S / math.sqrt(3.0))
+    if placed and fixture is not None and fixture.heading_rad is not None:
+        return np.zeros(3)
+    return np.array([1.0, 1.0, 0.0]) * EARTH_RATE_RAD_S * math.cos(latitude) / math.sqrt(2.0)
+
+
+def earth_rate_sigma(recording: Recording) -> float:
+    """1-sigma error of the Earth rate in a pose, rad/s."""
+    unknown = float(unknown_earth_rate(recording, placed=True).max())
+    rotation, _, _ = start_sigma(recording)
+    return unknown or EARTH_RATE_RAD_S * math.hypot(alignment_sigma(recording), rotation)
+
+
+def _through(D: Array, variance: Array) -> Array:
+    """Covariance of compensated values from the variances of raw channels, (n, 3, 3)."""
+    return np.asarray((D * variance[:, None, :]) @ np.swapaxes(D, 1, 2))

@@ -1,0 +1,94 @@
+"""Statistics of the rates at rest: their noise, the scatter of the gyro biases between sequences, and its use.
+
+Every sequence has a rest rate of its own, the mean over its windows; the pooled rate is that of the whole test.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import chdtri
+
+from srt.estimation.error_sources import raw_rate_variance
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
+
+if TYPE_CHECKING:
+    from srt.estimation.srt_measurements import SrtMeasurements
+    from srt.sequences.preparation import PreparedRecording
+    from srt.types import Array, Mask
+
+
+_SCATTER_PROBABILITY: Final = 1e-3
+"""p-value of chi-square below which the biases of the sequences differ by more than their noise."""
+
+
+def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str, wander: Array) -> Array:
+    """Share of a sequence's own rest rate that is used as its bias, shape (3,).
+
+    For biases that differ between sequences by σ and rest rates with noise s, the best linear estimate takes the share
+    σ² / (σ² + s²) of a sequence's own deviation. Where a bias instability is stated, the share minimises the remaining
+    drift in the rotations, because the bias keeps drifting after the window.
+    """
+    if mode not in ("auto", G_SENSITIVE):
+        return np.full(3, 1.0 if mode == "per-sequence" else 0.0)
+    if data.K < 2:
+        return np.zeros(3)
+    own = rest_rate_variance(measurements, data)
+    if data.noise.gyro_flicker is not None:
+        rest = data.drift.windows
+        pooled = measurements.pool @ rest
+        deviation = measurements.share @ rest - pooled
+        shared = float(np.mean(np.sum((data.drift.turns - pooled) * deviation, axis=1)))
+        size = np.linalg.inv(measurements.gyro.matrix) ** 2 @ data.noise.gyro_flicker**2
+        variance = size * float(np.mean(np.sum(deviation**2, axis=1))) + own
+        return np.clip(size * shared / np.maximum(variance, 1e-300), 0.0, 1.0)
+    return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
+
+
+def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """Noise variance of the compensated mean rate of every window, shape (W, 3), (rad/s)²."""
+    D2 = np.linalg.inv(measurements.gyro.matrix) ** 2
+    return np.asarray(raw_rate_variance(data) @ D2.T)
+
+
+def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
+    """Noise variance of one sequence's rest rate, averaged over sequences, shape (3,), (rad/s)²."""
+    own = measurements.share[~data.is_move]
+    return np.asarray(np.mean(own**2 @ window_rate_variance(measurements, data), axis=0))
+
+
+def excess_variance(rates: Array, expected: Array, *, bounded: bool = False) -> Array:
+    """Variance of biases between sequences beyond what their noise explains, shape (3,), (rad/s)².
+
+    Parameters
+    ----------
+    rates : ndarray, shape (K, 3), rad/s
+        Rest rate of each sequence.
+    expected : ndarray, shape (3,), (rad/s)²
+        Variance by noise alone. An axis has no excess if noise explains its rates (chi-square, p > 1e-3) with or
+        without the sequence that deviates most.
+    bounded : bool
+        True: an axis without excess has what the three axes together cannot exclude, as no figure is stated.
+    """
+    n = len(rates) - 1
+
+    def scatters(values: Array) -> Mask:
+        m = len(values) - 1
+        squares = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+        return np.asarray(squares > expected * chdtri(m, _SCATTER_PROBABILITY))
+
+    wanders, near = scatters(rates), rates
+    if n > 2:
+        # A varying bias shows in many sequences; a deviation of one sequence alone is a fault of that sequence.
+        order = np.argsort(np.abs(rates - np.median(rates, axis=0)), axis=0)
+        near = np.take_along_axis(rates, order, axis=0)[:-1]
+        wanders &= scatters(near)
+    own = np.where(wanders, np.var(rates, axis=0, ddof=1) - expected, 0.0)
+    # The gyros of a unit are alike: if two scatter, the third does too, although its biases happen to lie closer.
+    alike = own.mean() if np.count_nonzero(wanders) == 2 else 0.0
+    if bounded:
+        shown = np.mean(np.maximum(own, np.var(near, axis=0, ddof=1) - expected))
+        alike = max(alike, shown, 0.0) + float(expected.mean()) * math.sqrt(2.0 / (3.0 * n))
+    return np.asarray(np.where(wanders, own, alike))
