@@ -6,7 +6,7 @@ Tables of a campaign::
     [scenario]   as for ``srt simulate``; from = "name" takes one of the library, with these keys laid over it
     [grid]       key = [values]: every combination of the lists is a point
     [random]     key = {low, high, log} or {choices}: drawn anew for every trial
-    [[estimator]]  name, label, start, and any other option of an estimator
+    [[estimator]]  name, label, start, prior = "drawn" (distribution of the drawn errors), and any other option
 
 A key is one of :data:`AXES`, each of which sets several keys of a scenario by one number, or a dotted key of the
 scenario, as ``schedule.dwell_s``. A unit and its recording depend only on the seed, the point and the number of the
@@ -33,7 +33,8 @@ from sims.scenarios.toml_table import TomlTable, validated
 from srt.estimation.options import Options
 from srt.estimation.registry import find_estimator
 from srt.exceptions import InputError, did_you_mean
-from srt.sensor_errors import SensorErrors
+from srt.model.prior import Prior
+from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -174,12 +175,15 @@ class EstimatorChoice:
     options : Options
     from_truth : bool
         True: start at the true errors.
+    drawn_prior : bool
+        True: the prior is the distribution from which the campaign draws the errors.
     """
 
     label: str
     name: str
     options: Options
     from_truth: bool = False
+    drawn_prior: bool = False
 
 
 @dataclass(frozen=True)
@@ -247,7 +251,9 @@ class Campaign:
             "grid": self.grid,
             "random": {key: table.model_dump() for key, table in self.random.items()},
             "fixed_point": self.fixed_point,
-            "estimators": [(e.label, e.name, e.options.as_dict(), e.from_truth) for e in self.estimators],
+            "estimators": [
+                (e.label, e.name, e.options.as_dict(), e.from_truth, e.drawn_prior) for e in self.estimators
+            ],
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
@@ -307,10 +313,31 @@ def load_campaign(path: str | Path) -> Campaign:
         _check_axis(axis, campaign, file.name)
     for point in range(len(campaign.points)):  # find a bad value before the campaign runs
         try:
-            campaign.unit(point, 0)
+            scenario, _ = campaign.unit(point, 0)
+            if any(e.drawn_prior for e in estimators):
+                drawn_prior(scenario)
         except InputError as error:
             raise InputError(f"{file.name}: {error}") from None
     return campaign
+
+
+def drawn_prior(scenario: Scenario) -> Prior:
+    """Prior with mean zero and the standard deviations from which the errors of a scenario are drawn.
+
+    Raises
+    ------
+    InputError
+        If a group of errors is not drawn, as a prior needs a standard deviation above zero.
+    """
+    sizes, sigma = scenario.imu.errors.si(), np.zeros(N_PARAMETERS)
+    for group, at in GROUP_SLICES.items():
+        sigma[at] = scenario.errors.factor * sizes[group] * (scenario.errors.draw != "none")
+        if not np.all(sigma[at] > 0.0):
+            raise InputError(
+                f'prior = "drawn" needs errors of every group, and {group} is not drawn: give its size in '
+                "[scenario.imu.errors], or leave out the prior."
+            )
+    return Prior.from_sigma(sigma)
 
 
 def _resolved(tables: dict[str, Any], file: Path) -> dict[str, Any]:
@@ -336,13 +363,18 @@ def _estimator(table: dict[str, Any], name: str) -> EstimatorChoice:
             f"{name}: [[estimator]] {label!r} has an unknown option {unknown!r}{near}: the options are "
             f"{', '.join(Options.__dataclass_fields__)}."
         )
-    from_truth = options.get("start") == "truth"
+    from_truth, prior = options.get("start") == "truth", options.pop("prior", None)
+    if prior not in (None, "drawn"):
+        raise InputError(
+            f'{name}: [[estimator]] {label!r} has the prior {prior!r}: give "drawn", the distribution of the drawn '
+            "errors, or leave it out for the default."
+        )
     if options.get("start") in STARTS:
         options["start"] = SensorErrors()
     try:
         if estimator != "auto":
             find_estimator(estimator)
-        return EstimatorChoice(label, estimator, Options(**options), from_truth)
+        return EstimatorChoice(label, estimator, Options(**options), from_truth, prior == "drawn")
     except InputError as error:
         raise InputError(f"{name}: [[estimator]] {label!r}: {error}") from None
 

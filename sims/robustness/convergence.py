@@ -36,6 +36,8 @@ class ConvergenceMap:
     averaged : tuple of str
         The other axes.
     converged, judged : ndarray of int, shape (estimators, levels up, levels across)
+    beyond : ndarray of int, same shape
+        Converged trials with errors beyond their sigmas; zero without noise.
     """
 
     across: AxisLevels | None
@@ -43,11 +45,17 @@ class ConvergenceMap:
     averaged: tuple[str, ...]
     converged: Counts
     judged: Counts
+    beyond: Counts
 
     @property
     def share(self) -> Array:
         """Ratio of converged to judged trials; NaN if there are none."""
         return np.where(self.judged > 0, self.converged / np.maximum(self.judged, 1), np.nan)
+
+    @property
+    def share_beyond(self) -> Array:
+        """Ratio of trials that converged with errors beyond their sigmas to judged trials; NaN if there are none."""
+        return np.where(self.judged > 0, self.beyond / np.maximum(self.judged, 1), np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +133,12 @@ def convergence_map(trials: TrialTable, across: str | None = None, up: str | Non
     axes = [None if name is None else trials.axis(name) for name in (up, across)]
     shape = (len(trials.header.estimators), *(1 if axis is None else len(axis.labels) for axis in axes))
     codes = [trials.estimator, *(np.zeros_like(trials.estimator) if axis is None else axis.codes for axis in axes)]
-    converged, tried = (
-        count_cells([code[chosen] for code in codes], shape) for chosen in (trials.converged, trials.judged)
+    converged, tried, beyond = (
+        count_cells([code[chosen] for code in codes], shape)
+        for chosen in (trials.converged, trials.judged, trials.beyond)
     )
     averaged = tuple(axis.name for axis in trials.axes if axis.name not in (across, up))
-    return ConvergenceMap(axes[1], axes[0], averaged, converged, tried)
+    return ConvergenceMap(axes[1], axes[0], averaged, converged, tried, beyond)
 
 
 def count_cells(codes: Sequence[Indices], shape: Sequence[int]) -> Counts:

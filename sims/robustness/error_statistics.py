@@ -79,6 +79,61 @@ class SigmaConsistency:
     nees: pd.DataFrame
 
 
+def sigma_shares(trials: TrialTable) -> pd.DataFrame:
+    """Convergence and consistency of the sigmas together, by estimator.
+
+    Parameters
+    ----------
+    trials : TrialTable
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``judged`` trials; ``estimates``: trials with an estimate of any status; ``converged``; ``within`` and
+        ``beyond``: converged with the errors within or beyond their sigmas; ``nees``: median NEES per degree of freedom
+        of the converged trials; ``nees_all``: of all estimates.
+    """
+    frame = trials.frame
+    ratio = frame["nees"] / frame["observed"].where(frame["observed"] > 0)
+    columns = pd.DataFrame({
+        "estimator": frame["estimator"],
+        "judged": trials.judged,
+        "estimates": ratio.notna(),
+        "converged": trials.converged,
+        "within": trials.converged & ~trials.beyond,
+        "beyond": trials.beyond,
+        "nees": ratio.where(trials.converged),
+        "nees_all": ratio,
+    })  # fmt: skip
+    medians = dict.fromkeys(("nees", "nees_all"), "median")
+    counts = dict.fromkeys(("judged", "estimates", "converged", "within", "beyond"), "sum")
+    return columns.groupby("estimator", observed=False).agg(counts | medians).reindex(list(trials.header.estimators))
+
+
+def innovation_medians(trials: TrialTable) -> pd.DataFrame:
+    """Median of the normalised innovations squared over their degrees of freedom, by filter and sequence.
+
+    Parameters
+    ----------
+    trials : TrialTable
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index: estimators with innovations. Columns: number of the sequence in the order of time, from 1, and
+        ``trials``, the number of trials with an estimate.
+    """
+    if "nis" not in trials.table.column_names:
+        return pd.DataFrame()
+    listed = pd.Series(trials.table.column("nis").to_pylist(), dtype=object)
+    listed = listed[listed.map(bool)]
+    wide = pd.DataFrame(listed.tolist(), index=listed.index)
+    wide.columns = wide.columns + 1
+    groups = wide.groupby(trials.frame["estimator"].astype(object).loc[wide.index], sort=False)
+    order = [name for name in trials.header.estimators if name in groups.groups]
+    return groups.median().assign(trials=groups.size()).reindex(order)
+
+
 def share_interval(successes: ArrayLike, trials: ArrayLike, confidence: float = CONFIDENCE) -> tuple[Array, Array]:
     """Clopper-Pearson interval of a share: its coverage is at least the stated confidence.
 

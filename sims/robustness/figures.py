@@ -50,7 +50,8 @@ if TYPE_CHECKING:
 
 
 _PANELS: Final = 3
-"""Largest number of maps in a row."""
+"""Number of maps in a row, doubled for more than :data:`_MANY` maps."""
+_MANY: Final = 12
 _MOST_LABELS: Final = 14
 """Maximum number of labels of an axis; with more levels, every second (third, ...) level is labelled."""
 _LINEAR_TO: Final = 4.0
@@ -74,10 +75,11 @@ def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
     """
     share = found.share
     number, levels_up, levels_across = share.shape
-    columns = min(number, _PANELS)
+    dense = number > _MANY
+    columns = min(number, 2 * _PANELS if dense else _PANELS)
     rows = -(-number // columns)
-    width = max(3.4, 0.42 * levels_across + 1.2)
-    height = max(1.9, 0.34 * levels_up + 1.3)
+    width = 0.32 * levels_across + 0.4 if dense else max(3.4, 0.42 * levels_across + 1.2)
+    height = 0.32 * levels_up + 0.6 if dense else max(1.9, 0.34 * levels_up + 1.3)
     figure = _figure(width * columns + 1.0, height * rows + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     mesh: Any = None
@@ -92,10 +94,10 @@ def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
             edgecolors="white",
             linewidth=0.6,
         )
-        _write_shares(axes, share[k])
+        _write_shares(axes, share[k], found.share_beyond[k])
         axes.set_title(_plain(name), fontsize=MEDIUM, color=INK, loc="left")
-        _levels(axes, "x", found.across)
-        _levels(axes, "y", found.up)
+        _levels(axes, "x", found.across, named=not dense or k >= number - columns)
+        _levels(axes, "y", found.up, named=not dense or k % columns == 0)
         axes.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
         for side in axes.spines.values():
             side.set_visible(False)
@@ -108,25 +110,28 @@ def map_figure(found: ConvergenceMap, estimators: Sequence[str]) -> Figure:
     return figure
 
 
-def _write_shares(axes: Axes, share: Array) -> None:
-    """Write the share into every cell, and hatch cells without trials."""
+def _write_shares(axes: Axes, share: Array, beyond: Array) -> None:
+    """Write the shares into every cell, that with errors beyond their sigmas below, and hatch cells without trials."""
     size = min(SMALL, 90.0 / max(share.shape[1], 10))
     for (up, across), value in np.ndenumerate(share):
         if np.isfinite(value):
             colour = INK if value > 0.55 else "white"
-            axes.text(across, up, percent(value), ha="center", va="center", fontsize=size, color=colour)
+            off = float(beyond[up, across])
+            text = percent(value) + (f"\n({percent(off)})" if off else "")
+            axes.text(across, up, text, ha="center", va="center", fontsize=size, color=colour, linespacing=0.9)
     up, across = np.nonzero(~np.isfinite(share))
     axes.bar(across, 1.0, 1.0, bottom=up - 0.5, hatch="////", facecolor="white", edgecolor=FAINT, linewidth=0.0)
     axes.set_xlim(-0.5, share.shape[1] - 0.5)
     axes.set_ylim(-0.5, share.shape[0] - 0.5)
 
 
-def _levels(axes: Axes, side: str, axis: Any) -> None:
-    """Label the levels of one side of a map."""
+def _levels(axes: Axes, side: str, axis: Any, *, named: bool) -> None:
+    """Label the levels of one side of a map, or mark them only."""
     labels = ("all",) if axis is None else axis.labels
     every = -(-len(labels) // _MOST_LABELS)
     places, words = range(0, len(labels), every), [_plain(_short(word)) for word in labels[::every]]
-    name = "" if axis is None else _plain(axis.name)
+    words = words if named else [""] * len(words)
+    name = _plain(axis.name) if named and axis is not None else ""
     if side == "x":
         long = len(words) > 5 and sum(map(len, words)) > 30
         axes.set_xticks(places, words, rotation=40.0 if long else 0.0, ha="right" if long else "center")

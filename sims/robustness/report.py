@@ -21,14 +21,17 @@ from sims.robustness.tables import (
     TextTable,
     accuracy_tables,
     averaged,
+    cause_table,
     consistency_tables,
     effort_table,
     failure_table,
+    innovation_table,
     map_tables,
     outcome_table,
     point_table,
     region_table,
     sentences,
+    share_table,
     varied_table,
 )
 from sims.robustness.trial import OUTCOMES
@@ -43,6 +46,8 @@ if TYPE_CHECKING:
     from sims.robustness.trial_table import Header
 
 _TEMPLATE: Final = "report.html.jinja"
+_ROWS: Final = 60
+"""Largest number of rows of a table of errors in a document; longer ones are only in the HTML page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +107,9 @@ def html_report(table: pa.Table, header: Header) -> str:
         varied=varied_table(found),
         outcomes=outcome_table(found),
         meanings={OUTCOME_WORDS[name]: text for name, text in OUTCOMES.items()},
+        shares=share_table(found),
+        innovations=innovation_table(found),
+        causes=cause_table(found),
         region=region_table(found),
         points=point_table(found),
         maps=list(_maps(found)) if some else [],
@@ -131,12 +139,13 @@ def markdown_tables(table: pa.Table, header: Header) -> str:
         A trial that is there twice.
     """
     found = summarise(table, header)
-    tables = [varied_table(found), outcome_table(found), region_table(found)]
+    tables = [varied_table(found), outcome_table(found), share_table(found), region_table(found)]
     tables += [t for m in found.maps[:1] for t in map_tables(m, header.estimators)]
     for a in found.accuracy:
         if a.axis is None or a.axis.on_grid:  # random axes have too many levels for a document
-            tables += accuracy_tables(a, header.estimators, noisy=header.noisy)
-    tables += [*consistency_tables(found)[:1], effort_table(found)]
+            errors = accuracy_tables(a, header.estimators, noisy=header.noisy)
+            tables += [table for table in errors if len(table.rows) <= _ROWS]
+    tables += [*consistency_tables(found)[:1], innovation_table(found), cause_table(found), effort_table(found)]
     text = "".join(f"- {_escaped(sentence)}\n" for sentence in sentences(found))
     return "\n".join([text, *(_markdown(t) for t in tables if t.rows)])
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from sims.robustness.trial import Row
 
 _FORMAT: Final = "srt-robustness"
-_VERSION: Final = 1
+_VERSION: Final = 2
 _ROWS: Final = 1000
 """Number of rows of a part: about a megabyte, written after some seconds of work."""
 _ORDER: Final = [("replicate", "ascending"), ("point", "ascending"), ("estimator", "ascending")]
@@ -63,6 +63,7 @@ def schema(campaign: Campaign) -> pa.Schema:
     columns += [(name, pa.string()) for name in ("outcome", "status", "message")]
     columns += [("playbacks", pa.int32()), ("observed", pa.int32())]
     columns += [(name, pa.float64()) for name in ("distance", "nees", "largest", "simulate_s", "calibrate_s")]
+    columns += [("nis", pa.list_(pa.float64()))]
     columns += [(f"{stem}_{name}", pa.float64()) for stem in ("truth", "error", "sigma") for name in NAMES]
     return pa.schema(columns)
 

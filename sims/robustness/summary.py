@@ -16,7 +16,13 @@ import numpy as np
 import pandas as pd
 
 from sims.robustness.convergence import axis_pairs, convergence_map, convergence_regions
-from sims.robustness.error_statistics import accuracy, share_interval, sigma_consistency
+from sims.robustness.error_statistics import (
+    accuracy,
+    innovation_medians,
+    share_interval,
+    sigma_consistency,
+    sigma_shares,
+)
 from sims.robustness.trial import OUTCOMES
 from sims.robustness.trial_table import factorized, label, read_trials
 
@@ -28,6 +34,12 @@ if TYPE_CHECKING:
     from sims.robustness.trial_table import AxisLevels, Header, TrialTable
 
 
+_PARTICULARS: Final = (
+    (r"[Ss]equence '?\w+'?", "sequence …"),
+    (r" \([a-z]+_[a-z_]+\)", ""),
+    (r"[-−+]?\d[\d.,]*(?:e[-+]?\d+)?", "…"),
+)
+"""Parts of a message that differ between trials with the same cause, and what replaces them."""
 FAILURES: Final = 20
 """Maximum number of failures listed for each estimator."""
 
@@ -79,7 +91,13 @@ class CampaignSummary:
         First all trials together, then by level of each axis.
     consistency : SigmaConsistency or None
         Consistency of the sigmas; None if the recordings have no noise.
+    shares : pandas.DataFrame
+        Convergence and consistency of the sigmas together, by estimator: :func:`error_statistics.sigma_shares`.
+    innovations : pandas.DataFrame
+        Innovations by filter and sequence: :func:`error_statistics.innovation_medians`.
     effort : Effort
+    causes : pandas.DataFrame
+        Failed trials by ``estimator``, ``outcome`` and ``cause`` (message without numbers), with their ``number``.
     failures : pandas.DataFrame
         First failed trials of every estimator.
     """
@@ -96,7 +114,10 @@ class CampaignSummary:
     regions: tuple[ConvergenceRegion, ...]
     accuracy: tuple[Accuracy, ...]
     consistency: SigmaConsistency | None
+    shares: pd.DataFrame
+    innovations: pd.DataFrame
     effort: Effort
+    causes: pd.DataFrame
     failures: pd.DataFrame
 
 
@@ -136,7 +157,10 @@ def summarise(table: pa.Table, header: Header) -> CampaignSummary:
         regions=convergence_regions(trials),
         accuracy=accuracy(trials),
         consistency=sigma_consistency(trials) if header.noisy else None,
+        shares=sigma_shares(trials),
+        innovations=innovation_medians(trials),
         effort=effort(trials),
+        causes=causes(trials),
         failures=failures(trials),
     )
 
@@ -178,6 +202,29 @@ def effort(trials: TrialTable) -> Effort:
         float(simulated.median()),
         float(simulated.sum() + judged["calibrate_s"].sum()),
     )
+
+
+def causes(trials: TrialTable) -> pd.DataFrame:
+    """Count the failed trials by estimator, outcome and cause, the most frequent first.
+
+    Parameters
+    ----------
+    trials : TrialTable
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``estimator``, ``outcome``, ``cause`` and ``number``. A cause is a message without its numbers, names of
+        sequences and parameters.
+    """
+    failed = trials.frame[trials.judged & ~trials.converged]
+    cause = failed["message"].astype(object).fillna("")
+    for pattern, shown in _PARTICULARS:
+        cause = cause.str.replace(pattern, shown, regex=True)
+    groups = failed.astype({"estimator": object, "outcome": object}).assign(cause=cause)
+    found = groups.groupby(["estimator", "outcome", "cause"]).size().rename("number").reset_index()
+    found["estimator"] = pd.Categorical(found["estimator"], categories=list(trials.header.estimators))
+    return found.sort_values(["estimator", "number"], ascending=[True, False], ignore_index=True)
 
 
 def failures(trials: TrialTable, most: int = FAILURES) -> pd.DataFrame:

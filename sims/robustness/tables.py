@@ -27,6 +27,8 @@ OUTCOME_WORDS: Final = {
     name: name.replace("_", " ").removesuffix("imu") + "IMU" * (name == "no_imu") for name in OUTCOMES
 }
 """Outcomes as the reports name them."""
+CAUSES: Final = 3
+"""Number of causes of failure listed for each estimator."""
 POINTS: Final = 400
 """Largest number of rows of the table of grid points."""
 _NOTHING: Final = "–"
@@ -174,6 +176,53 @@ def _rates(row: Any) -> tuple[str, ...]:
     return (str(row.judged), str(row.converged), *share, *(str(getattr(row, name)) for name in _OTHERS))
 
 
+def share_table(found: CampaignSummary) -> TextTable:
+    """Convergence and consistency of the sigmas together, by estimator; no rows without noise."""
+    rows = tuple(
+        (
+            row.Index,
+            *(str(int(number)) for number in (row.judged, row.estimates, row.converged, row.within, row.beyond)),
+            percent(row.within / row.judged, 1) if row.judged else _NOTHING,
+            number(row.nees),
+            number(row.nees_all),
+        )
+        for row in found.shares.itertuples()
+    )
+    counts = ("trials", "estimates", "converged", "within sigmas", "beyond sigmas", "within, %")
+    head = ("estimator", *counts, "NEES/n, converged", "NEES/n, all estimates")
+    note = (
+        "Estimates: of any status. Within or beyond sigmas: converged trials whose NEES has p above or below 0.001. "
+        "NEES/n: median of the NEES over the number of parameters."
+    )
+    return TextTable("Convergence and errors over sigmas", head, rows if found.header.noisy else (), note)
+
+
+def innovation_table(found: CampaignSummary) -> TextTable:
+    """Normalised innovations by filter and sequence."""
+    medians = found.innovations
+    numbers = [column for column in medians.columns if column != "trials"]
+    rows = tuple(
+        (str(name), str(int(row["trials"])), *(number(float(row[column])) for column in numbers))
+        for name, row in medians.iterrows()
+    )
+    note = (
+        "Sequences in the order of time. Median over the trials of the normalised innovations squared (NIS) over their "
+        "degrees of freedom: about 1 if the filter's model holds, below 1 where the prior is wider than the errors."
+    )
+    return TextTable("Innovations (NIS/n) by sequence", ("filter", "trials", *map(str, numbers)), rows, note)
+
+
+def cause_table(found: CampaignSummary) -> TextTable:
+    """Causes of failure by estimator, the most frequent ones."""
+    first = found.causes.groupby("estimator", observed=True).head(CAUSES)
+    rows = tuple(
+        (str(row.estimator), str(row.number), OUTCOME_WORDS[row.outcome], row.cause or _NOTHING)
+        for row in first.itertuples()
+    )
+    note = f"The {CAUSES} most frequent causes of every estimator; numbers and names in a message are replaced by …"
+    return TextTable("Causes of failure", ("estimator", "trials", "outcome", "message"), rows, note)
+
+
 def outcome_table(found: CampaignSummary) -> TextTable:
     """Outcomes of the trials by estimator."""
     rows = tuple((row.Index, *_rates(row)) for row in found.outcomes.itertuples())
@@ -217,19 +266,24 @@ def map_tables(found: ConvergenceMap, estimators: Sequence[str]) -> tuple[TextTa
         return ()
     up = ("all",) if found.up is None else found.up.labels
     corner = found.across.name if found.up is None else f"{found.up.name} ↓  {found.across.name} →"
-    share = found.share
+    share, beyond = found.share, found.share_beyond
+    note = "In brackets: converged with errors beyond their sigmas (p < 0.001)." if found.beyond.any() else ""
     return tuple(
         TextTable(
             f"Converged, %: {name}",
             (corner, *found.across.labels),
-            tuple(
-                (up[r], *(percent(s) if math.isfinite(s) else "" for s in share[k, r].tolist()))
-                for r in reversed(range(len(up)))
-            ),
-            averaged(found),
+            tuple((up[r], *map(_cell, share[k, r].tolist(), beyond[k, r].tolist())) for r in reversed(range(len(up)))),
+            " ".join(filter(None, (averaged(found), note))),
         )
         for k, name in enumerate(estimators)
     )
+
+
+def _cell(share: float, beyond: float) -> str:
+    """Cell of a map: share that converged, and in brackets that with errors beyond the sigmas."""
+    if not math.isfinite(share):
+        return ""
+    return percent(share) + (f" ({percent(beyond)})" if beyond else "")
 
 
 def averaged(found: ConvergenceMap) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 import srt
 from sims.physics.imu import is_imu
+from sims.robustness.campaign import drawn_prior
 from sims.scenarios.simulation import simulate
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import SrtError
@@ -92,8 +93,10 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
         The columns of one row that depend on the estimator.
     """
     truth = simulation.truth
-    at_truth = replace(choice.options, start=truth)
-    options = at_truth if choice.from_truth else choice.options
+    prior = drawn_prior(simulation.scenario) if choice.drawn_prior else choice.options.prior
+    given = replace(choice.options, prior=prior)
+    at_truth = replace(given, start=truth)
+    options = at_truth if choice.from_truth else given
     began = time.thread_time()
     try:
         found = srt.calibrate(simulation.recording, choice.name, options=options, checks=False)
@@ -108,6 +111,8 @@ def score(simulation: Simulation, choice: EstimatorChoice, *, fixed_point: bool)
         "outcome": "converged" if found.status in USABLE else found.status,
         "playbacks": len(found.corrections),
         "calibrate_s": time.thread_time() - began,
+        # Normalised innovations of a filter, over their degrees of freedom, in the order of time
+        "nis": [row["nis"] / row["degrees_of_freedom"] for row in found.diagnostics.get("filter", ())],
         **errors_of(found, truth),
     }
     if found.status in USABLE and fixed_point:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
+from scipy.special import chdtri
 
 from sims.robustness.trial import OUTCOMES
 from srt.exceptions import DataError, InputError
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 
+NEES_PROBABILITY: Final = 1e-3
+"""p-value of the NEES of one unit below which its errors are beyond their sigmas."""
 BINS: Final = 8
 """Number of bins of a random axis; each bin has an equal number of rows."""
 _MOST_LEVELS: Final = 12
@@ -135,6 +138,16 @@ class TrialTable:
     def converged(self) -> Mask:
         """Mask of the rows that converged to the right result, shape (rows,)."""
         return np.asarray(self.frame["outcome"] == "converged")
+
+    @property
+    def beyond(self) -> Mask:
+        """Mask of the converged rows with errors beyond their sigmas: NEES with p < 0.001, shape (rows,).
+
+        No row if the recordings have no noise, because the sigmas are floors then.
+        """
+        nees, freedom = (np.asarray(self.frame[name], dtype=np.float64) for name in ("nees", "observed"))
+        limit: Array = chdtri(np.maximum(np.nan_to_num(freedom), 1.0), NEES_PROBABILITY)
+        return np.asarray(self.converged & self.header.noisy & (nees > limit))
 
     @property
     def units(self) -> pd.DataFrame:

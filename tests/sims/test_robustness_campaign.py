@@ -15,10 +15,10 @@ import pytest
 import srt
 from sims.physics.imu import accel_matrix, gyro_matrix, is_imu
 from sims.physics.sequences import TABLE_1
-from sims.robustness.campaign import AXES, load_campaign
+from sims.robustness.campaign import AXES, drawn_prior, load_campaign
 from sims.robustness.result_folder import ResultFolder, schema
 from sims.robustness.run import run_campaign
-from sims.robustness.trial import OUTCOMES, run_trial
+from sims.robustness.trial import OUTCOMES, run_trial, score
 from sims.scenarios.scenario import load_scenario
 from sims.scenarios.simulation import simulate
 from srt.comparison.parallel import Engine
@@ -98,6 +98,37 @@ def test_dask_gives_the_same_numbers(small, tmp_path):
     ) as cluster:
         there = run_campaign(campaign, tmp_path / "there", engine=Engine(scheduler=cluster.scheduler_address))
     assert same(here, there)
+
+
+FILTERS = """
+[[estimator]]
+name = "ekf"
+label = "wide"
+
+[[estimator]]
+name = "ekf"
+label = "drawn"
+prior = "drawn"
+"""
+
+
+def test_the_prior_of_the_drawn_errors(small):
+    """±5 % uniform is a sigma of 5/√3 %; errors that are not drawn have no such prior."""
+    text = SMALL.replace('[[estimator]]\nname = "closed-form"\n', FILTERS)
+    campaign = small(text=text)
+    assert [e.drawn_prior for e in campaign.estimators] == [False, True]
+    sigma = np.sqrt(np.diag(drawn_prior(campaign.unit(0, 0)[0]).covariance))
+    np.testing.assert_allclose(sigma[GROUP_SLICES["gyro_scale"]], 0.05 / np.sqrt(3.0), rtol=1e-12)
+    np.testing.assert_allclose(sigma[GROUP_SLICES["accel_misalignment"]], 0.03 / np.sqrt(3.0), rtol=1e-12)
+    recording = simulate(campaign.unit(0, 0)[0])
+    wide, drawn = (score(recording, choice, fixed_point=False) for choice in campaign.estimators)
+    assert len(wide["nis"]) == len(drawn["nis"]) == len(TABLE_1)
+    # The narrower prior expects smaller innovations of the first sequence.
+    assert drawn["nis"][0] > 10.0 * wide["nis"][0]
+    with pytest.raises(InputError, match="gyro_bias is not drawn"):
+        small(text=text.replace("low = 0.0, high = 1.0", "low = 0.0, high = 0.0"))
+    with pytest.raises(InputError, match="has the prior 'wide'"):
+        small(text=text.replace('prior = "drawn"', 'prior = "wide"'))
 
 
 def test_more_trials_leave_those_before_alone(small, tmp_path):

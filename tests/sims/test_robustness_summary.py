@@ -99,6 +99,38 @@ def test_the_largest_region_without_failure(study):
     assert "fewer than 6.2 % of such trials fail" in text
 
 
+def test_convergence_and_sigmas_are_judged_together():
+    """NEES of 60 is beyond 27 parameters (p = 0.0003), 50 is not (p = 0.005); other statuses are counted apart."""
+    rows = [{"nees": 20.0}, {"nees": 50.0}, {"nees": 60.0}, {"nees": 2700.0, "outcome": "not_converged"}]
+    rows += [{"outcome": "refused"}, {"outcome": "no_imu"}]
+    grid = {"scale_percent": [1.0, 2.0]}
+    found = summarise(table([row | {"scale_percent": 1.0} for row in rows]), header(grid=grid))
+    counts = ["judged", "estimates", "converged", "within", "beyond"]
+    assert found.shares.loc["closed-form", counts].tolist() == [5, 4, 3, 2, 1]
+    medians = found.shares.loc["closed-form", ["nees", "nees_all"]]
+    np.testing.assert_allclose(medians.astype(float), [50.0 / 27.0, 55.0 / 27.0], rtol=1e-12)
+    assert found.maps[0].beyond.tolist() == [[[1, 0]]]
+    assert tables.map_tables(found.maps[0], ("closed-form",))[0].rows == (("all", "60 (20)", ""),)
+    quiet = summarise(table([row | {"scale_percent": 1.0} for row in rows]), header(grid=grid, noisy=False))
+    assert quiet.maps[0].beyond.sum() == 0
+    assert tables.share_table(quiet).rows == ()
+
+
+def test_innovations_and_causes_by_estimator():
+    left = "The filter 'x' failed in sequence {}: left."
+    ended = "The filter 'x' ended {} sigma (gyro_scale_x) from it."
+    rows = [{"nis": [1.0, 3.0]}, {"nis": [2.0, 5.0]}, {"nis": [3.0, 4.0]}]
+    rows += [{"outcome": "not_converged", "nis": [], "message": left.format(number)} for number in ("2a", "17")]
+    rows += [{"outcome": "not_converged", "nis": None, "message": ended.format(size)} for size in ("3.2e+04", "5")]
+    rows += [{"outcome": "not_converged", "nis": None, "message": ended.format("13.3")}]
+    found = summarise(table(rows), header())
+    assert tables.innovation_table(found).rows == (("closed-form", "3", "2", "4"),)
+    assert tables.cause_table(found).rows == (
+        ("closed-form", "3", "not converged", "The filter 'x' ended … sigma from it."),
+        ("closed-form", "2", "not converged", "The filter 'x' failed in sequence …: left."),
+    )
+
+
 def test_one_failure_is_enough_to_end_a_region():
     grid = {"scale_percent": [1.0, 2.0, 3.0], "misalignment_mrad": [1.0, 2.0]}
     once = (("scale_percent", 2.0), ("misalignment_mrad", 2.0))
