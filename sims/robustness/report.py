@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
-from sims.robustness.summary import FAILURES, CampaignSummary, summarise
+from sims.robustness.summary import FAILURES, CampaignSummary
 from sims.robustness.tables import (
     OUTCOME_WORDS,
     TextTable,
@@ -40,10 +40,7 @@ from srt.exceptions import MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import pyarrow as pa
     from matplotlib.figure import Figure
-
-    from sims.robustness.trial_table import Header
 
 _TEMPLATE: Final = "report.html.jinja"
 _ROWS: Final = 60
@@ -69,26 +66,11 @@ class Picture:
     caption: str
 
 
-def html_report(table: pa.Table, header: Header) -> str:
-    """Write the report of a campaign as one page of HTML, figures included.
-
-    Parameters
-    ----------
-    table : pyarrow.Table
-        One row per trial and estimator.
-    header : Header
-
-    Returns
-    -------
-    str
-        Page without external resources and without scripts.
+def html_report(found: CampaignSummary) -> str:
+    """Write the report of a campaign as one page of HTML, figures included, without external resources and scripts.
 
     Raises
     ------
-    InputError
-        A table of another campaign.
-    DataError
-        A trial that is there twice.
     MissingExtraError
         Without Jinja2 or matplotlib.
     """
@@ -97,7 +79,7 @@ def html_report(table: pa.Table, header: Header) -> str:
     except ModuleNotFoundError:
         raise MissingExtraError("jinja2", "campaign", "The report of a campaign") from None
 
-    found = summarise(table, header)
+    header = found.header
     source = (files("sims.robustness") / _TEMPLATE).read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     estimators, some = header.estimators, bool(found.outcomes["judged"].sum())
@@ -123,22 +105,9 @@ def html_report(table: pa.Table, header: Header) -> str:
     )
 
 
-def markdown_tables(table: pa.Table, header: Header) -> str:
-    """Write the results of a campaign as sentences and tables in Markdown.
-
-    Parameters
-    ----------
-    table : pyarrow.Table
-    header : Header
-
-    Raises
-    ------
-    InputError
-        A table of another campaign.
-    DataError
-        A trial that is there twice.
-    """
-    found = summarise(table, header)
+def markdown_tables(found: CampaignSummary) -> str:
+    """Write the results of a campaign as sentences and tables in Markdown."""
+    header = found.header
     tables = [varied_table(found), outcome_table(found), share_table(found), region_table(found)]
     tables += [t for m in found.maps[:1] for t in map_tables(m, header.estimators)]
     for a in found.accuracy:
@@ -150,50 +119,16 @@ def markdown_tables(table: pa.Table, header: Header) -> str:
     return "\n".join([text, *(_markdown(t) for t in tables if t.rows)])
 
 
-def text_summary(table: pa.Table, header: Header) -> list[tuple[str, ...]]:
+def text_summary(found: CampaignSummary) -> list[tuple[str, ...]]:
     """Rows of a table for the command line, one per estimator; the first row is the heading.
 
-    Parameters
-    ----------
-    table : pyarrow.Table
-    header : Header
-
-    Returns
-    -------
-    list of tuple of str
-        Plain text: labels may contain the markup of a terminal library.
-
-    Raises
-    ------
-    InputError
-        A table of another campaign.
-    DataError
-        A trial that is there twice.
+    They are plain text: labels may contain the markup of a terminal library.
     """
-    found = summarise(table, header)
     outcomes, effort = outcome_table(found), effort_table(found)
     return [
         (*first, *second[1:])
         for first, second in zip((outcomes.head, *outcomes.rows), (effort.head, *effort.rows), strict=True)
     ]
-
-
-def short_answer(table: pa.Table, header: Header) -> tuple[str, ...]:
-    """Result of a campaign in sentences.
-
-    Parameters
-    ----------
-    table : pyarrow.Table
-    header : Header
-
-    Raises
-    ------
-    InputError
-        A table of another campaign.
-    DataError
-        A trial that is there twice.
-    """
-    return sentences(summarise(table, header))
 
 
 def _maps(found: CampaignSummary) -> Iterator[Picture]:

@@ -75,8 +75,10 @@ def robustness(
     check_directory(folder)
     if markdown is not None:
         check_file(markdown, (".md",), "The document")
-    from sims.robustness.report import html_report, markdown_tables, short_answer, text_summary
+    from sims.robustness.report import html_report, markdown_tables, text_summary
     from sims.robustness.run import run_campaign
+    from sims.robustness.summary import summarise
+    from sims.robustness.tables import sentences
     from srt.comparison.parallel import Engine
     from srt.recording.atomic_file import atomic_write_text
 
@@ -86,13 +88,13 @@ def robustness(
         except KeyboardInterrupt:
             say(f"Interrupted: finished trials are kept in {folder}, and the same command goes on with the rest.")
             raise
-    header = header_of(campaign, config)
-    atomic_write_text(folder / "report.html", html_report(table, header))
+    found = summarise(table, header_of(campaign, config))
+    atomic_write_text(folder / "report.html", html_report(found))
     if markdown is not None:
-        atomic_write_text(markdown, markdown_tables(table, header))
+        atomic_write_text(markdown, markdown_tables(found))
     if not quiet:
-        show(rendered(_narrow(text_summary(table, header))))
-        show("\n".join(short_answer(table, header)))
+        show(rendered(_narrow(text_summary(found))))
+        show("\n".join(sentences(found)))
         show(f"\nWritten: {folder / 'report.html'}, {folder / 'results.parquet'}")
     return 0
 

@@ -189,8 +189,10 @@ def make(motions, variant, size, noise=NOISE, off=True):
     return Case(joint, state, system, prior, errors)
 
 
+QUICK = {"all": ("zero", "tiny", "large"), "free": ("zero", "tiny", "large"), "drift": ("zero", "large")}
+"""Sizes of the errors in the quick tests; of the other variants the large ones, where every term counts."""
 CASES = [
-    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s == "tiny" and v not in {"all", "free"}))
+    pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s not in QUICK.get(v, ("large",))))
     for v in VARIANTS
     for s in ("zero", "tiny", "large")
 ]

@@ -1,4 +1,4 @@
-"""A twentieth of the study of the fixture: axes three sigmas from square with known rotations, and recorded moves."""
+"""A part of the study of the fixture: axes three sigmas from square with known rotations, and recorded moves."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from fixture_study import EFFICIENT, ESTIMATORS, Cell, CellResult, UnitResult, s
 @pytest.mark.parametrize("cell", [Cell("navigation", 3.0, 0.05, "skipped"), Cell("tactical", 1.0, 1.0, "recorded")])
 def test_the_limits_of_a_cell_are_met(cell):
     pytest.importorskip("gtsam")
-    (result,) = study([cell], 10, 4000, 1)
+    (result,) = study([cell], 6, 4000, 1)
     assert not list(result.failures(2 * (3 * len(EFFICIENT) + 1)))
     assert len(result.row()) == 4 + len(ESTIMATORS)
 

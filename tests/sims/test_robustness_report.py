@@ -99,8 +99,13 @@ CASES = {
 
 
 @cache
+def summary_of(case):
+    return summarise(*CASES[case]())
+
+
+@cache
 def page_of(case):
-    return report.html_report(*CASES[case]())
+    return report.html_report(summary_of(case))
 
 
 class Page(HTMLParser):
@@ -129,8 +134,7 @@ class Page(HTMLParser):
 
 @pytest.mark.parametrize("case", CASES)
 def test_reports_of_all_kinds_of_campaigns(case):
-    given, told = CASES[case]()
-    source = page_of(case)
+    found, source = summary_of(case), page_of(case)
     page = Page(source)
     assert not page.open
     # Nothing from elsewhere, and nothing that runs.
@@ -146,15 +150,15 @@ def test_reports_of_all_kinds_of_campaigns(case):
         assert drawn.startswith(b"<svg")
         assert b"<script" not in drawn
         assert b"nan" not in drawn.lower()
-    for sentence in report.short_answer(given, told):
+    for sentence in tables.sentences(found):
         assert "nan" not in sentence
         assert " ".join(sentence.split()).replace("\x00", "") in " ".join(page.text.split()).replace(
             "\ufffd", ""
         ).replace("\x00", "")
-    summary = report.text_summary(given, told)
+    summary = report.text_summary(found)
     assert {len(row) for row in summary} == {len(summary[0])}
-    assert [row[0] for row in summary[1:]] == list(told.estimators)
-    for block in report.markdown_tables(given, told).split("\n\n"):
+    assert [row[0] for row in summary[1:]] == list(found.header.estimators)
+    for block in report.markdown_tables(found).split("\n\n"):
         lines = [line for line in block.splitlines() if line.startswith("|")]
         assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) <= 1
         assert "<script" not in block
@@ -167,12 +171,12 @@ def test_hostile_text_is_shown_and_not_obeyed():
 
 
 def test_the_page_is_the_same_from_the_same_numbers():
-    assert report.html_report(*noise_free()) == page_of("noise-free")
+    assert report.html_report(summarise(*noise_free())) == page_of("noise-free")
 
 
 def test_the_page_says_how_much_is_done_and_what_was_averaged(study):
     given, told = study
-    text = Page(report.html_report(given, replace(told, trials=10))).text
+    text = Page(report.html_report(summarise(given, replace(told, trials=10)))).text
     assert "48 units with known sensor errors were simulated, of 120 that are planned" in text
     assert "1 of the drawn units was no IMU" in text
     assert "closed-form: 28 of 47 trials converged (59.6 %" in text
@@ -182,8 +186,9 @@ def test_the_page_says_how_much_is_done_and_what_was_averaged(study):
 
 def test_unverified_statuses_are_said_to_be():
     rows = [{"distance": None}, {"distance": None}]
-    assert summarise(table(rows), header()).unverified
-    assert "the reported status was not verified" in " ".join(report.short_answer(table(rows), header()))
+    found = summarise(table(rows), header())
+    assert found.unverified
+    assert "the reported status was not verified" in " ".join(tables.sentences(found))
     assert not summarise(table([{}]), header()).unverified
 
 
@@ -199,7 +204,7 @@ def test_many_points_are_cut_to_those_that_failed(monkeypatch):
 def test_an_absent_jinja_says_what_to_install(monkeypatch, study):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(srt.MissingExtraError, match=r"pip install 'strapdown-rotation-test\[campaign\]'"):
-        report.html_report(*study)
+        report.html_report(summarise(*study))
 
 
 def test_numbers_as_people_read_them():

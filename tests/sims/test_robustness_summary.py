@@ -83,7 +83,8 @@ def test_map_of_any_two_axes_with_words_and_empty_cells(study):
 
 
 def test_the_largest_region_without_failure(study):
-    first, second = summarise(*study).regions
+    found = summarise(*study)
+    first, second = found.regions
     # Boxes: 3 x 1 levels (12 trials) or 2 x 3 (24); the latter has more.
     assert [(limit.axis, limit.value, limit.upward, limit.whole) for limit in first.limits] == [
         ("scale_percent", 10.0, True, False),
@@ -92,7 +93,7 @@ def test_the_largest_region_without_failure(study):
     assert (first.trials, first.tried) == (24, 47)
     assert all(limit.whole for limit in second.limits)
     assert second.trials == 47
-    text = " ".join(report.short_answer(*study))
+    text = " ".join(tables.sentences(found))
     assert "closed-form converged in all 24 trials with scale_percent up to 10 and misalignment_mrad up to 300." in text
     # 1 - 0.05^(1/47) = 6.2 %: what all 47 could still hide.
     assert "graph converged in every trial (scale_percent 50 and misalignment_mrad 500 at most)" in text
@@ -207,7 +208,8 @@ def test_accuracy_is_in_display_units():
 def test_honesty_of_the_sigmas():
     n = 200
     rows = noisy_rows(n, {"gyro_scale_y": 1.3, "accel_bias_z": 0.7, "gyro_bias_x": 2.5}, held=["gyro_bias_z"])
-    consistency = summarise(table(rows), header(trials=n)).consistency
+    summary = summarise(table(rows), header(trials=n))
+    consistency = summary.consistency
     found, nees = consistency.parameters.loc["closed-form"], consistency.nees.loc["closed-form"]
     assert tuple(found.index) == NAMES
     assert found["rms"]["gyro_scale_y"] == pytest.approx(1.3)
@@ -226,16 +228,17 @@ def test_honesty_of_the_sigmas():
     assert chi2.sf(27 * n * nees["high"], 27 * n) == pytest.approx(tail, rel=1e-6)
     assert nees["nees"] == pytest.approx(1.0)
     assert not nees["inconsistent"]
-    text = " ".join(report.short_answer(table(rows), header(trials=n)))
+    text = " ".join(tables.sentences(summary))
     assert "too small for 2 (gyro_scale_y, gyro_bias_x) and too large for 1 (accel_bias_z) of 26 parameters" in text
 
 
 def test_sigmas_without_noise_are_not_judged(study):
     told = replace(study[1], noisy=False)
-    assert summarise(study[0], told).consistency is None
+    found = summarise(study[0], told)
+    assert found.consistency is None
     expected = "the sigmas are floors, and their consistency with the errors cannot be tested"
-    assert expected in " ".join(report.short_answer(study[0], told))
-    assert "in sigmas" not in report.markdown_tables(study[0], told)
+    assert expected in " ".join(tables.sentences(found))
+    assert "in sigmas" not in report.markdown_tables(found)
 
 
 def test_play_backs_and_time():
@@ -302,7 +305,7 @@ def test_the_summary_does_not_depend_on_the_storage_of_the_table(study):
     for name in ("estimator", "outcome"):
         k = encoded.column_names.index(name)
         encoded = encoded.set_column(k, name, encoded.column(name).dictionary_encode())
-    assert report.markdown_tables(encoded, told) == report.markdown_tables(whole, told)
+    assert report.markdown_tables(summarise(encoded, told)) == report.markdown_tables(summarise(whole, told))
 
 
 @given(st.integers(1, 10**6), st.data())
