@@ -65,14 +65,15 @@ def test_derivatives_of_the_sums(g_sensitive):
             np.testing.assert_allclose(found.jacobian[part, k], value, rtol=0, atol=2e-8 + 5e-5 * np.abs(value).max())
 
 
-def test_covariance_is_that_of_the_noise():
-    """4000 draws of the samples' noise: a variance to 1/√2000, 3.5 of these; correlations to 1/√4000."""
+@pytest.mark.parametrize("count", [1000, pytest.param(4000, marks=pytest.mark.slow)])
+def test_covariance_is_that_of_the_noise(count):
+    """Draws of the samples' noise: n of them show a variance to √(2/n), 3.5 of these; correlations to √(1/n)."""
     unit = calibrated()
     gyro, accel = samples(40)
     exact = preintegrate(unit, gyro, accel, DT)
     rng = np.random.default_rng(2)
     draws = []
-    for _ in range(4000):
+    for _ in range(count):
         noisy = [
             v + np.array(NOISE[key]) / np.sqrt(DT) * rng.standard_normal(v.shape)
             for v, key in ((gyro, "gyro_noise_rad_per_sqrt_s"), (accel, "accel_noise_m_s2_sqrt_s"))
@@ -84,8 +85,8 @@ def test_covariance_is_that_of_the_noise():
     sigma = np.sqrt(np.diag(exact.covariance))
     difference = (P - exact.covariance) / np.outer(sigma, sigma)
     # Asymmetry makes the corrected noise differ by 1 % with the sign, which the linear covariance leaves out: 2 %.
-    assert np.abs(np.diag(difference)).max() < 3.5 / np.sqrt(2000.0) + 0.02
-    assert np.abs(difference).max() < 4.5 / np.sqrt(2000.0) + 0.02
+    assert np.abs(np.diag(difference)).max() < 3.5 * np.sqrt(2.0 / count) + 0.02
+    assert np.abs(difference).max() < 4.5 * np.sqrt(2.0 / count) + 0.02
 
 
 def test_sums_are_those_of_the_manifold_variant():
@@ -196,17 +197,18 @@ def test_refusals():
         preintegrate(replace(unit, noise={}), *samples(), DT)
 
 
-def test_the_prior_helps_and_its_covariance_is_true():
-    """4 draws of unit, noise and fixes: squares of the errors over their covariance, 27 for z and 6 for a pose."""
+@pytest.mark.parametrize("count", [2, pytest.param(8, marks=pytest.mark.slow)])
+def test_the_prior_helps_and_its_covariance_is_true(count):
+    """Draws of unit, noise and fixes: squares of the errors over their covariance, 27 for z and 6 for a pose."""
     study = pytest.importorskip("intrinsic_priors")
     true, rng = study.truth(), np.random.default_rng(6)
-    runs = [study.run(rng, true) for _ in range(4)]
+    runs = [study.run(rng, true) for _ in range(count)]
     prior, fixed, ignored = (
         [r[name] for r in runs] for name in ("calibration as prior", "fixed at the calibration", "no prior")
     )
-    for name, count in (("nees_z", 27), ("nees_pose", 6)):
+    for name, freedom in (("nees_z", 27), ("nees_pose", 6)):
         mean = np.mean([getattr(r, name) for r in prior])
-        assert abs(mean - count) < 3.5 * np.sqrt(2.0 * count / len(runs))
+        assert abs(mean - freedom) < 3.5 * np.sqrt(2.0 * freedom / count)
 
     def last(found):
         return np.sqrt(np.mean([r.position[-1] @ r.position[-1] for r in found]))

@@ -25,18 +25,18 @@ def whole():
 @pytest.mark.parametrize("kind", study.KINDS)
 @pytest.mark.parametrize("grade", ["navigation-rlg", "industrial-mems"])
 def test_errors_are_named_before_the_next_sequence_turns(grade, kind):
-    # Seeds apart from those of the study. At its 300 of 300, the share missed is below 1 % at 95 %, so that two trials
-    # of each of ten kinds all pass with 80 % at least, and with what was measured in all cases.
-    for seed in (1001, 1002):
-        trial = study.trial(grade, kind, seed)
-        named, false = study.outcome(trial)
-        assert named, (trial.sequence, run_state(trial.until_deadline).errors)
-        assert not false
+    # A seed apart from those of the study. At its 300 of 300, the share missed is below 1 % at 95 %, so that a trial of
+    # each of ten kinds all pass with 90 % at least, and with what was measured in all cases.
+    trial = study.trial(grade, kind, 1001)
+    named, false = study.outcome(trial)
+    assert named, (trial.sequence, run_state(trial.until_deadline).errors)
+    assert not false
 
 
-def test_a_test_without_errors_has_none_at_any_time(whole):
+@pytest.mark.parametrize("every", [2, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_test_without_errors_has_none_at_any_time(whole, every):
     recording, windows = whole.recording, whole.motion.windows
-    for number, (name, ((_, turned), (settled, end))) in enumerate(zip(SEQUENCES, windows, strict=True)):
+    for number, (name, ((_, turned), (settled, end))) in list(enumerate(zip(SEQUENCES, windows, strict=True)))[::every]:
         for time in (turned - 1.0, 0.5 * (turned + settled), end):
             state = run_state(truncated(recording, time))
             assert not state.errors, (name, time)
