@@ -281,11 +281,7 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
         iteration = iterate(joint, solver, iteration, requested=requested, progress=progress)
         if iteration.compensated is None or iteration.covariance is None or iteration.status == "outside_model":
             break
-        if iteration.status == "converged" and (
-            _add_unmodelled_noise(joint, solver, iteration) or _add_drift(joint, solver, iteration)
-        ):
-            continue
-        # Motion in a window can prevent convergence. Therefore this check precedes that of the status.
+        # Motion in a window can prevent convergence, and would pass for noise or drift of the sensors.
         moving_windows = joint.moving_windows(iteration.state, iteration.compensated)
         if moving_windows.any():
             diagnostics["held"] = {"sequences": list(analyse_solution(joint, solver, iteration, uncertain).table)}
@@ -295,6 +291,8 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
             continue
         if iteration.status != "converged":
             break
+        if _add_unmodelled_noise(joint, solver, iteration) or _add_drift(joint, solver, iteration):
+            continue
         sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
         weak = iteration.free & (sigma > OBSERVED_BELOW * admission_sigma())
         if not weak.any() or solver.prior is not None:

@@ -157,7 +157,7 @@ def integrate_attitude(
     K, n = len(stream.starts) - 1, int(stream.starts[-1])
     sequence_of = np.repeat(np.arange(K), np.diff(stream.starts))
     inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
-    chain = _AttitudeChain(stream.starts)
+    chain = _AttitudeChain(np.concatenate([stream.starts, stream.rotation[:, 1]]))
     sums = _ErrorSums(stream, with_noise=with_noise)
     attitude = np.empty((3, 3, n if stream.F is not None else 0))
     for a in range(0, n, BLOCK):
@@ -175,7 +175,7 @@ def integrate_attitude(
         if stream.F is not None:
             attitude[:, :, a:b] = C_mid
         sums.add(theta, _times(C_mid, D), a, range(int(sequence_of[a]), int(sequence_of[b - 1]) + 1))
-    to_start = np.swapaxes(_matrices(chain.edges[:, :-1]), 1, 2)
+    to_start = np.swapaxes(_matrices(chain.edges[:, :K]), 1, 2)
     if stream.F is not None:
         attitude = _at_start(stream, attitude, to_start, earth_rate)
     return sums.integrals(chain.edges, to_start, earth_rate, gyro), attitude
@@ -186,16 +186,16 @@ class _AttitudeChain:
 
     Attributes
     ----------
-    edges : ndarray of complex, shape (2, K + 1)
-        Attitude at each sequence's start, and at the end of the stream.
+    edges : ndarray of complex, shape (2, number of edges)
+        Attitude before each of the samples that were given as edges.
     """
 
-    def __init__(self, starts: Indices) -> None:
-        self._starts = starts
+    def __init__(self, samples: Indices) -> None:
+        self._samples = samples
         self._last = np.array([[1.0 + 0j], [0.0]])
         self._C_before = np.eye(3)
-        self.edges = np.empty((2, len(starts)), dtype=np.complex128)
-        self.edges[:, 0] = self._last[:, 0]
+        self.edges = np.empty((2, len(samples)), dtype=np.complex128)
+        self.edges[:, samples == 0] = self._last
 
     def extend(self, phi: Array, first: int) -> Array:
         """Append the rotation vectors (3, m) of the samples from ``first`` on; return Ĉ at mid-interval, (3, 3, m)."""
@@ -203,8 +203,8 @@ class _AttitudeChain:
         # _ErrorSums.integrals takes into account.
         chained = rotations.multiply(self._last, rotations.prefix_product(rotations.from_rotation_vector(phi)))
         self._last = chained[:, -1:]
-        ended = np.flatnonzero((self._starts > first) & (self._starts <= first + phi.shape[1]))
-        self.edges[:, ended] = chained[:, self._starts[ended] - first - 1]
+        ended = np.flatnonzero((self._samples > first) & (self._samples <= first + phi.shape[1]))
+        self.edges[:, ended] = chained[:, self._samples[ended] - first - 1]
         C = rotations.to_matrix(chained)
         C_mid = np.empty_like(C)
         C_mid[:, :, 0] = self._C_before + C[:, :, 0]
@@ -253,20 +253,28 @@ class _ErrorSums:
 
         Parameters
         ----------
-        edges : ndarray of complex, shape (2, K + 1)
-            Edges of the :class:`_AttitudeChain`.
+        edges : ndarray of complex, shape (2, 2 K + 1)
+            Edges of the :class:`_AttitudeChain`: start of each sequence, end of the stream, end of each rotation.
         to_start : ndarray, shape (K, 3, 3)
             From the stream's frame to B_Strt.
         earth_rate : ndarray, shape (K, 3), rad/s
         gyro : Triad
         """
         stream = self._stream
-        elapsed = np.diff(np.concatenate([[0.0], np.cumsum(stream.interval_s)])[stream.starts])
+        time_s = np.concatenate([[0.0], np.cumsum(stream.interval_s)])
+        elapsed = np.diff(time_s[stream.starts])
         # The Earth's rotation ([P] eq. 2) is removed exactly from the attitudes, and from the integrals by its mean: it
         # is less than 1e-3 rad in a sequence, and a tenth of that remains.
-        C_end = rotations.rotation_matrix(-earth_rate * elapsed[:, None]) @ to_start @ _matrices(edges[:, 1:])
-        middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
         K, _, columns = self._sums.shape
+
+        def since_start(attitude: rotations.Quaternions, seconds: Array) -> Array:
+            earth = rotations.rotation_matrix(-earth_rate * seconds[:, None])
+            return np.asarray(earth @ to_start @ _matrices(attitude))
+
+        C_end = C_turned = since_start(edges[:, 1 : K + 1], elapsed)
+        if stream.F is not None:
+            C_turned = since_start(edges[:, K + 1 :], time_s[stream.rotation[:, 1]] - time_s[stream.starts[:-1]])
+        middle = rotations.rotation_matrix(-0.5 * earth_rate * elapsed[:, None]) @ to_start
         sums = np.einsum("kad,kdbm->kabm", middle, self._sums.reshape(K, 3, 3, columns))
         noise, parts = self._noise, None
         if noise is not None:
@@ -285,6 +293,7 @@ class _ErrorSums:
             noise=noise,
             time_parts=parts,
             velocity=None if stream.velocity is None else sums[..., 7:],
+            C_turned=C_turned,
         )
 
 

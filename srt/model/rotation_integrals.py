@@ -50,6 +50,8 @@ class RotationIntegrals:
         ``time`` of equal parts of the rotation, in their order. An integrated window belongs to the part beside it.
     velocity : ndarray, shape (K, 3, 3, 3), or None
         ``∫ F (Ĉ D)_ab f_c dt``, m/s: effect of gyro g-sensitivity on φ, f the specific force.
+    C_turned : ndarray, shape (K, 3, 3), or None
+        Attitude at the end of the rotation itself, before an end window with integrated attitude; None: ``C_end``.
     """
 
     C_end: Array
@@ -61,6 +63,7 @@ class RotationIntegrals:
     noise: Array | None = None
     time_parts: Array | None = None
     velocity: Array | None = None
+    C_turned: Array | None = None
 
 
 def ideal_rotations(

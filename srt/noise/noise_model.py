@@ -30,6 +30,8 @@ _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
 """Number of samples from which the resolution of a column is estimated."""
 _QUANTIZATION_DOUBT: Final = 0.5
 """Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
+_FIT_PASSES: Final = 8
+"""Passes of the fit of random walk and reading error, each weighted by the fit before it."""
 _POOL_ABOVE: Final = 0.2
 """Relative 1-sigma of N² above which the three axes of a triad are fitted together."""
 _LEAST_SHARE: Final = 1e-12
@@ -196,17 +198,19 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
     if len(tau) < 2:  # windows of a few samples: one octave does not separate quantization from white noise
         return np.array([variance[0] * tau[0], 0.0]), 1.0
     design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1)
-    solution = np.zeros(2)
-    for _ in range(2):
-        # A variance from m differences has the relative 1-sigma √(3/m). The quantization error of a slow input is no
-        # white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
+    solution, expected = np.zeros(2), variance
+    for _ in range(_FIT_PASSES):
+        # A variance from m differences has the relative 1-sigma √(3/m) of its expected value: the last octaves have few
+        # differences, and a variance that is small by chance would dominate the fit. The quantization error of a slow
+        # input is no white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
         sigma = np.hypot(
-            variance * np.sqrt(3.0 / count) + 1e-9 * variance.max(),
+            expected * np.sqrt(3.0 / count) + 1e-9 * variance.max(),
             _QUANTIZATION_DOUBT * design[:, 1] * solution[1],
         )
         weighted = design / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)
         solution = nnls(weighted / scale, variance / sigma)[0] / scale
+        expected = design @ solution
     doubt = np.sqrt(np.linalg.inv((weighted / scale).T @ (weighted / scale))[0, 0]) / scale[0]
     # Without white noise the relative 1-sigma is infinite; the limit makes it a large finite number.
     return solution, float(doubt / max(solution[0], _LEAST_SHARE * doubt))

@@ -7,6 +7,7 @@ the errors: to 2e-8 on the fixture, 5e-6 without one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -147,6 +148,22 @@ def test_table_1(estimator):
 @pytest.mark.parametrize("estimator", ["least-squares", "ekf", "graph"])
 def test_turns_by_hand(estimator):
     assert worst(*hand_turned(1), estimator) < 5e-6
+
+
+@pytest.mark.parametrize("estimator", ["least-squares", "ekf", "graph"])
+def test_start_of_a_turn_in_a_window(estimator):
+    """A window that ends 0.3 s after the next turn has begun is integrated; it is the end of the turn before it, too.
+
+    Its two rotations refer to one attitude, and its Earth rate has a heading that no fixture states.
+    """
+    recording, truth = hand_turned(2)
+    before, after = recording.sequences[4:6]
+    (a, b), longer = before.end_static_s, 2.0 * CLEAR_S
+    labels = list(recording.sequences)
+    labels[4:6] = replace(before, end_static_s=(a, b + longer)), replace(after, start_static_s=(a, b + longer))
+    moved = recording.with_sequences(labels)
+    assert any("moved" in line for line in srt.calibrate(moved, estimator, checks=False).warnings)
+    assert worst(moved, truth, estimator) < 5e-6
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -128,3 +128,20 @@ def test_pulses_alone_leave_no_white_noise_and_all_doubt(size):
     assert white == 0.0
     assert pulses > 0.0
     assert 1.0 < doubt < np.inf
+
+
+def test_a_variance_of_few_differences_does_not_lead_the_fit():
+    """White noise with quantization of a tenth, from 46,000 samples; the last octaves have four and two differences.
+
+    From m differences a variance has two thirds of m degrees of freedom. N can be known to 0.9 %.
+    """
+    rng = np.random.default_rng(11)
+    count = np.array([23000, 11500, 5750, 2870, 1430, 710, 350, 165, 73, 27, 4, 2], dtype=float)
+    tau = 0.01 * 2.0 ** np.arange(len(count))
+    expected = 1.0 / tau + 3.0 * 0.01**2 / tau**2
+    found = np.array(
+        [_fit_one(tau, count, expected * rng.gamma(count / 3.0, 3.0 / count))[0][0] ** 0.5 for _ in range(400)]
+    )
+    design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1) / (expected * np.sqrt(3.0 / count))[:, None]
+    bound = 0.5 * np.sqrt(np.linalg.inv(design.T @ design)[0, 0])
+    assert np.sqrt(np.mean((found - 1.0) ** 2)) < bound * (1.0 + 3.5 / np.sqrt(2.0 * len(found)))
