@@ -30,8 +30,10 @@ _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
 """Number of samples from which the resolution of a column is estimated."""
 _QUANTIZATION_DOUBT: Final = 0.5
 """Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
-_FIT_PASSES: Final = 8
-"""Passes of the fit of random walk and reading error, each weighted by the fit before it."""
+_FIT_PASSES: Final = 40
+"""Largest number of passes of the fit of random walk and reading error, each weighted by the fit before it."""
+_SETTLED: Final = 1e-3
+"""Relative change of the fitted variances below which another pass is not needed."""
 _POOL_ABOVE: Final = 0.2
 """Relative 1-sigma of N² above which the three axes of a triad are fitted together."""
 _LEAST_SHARE: Final = 1e-12
@@ -204,13 +206,15 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
         # differences, and a variance that is small by chance would dominate the fit. The quantization error of a slow
         # input is no white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
         sigma = np.hypot(
-            expected * np.sqrt(3.0 / count) + 1e-9 * variance.max(),
+            np.maximum(variance, expected) * np.sqrt(3.0 / count) + 1e-9 * variance.max(),
             _QUANTIZATION_DOUBT * design[:, 1] * solution[1],
         )
         weighted = design / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)
         solution = nnls(weighted / scale, variance / sigma)[0] / scale
-        expected = design @ solution
+        before, expected = expected, design @ solution
+        if np.all(np.abs(expected - before) <= _SETTLED * expected):
+            break
     doubt = np.sqrt(np.linalg.inv((weighted / scale).T @ (weighted / scale))[0, 0]) / scale[0]
     # Without white noise the relative 1-sigma is infinite; the limit makes it a large finite number.
     return solution, float(doubt / max(solution[0], _LEAST_SHARE * doubt))
