@@ -30,6 +30,8 @@ class EarthRateRegression:
     on_rest_rate : ndarray, shape (W, 3, S), rad/s
         The same in each window, in B.
     gain : ndarray, shape (S, W, 3), s/rad
+    sigma : ndarray, shape (S,)
+        Standard deviation of the estimate by the noise of the rates, in units of the prior sigma.
     components : int
         Unknown components, 2 or 3, of each of the S / components independent Earth-fixed frames.
     draws : ndarray, shape (S,)
@@ -41,6 +43,7 @@ class EarthRateRegression:
     rate: Array
     on_rest_rate: Array
     gain: Array
+    sigma: Array
     components: int
     draws: Array
     by_errors: Array
@@ -80,8 +83,10 @@ def earth_rate_regression(rate: Array, on_rest_rate: Array, sigma: Array, compon
     A = np.concatenate([bias * sigma.min(), on_rest_rate], axis=2) / sigma[:, :, None]
     A = A.reshape(3 * W, 3 + S)
     prior = np.diag(np.concatenate([np.zeros(3), np.ones(S)]))
-    gain = np.linalg.solve(A.T @ A + prior, A.T)[3:].reshape(S, W, 3) / sigma
-    return EarthRateRegression(rate, on_rest_rate, gain, components, np.zeros(S), np.zeros((S, N_PARAMETERS)))
+    P = np.linalg.inv(A.T @ A + prior)[3:]
+    gain = (P @ A.T).reshape(S, W, 3) / sigma
+    own = np.sqrt(np.diag(P[:, 3:]))
+    return EarthRateRegression(rate, on_rest_rate, gain, own, components, np.zeros(S), np.zeros((S, N_PARAMETERS)))
 
 
 def with_earth_rate_regression(

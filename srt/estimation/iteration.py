@@ -257,7 +257,8 @@ class Iteration:
             return True
         before = np.zeros(len(regression.draws)) if self.earth_rate_draws is None else self.earth_rate_draws
         self._earth_rate, self.earth_rate_draws = regression.rate, regression.after_correction(correction)
-        return bool(np.all(np.abs(self.earth_rate_draws - before) <= _CONVERGED_EARTH_RATE))
+        negligible = np.maximum(_CONVERGED_EARTH_RATE, CONVERGED_SIGMAS * regression.sigma)
+        return bool(np.all(np.abs(self.earth_rate_draws - before) <= negligible))
 
     def _gain(self, measurements: SrtMeasurements, covariance: Array, *, near: bool) -> Array:
         try:

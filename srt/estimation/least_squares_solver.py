@@ -155,7 +155,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         for n, is_fixed, is_weak in zip(NAMES, solver.fixed, weak, strict=True):
             if (is_fixed or is_weak) and n not in fixed:
                 fixed[n] = reason_not_observed(n)
-        if solution.status != "converged" or not weak.any():
+        if not weak.any():
             break
     leave_one_out = partial(without_sequences, considered=relied is not None)
     result = solver_result(data, options, solution, fixed, leave_one_out, unmodelled, models_drift=True)
