@@ -242,6 +242,19 @@ def microstrain_text(stamps: np.ndarray, values: np.ndarray) -> str:
     return "\n".join(["DATA_START", ",".join(names), *rows, ""])
 
 
+def xsens_text(stamps: np.ndarray, values: np.ndarray) -> str:
+    """Export of MT Manager: its head, ticks of 0.1 ms, m/s² and rad/s."""
+    ticks = ((stamps - stamps[0]) // 100_000).tolist()
+    rate = 1e9 / float(np.median(np.diff(stamps)))
+    names = ["PacketCounter", "SampleTimeFine", *(f"{part}_{a}" for part in ("Acc", "Gyr") for a in "XYZ")]
+    rows = [
+        "\t".join(map(repr, (i, t, *row[3:], *row[:3])))
+        for i, (t, row) in enumerate(zip(ticks, values.tolist(), strict=True))
+    ]
+    head = ["// Start Time: Unknown", f"// Update Rate: {rate:.1f}Hz", "// Filter Profile: human (46.1)"]
+    return "\n".join([*head, "\t".join(names), *rows, ""])
+
+
 def novatel_text(stamps: np.ndarray, counts: np.ndarray, name: str = "RAWIMUSA") -> str:
     """Messages of raw increments in counts, with NovAtel's CRC by its bitwise definition."""
 

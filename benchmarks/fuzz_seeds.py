@@ -339,6 +339,11 @@ def microstrain() -> list[Seed]:
     return [Seed({"a.csv": ff.microstrain_text(stamps, values).encode()}, "a.csv", ImportOptions(time_unit="ns"))]
 
 
+def xsens() -> list[Seed]:
+    stamps, values = ff.samples(ROWS)
+    return [Seed({"MT_0.txt": ff.xsens_text(stamps, values).encode()}, "MT_0.txt")]
+
+
 def kf_gins() -> list[Seed]:
     columns = _columns()
     table = np.column_stack([columns[name] for name in NAMES[:7]])
@@ -400,6 +405,7 @@ READERS: dict[str, Callable[[], list[Seed]]] = {
     "sensor-logger": sensor_logger,
     "phyphox": phyphox,
     "microstrain": microstrain,
+    "xsens": xsens,
     "kf-gins": kf_gins,
     "novatel": novatel,
     "vectornav": vectornav,

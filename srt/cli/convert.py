@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 _GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "counts")
-_ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "counts")
-_TIME_UNITS = ("s", "ms", "us", "ns")
+_ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "g*s", "counts")
+_TIME_UNITS = ("s", "ms", "0.1ms", "us", "ns")
 
 _SITE_KEYS = ("latitude_deg", "gravity_m_s2", "height_m", "gravity_sigma_m_s2")
 _NOISE_KEYS = (

@@ -157,10 +157,10 @@ GYRO_UNITS: Final = {
 
 ACCEL_UNITS: Final = {
     "rate": {"m/s^2": 1.0, "g": STANDARD_GRAVITY_M_S2, "mg": 1e-3 * STANDARD_GRAVITY_M_S2},
-    "increment": {"m/s": 1.0},
+    "increment": {"m/s": 1.0, "g*s": STANDARD_GRAVITY_M_S2},
 }
 
-TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "0.1ms": 1e-4, "us": 1e-6, "ns": 1e-9}
 
 COUNTS: Final = "counts"
 

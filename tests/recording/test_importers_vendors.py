@@ -24,6 +24,81 @@ def test_microstrain_sensor_connect(tmp_path):
         read(path)
 
 
+def table(names, rows, mark=","):
+    return "\n".join([mark.join(names), *(mark.join(map(repr, row)) for row in rows), ""])
+
+
+def test_microstrain_increments(tmp_path):
+    """Delta thetas in rad, delta velocities in g·s; a table that has both holds rates unless increments are wanted."""
+    path = tmp_path / "a.csv"
+    unit, rates, steps = "inertial:6254.12345", VALUES.tolist(), (0.005 * VALUES).tolist()
+    delta = [f"{unit}:delta{part}{a}" for part in ("Theta", "Vel") for a in "XYZ"]
+    rows = [(t, *s[:3], *(v / G for v in s[3:])) for t, s in zip(STAMPS.tolist(), steps, strict=True)]
+    path.write_text(table(["Time", *delta], rows))
+    assert find_importer(path).name == "microstrain"
+    imported = read(path, time_unit="ns")
+    assert imported.kind == "increment"
+    np.testing.assert_array_equal(imported.gyro, 0.005 * VALUES[:, :3])
+    # Division by g and multiplication: two roundings of values below 0.1.
+    np.testing.assert_allclose(imported.accel, 0.005 * VALUES[:, 3:], rtol=0, atol=3e-17)
+    scaled = [f"{unit}:scaled{part}{a}" for part in ("Gyro", "Accel") for a in "XYZ"]
+    both = [(*row, *r[:3], *(v / G for v in r[3:])) for row, r in zip(rows, rates, strict=True)]
+    path.write_text(table(["Time", *delta, *scaled], both))
+    imported = read(path, time_unit="ns")
+    assert imported.kind == "rate"
+    np.testing.assert_array_equal(imported.gyro, VALUES[:, :3])
+    assert note(imported, "rates were read, increments with --kind increment")
+    imported = read(path, time_unit="ns", kind="increment")
+    assert imported.kind == "increment"
+    np.testing.assert_array_equal(imported.gyro, 0.005 * VALUES[:, :3])
+
+
+@pytest.mark.parametrize(
+    ("line", "gyro", "accel"),
+    [
+        (
+            "%RAWIMUSA,2209,491612.254;2209,491612.253588,ea5afe00,329303960,-2512321,4410363,309705,607017,-1009773"
+            "*1fb76c28",
+            (-1009773, -607017, 309705),
+            (4410363, 2512321, 329303960),
+        ),
+        (
+            "%RAWIMUSXA,2209,491674.014;04,41,2209,491674.013699,ea59fe00,329308016,-2706935,4508389,196192,417138,"
+            "-1000837*038422a7",
+            (-1000837, -417138, 196192),
+            (4508389, 2706935, 329308016),
+        ),
+        (
+            "#RAWIMUXA,USB1,0,64.5,FINESTEERING,2209,491740.110,02000020,0dc5,16809;04,41,2209,491740.109817,ea57fe00,"
+            "329394068,-2396829,4481425,321199,257329,-936077*cf9c035d",
+            (-936077, -257329, 321199),
+            (4481425, 2396829, 329394068),
+        ),
+    ],
+    ids=["RAWIMUSA", "RAWIMUSXA", "RAWIMUXA"],
+)
+def test_the_examples_of_the_novatel_manual(tmp_path, line, gyro, accel):
+    """One message each of the OEM7 manual: its CRC holds, and the fields are z, −y, x of the accelerometers first."""
+    path = tmp_path / "a.asc"
+    path.write_text(line + "\n")
+    assert find_importer(path).name == "novatel"
+    imported = read(path, gyro_lsb=(1.0,) * 3, accel_lsb=(1.0,) * 3)
+    np.testing.assert_array_equal(imported.gyro, [gyro])
+    np.testing.assert_array_equal(imported.accel, [accel])
+
+
+def test_a_message_of_a_vectornav_unit(tmp_path):
+    """A message that programs for the VN-200 quote: checksum, order of the fields, temperature."""
+    path = tmp_path / "a.txt"
+    path.write_text(
+        "$VNIMU,-00.0350,+00.4222,-00.6643,-00.015,+00.019,+09.948,+00.002066,-00.008442,-00.044656,+20.7,+084.322*66\n"
+    )
+    imported = read(path, sample_rate_hz=200.0)
+    np.testing.assert_array_equal(imported.gyro, [[0.002066, -0.008442, -0.044656]])
+    np.testing.assert_array_equal(imported.accel, [[-0.015, 0.019, 9.948]])
+    np.testing.assert_array_equal(imported.temperature, [20.7])
+
+
 @pytest.mark.parametrize("name", ["RAWIMUSA", "RAWIMUA", "RAWIMUSXA", "RAWIMUXA"])
 def test_novatel_rawimu(tmp_path, name):
     counts = np.round(1000.0 * VALUES).astype(int)
@@ -112,17 +187,42 @@ def test_euroc_saved_by_a_spreadsheet(tmp_path):
     np.testing.assert_array_equal(imported.gyro, VALUES[:, :3])
 
 
-def test_xsens_and_adis_tables_by_their_names(tmp_path):
-    xsens = tmp_path / "MT_0.txt"
-    rows = ["\t".join(map(repr, (i, *row[3:], *row[:3]))) for i, row in enumerate(VALUES.tolist())]
-    head = [
-        "// Start Time: Unknown",
-        "// Update Rate: 200.0Hz",
-        "PacketCounter\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z",
-    ]
-    xsens.write_text("\n".join([*head, *rows, ""]))
-    imported = read(xsens, gyro_unit="rad/s", accel_unit="m/s^2", sample_rate_hz=200.0)
+XSENS_HEAD = "// Start Time: Unknown\n// Update Rate: 200.0Hz\n// Filter Profile: human (46.1)\n"
+XSENS_NAMES = [f"{part}_{a}" for part in ("Acc", "Gyr") for a in "XYZ"]
+
+
+def test_xsens_by_the_update_rate(tmp_path):
+    path = tmp_path / "MT_0.txt"
+    rows = [(i, *row[3:], *row[:3]) for i, row in enumerate(VALUES.tolist())]
+    path.write_text(XSENS_HEAD + table(["PacketCounter", *XSENS_NAMES], rows, "\t"))
+    assert find_importer(path).name == "xsens"
+    imported = read(path)
+    assert imported.sample_rate_hz == 200.0
     np.testing.assert_array_equal(np.hstack([imported.gyro, imported.accel]), VALUES)
+
+
+def test_xsens_by_its_stamps(tmp_path):
+    """SampleTimeFine in ticks of 0.1 ms, across the end of its 32 bits; velocity increments beside the rates."""
+    path = tmp_path / "MT_0.txt"
+    names = ["PacketCounter", "SampleTimeFine", *XSENS_NAMES, *(f"VelInc_{a}" for a in "XYZ")]
+
+    def write(tick):
+        stamps = (2**32 - 50 * tick + tick * np.arange(N)) % 2**32
+        rows = [(i, t, *row[3:], *row[:3], *row[3:]) for i, (t, row) in enumerate(zip(stamps.tolist(), VALUES.tolist(),
+                                                                                      strict=True))]  # fmt: skip
+        path.write_text(XSENS_HEAD + table(names, rows, "\t"))
+
+    write(50)
+    imported = read(path)
+    np.testing.assert_array_equal(np.hstack([imported.gyro, imported.accel]), VALUES)
+    # Stamps of five days, 4e5 s: 6e-11 s each.
+    np.testing.assert_allclose(imported.time - imported.time[0], SECONDS, rtol=0, atol=2e-10)
+    write(5000)
+    with pytest.raises(InputError, match="steps of 5000, but 50 ticks"):
+        read(path)
+
+
+def test_adis_tables_by_their_names(tmp_path):
     adis = tmp_path / "adis.csv"
     counts = np.round(100.0 * VALUES).astype(int)
     names = [f"{axis}{sensor}_OUT" for sensor in ("GYRO", "ACCL") for axis in "XYZ"]

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 COLUMN_NAMES: Final[dict[tuple[str, Kind | None], tuple[str, ...]]] = {
     (TIME, None): (
         "time", "timestamp", "timestamps", "t", "stamp", "headerstamp", "secondselapsed", "sampletime",
+        "sampletimefine",
     ),
     (TEMPERATURE, None): ("temperature", "temp", "imutemperature", "imutemp"),
     ("gyro", None): (
@@ -181,7 +182,13 @@ def meaning_of(name: str) -> ColumnMeaning | None:
 
 
 def assign(
-    path: Path, names: Sequence[str], width: int, wanted: Mapping[str, str | int], *, arrays: bool = False
+    path: Path,
+    names: Sequence[str],
+    width: int,
+    wanted: Mapping[str, str | int],
+    *,
+    arrays: bool = False,
+    kind: Kind | None = None,
 ) -> ColumnAssignment:
     """Find the columns of all channels.
 
@@ -197,6 +204,8 @@ def assign(
         Channels given by the user, which override the names.
     arrays : bool
         True: a column may be an array of three columns, "gyro" or "accel".
+    kind : "rate" or "increment", optional
+        Columns that are read where a table has both; rates if left out.
 
     Returns
     -------
@@ -211,6 +220,7 @@ def assign(
     for channel, column in wanted.items():
         columns.update(_given(path, names, width, channel, column, arrays=arrays))
     notes: list[str] = []
+    both = False
     meanings = [meaning_of(name) for name in names]
     for channel in (*CHANNELS, *(TRIADS if arrays else ())):
         if channel in columns or channel.partition("_")[0] in columns:
@@ -222,6 +232,10 @@ def assign(
             others = listed([names[i] for i in found[1:]])
             notes.append(f"Time is the column {clipped(names[found[0]])}; {others} not used.")
             found = found[:1]
+        kinds = [meaning.kind for meaning in (meanings[i] for i in found) if meaning is not None]
+        if len(set(kinds)) > 1:
+            found = [i for i, own in zip(found, kinds, strict=True) if (own == "increment") == (kind == "increment")]
+            both = True
         if len(found) > 1:
             raise InputError(
                 f"{path}: several columns may be {channel} ({listed([names[i] for i in found])}): name one with "
@@ -230,6 +244,11 @@ def assign(
         if found:
             columns[channel] = found[0]
     _require_all(path, names, width, columns, arrays=arrays)
+    if both:
+        read, other = ("increments", "rates") if kind == "increment" else ("rates", "increments")
+        notes.append(
+            f"The file holds rates and increments; {read} were read, {other} with {option('kind')} {other[:-1]}."
+        )
     renamed = [
         f"{channel} from {clipped(names[i])}" for channel, i in columns.items() if names and names[i].strip() != channel
     ]
@@ -237,8 +256,8 @@ def assign(
         notes.append(f"Columns: {', '.join(renamed)}.")
     used = {channel: meanings[i] for channel, i in columns.items() if names}
     stated = StatedUnits(*(_common_unit(path, sensor, used) for sensor in ("gyro", "accel", TIME)))
-    kinds = {meaning.kind for channel, meaning in used.items() if meaning is not None and channel not in NO_SENSOR}
-    return ColumnAssignment(columns, stated, "increment" if kinds == {"increment"} else None, tuple(notes))
+    of_sensors = {meaning.kind for channel, meaning in used.items() if meaning and channel not in NO_SENSOR}
+    return ColumnAssignment(columns, stated, "increment" if of_sensors == {"increment"} else None, tuple(notes))
 
 
 NO_SENSOR: Final = (TIME, TEMPERATURE)

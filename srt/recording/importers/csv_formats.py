@@ -18,16 +18,17 @@ from srt.recording.importers.text_tables import TableLayout, find_layout, read_t
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TEMPERATURE, TIME
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from srt.recording.recording import Kind
     from srt.types import Array
 
 TEXT_OPTIONS: Final = frozenset({"columns", "time_unit", "delimiter", "decimal_comma", "skip"})
 
-_PUBLISHED: Final = StatedUnits("rad/s", "m/s^2", "ns")
+_PUBLISHED: Final[Mapping[Kind, StatedUnits]] = {"rate": StatedUnits("rad/s", "m/s^2", "ns")}
 """Units that EuRoC and Kalibr define."""
 
 _ROUNDED: Final = re.compile(r"\d[.,]\d{1,9}[eE]\+(1\d|9)")
@@ -38,15 +39,22 @@ _DATA_NAME: Final = "data.csv"
 _PAIR_COLUMNS: Final = (TIME, *AXES)
 
 
-def read_csv_table(path: Path, options: ImportOptions, stated: StatedUnits | None = None) -> ImportedSamples:
+def read_csv_table(
+    path: Path,
+    options: ImportOptions,
+    published: Mapping[Kind, StatedUnits] | None = None,
+    sample_rate_hz: float | None = None,
+) -> ImportedSamples:
     """Read a text table by its header, or by the columns in the options.
 
     Parameters
     ----------
     path : Path
     options : ImportOptions
-    stated : StatedUnits, optional
-        Units that the format defines; they override the header.
+    published : mapping of kind to StatedUnits, optional
+        Units that the format defines, by the kind of samples; they override the header.
+    sample_rate_hz : float, optional
+        Rate by the format, used where the table has no stamps.
 
     Returns
     -------
@@ -57,7 +65,12 @@ def read_csv_table(path: Path, options: ImportOptions, stated: StatedUnits | Non
     InputError
     """
     layout = find_layout(path, options)
-    found = assign(path, layout.header, len(layout.cells), options.columns)
+    found = assign(path, layout.header, len(layout.cells), options.columns, kind=options.kind)
+    kind: Kind | None = None if options.kind is not None else found.kind
+    stated = None
+    if published is not None:
+        kind = found.kind or "rate"
+        stated = published.get(kind)
     if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns:
         found = _without_doubtful_time(found, options, stated)
     if TIME in found.columns and _ROUNDED.fullmatch(layout.cells[found.columns[TIME]].strip()):
@@ -72,13 +85,14 @@ def read_csv_table(path: Path, options: ImportOptions, stated: StatedUnits | Non
     commas = ("Decimal commas were found, and read as points.",) if layout.decimal_comma > options.decimal_comma else ()
     return samples_in_si(
         options,
-        gyro=_triad(table, GYRO_COLUMNS),
-        accel=_triad(table, ACCEL_COLUMNS),
+        gyro=triad(table, GYRO_COLUMNS),
+        accel=triad(table, ACCEL_COLUMNS),
         time=table.get(TIME),
         stated=stated or found.stated,
-        kind="rate" if stated is not None else None if options.kind is not None else found.kind,
+        kind=kind,
+        sample_rate_hz=None if TIME in table else sample_rate_hz,
         temperature=table.get(TEMPERATURE),
-        notes=commas if stated is not None else (*with_temperature(found.notes, table), *commas),
+        notes=(*(found.notes if stated is not None else with_temperature(found.notes, table)), *commas),
     )
 
 
@@ -124,10 +138,10 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
         seconds_of(np.concatenate((first, table[TIME])), unit, notes if table is gyro else [])[1:]
         for table in (gyro, accel)
     )
-    kept, force = join_streams(gyro_time, accel_time, _triad(accel, AXES), notes)
+    kept, force = join_streams(gyro_time, accel_time, triad(accel, AXES), notes)
     result = samples_in_si(
         replace(options, time_unit=None),
-        gyro=_triad(gyro, AXES)[kept],
+        gyro=triad(gyro, AXES)[kept],
         accel=force,
         time=gyro_time[kept],
         stated=StatedUnits(time="s"),
@@ -136,7 +150,8 @@ def read_pair(path: Path, options: ImportOptions) -> ImportedSamples:
     return replace(result, units={**result.units, "time": f"{unit} ({'as given' if options.time_unit else 'header'})"})
 
 
-def _triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
+def triad(table: dict[str, NDArray[Any]], names: tuple[str, ...]) -> Array:
+    """Three columns of a table, shape (n, 3)."""
     return np.column_stack([table[name] for name in names]).astype(np.float64, copy=False)
 
 
@@ -227,45 +242,6 @@ KALIBR: Final = Importer(
     frozenset({"columns", "time_unit", "delimiter", "decimal_comma"}),
 )
 
-
-def _read_kf_gins(path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read second of week, angle increments in rad and velocity increments in m/s, without a header."""
-    layout = find_layout(path, options)
-    names = (TIME, *GYRO_COLUMNS, *ACCEL_COLUMNS)
-    if len(layout.cells) < len(names):
-        raise InputError(
-            f"{path} has {len(layout.cells)} columns, but {len(names)} are expected: time, angles, velocities."
-        )
-    table = read_table(path, layout, {name: i for i, name in enumerate(names)})
-    return samples_in_si(
-        options,
-        gyro=_triad(table, GYRO_COLUMNS),
-        accel=_triad(table, ACCEL_COLUMNS),
-        time=table[TIME],
-        stated=StatedUnits("rad", "m/s", "s"),
-        kind="increment",
-    )
-
-
-KF_GINS: Final = Importer(
-    "kf-gins",
-    "KF-GINS increments as text (time, angles, velocities)",
-    (),
-    None,
-    lambda _: False,  # seven columns without names may be anything
-    _read_kf_gins,
-    frozenset({"delimiter", "skip"}),
-)
-
-MICROSTRAIN: Final = Importer(
-    "microstrain",
-    "MicroStrain SensorConnect CSV (scaledGyro, scaledAccel)",
-    (),
-    None,
-    lambda path: all(word in head(path) for word in (b"scaledGyroX", b"scaledAccelX")),
-    lambda path, options: read_csv_table(path, options, StatedUnits("rad/s", "g", None)),
-    TEXT_OPTIONS,
-)
 
 IMU_TK: Final = Importer(
     "imu-tk",

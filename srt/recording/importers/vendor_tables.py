@@ -1,0 +1,110 @@
+"""Text tables of vendors' programs, whose units are published: MicroStrain SensorConnect, Xsens MT Manager, KF-GINS."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.exceptions import InputError
+from srt.recording.import_options import ImportOptions, option
+from srt.recording.imported_samples import ImportedSamples, StatedUnits, samples_in_si
+from srt.recording.importer_registry import Importer, head
+from srt.recording.importers.csv_formats import TEXT_OPTIONS, read_csv_table, triad
+from srt.recording.importers.text_tables import find_layout, read_table
+from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, TIME
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from srt.recording.recording import Kind
+
+_MICROSTRAIN_UNITS: Final[Mapping[Kind, StatedUnits]] = {
+    "rate": StatedUnits("rad/s", "g", None),
+    "increment": StatedUnits("rad", "g*s", None),
+}
+"""Units of the MIP protocol: scaled rates, delta theta and delta velocity."""
+
+_XSENS_UNITS: Final[Mapping[Kind, StatedUnits]] = {"rate": StatedUnits("rad/s", "m/s^2", "0.1ms")}
+"""Units of the MTi manual; SampleTimeFine counts at 10 kHz."""
+_XSENS_RATE: Final = re.compile(r"//\s*Update Rate:\s*([0-9.]+)\s*Hz")
+_WRAP_S: Final = 2**32 * 1e-4
+"""Period of SampleTimeFine, an unsigned integer of 32 bits."""
+_RATE_TOLERANCE: Final = 0.1
+"""Share by which stamps and stated rate may differ; the next unit of time is a factor of 10 away."""
+
+
+def _read_xsens(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Read an export of MT Manager: rates where it has them, its own stamps, else its update rate."""
+    stated = _XSENS_RATE.search(head(path).decode("latin-1"))
+    rate = float(stated.group(1)) if stated else None
+    result = read_csv_table(path, options, _XSENS_UNITS, rate)
+    if result.time is None:
+        return result
+    time = result.time
+    if options.time_unit is None:
+        time = time + _WRAP_S * np.cumsum(np.diff(time, prepend=time[0]) < -0.5 * _WRAP_S)
+        step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        if rate is not None and abs(step * rate - 1.0) > _RATE_TOLERANCE:
+            raise InputError(
+                f"{path}: SampleTimeFine has steps of {step * 1e4:.6g}, but {1e4 / rate:.6g} ticks of 0.1 ms are "
+                f"expected at the stated rate of {rate:g} Hz: state the unit with {option('time_unit')}, or "
+                f"{option('sample_rate_hz')}."
+            )
+    return replace(result, time=time)
+
+
+def _read_kf_gins(path: Path, options: ImportOptions) -> ImportedSamples:
+    """Read second of week, angle increments in rad and velocity increments in m/s, without a header."""
+    layout = find_layout(path, options)
+    names = (TIME, *GYRO_COLUMNS, *ACCEL_COLUMNS)
+    if len(layout.cells) < len(names):
+        raise InputError(
+            f"{path} has {len(layout.cells)} columns, but {len(names)} are expected: time, angles, velocities."
+        )
+    table = read_table(path, layout, {name: i for i, name in enumerate(names)})
+    return samples_in_si(
+        options,
+        gyro=triad(table, GYRO_COLUMNS),
+        accel=triad(table, ACCEL_COLUMNS),
+        time=table[TIME],
+        stated=StatedUnits("rad", "m/s", "s"),
+        kind="increment",
+    )
+
+
+KF_GINS: Final = Importer(
+    "kf-gins",
+    "KF-GINS increments as text (time, angles, velocities)",
+    (),
+    None,
+    lambda _: False,  # seven columns without names may be anything
+    _read_kf_gins,
+    frozenset({"delimiter", "skip"}),
+)
+
+MICROSTRAIN: Final = Importer(
+    "microstrain",
+    "MicroStrain SensorConnect CSV (scaledGyro and scaledAccel, or deltaTheta and deltaVel)",
+    (),
+    None,
+    lambda path: any(
+        all(word in head(path) for word in pair)
+        for pair in ((b"scaledGyroX", b"scaledAccelX"), (b"deltaThetaX", b"deltaVelX"))
+    ),
+    lambda path, options: read_csv_table(path, options, _MICROSTRAIN_UNITS),
+    TEXT_OPTIONS | {"kind"},
+)
+
+XSENS: Final = Importer(
+    "xsens",
+    "Xsens MT Manager text (Acc, Gyr; SampleTimeFine of 0.1 ms)",
+    (),
+    None,
+    lambda path: head(path).startswith(b"//") and all(w in head(path) for w in (b"PacketCounter", b"Acc_X", b"Gyr_X")),
+    _read_xsens,
+    TEXT_OPTIONS,
+)
