@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import pytest
+
+from sims.faults.injection import GRADES
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import sort_by_cause, stage_checks
 
@@ -25,3 +28,13 @@ def examine_stages(recording, stages):
         if any(finding.effect.startswith("exit") for finding in out):
             break
     return sort_by_cause(out)
+
+
+def grades_and_faults(faults):
+    """Parameters ``grade`` and ``fault``: every fault with every second grade, in turns; with ``slow`` all pairs."""
+    pairs = [
+        pytest.param(grade, fault, id=f"{grade}-{fault}", marks=[pytest.mark.slow] * ((i + k) % 2))
+        for i, fault in enumerate(faults)
+        for k, grade in enumerate(GRADES)
+    ]
+    return pytest.mark.parametrize(("grade", "fault"), pairs)

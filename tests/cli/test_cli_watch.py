@@ -47,10 +47,10 @@ def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(fin
     growing = tmp_path / "rec"
     growing.mkdir()
     shutil.copy(finished / "good" / "recording.toml", growing)
-    writer = threading.Thread(target=grow, args=(finished / "good" / "samples.csv", growing / "samples.csv", 9, 0.3))
+    writer = threading.Thread(target=grow, args=(finished / "good" / "samples.csv", growing / "samples.csv", 9, 0.15))
     writer.start()
     code = main(
-        ["watch", str(growing), "--every", "0.1", "--idle", "3", "-o", str(tmp_path / "w.json"), "--plot",
+        ["watch", str(growing), "--every", "0.1", "--idle", "1.5", "-o", str(tmp_path / "w.json"), "--plot",
          str(tmp_path / "w.png"), "--target", "gyro_scale=5"]
     )  # fmt: skip
     writer.join()

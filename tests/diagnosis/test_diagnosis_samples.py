@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosing import WithoutRecognition, examine_stages
+from diagnosing import WithoutRecognition, examine_stages, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -51,16 +51,14 @@ def test_a_sound_recording_raises_nothing(grade):
     assert examine(case(grade).recording) == ()
 
 
-@pytest.mark.parametrize("fault", ON_READING)
-@pytest.mark.parametrize("grade", GRADES)
+@grades_and_faults(ON_READING)
 def test_error_of_a_refused_recording_names_the_fault(fault, grade):
     with pytest.raises(SrtError) as refused:
         INJECTIONS[fault].recording(case(grade))
     assert refused.value.fault == fault
 
 
-@pytest.mark.parametrize("fault", LATER)
-@pytest.mark.parametrize("grade", GRADES)
+@grades_and_faults(LATER)
 def test_a_fault_is_named_first(fault, grade):
     injection = INJECTIONS[fault]
     if grade in injection.unseen:

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosing import WithoutRecognition, examine_stages
+from diagnosing import WithoutRecognition, examine_stages, grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -47,8 +47,7 @@ def test_a_sound_recording_raises_nothing(grade):
     assert examine(case(grade).recording) == ()
 
 
-@pytest.mark.parametrize("fault", MINE)
-@pytest.mark.parametrize("grade", GRADES)
+@grades_and_faults(MINE)
 def test_a_fault_is_named_first(fault, grade):
     injection = INJECTIONS[fault]
     assert grade in injection.severity

@@ -8,6 +8,7 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
+from diagnosing import grades_and_faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -56,8 +57,7 @@ def test_a_sound_recording_raises_nothing(grade):
     assert findings(case(grade).recording) == []
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("grade", GRADES)
+@grades_and_faults(FAULTS)
 def test_each_fault_is_named(fault, grade):
     injection = INJECTIONS[fault]
     named = [f.fault for f in findings(injection.recording(case(grade)), injection.options)]

@@ -148,8 +148,8 @@ def one_bad_sequence(test, short=SHORT):
 
 
 def harmless(test):
-    """Every sequence and both estimators once; with ``slow`` all combinations, of more units."""
-    short = [("ekf", "1", 101), ("graph", "4", 101), ("graph", "7", 101), ("ekf", "13", 101)]
+    """Two sequences, one with each estimator; with ``slow`` all combinations, of more units."""
+    short = [("ekf", "1", 101), ("graph", "7", 101)]
     long = [(e, name, seed) for e in ("ekf", "graph") for name in SEQUENCES for seed in (102, 103, 104)]
     cases = [*short, *(pytest.param(*c, marks=pytest.mark.slow) for c in long)]
     return pytest.mark.parametrize(("estimator", "name", "seed"), cases)(test)
@@ -227,8 +227,8 @@ def test_the_filter_names_it_too(case, name):
 
 @pytest.mark.parametrize("estimator", ["ekf", "graph"])
 def test_nothing_is_named_without_a_fault(estimator):
-    """Once in 600 recordings something is; three recordings are looked at."""
-    for seed in (101, 102, 103):
+    """Once in 600 recordings something is; two recordings are looked at."""
+    for seed in (101, 102):
         assert named_sequence(reference(seed, estimator)) is None
 
 
@@ -255,7 +255,7 @@ def excess_shift(calibration, seed, name, loss):
     return float(over.max()), beyond(shift(calibration, seed, loss), counted, bar)
 
 
-@one_bad_sequence
+@partial(one_bad_sequence, short=SHORT[1::2])
 def test_a_robust_graph_stays_where_it_was(case, name, seed, which):
     """Cauchy's loss keeps every parameter that other sequences determine within 3 sigma of the undisturbed result."""
     calibration = srt.calibrate(spoiled(case, seed, name, which), "graph", loss="cauchy", checks=False)

@@ -217,7 +217,7 @@ class Link:
         self.socket.settimeout(30.0)
         addresses = "--from", f"udp:127.0.0.1:{self.inside}", "--to", f"udp:127.0.0.1:{self.socket.getsockname()[1]}"
         command = [sys.executable, "-m", "srt.cli", "apply", str(folder / "unit.json"), *addresses, *options]
-        self.child = subprocess.Popen([*command, "--timeout-s", "3"], stderr=subprocess.PIPE, text=True)
+        self.child = subprocess.Popen([*command, "--timeout-s", "1.5"], stderr=subprocess.PIPE, text=True)
 
     def send(self, packet):
         self.socket.sendto(packet, ("127.0.0.1", self.inside))

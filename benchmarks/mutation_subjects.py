@@ -1,0 +1,229 @@
+"""What ``mutations.py`` changes, and the tests that must notice.
+
+The signs of eqs. 3-5, 13-14 and 20-21, and of every entry of the parameters' matrices, are changed in memory by
+``tests/model/test_equations_mutations.py`` in each run of the tests; the subjects of these files below repeat it on the
+files, with tests that do not know of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """Mutations of one file.
+
+    Attributes
+    ----------
+    name : str
+    file : str
+    tests : tuple of str
+        Arguments of pytest.
+    functions : tuple of str
+        Functions whose signs are changed; a star stands for all.
+    changes : tuple of (str, str)
+        Text, which is there once, and the text in its place.
+    without_effect : tuple of str
+        Expressions of which a change of sign changes no result, with the reason beside them.
+    """
+
+    name: str
+    file: str
+    tests: tuple[str, ...]
+    functions: tuple[str, ...] = ()
+    changes: tuple[tuple[str, str], ...] = ()
+    without_effect: tuple[str, ...] = ()
+
+
+EXACT = "tests/estimation/test_accuracy.py::test_noise_free_on_a_perfect_fixture_is_exact"
+SUBJECTS = (
+    Subject(
+        "eq. 1",
+        "srt/estimation/srt_measurements.py",
+        ("tests/model/test_jacobians.py", EXACT, "tests/estimation/test_g_sensitivity.py"),
+        ("after_g_sensitivity", "process", "_without_g_sensitivity", "_down", "_carried_force"),
+        (("g - np.linalg.norm(force, axis=1)", "g - 1.000001 * np.linalg.norm(force, axis=1)"),),
+    ),
+    Subject(
+        "eq. 2",
+        "srt/model/analytic_platform.py",
+        ("tests/model/test_analytic_platform.py", "tests/model/test_platform_integrals.py"),
+        ("integrate_attitude", "extend", "integrals", "_at_start", "_change", "_cross", "_times", "_compensate"),
+        (("/ 12.0", "/ 13.0"), ("-0.5 * earth_rate", "-0.4 * earth_rate")),
+        ("a - 1", "b + 1", "a - lo", "b - a", "a - lo + b", "b - a + lo", "stream.starts[k] - a"),
+    ),
+    Subject(
+        "eqs. 3-5",
+        "srt/model/measurement_model.py",
+        (
+            "tests/model/test_jacobians.py",
+            "tests/estimators/test_joint_rotations.py",
+            "tests/estimators/test_joint_residuals.py",
+        ),
+        ("*",),
+        (("residual[:, 2] += np.sin(non_orthogonality)", "residual[:, 2] += 0.0"),),
+        ("angle + np.pi",),  # half a turn before the remainder by a whole one
+    ),
+    Subject(
+        "eqs. 3, 20-21",
+        "srt/model/rotation_integrals.py",
+        (
+            "tests/model/test_platform_integrals.py",
+            "tests/model/test_uncalibrated_gyro_bias.py",
+            "tests/noise/test_accuracy_analysis.py",
+        ),
+        ("ideal_rotations", "_rodrigues_matrices", "_moments"),
+        (("window_s / 3.0", "window_s / 2.0"),),
+    ),
+    Subject(
+        "eqs. 6-11",
+        "srt/model/sensor_model.py",
+        ("tests/model/test_sensor_model.py",),
+        ("inverses", "read", "compensate", "sensitivity", "errors_from_triads", "to_mars", "compose"),
+        (("= basis[3 + k, j, i] = 0.5", "= basis[3 + k, j, i] = 0.4"), ("accel.matrix @ U.T", "accel.matrix @ U")),
+    ),
+    Subject(
+        "eqs. 13-14",
+        "srt/model/closed_form.py",
+        ("tests/model/test_equations_closed_form.py", EXACT),
+        ("_EQUATION_13_AFTER_GYRO_SCALE", "_GYRO_SCALE", "formulas"),
+        (("_4PI, _2PI = 4.0 * math.pi, 2.0 * math.pi", "_4PI, _2PI = 4.0 * math.pi, 4.0 * math.pi"),),
+        ("found | given",),
+    ),
+    Subject("eqs. 15-19, 22", "srt/noise/accuracy_analysis.py", ("tests/noise/test_accuracy_analysis.py",), ("*",)),
+    Subject("rotations", "srt/model/rotations.py", ("tests/model/test_rotations.py",), ("*",)),
+    Subject(
+        "noise sources",
+        "srt/estimation/error_sources.py",
+        (
+            "tests/estimation/test_noise_sources.py",
+            "tests/estimation/test_clock.py",
+            "tests/estimators/test_joint_jacobians.py",
+        ),
+        ("white_noise", "quantization", "raw_rate_variance"),
+        (
+            (
+                "np.array([fixture.rotation_sigma_rad, fixture.rotation_sigma_rad, fixture.wobble])",
+                "np.array([fixture.rotation_sigma_rad, fixture.rotation_sigma_rad, 0.0 * fixture.wobble])",
+            ),
+            (
+                "0.0 if recording.fixture is None else recording.fixture.alignment_sigma_rad",
+                "0.0 if recording.fixture is None else 0.5 * recording.fixture.alignment_sigma_rad",
+            ),
+            ("noise.accel_white**2", "0.0 * noise.accel_white**2"),
+            ("noise.accel_edge**2", "0.0 * noise.accel_edge**2"),
+            ("integrals.noise @ q**2", "0.9 * integrals.noise @ q**2"),
+            ("EARTH_RATE_RAD_S / math.sqrt(3.0)", "EARTH_RATE_RAD_S / math.sqrt(2.0)"),
+            ('"rate": 2.0 * outer', '"rate": 1.0 * outer'),
+            ("alone * outer", "0.0 * outer"),
+        ),
+        ("np.cumsum(integrated) - 1",),  # numbers only name the unknowns
+    ),
+    Subject(
+        "noise projected",
+        "srt/estimation/measurement_covariance.py",
+        (
+            "tests/estimation/test_noise_sources.py",
+            "tests/estimation/test_nineteen_positions.py",
+            "tests/estimation/test_poses_and_rates.py",
+        ),
+        ("project", "_earth_rate_error", "_attitude_errors", "_stated_values", "_steady_rate_noise"),
+        (
+            ("* sources.alignment_sigma(data.recording)", "* 0.0 * sources.alignment_sigma(data.recording)"),
+            ("* sources.start_sigma(data.recording)", "* 0.0 * sources.start_sigma(data.recording)"),
+            ("np.concatenate([to_body, leaning], axis=2)", "np.concatenate([to_body, 0.0 * leaning], axis=2)"),
+            ("X @ X / 6.0", "X @ X / 5.0"),
+        ),
+    ),
+    Subject(
+        "rows of the joint system",
+        "estimators/linearisation.py",
+        ("tests/estimators/test_joint_jacobians.py", "tests/estimators/test_drift_states.py"),
+        (
+            "add_windows",
+            "add_rotations",
+            "add_fixture_attitudes",
+            "_transition",
+            "add_alignment",
+            "add_bias_walk",
+            "add_prior",
+        ),
+        (("variance = joint.alignment_sigma**2", "variance = 0.25 * joint.alignment_sigma**2"),),
+    ),
+    Subject(
+        "moves",
+        "srt/sequences/moves.py",
+        ("tests/estimators/test_moves.py", "tests/sequences/test_recognition.py"),
+        ("_is_move",),
+        (
+            ("before.id is not None and after.id is not None", "(before.id is not None or after.id is not None)"),
+            ("if before.pose or after.pose:", "if before.pose and after.pose:"),
+            ("slice(first.start, last.stop)).size", "slice(first.start, first.stop)).size"),
+            ("per_sample > MIN_TURN_RAD", "per_sample > 0.0 * MIN_TURN_RAD"),
+            ('if recording.kind == "rate" else 1.0', 'if recording.kind != "rate" else 1.0'),
+        ),
+    ),
+    Subject(
+        "moves that contradict",
+        "srt/estimation/move_checks.py",
+        ("tests/estimators/test_moves.py",),
+        (),
+        (
+            ("off > _GROSS_RAD", "off > 1e3 * _GROSS_RAD"),
+            ("not is_move[worst] or probability", "is_move[worst] and probability"),
+            ("probability > SUSPECT_PROBABILITY", "probability > 0.0 * SUSPECT_PROBABILITY"),
+            ("scale = max(1.0,", "scale = max(1e9,"),
+        ),
+    ),
+    Subject(
+        "verdict",
+        "srt/result/verdict.py",
+        ("tests/result/test_verdict.py", "tests/estimation/test_sigma_inflation.py"),
+        (),
+        (
+            ("MISFIT_PROBABILITY: Final = 1e-3", "MISFIT_PROBABILITY: Final = 1e-2"),
+            ("UNUSUAL: Final = 0.05", "UNUSUAL: Final = 0.1"),
+            ("LARGEST_RATIO: Final = 3.0", "LARGEST_RATIO: Final = 30.0"),
+            ("_MANY: Final = 30", "_MANY: Final = 300"),
+            ("p > 1.0 - MISFIT_PROBABILITY", "p > 1.0 + MISFIT_PROBABILITY"),
+            ("word = DOUBTFUL if added or found else SOUND", "word = DOUBTFUL if added else SOUND"),
+            ('f["effect"].startswith("exit")', 'f["effect"].startswith("no")'),
+            ("stdtrit(freedom, 0.975)", "stdtrit(freedom, 0.95)"),
+            ("    if overridden:", "    if False:"),
+        ),
+    ),
+    Subject(
+        "digest",
+        "srt/result/json_file.py",
+        (
+            "tests/result/test_calibration.py",
+            "tests/reports/test_certificate_edits.py",
+            "tests/cli/test_cli_certificate.py",
+        ),
+        (),
+        (
+            ("document[_DIGEST] != _digest(document)", "False"),
+            ("if not trust and _DIGEST", "if trust and _DIGEST"),
+            ("if not trust and _DIGEST in document and", "if _DIGEST in document and"),
+            (
+                "for key, value in document.items() if key != _DIGEST",
+                'for key, value in document.items() if key not in (_DIGEST, "parameters")',
+            ),
+        ),
+    ),
+    Subject(
+        "applied calibrations",
+        "srt/result/triad_inverse.py",
+        ("tests/result/test_apply.py",),
+        ("*",),
+        without_effect=("-1", "-2"),  # of an array with three axes
+    ),
+    Subject("export: linear part", "srt/exporters/linear_model.py", ("tests/exporters",), ("*",)),
+    Subject("export: forward models", "srt/exporters/forward_models.py", ("tests/exporters",), ("*",)),
+    Subject("export: inverse models", "srt/exporters/inverse_models.py", ("tests/exporters",), ("*",)),
+    Subject("export: KF-GINS", "srt/exporters/kf_gins.py", ("tests/exporters",), ("*",)),
+    Subject("export: parameter files", "srt/exporters/parameter_files.py", ("tests/exporters",), ("*",)),
+    Subject("export: preintegration", "srt/exporters/preintegration.py", ("tests/exporters",), ("*",)),
+    Subject("export: C header", "srt/exporters/c_header.py", ("tests/exporters/test_c_header.py",), ("*",)),
+)
