@@ -254,13 +254,13 @@ class JointModel:
 
     def compensate(self, state: JointState) -> CompensatedData:
         """Compensate the recorded data with an estimate, and integrate the rotations."""
-        windows = self.data.windows
         gyro, accel = gyro_triad(state.errors), accel_triad(state.errors)
         slope = np.linalg.inv(gyro.matrix)
         deviation = state.bias_deviation @ slope.T
-        force, rate = accel.compensate(windows.accel_mean), gyro.compensate(windows.gyro_mean)
+        gyro_mean, accel_mean = self.data.means(gyro, accel)
+        force, rate = accel.compensate(accel_mean), gyro.compensate(gyro_mean)
         force_jacobian = model.force_error_jacobian(force, accel)
-        rate_jacobian = model.rate_error_jacobian(rate, gyro)
+        rate_jacobian = model.rate_error_jacobian(rate, gyro, self.data.rectified(gyro, accel)[0])
         raw_rate, raw_force = rate, force
         rate = rate - deviation[self.window_sequence]
         deviation = deviation + self.drift.raw("gyro", state.drift, "parts").mean(axis=1) @ slope.T

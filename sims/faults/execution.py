@@ -15,7 +15,7 @@ from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import run_schedule
 from sims.scenarios.simulation import schedule_of
-from srt.constants import DEG
+from srt.constants import DEG, MICRO_G
 
 if TYPE_CHECKING:
     from sims.faults.injection import Case
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 
 
 _IDS: Final = tuple(TABLE_1)
+_VIBRATION_HZ: Final = 23.0
+"""Frequency of a machine at 1400 rotations a minute."""
+_VIBRATION_M_S2_PER_URAD: Final = 3e3 * MICRO_G / 5.0
+"""Linear vibration that accompanies the angular one."""
 
 
 # --- sequences and labels --------------------------------------------------------------------------------------------
@@ -190,6 +194,20 @@ def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     axis = np.cross(force, rng.standard_normal(3))
     vector = severity * 1e-6 * (b - a) * axis / np.linalg.norm(axis)
     return _read(case, slipped(motion, a, b - a, vector, steady=True), rng)
+
+
+@injection("vibration", 5.0, "µrad at 23 Hz, and 3 mg")
+def vibration(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A machine shakes the table throughout the test: by an angle of ``severity``, and linearly in proportion to it."""
+    angle, force = (x / np.linalg.norm(x) for x in rng.standard_normal((2, 3)))
+    motion = disturbances.vibrating(
+        case.simulation.motion,
+        _VIBRATION_HZ,
+        1e-6 * severity * angle,
+        _VIBRATION_M_S2_PER_URAD * severity * force,
+        phase_rad=float(rng.uniform(0.0, 2.0 * math.pi)),
+    )
+    return _read(case, motion, rng)
 
 
 @injection("noisy_window", 3.0, "times the noise")

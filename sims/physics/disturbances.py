@@ -4,6 +4,7 @@ There are three kinds. Each function returns a new object and does not change it
 
     draw   = wrong_angle(draw, sequence, leg, error_rad)              # on the fixture, before the motion
     motion = tilt_step(motion, time_s, vector_rad)                    # on the true motion, before the read-out
+    motion = vibrating(motion, frequency_hz, angle_rad, force_m_s2)
     record = lose_samples(record, start_s, duration_s)                # on the samples
     record = accel_bias_step(record, start_s, end_s, step_m_s2)
     record = noisier_window(record, (start_s, end_s), factor, gyro_noise, accel_noise, rng)
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -35,6 +36,10 @@ if TYPE_CHECKING:
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording
     from srt.types import Array, Sensor
+
+
+_NODES: Final = 12
+"""Nodes of Gauss quadrature over a sample."""
 
 
 def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike) -> TrueMotion:
@@ -79,7 +84,7 @@ def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike)
     step, stop = _sample_and_end_of_piece(motion, time_s)
     during, after = slice(step, step + 1), slice(step + 1, stop)
     # For rows, multiplication with Exp(v) is Exp(-v) for columns; during the step, the mean over the sample applies.
-    nodes, weights = legendre.leggauss(12)
+    nodes, weights = legendre.leggauss(_NODES)
     part = np.multiply.outer(0.5 * (1.0 + nodes), vector)
     mean_turn = np.einsum("k,kij->ij", 0.5 * weights, rotation(part))
     turn = rotation(vector)
@@ -108,6 +113,50 @@ def tilt_step(motion: TrueMotion, time_s: float, rotation_vector_rad: ArrayLike)
         velocity_abs=velocity_abs,
         attitudes=attitudes,
     )
+
+
+def vibrating(
+    motion: TrueMotion, frequency_hz: float, angle_rad: ArrayLike, force_m_s2: ArrayLike, *, phase_rad: float = 0.0
+) -> TrueMotion:
+    """True motion on a vibrating table: B oscillates by a small angle, and linearly, throughout the run.
+
+    The attitude C becomes C·Exp(v sin u), u = 2π f t + phase. Every vector x in B becomes x − v sin u × x, the rate
+    v·du/dt·cos u is added, and the specific force of the linear vibration. Second-order terms in v are neglected.
+
+    Parameters
+    ----------
+    motion : TrueMotion
+    frequency_hz : float
+        f.
+    angle_rad : array_like, shape (3,), rad
+        v in body axes.
+    force_m_s2 : array_like, shape (3,), m/s²
+        Amplitude of the specific force of the linear vibration, in body axes, in phase with the angle.
+    phase_rad : float
+        Phase at time zero.
+
+    Raises
+    ------
+    InputError
+        If an amplitude has another shape or is not finite.
+    """
+    v, a = _vector("The angle of a vibration", angle_rad), _vector("The force of a vibration", force_m_s2)
+    w, dt = 2.0 * math.pi * frequency_hz, motion.interval
+    nodes, weights = legendre.leggauss(_NODES)
+    u = w * (motion.time[:, None] - dt + 0.5 * dt * (1.0 + nodes)) + phase_rad
+    share = 0.5 * weights
+
+    def shaken(old: Array, old_absolute: Array, added: Array) -> tuple[Array, Array]:
+        # The motion without vibration is taken as constant within a sample; ``added`` has shape (n, nodes, 3).
+        new = old + dt * np.einsum("q,nqc->nc", share, added)
+        absolute = dt * np.einsum("q,nqc->nc", share, np.abs(old[:, None] / dt + added))
+        return new, absolute + np.maximum(old_absolute - np.abs(old), 0.0)
+
+    sin, cos = np.sin(u)[:, :, None], np.cos(u)[:, :, None]
+    turned, tilted = (-np.cross(v, values / dt)[:, None] for values in (motion.angle, motion.velocity))
+    angle, angle_abs = shaken(motion.angle, motion.angle_abs, w * cos * v + sin * turned)
+    velocity, velocity_abs = shaken(motion.velocity, motion.velocity_abs, sin * (tilted + a))
+    return replace(motion, angle=angle, angle_abs=angle_abs, velocity=velocity, velocity_abs=velocity_abs)
 
 
 def lose_samples(

@@ -15,6 +15,7 @@ from srt.diagnosis import (
     site,
     timing,
     units,
+    vibration,
     window_disturbances,
 )
 from srt.diagnosis.evidence import Evidence, plain
@@ -35,6 +36,7 @@ _MODULES: Final = (
     clipping,
     axes,
     sequences,
+    vibration,
     window_disturbances,
     sensor_synchronisation,
     site,

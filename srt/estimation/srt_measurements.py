@@ -236,10 +236,10 @@ class SrtProcessor:
         """
         data, U = self.data, np.eye(3) if U is None else U
         gyro, accel = gyro_triad(errors), accel_triad(errors)
-        force = accel.compensate(data.windows.accel_mean)
-        stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, g_sensitivity)
+        gyro_mean, accel_mean = data.means(gyro, accel)
+        force = accel.compensate(accel_mean)
+        stream, gyro_mean, poses = self._without_g_sensitivity(accel, force, gyro_mean, g_sensitivity)
         rate = gyro.compensate(gyro_mean)
-        nominal_vertical = nominal_vertical and data.nominal is not None
         earth_rate, down = self._earth_rate(U, force[data.start], nominal_vertical)
         earth_rate = earth_rate if earth_rate_offset is None else earth_rate + earth_rate_offset
         sample = data.noise.gyro_sample(data.recording.nominal_interval_s)
@@ -279,21 +279,21 @@ class SrtProcessor:
             accel=accel,
             U=self._orientation(integrals, force, U),
             integrated=self.integrated,
-            nominal_vertical=nominal_vertical,
+            nominal_vertical=nominal_vertical and data.nominal is not None,
             stated=self._stated,
             poses=poses,
         )
 
     def _without_g_sensitivity(
-        self, accel: Triad, force: Array, matrix: Array | None
+        self, accel: Triad, force: Array, gyro_mean: Array, matrix: Array | None
     ) -> tuple[GyroStream, Array, PoseRegression | None]:
         """Gyro samples and window means less Γ f̂, and the regression that estimates Γ; None if it is not estimated."""
         data = self.data
         if not self._g_sensitive or self._force is None:
-            return self._stream, data.windows.gyro_mean, None
+            return self._stream, gyro_mean, None
         matrix = np.zeros((3, 3)) if matrix is None else matrix
         stream = compensate_stream(self._stream, self._force, accel, matrix)
-        return stream, data.windows.gyro_mean - force @ matrix.T, pose_regression(force, self._pool, data.gravity)
+        return stream, gyro_mean - force @ matrix.T, pose_regression(force, self._pool, data.gravity)
 
     def _jacobian(self, horizontal: Array, force: Array, rate: Array, gyro: Triad, accel: Triad) -> Array:
         """Derivative of z with respect to the sensor errors ([P] eqs. 3-5), shape (2 K + W + 3, 27)."""
@@ -301,7 +301,7 @@ class SrtProcessor:
             [
                 horizontal.reshape(2 * self.data.K, -1),
                 model.down_jacobian(force, accel),
-                np.tensordot(self._pool, model.rate_error_jacobian(rate, gyro), 1),
+                np.tensordot(self._pool, model.rate_error_jacobian(rate, gyro, self.data.rectified(gyro, accel)[0]), 1),
             ]
         )
 

@@ -142,7 +142,7 @@ def force_error_jacobian(f: Array, accel: Triad) -> Array:
     return out
 
 
-def rate_error_jacobian(omega: Array, gyro: Triad) -> Array:
+def rate_error_jacobian(omega: Array, gyro: Triad, rectified: Array | float = 0.0) -> Array:
     """Derivative of the compensated angular rate with respect to the 27 errors, shape (n, 3, 27).
 
     Parameters
@@ -151,13 +151,15 @@ def rate_error_jacobian(omega: Array, gyro: Triad) -> Array:
         Compensated rate in B.
     gyro : Triad
         Errors that it was compensated with.
+    rectified : ndarray, shape (n, 3), rad/s, optional
+        Mean of |ω| over |ω| of the mean, by vibration.
     """
     J = np.zeros((len(omega), 3, N_PARAMETERS))
     # δω = D (δMg ω̂ + δκ_Asym ∘ |ω̂| + δκ_Bias)  ([P] eqs. 6-11)
     linear = np.einsum("pbc,nc->nbp", GYRO_BASIS, omega)
     J[:, :, _S["gyro_scale"]] = linear[:, :, :3]
     J[:, :, _S["gyro_orthogonality"]] = linear[:, :, 3:]
-    J[:, :, _S["gyro_asymmetry"]] = np.abs(omega)[:, :, None] * np.eye(3)
+    J[:, :, _S["gyro_asymmetry"]] = (np.abs(omega) + rectified)[:, :, None] * np.eye(3)
     J[:, :, _S["gyro_bias"]] = np.eye(3)
     out: Array = gyro.sensitivity(omega) @ J
     return out

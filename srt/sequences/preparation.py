@@ -16,11 +16,13 @@ from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, 
 from srt.noise.drift_forms import DriftShape, Intervals, drift_shapes
 from srt.noise.noise_model import NoiseModel, noise_model
 from srt.sequences.manoeuvres import end_attitude
+from srt.sequences.vibration import Vibration, rectified, vibration
 from srt.sequences.window_means import Windows, average_windows, averaging_weights
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from srt.model.sensor_model import Triad
     from srt.recording.recording import Recording, SequenceLabel
     from srt.sequences.window_means import Average
     from srt.types import Array, Indices, Mask
@@ -166,6 +168,36 @@ class PreparedRecording:
         return np.stack([self.windows.samples[self.start, 1], self.windows.samples[self.end, 0]], axis=1)
 
     @cached_property
+    def vibration(self) -> Vibration | None:
+        """Line of the spectrum of the windows; None if there is none."""
+        samples = self.windows.samples
+        key = ("vibration", samples.tobytes())
+        return self.recording.memo(key, lambda: vibration(self.recording, samples, self.noise))
+
+    def means(self, gyro: Triad, accel: Triad) -> tuple[Array, Array]:
+        """Mean readings of gyros and accelerometers in every window, (W, 3), less vibration and its rectified part."""
+        windows, line = self.windows, self.vibration
+        if line is None:
+            return windows.gyro_mean, windows.accel_mean
+        rate, force = self.rectified(gyro, accel)
+        of_gyro, of_accel = line.means(windows.samples, self.average)
+        rest = windows.gyro_mean - of_gyro - gyro.asymmetry * rate
+        return rest, windows.accel_mean - of_accel - accel.asymmetry * force
+
+    def rectified(self, gyro: Triad, accel: Triad) -> tuple[Array, Array]:
+        """Mean of the absolute values of the channels in every window over the absolute mean, by vibration, (W, 3).
+
+        Of rates, rad/s, and of specific forces, m/s²: asymmetry makes a bias of it.
+        """
+        means = (("gyro", gyro, self.windows.gyro_mean), ("accel", accel, self.windows.accel_mean))
+        if self.vibration is None:
+            zero = np.zeros(self.windows.gyro_mean.shape)
+            return zero, zero
+        line = self.vibration
+        rate, force = (rectified(t.compensate(mean), line.amplitude(sensor, t)) for sensor, t, mean in means)
+        return rate, force
+
+    @cached_property
     def drift(self) -> DriftDraws:
         """Unit draws of the drift that bias instability brings into windows and rotations."""
         return drift_draws(self.windows.samples, self.rotation, self.recording.time)
@@ -261,7 +293,19 @@ class PreparedRecording:
             rates=recording.kind == "rate",
             F=F,
         )
+        self._remove_vibration(stream, open_start, open_end)
         return stream, force, weights
+
+    def _remove_vibration(self, stream: GyroStream, open_start: Mask, open_end: Mask) -> None:
+        """Let the rotations begin and end at the mean attitude of the windows, which a vibrating unit leaves."""
+        if self.vibration is None:
+            return
+        angles = self.vibration.angles(self.windows.samples)
+        for k, (first, last) in enumerate(stream.rotation.tolist()):
+            if not open_start[k]:
+                stream.increments[:, first] += angles[self.start[k], 1]
+            if not open_end[k]:
+                stream.increments[:, last - 1] -= angles[self.end[k], 0]
 
 
 def move_title(label: SequenceLabel) -> str:

@@ -39,6 +39,7 @@ FAULTS = (
     "sequence_missing",
     "sequence_repeated",
     "window_short",
+    "vibration",
     "unsettled",
     "bump",
     "creep",

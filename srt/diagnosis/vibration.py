@@ -1,0 +1,51 @@
+"""Vibration of the unit in the stationary windows: its frequency and size, and the bias that asymmetry makes of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.constants import DEG_PER_H, MICRO_G
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.triad_fits import raw_triads
+from srt.model.sensor_model import Triad
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+    from srt.types import Array
+
+
+_ASYMMETRY: Final = 1e-4
+"""Asymmetry for which the rectified bias is told: 100 ppm."""
+
+
+@check("vibration")
+def vibration(evidence: Evidence) -> Iterator[Finding]:
+    """Name the strongest line in the spectrum of the windows."""
+    data = evidence.data
+    if data is None or data.vibration is None:
+        return
+    gyro, accel, bias = raw_triads(evidence)
+    none = np.zeros(3)
+    # Over the poses the Earth rate averages out of the rates at rest.
+    triads = Triad(gyro, none, data.windows.gyro_mean.mean(axis=0)), Triad(accel, none, bias)
+    line = data.vibration
+    rate, force = (line.amplitude(name, triad) for name, triad in zip(("gyro", "accel"), triads, strict=True))
+    rectified = [float(_ASYMMETRY * values.max()) for values in data.rectified(*triads)]
+    yield finding(
+        "vibration",
+        frequency_hz=line.frequency_hz,
+        angle_urad=1e6 * _typical(rate) / (2.0 * np.pi * line.frequency_hz),
+        force_mg=_typical(force) / (1e3 * MICRO_G),
+        gyro_deg_h=rectified[0] / DEG_PER_H,
+        accel_ug=rectified[1] / MICRO_G,
+    )
+
+
+def _typical(amplitude: Array) -> float:
+    """Median over the windows of the amplitude along the direction of the vibration, from three channels in phase."""
+    return float(np.median(np.linalg.norm(amplitude, axis=1)))

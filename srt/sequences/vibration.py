@@ -1,0 +1,220 @@
+"""Vibration in the stationary windows: a line of the spectrum at one frequency, and its effect on means and rotations.
+
+A vibrating unit is stationary on average. Three effects remain. The attitude at the edge of a window, where a rotation
+begins or ends, differs from the mean attitude of the window by the angle of the vibration at that time. A window does
+not hold whole periods. And asymmetry rectifies the vibration of a channel that is otherwise at rest: the mean of
+``|m + A sin u|`` exceeds ``|m|`` if A does. They follow from amplitude and phase in the windows, and are removed. In
+the rotations every sample is compensated by its sign; changes of sign within a sample are neglected.
+
+Detection: a bin of the spectrum stands out in a window if the power of a channel over the mean power of the
+neighbouring bins, an F-ratio with 2 and 2 n degrees of freedom, is large. It is a line if it stands out in more than
+half of the windows. The probability of that for any bin and sensor of a recording with smooth spectra is at most
+:data:`FALSE_ALARM` (Bonferroni's inequality and the binomial distribution).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import binom
+
+from srt.noise.noise_model import smallest_step
+from srt.sequences.window_means import averaging_weights
+
+if TYPE_CHECKING:
+    from srt.model.sensor_model import Triad
+    from srt.noise.noise_model import NoiseModel
+    from srt.recording.recording import Recording
+    from srt.sequences.window_means import Average
+    from srt.types import Array, Indices
+
+
+FALSE_ALARM: Final = 1e-5
+"""Probability of a line in a recording without vibration."""
+_NEIGHBOURS: Final = 20
+"""Bins on either side whose mean is the power without a line."""
+_LOWEST: Final = 10
+"""Lowest bin that is tested: slower motion is drift or creep."""
+_FEWEST_SAMPLES: Final = 256
+"""Samples of a window from which the spectrum of its second half has enough bins."""
+_FEWEST_WINDOWS: Final = 4
+"""Windows from which a line is told."""
+_REFINED: Final = 81
+_REFINED_BINS: Final = 2.0
+"""Number of frequencies tried, and bins on either side of the line; that with the most power is taken."""
+_DITHERED: Final = 2.0
+"""Random walk over a window, in quantization steps, from which pulses have no line: it would be 20 bins wide. Pulses of
+a quieter unit at rest are periodic, with an amplitude of less than one step."""
+_STEP_SAMPLES: Final = 4000
+"""Samples from which the quantization step is taken where it is not stated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vibration:
+    """Line at one frequency.
+
+    Attributes
+    ----------
+    frequency_hz : float
+    gyro, accel : ndarray of complex, shape (W, 3), rad/s and m/s²
+        Amplitude of the raw channels in every window, with the phase at the first sample.
+    interval_s : float
+        Sampling interval. Readings are means over it, which attenuates the amplitude.
+    """
+
+    frequency_hz: float
+    gyro: Any
+    accel: Any
+    interval_s: float
+
+    @property
+    def _half_step(self) -> float:
+        """Half the phase of a sampling interval, rad."""
+        return float(np.pi * self.frequency_hz * self.interval_s)
+
+    def amplitude(self, sensor: str, triad: Triad) -> Array:
+        """Amplitude of the compensated channels, not attenuated by the sampling, shape (W, 3), rad/s or m/s²."""
+        raw = self.gyro if sensor == "gyro" else self.accel
+        attenuation = np.sinc(self._half_step / np.pi)
+        return np.asarray(np.abs(raw @ np.linalg.inv(triad.matrix).T) / attenuation)
+
+    def angles(self, samples: Indices) -> Array:
+        """Raw angle at the first and last edge of every window less its mean over the window, shape (W, 2, 3), rad."""
+        step = 2.0 * self._half_step
+        n = samples[:, 1] - samples[:, 0]
+        # θ(k) − θ(k−1) is the increment of sample k, Re(Z exp(i step (k − 1)) dt) with k = 1 the first sample.
+        per_edge = self.gyro * self.interval_s / (2j * np.sin(0.5 * step)) * np.exp(-0.5j * step)
+        edges = np.exp(1j * step * np.stack([np.zeros(len(n)), n], axis=1))
+        # The mean over the window of exp(i step k) for k from 0 to n, between the edges.
+        mean = np.exp(0.5j * step * n) * np.sinc(0.5 * step * n / np.pi)
+        return np.asarray(((edges - mean[:, None])[:, :, None] * per_edge[:, None]).real)
+
+    def means(self, samples: Indices, average: Average) -> tuple[Array, Array]:
+        """Mean of the raw line over every window, (W, 3): gyros, and accelerometers by the averaging algorithm.
+
+        It is small, but not zero unless the window holds whole periods.
+        """
+        step, out = 2.0 * self._half_step, np.empty((2, len(samples)), dtype=np.complex128)
+        for w, n in enumerate((samples[:, 1] - samples[:, 0]).tolist()):
+            turns = np.exp(1j * step * np.arange(n))
+            out[:, w] = turns.mean(), averaging_weights(n, average) @ turns
+        return (out[0][:, None] * self.gyro).real, (out[1][:, None] * self.accel).real
+
+
+def rectified(mean: Array, amplitude: Array) -> Array:
+    """Mean of ``|m + A sin u|`` over u less ``|m|``, elementwise."""
+    size = np.maximum(amplitude, np.finfo(float).tiny)
+    x = np.minimum(np.abs(mean) / size, 1.0)
+    return np.asarray(size * (2.0 / np.pi * (np.sqrt(1.0 - x**2) + x * np.arcsin(x)) - x))
+
+
+def vibration(recording: Recording, samples: Indices, noise: NoiseModel) -> Vibration | None:
+    """Find the strongest line in the windows; None if there is none.
+
+    Parameters
+    ----------
+    recording : Recording
+    samples : ndarray of int, shape (W, 2)
+        First sample of every window and one past the last.
+    noise : NoiseModel
+        Noise of the unit: a line below one quantization step may be that of the pulses.
+    """
+    length = samples[:, 1] - samples[:, 0]
+    chosen = samples[length >= max(_FEWEST_SAMPLES, int(np.median(length)) // 2)]
+    if len(chosen) < _FEWEST_WINDOWS:
+        return None
+    # The second halves: what decays after a rotation is no vibration.
+    n, dt = int((chosen[:, 1] - chosen[:, 0]).min()) // 2, recording.nominal_interval_s
+    found = []
+    for sensor in ("gyro", "accel"):
+        table = getattr(recording, sensor) if recording.kind == "rate" else getattr(recording, sensor) / dt
+        power, ratio = _spectra(np.stack([table[b - n : b] for _, b in chosen.tolist()]))
+        tests = 2 * (ratio.shape[1] - _LOWEST)
+        more_than_half = len(chosen) // 2 + 1
+        stands_out = np.sort(ratio, axis=0)[-more_than_half] > _limit(len(chosen), tests)
+        stands_out[:_LOWEST] = False
+        # Amplitude of the integral, angle or velocity, of all channels.
+        bins = np.maximum(np.arange(ratio.shape[1]), 1)
+        size = np.sqrt(np.median(power.sum(axis=2), axis=0)) * 2.0 / n / (2.0 * np.pi * bins / (n * dt))
+        walk, step = getattr(noise, f"{sensor}_white") * np.sqrt(n * dt), _step(recording, sensor, chosen)
+        stands_out &= size > np.where(walk < _DITHERED * step, step, 0.0).max()
+        if stands_out.any():
+            score = np.where(stands_out, np.median(ratio, axis=0), 0.0)
+            found.append((float(score.max()), int(np.argmax(score))))
+    if not found:
+        return None
+    frequency = _refined(recording, chosen, 2 * n, 2 * max(found)[1])
+    return Vibration(frequency, *_fitted(recording, samples, frequency), dt)
+
+
+def _step(recording: Recording, sensor: str, windows: Indices) -> Array:
+    """Quantization step of angle or velocity, as stated or else the smallest between readings at rest, shape (3,)."""
+    stated = getattr(recording.noise, f"{sensor}_quantization")
+    if stated is not None:
+        return np.full(3, stated)
+    some = np.concatenate([getattr(recording, sensor)[a:b] for a, b in windows.tolist()])
+    step = smallest_step(some[:: max(1, len(some) // _STEP_SAMPLES)])
+    return step * recording.nominal_interval_s if recording.kind == "rate" else step
+
+
+def _limit(windows: int, tests: int) -> float:
+    """F-ratio above which a bin stands out in a window, for a false-alarm probability over all windows and tests."""
+    chance = np.log(FALSE_ALARM / tests)
+
+    def excess(log_single: float) -> float:
+        return float(binom.logsf(windows // 2, windows, np.exp(log_single)) - chance)
+
+    # Any of the three channels of a window. With 2 and 2 m degrees of freedom, P(F > t) = (1 + t / m)^−m.
+    single, m = np.exp(brentq(excess, np.log(1e-12), np.log(0.5))) / 3.0, 2.0 * _NEIGHBOURS
+    return float(m * (single ** (-1.0 / m) - 1.0))
+
+
+def _spectra(x: Array) -> tuple[Array, Array]:
+    """Periodograms of detrended windows (V, n, 3), shape (V, F, 3), and their largest ratio to neighbours, (V, F)."""
+    n = x.shape[1]
+    time = np.arange(n) - 0.5 * (n - 1)
+    x = x - x.mean(axis=1, keepdims=True)
+    x = x - time[:, None] * np.einsum("t,vtc->vc", time / (time @ time), x)[:, None]
+    power = np.abs(np.fft.rfft(x, axis=1)) ** 2
+    total = np.concatenate([np.zeros((len(x), 1, 3)), np.cumsum(power, axis=1)], axis=1)
+    F = power.shape[1]
+    k = np.arange(F)
+    # The same number of neighbours at the ends of the spectrum; the line itself reaches into the next bins.
+    first = np.clip(k - _NEIGHBOURS - 1, 0, max(F - 2 * _NEIGHBOURS - 3, 0))
+    last = np.minimum(first + 2 * _NEIGHBOURS + 3, F)
+    low, high = np.maximum(k - 1, first), np.minimum(k + 2, last)
+    around = (total[:, last] - total[:, first]) - (total[:, high] - total[:, low])
+    level = around / (last - first - (high - low))[:, None]
+    ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0.0)
+    return power, ratio.max(axis=2)
+
+
+def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:
+    """Frequency near bin k of windows of n samples with the most power in all channels, each over its own, Hz."""
+    f = (k + np.linspace(-_REFINED_BINS, _REFINED_BINS, _REFINED)) / n
+    turns = np.exp(-2j * np.pi * np.multiply.outer(f, np.arange(n)))
+    total = np.zeros(_REFINED)
+    for a, _ in windows.tolist():
+        x = np.concatenate([recording.gyro[a : a + n], recording.accel[a : a + n]], axis=1)
+        x = x - x.mean(axis=0)
+        own = np.maximum(np.sum(x**2, axis=0), np.finfo(float).tiny)
+        total += np.sum(np.abs(turns @ x) ** 2 / own, axis=1)
+    return float(f[np.argmax(total)] / recording.nominal_interval_s)
+
+
+def _fitted(recording: Recording, samples: Indices, frequency_hz: float) -> tuple[Any, Any]:
+    """Complex amplitude of the raw channels in every window by least squares, with a constant and a trend."""
+    dt = recording.nominal_interval_s
+    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
+    out = np.empty((len(samples), 6), dtype=np.complex128)
+    for w, (a, b) in enumerate(samples.tolist()):
+        k = np.arange(b - a)
+        phase = 2.0 * np.pi * frequency_hz * dt * k
+        A = np.column_stack([np.cos(phase), np.sin(phase), np.ones(b - a), k / (b - a)])
+        x = np.concatenate([recording.gyro[a:b], recording.accel[a:b]], axis=1) * factor
+        c = np.linalg.lstsq(A, x)[0]
+        out[w] = c[0] - 1j * c[1]
+    return out[:, :3], out[:, 3:]

@@ -1,0 +1,102 @@
+"""Vibration in the windows: false alarms on white noise, size and frequency, and its removal from the measurements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from sims.physics.disturbances import vibrating
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.table_motion import table1_motion
+from srt.constants import ARCSEC, DEG_PER_SQRT_H, MICRO_G
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import SrtProcessor
+from srt.recording.recording import Site
+from srt.sensor_errors import N_PARAMETERS, SensorErrors
+from srt.sequences import vibration as lines
+from srt.sequences.checked_preparation import prepare_checked
+
+SITE = Site(9.80665, 5e-6, 0.8)
+ANGLE_RAD, FORCE_M_S2, HZ = 5e-5, 0.03, 23.3
+DIRECTION = np.array([0.48, -0.6, 0.64])
+FINE = ImuModel(gyro_noise=1e-4 * DEG_PER_SQRT_H, accel_noise=0.1 * MICRO_G)
+PERFECT = SensorErrors(np.zeros(N_PARAMETERS))
+ASYMMETRIC = SensorErrors.from_dict({f"{s}_asymmetry_{a}": 1e-4 for s in ("gyro", "accel") for a in "xyz"})
+
+
+@cache
+def motion():
+    return table1_motion(site=SITE, sequences=("1", "7", "13"), sample_rate_hz=100.0, heading_rad=0.3, dwell_s=6.0)
+
+
+def prepared(recording):
+    return prepare_checked(recording, recording.sequences, "linear")
+
+
+@cache
+def vibrating_unit(errors, kind):
+    shaken = vibrating(motion(), HZ, ANGLE_RAD * DIRECTION, FORCE_M_S2 * DIRECTION[::-1], phase_rad=1.0)
+    recordings = [read_out(m, errors, FINE, np.random.default_rng(3), kind=kind) for m in (shaken, motion())]
+    return [prepared(recording) for recording in recordings]
+
+
+def test_a_bin_of_white_noise_stands_out_with_the_stated_probability():
+    """The F-ratio of any of three channels exceeds the limit for p = 1e-3 in as many bins as that, or fewer."""
+    x = np.random.default_rng(20261122).standard_normal((100, 600, 3))
+    _, ratio = lines._spectra(x)
+    tested = ratio[:, lines._LOWEST :]
+    m, p = 2.0 * lines._NEIGHBOURS, 1e-3
+    above = int(np.count_nonzero(tested > m * ((p / 3.0) ** (-1.0 / m) - 1.0)))
+    # Neighbouring bins share their level, which a factor of two in the variance covers generously.
+    assert binom.ppf(1e-4, tested.size, p) / 2.0 < above < 2.0 * binom.isf(1e-4, tested.size, p)
+
+
+@pytest.mark.parametrize("windows", [4, 34, 200])
+def test_the_limit_gives_the_false_alarm_probability(windows):
+    """Of all bins and both sensors: more than half of the windows above the limit, by the binomial distribution."""
+    tests, m = 1000, 2.0 * lines._NEIGHBOURS
+    single = 3.0 * (1.0 + lines._limit(windows, tests) / m) ** -m
+    assert tests * binom.sf(windows // 2, windows, single) == pytest.approx(lines.FALSE_ALARM, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slow_pulses_are_no_vibration(seed):
+    """A quiet ring laser gyro at rest counts pulses at an even rate, which is a line of less than a pulse."""
+    imu = replace(FINE, gyro_quantization=0.5 * ARCSEC, accel_quantization=1e-5)
+    recording = read_out(motion(), PERFECT, imu, np.random.default_rng(seed), kind="increment")
+    assert prepared(recording).vibration is None
+
+
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+def test_size_and_frequency(kind):
+    data, still = vibrating_unit(PERFECT, kind)
+    assert still.vibration is None
+    line = data.vibration
+    # A tenth of a bin is the spacing of the frequencies that are tried.
+    assert line.frequency_hz == pytest.approx(HZ, abs=0.06 / 6.0)
+    processor = SrtProcessor(data, Options()).process(PERFECT)
+    rate = line.amplitude("gyro", processor.gyro)
+    np.testing.assert_allclose(rate, np.tile(2.0 * np.pi * HZ * ANGLE_RAD * np.abs(DIRECTION), (6, 1)), rtol=0.01)
+
+
+@pytest.mark.parametrize("kind", ["rate", "increment"])
+def test_vibration_is_removed_from_rotations_and_means(kind):
+    """Measurements of a quiet asymmetric unit equal those without vibration to a fiftieth of its effect."""
+    shaken, still = vibrating_unit(ASYMMETRIC, kind)
+    found, expected = (SrtProcessor(data, Options()).process(ASYMMETRIC).z for data in (shaken, still))
+    K = shaken.K
+    change = np.abs(found - expected)
+    # Without correction: g times the angle at two edges; 0.64 of the amplitude times the asymmetry.
+    assert change[: 2 * K].max() < 0.02 * SITE.gravity_m_s2 * ANGLE_RAD
+    assert change[-3:].max() < 0.02 * 0.64e-4 * 2.0 * np.pi * HZ * ANGLE_RAD * np.abs(DIRECTION).min()
+
+
+def test_rectified_mean():
+    u = 2.0 * np.pi * (np.arange(100_000) + 0.5) / 100_000
+    mean, amplitude = np.array([0.0, 0.3, -0.9, 1.5, 0.2]), np.array([1.0, 1.0, 1.0, 1.0, 0.0])
+    expected = np.abs(mean[:, None] + amplitude[:, None] * np.sin(u)).mean(axis=1) - np.abs(mean)
+    np.testing.assert_allclose(lines.rectified(mean, amplitude), expected, atol=1e-9)
