@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 
 def applied_of(text: str, instance: int | None = None) -> AppliedCorrection:
-    """Correction named as "FORMAT:FILE" or "FORMAT.INSTANCE:FILE", or "none" for readings of the sensors themselves.
+    """Correction named as "FORMAT:FILE", or "none" for readings of the sensors themselves.
+
+    Parameters of another IMU than 0 are named as "FORMAT.N:FILE"; "FORMAT.N.M:FILE" if those of the gyros have the
+    number M.
 
     Parameters
     ----------
@@ -38,16 +41,19 @@ def applied_of(text: str, instance: int | None = None) -> AppliedCorrection:
     if text == NOTHING:
         return AppliedCorrection(NOTHING)
     name, colon, path = text.partition(":")
-    target, dot, number = name.partition(".")
-    if not colon or not path or (dot and not number.isdecimal()):
+    target, *numbers = name.split(".")
+    if not colon or not path or len(numbers) > 2 or not all(map(str.isdecimal, numbers)):
         raise InputError(
             f"The applied correction is {text!r}: give FORMAT:FILE, as px4:vehicle.params or px4.1:vehicle.params for "
             "IMU 1, or none."
         )
-    return load_applied(path, target, int(number) if dot else instance)
+    chosen = [int(number) for number in numbers] or [instance or 0]
+    return load_applied(path, target, chosen[0], chosen[-1])
 
 
-def load_applied(path: str | PathLike[str], target: str, instance: int | None = None) -> AppliedCorrection:
+def load_applied(
+    path: str | PathLike[str], target: str, instance: int | None = None, gyro_instance: int | None = None
+) -> AppliedCorrection:
     """Read a file of other software as the correction that readings had before they were logged.
 
     Parameters
@@ -58,6 +64,8 @@ def load_applied(path: str | PathLike[str], target: str, instance: int | None = 
         Name of the format.
     instance : int, optional
         Number of the IMU of an autopilot; default 0.
+    gyro_instance : int, optional
+        Number of the gyros' parameters; default ``instance``.
 
     Returns
     -------
@@ -73,9 +81,11 @@ def load_applied(path: str | PathLike[str], target: str, instance: int | None = 
     try:
         if target in AUTOPILOTS:
             values = parameter_values(texts[""])
-            found = AUTOPILOTS[target].applied(values, instance or 0)
+            first = instance or 0
+            slots = first, first if gyro_instance is None else gyro_instance
+            found = AUTOPILOTS[target].applied(values, slots)
             if found is None:
-                groups = AUTOPILOTS[target].names(instance or 0).values()
+                groups = AUTOPILOTS[target].names(slots).values()
                 missing = next(name for group in groups for name in group if name not in values)
                 raise InputError(
                     f"there is no {missing} in it: save all parameters of the vehicle, or name another IMU "

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from srt.exporters.export_model import ExportModel
     from srt.exporters.file_format import Fields, Texts
-    from srt.recording.autopilots import Autopilot
+    from srt.recording.autopilots import Autopilot, Slots
     from srt.types import Array
 
 
@@ -119,7 +119,7 @@ _SCALE_LIMITS: Final = (0.8, 1.2)
 """ArduPilot's stated ranges of INS_ACCOFFS (m/s²) and INS_ACCSCAL."""
 
 
-def _chosen_instance(model: ExportModel, autopilot: Autopilot) -> int:
+def _chosen_slots(model: ExportModel, autopilot: Autopilot) -> Slots:
     """Instance of the settings, else that of the log. Raises InputError if the two differ or there is none such."""
     of_log = None if model.applied is None else model.applied.instance
     stated = model.settings.instance
@@ -131,14 +131,14 @@ def _chosen_instance(model: ExportModel, autopilot: Autopilot) -> int:
             f"The instance is {instance}, but {autopilot.title} has parameters for 0 to {autopilot.instances - 1}: "
             "give one of these."
         )
-    return instance
+    return (instance, instance) if model.applied is None or of_log is None else model.applied.slots
 
 
 def _ids(model: ExportModel, autopilot: Autopilot) -> dict[str, int]:
     """Parameters that identify the devices, as far as the log states them."""
     if model.applied is None:
         return {}
-    names = autopilot.ids(_chosen_instance(model, autopilot))
+    names = autopilot.ids(_chosen_slots(model, autopilot))
     values = (model.applied.gyro_id, model.applied.accel_id)
     return {name: value for name, value in zip(names, values, strict=True) if value is not None}
 
@@ -155,8 +155,7 @@ def _parameter_values(model: ExportModel) -> dict[str, Array]:
 
 
 def _write_px4(model: ExportModel) -> dict[str, str]:
-    instance = _chosen_instance(model, autopilots.PX4)
-    names, values = autopilots.PX4.names(instance), _parameter_values(model)
+    names, values = autopilots.PX4.names(_chosen_slots(model, autopilots.PX4)), _parameter_values(model)
     # Vehicle, component, name, value, type 9: float, type 6: 32-bit integer.
     lines = [
         f"1\t1\t{name}\t{value:.18f}\t9\n"
@@ -170,8 +169,7 @@ def _write_px4(model: ExportModel) -> dict[str, str]:
 
 
 def _write_ardupilot(model: ExportModel) -> dict[str, str]:
-    instance = _chosen_instance(model, autopilots.ARDUPILOT)
-    names, values = autopilots.ARDUPILOT.names(instance), _parameter_values(model)
+    names, values = autopilots.ARDUPILOT.names(_chosen_slots(model, autopilots.ARDUPILOT)), _parameter_values(model)
     for key in ("accel_offset", "gyro_offset"):
         if not values[key].any():
             raise InputError(
@@ -214,19 +212,17 @@ def parameter_values(text: str) -> dict[str, float]:
     return found
 
 
-def _reader(name_of: Callable[[int], dict[str, tuple[str, ...]]]) -> Callable[[Texts], Fields]:
+def _reader(autopilot: Autopilot) -> Callable[[Texts], Fields]:
     def read(texts: Texts) -> Fields:
         found = parameter_values(texts[""])
-        for instance in range(10):
-            names = name_of(instance)
-            if names["accel_scale"][0] in found:
-                return {
-                    key: single(numbers([found.get(name) for name in group], group[0], (3,)))
-                    for key, group in names.items()
-                }
-        raise InputError(
-            f"there is no {name_of(0)['accel_scale'][0]} in it: it was truncated, or is of another format."
-        )
+        fields = {}
+        for key in autopilot.names((0, 0)):
+            groups = [autopilot.names((n, n))[key] for n in range(autopilot.instances)]
+            group = next((each for each in groups if each[0] in found), None)
+            if group is None:
+                raise InputError(f"there is no {groups[0][0]} in it: it was truncated, or is of another format.")
+            fields[key] = single(numbers([found.get(name) for name in group], group[0], (3,)))
+        return fields
 
     return read
 
@@ -261,7 +257,7 @@ def _px4_limits(model: ExportModel, fields: Fields) -> tuple[str, ...]:
 
 
 def _id_limits(model: ExportModel, autopilot: Autopilot) -> tuple[str, ...]:
-    names = autopilot.ids(_chosen_instance(model, autopilot))
+    names = autopilot.ids(_chosen_slots(model, autopilot))
     missing = [name for name in names if name not in _ids(model, autopilot)]
     if not missing:
         return ()
@@ -283,7 +279,7 @@ PX4: Final = Exporter(
     advice=("Temperature compensation (TC_...) works before these offsets: leave it as it was in the test.",),
     frames=("mars", "table"),
     write=_write_px4,
-    read=_reader(autopilots.PX4.names),
+    read=_reader(autopilots.PX4),
     apply=_apply_parameters,
     within=None,
     imports=False,
@@ -305,7 +301,7 @@ ARDUPILOT: Final = Exporter(
     ),
     frames=("mars", "table"),
     write=_write_ardupilot,
-    read=_reader(autopilots.ARDUPILOT.names),
+    read=_reader(autopilots.ARDUPILOT),
     apply=_apply_parameters,
     within=None,
     imports=False,

@@ -48,6 +48,8 @@ class AppliedCorrection:
         Name of the export format whose parameters applied it, such as "px4"; "none": y are the sensors' readings.
     instance : int or None
         Number of the IMU in the system, from 0.
+    gyro_instance : int or None
+        Number of the gyros' parameters, where it is another than that of the accelerometers.
     gyro_id, accel_id : int or None
         Identification of the devices in the system.
     rotation : ndarray, shape (3, 3)
@@ -69,6 +71,7 @@ class AppliedCorrection:
     instance: int | None = None
     gyro_id: int | None = None
     accel_id: int | None = None
+    gyro_instance: int | None = None
     rotation: Array = field(default_factory=_identity)
     gyro_matrix: Array = field(default_factory=_identity)
     gyro_offset: Array = field(default_factory=lambda: _zero(3))
@@ -92,6 +95,12 @@ class AppliedCorrection:
         for name in ("gyro_matrix", "accel_matrix"):
             if not np.linalg.cond(getattr(self, name)) < 1e6:
                 raise InputError(f"The applied {name} has no inverse: a scale of zero or a row is wrong.")
+
+    @property
+    def slots(self) -> tuple[int, int]:
+        """Numbers of the parameters of accelerometers and gyros; 0 if the instance is not known."""
+        accel = self.instance or 0
+        return accel, accel if self.gyro_instance is None else self.gyro_instance
 
     def undo(self, gyro: Array, accel: Array) -> tuple[Array, Array]:
         """Readings r of the sensors that were logged as these, shapes (n, 3), rad/s and m/s²."""

@@ -8,7 +8,7 @@ offsets come off r before that in both, whatever the parameters here are.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping
 
     from srt.types import Array
+
+Slots: TypeAlias = tuple[int, int]
+"""Numbers of the parameters of accelerometers and gyros."""
 
 _Y: Final = (0, 45, 90, 135, 180, 225, 270, 315)
 ORIENTATIONS: Final[tuple[tuple[float, float, float], ...]] = (
@@ -61,11 +64,12 @@ class Autopilot:
     instances : int
         Number of IMUs that have parameters.
     names : callable
-        From the instance to the parameters of "accel_offset", "accel_scale" and "gyro_offset", three names each.
+        From the slots to the parameters of "accel_offset", "accel_scale" and "gyro_offset", three names each. Slots are
+        the numbers of the parameters of accelerometers and gyros, the instance of the IMU where they do not differ.
     ids : callable
-        From the instance to the parameters that identify the devices: gyro, accelerometer.
+        From the slots to the parameters that identify the devices: gyro, accelerometer.
     rotation : callable
-        From parameters and instance to C.
+        From parameters and slots to C.
     advice : str
         How to list the parameters of a log or a vehicle.
     """
@@ -73,17 +77,17 @@ class Autopilot:
     name: str
     title: str
     instances: int
-    names: Callable[[int], dict[str, tuple[str, ...]]]
-    ids: Callable[[int], tuple[str, str]]
-    rotation: Callable[[Mapping[str, float], int], Array]
+    names: Callable[[Slots], dict[str, tuple[str, ...]]]
+    ids: Callable[[Slots], tuple[str, str]]
+    rotation: Callable[[Mapping[str, float], Slots], Array]
     advice: str
 
-    def relevant(self, instance: int) -> tuple[str, ...]:
+    def relevant(self, slots: Slots) -> tuple[str, ...]:
         """Parameters whose change changes the correction."""
-        return (*(name for group in self.names(instance).values() for name in group), *_ORIENTATION[self.name])
+        return (*(name for group in self.names(slots).values() for name in group), *_ORIENTATION[self.name])
 
     def carried(
-        self, parameters: Mapping[str, float], changed: Container[str], instance: int, notes: list[str]
+        self, parameters: Mapping[str, float], changed: Container[str], slots: Slots, notes: list[str]
     ) -> AppliedCorrection | None:
         """Correction by the parameters of a log; None, with a note, if they do not state one for the whole log.
 
@@ -92,38 +96,41 @@ class Autopilot:
         parameters : mapping of str to float
         changed : container of str
             Parameters that changed within the log.
-        instance : int
+        slots : (int, int)
+            Of accelerometers and gyros.
         notes : list of str
         """
-        moved = [name for name in self.relevant(instance) if name in changed]
+        moved = [name for name in self.relevant(slots) if name in changed]
         if moved:
             notes.append(f"{', '.join(moved)} changed within the log: {self.title}'s calibration is not carried.")
             return None
         try:
-            found = self.applied(parameters, instance)
+            found = self.applied(parameters, slots)
         except InputError as error:
             notes.append(f"{self.title}'s calibration is not carried: {error}")
             return None
         if found is None:
             notes.append(
-                f"The log lacks {self.names(instance)['accel_offset'][0]}: {self.title}'s calibration is unknown."
+                f"The log lacks {self.names(slots)['accel_offset'][0]}: {self.title}'s calibration is unknown."
             )
         else:
-            notes.append(f"{self.title}'s calibration and orientation of IMU {instance} are carried in [imu.applied].")
+            which = f"IMU {slots[0]}" if slots[0] == slots[1] else f"accelerometers {slots[0]} and gyros {slots[1]}"
+            notes.append(f"{self.title}'s calibration and orientation of {which} are carried in [imu.applied].")
         return found
 
-    def applied(self, parameters: Mapping[str, float], instance: int) -> AppliedCorrection | None:
+    def applied(self, parameters: Mapping[str, float], slots: Slots) -> AppliedCorrection | None:
         """Correction by these parameters; None if they do not hold it. Raises InputError for values that cannot be."""
-        found = {key: [parameters.get(name) for name in group] for key, group in self.names(instance).items()}
+        found = {key: [parameters.get(name) for name in group] for key, group in self.names(slots).items()}
         if any(value is None for group in found.values() for value in group):
             return None
-        gyro_id, accel_id = (parameters.get(name) for name in self.ids(instance))
+        gyro_id, accel_id = (parameters.get(name) for name in self.ids(slots))
         return AppliedCorrection(
             self.name,
-            instance,
+            slots[0],
             None if gyro_id is None else int(gyro_id),
             None if accel_id is None else int(accel_id),
-            rotation=self.rotation(parameters, instance),
+            gyro_instance=None if slots[0] == slots[1] else slots[1],
+            rotation=self.rotation(parameters, slots),
             gyro_offset=np.array(found["gyro_offset"], dtype=np.float64),
             accel_matrix=np.diag(np.array(found["accel_scale"], dtype=np.float64)),
             accel_offset=np.array(found["accel_offset"], dtype=np.float64),
@@ -135,29 +142,33 @@ def _names(accel_offset: str, accel_scale: str, gyro_offset: str) -> dict[str, t
     return {key: tuple(pattern.format(axis) for axis in "XYZ") for key, pattern in patterns.items()}
 
 
-def _px4_names(instance: int) -> dict[str, tuple[str, ...]]:
-    return _names(f"CAL_ACC{instance}_{{}}OFF", f"CAL_ACC{instance}_{{}}SCALE", f"CAL_GYRO{instance}_{{}}OFF")
+def _px4_names(slots: Slots) -> dict[str, tuple[str, ...]]:
+    accel, gyro = slots
+    return _names(f"CAL_ACC{accel}_{{}}OFF", f"CAL_ACC{accel}_{{}}SCALE", f"CAL_GYRO{gyro}_{{}}OFF")
 
 
-def _px4_rotation(parameters: Mapping[str, float], instance: int) -> Array:
+def _px4_rotation(parameters: Mapping[str, float], slots: Slots) -> Array:
     # An external sensor has an orientation of its own in place of the board's; the level adjustment is common.
-    own = f"CAL_ACC{instance}_ROT"
-    name = own if parameters.get(own, -1) >= 0 else "SENS_BOARD_ROT"
+    own = f"CAL_ACC{slots[0]}_ROT", f"CAL_GYRO{slots[1]}_ROT"
+    accel, gyro = (name if parameters.get(name, -1) >= 0 else "SENS_BOARD_ROT" for name in own)
+    number = parameters.get(accel, 0)
+    if own[1] in parameters and parameters.get(gyro, 0) != number:
+        raise InputError(f"{accel} and {gyro} turn accelerometers and gyros differently.")
     level = rotation_of(*(parameters.get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"))
-    return level @ orientation(parameters.get(name, 0), name)
+    return level @ orientation(number, accel)
 
 
-def _ardupilot_names(instance: int) -> dict[str, tuple[str, ...]]:
-    n = "" if instance == 0 else str(instance + 1)
+def _ardupilot_names(slots: Slots) -> dict[str, tuple[str, ...]]:
+    n = "" if slots[0] == 0 else str(slots[0] + 1)
     return _names(f"INS_ACC{n}OFFS_{{}}", f"INS_ACC{n}SCAL_{{}}", f"INS_GYR{n}OFFS_{{}}")
 
 
-def _ardupilot_ids(instance: int) -> tuple[str, str]:
-    n = "" if instance == 0 else str(instance + 1)
+def _ardupilot_ids(slots: Slots) -> tuple[str, str]:
+    n = "" if slots[0] == 0 else str(slots[0] + 1)
     return f"INS_GYR{n}_ID", f"INS_ACC{n}_ID"
 
 
-def _ardupilot_rotation(parameters: Mapping[str, float], _: int) -> Array:
+def _ardupilot_rotation(parameters: Mapping[str, float], _: Slots) -> Array:
     return orientation(parameters.get("AHRS_ORIENTATION", 0), "AHRS_ORIENTATION")
 
 
@@ -171,7 +182,7 @@ PX4: Final = Autopilot(
     "PX4",
     4,
     _px4_names,
-    lambda instance: (f"CAL_GYRO{instance}_ID", f"CAL_ACC{instance}_ID"),
+    lambda slots: (f"CAL_GYRO{slots[1]}_ID", f"CAL_ACC{slots[0]}_ID"),
     _px4_rotation,
     "'ulog_params LOG.ulg' lists CAL_ACCn_*, CAL_GYROn_* and SENS_BOARD_*; QGroundControl saves those of a vehicle",
 )

@@ -215,6 +215,7 @@ IMU_KEYS: Final = (
 APPLIED_KEYS: Final = (
     text("system", "system"),
     whole("instance", "instance"),
+    whole("gyro_instance", "gyro_instance"),
     whole("gyro_id", "gyro_id"),
     whole("accel_id", "accel_id"),
     numbers("rotation", "sensor axes to log axes, by rows", "rotation", 9),

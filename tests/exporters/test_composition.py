@@ -66,6 +66,8 @@ def test_the_orientation_whose_name_is_rounded():
 
 
 class Px4:
+    """Accelerometers of the second slot with gyros of the third."""
+
     name = "px4"
     log = "a.ulg"
     suffix = ".params"
@@ -85,10 +87,10 @@ class Px4:
         **{f"SENS_BOARD_{axis}_OFF": float(value) for axis, value in zip(AXES, level, strict=True)},
         **{f"CAL_ACC1_{axis}OFF": float(value) for axis, value in zip(AXES, OFFSET, strict=True)},
         **{f"CAL_ACC1_{axis}SCALE": float(value) for axis, value in zip(AXES, SCALE, strict=True)},
-        **{f"CAL_GYRO1_{axis}OFF": float(value) for axis, value in zip(AXES, GYRO_OFFSET, strict=True)},
+        **{f"CAL_GYRO2_{axis}OFF": float(value) for axis, value in zip(AXES, GYRO_OFFSET, strict=True)},
         **{f"CAL_ACC0_{axis}OFF": 9.0 for axis in AXES},
         "CAL_ACC0_ID": 77, "CAL_GYRO0_ID": 78,
-        "CAL_ACC1_ID": IDS["accel"], "CAL_GYRO1_ID": IDS["gyro"],
+        "CAL_ACC1_ID": IDS["accel"], "CAL_GYRO2_ID": IDS["gyro"],
     }  # fmt: skip
 
     @classmethod
@@ -106,10 +108,10 @@ class Px4:
         """The parameters of a file as a ground station reads it: type 9 is a float, 6 an integer."""
         rows = [line.split("\t") for line in text.splitlines() if not line.startswith("#")]
         found = {row[2]: (int if row[4] == "6" else np.float32)(row[3]) for row in rows}
-        assert (found["CAL_ACC1_ID"], found["CAL_GYRO1_ID"]) == (IDS["accel"], IDS["gyro"])
+        assert (found["CAL_ACC1_ID"], found["CAL_GYRO2_ID"]) == (IDS["accel"], IDS["gyro"])
         return [
             np.array([found[f"CAL_{name.format(axis)}"] for axis in AXES], dtype=float)
-            for name in ("GYRO1_{}OFF", "ACC1_{}OFF", "ACC1_{}SCALE")
+            for name in ("GYRO2_{}OFF", "ACC1_{}OFF", "ACC1_{}SCALE")
         ]
 
 
@@ -337,9 +339,9 @@ def test_the_command_reads_registers_and_parameters(tmp_path, capfd):
     line[3] = str(tmp_path / "b")
     assert main([*line, "--applied", f"px4:{saved}"]) == 2
     assert "no CAL_ACC0_XSCALE in it" in capfd.readouterr().err
-    assert main([*line, "--applied", f"px4.1:{saved}"]) == 0
+    assert main([*line, "--applied", f"px4.1.2:{saved}"]) == 0
     applied = srt.load_recording(tmp_path / "b").applied
-    assert (applied.instance, applied.gyro_id) == (1, IDS["gyro"])
+    assert (applied.slots, applied.gyro_id) == ((1, 2), IDS["gyro"])
     np.testing.assert_allclose(applied.rotation, Px4.C, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(applied.accel_offset, OFFSET)
     line[3] = str(tmp_path / "c")

@@ -105,6 +105,7 @@ def test_device_ids_find_the_calibration_of_increments_and_drivers(tmp_path):
         ({"SENS_BOARD_ROT": 77}, "SENS_BOARD_ROT is 77, but 0 to 40"),
         ({"CAL_ACC1_XSCALE": float("nan")}, "not 9 finite numbers"),
         ({"CAL_ACC1_XSCALE": 0.0}, "has no inverse"),
+        ({"CAL_GYRO1_ROT": 3}, "SENS_BOARD_ROT and CAL_GYRO1_ROT turn accelerometers and gyros differently"),
     ],
 )
 def test_parameters_that_cannot_be_are_not_carried(tmp_path, parameters, fragment):

@@ -145,7 +145,7 @@ def read_log(path: Path, options: ImportOptions) -> ImportedSamples:
     stream = streams[0] if len(streams) == 1 else join(streams[0], streams[1], notes)
     first = {name: values[0] for name, values in log.parameters.items()}
     changed = {name for name, values in log.parameters.items() if len(set(values)) > 1}
-    applied = PARAMETERS.carried(first, changed, instance, notes)
+    applied = PARAMETERS.carried(first, changed, (instance, instance), notes)
     return to_imported(stream, options, notes, applied=applied)
 
 

@@ -169,19 +169,27 @@ def _applied(log: _LogTopics, topic: str, instance: int, notes: list[str]) -> Ap
     ids = log.device_ids(topic, instance)
     slots = [_slots(log, group, None if ids is None else ids[group]) for group in (0, 1)]
     if topic == GYRO:
-        return AppliedCorrection(PX4.name, slots[1][0] if len(slots[1]) == 1 else None, *(ids or (None, None)))
-    if len(slots[0]) != 1 or slots[0] != slots[1]:
+        return _of_drivers(slots, ids)
+    if len(slots[0]) != 1 or len(slots[1]) != 1:
         notes.append(
             "The log does not state which of PX4's calibrations (CAL_ACCn_ID, CAL_GYROn_ID) these readings had: it is "
             "not carried."
         )
         return None
-    return PX4.carried(log.parameters, log.changed, slots[0][0], notes)
+    return PX4.carried(log.parameters, log.changed, (slots[1][0], slots[0][0]), notes)
+
+
+def _of_drivers(slots: list[list[int]], ids: tuple[int, int] | None) -> AppliedCorrection:
+    """Readings without a correction, with the places of their parameters as far as they are known."""
+    gyro, accel = (found[0] if len(found) == 1 else None for found in slots)
+    other = gyro if None not in (gyro, accel) and gyro != accel else None
+    gyro_id, accel_id = ids or (None, None)
+    return AppliedCorrection(PX4.name, accel, gyro_id, accel_id, other)
 
 
 def _slots(log: _LogTopics, group: int, device: int | None) -> list[int]:
     """Slots of calibration parameters of a device, or all in use if the device is not known."""
-    ids = {n: int(log.parameters.get(PX4.ids(n)[group], 0)) & 0xFFFFFFFF for n in range(PX4.instances)}
+    ids = {n: int(log.parameters.get(PX4.ids((n, n))[group], 0)) & 0xFFFFFFFF for n in range(PX4.instances)}
     return [n for n, each in ids.items() if each and device in (None, each)]
 
 
