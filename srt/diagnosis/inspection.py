@@ -12,6 +12,8 @@ import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
 from srt.diagnosis import diagnose
+from srt.diagnosis.faults import FAULTS
+from srt.diagnosis.findings import CHECKS
 from srt.exceptions import DataError, MissingExtraError
 from srt.model.rotations import from_rotation_vector, prefix_product, rotation_vector, to_matrix
 from srt.model.table1 import AXES
@@ -455,6 +457,12 @@ class Inspection(Presented):
     diagnosis: Diagnosis
     calibrated: bool
 
+    @property
+    def not_looked_for(self) -> tuple[str, ...]:
+        """Names of the faults that only a calibration shows, if there was none."""
+        needing = {fault for check in CHECKS if check.needs_result for fault in check.faults}
+        return () if self.calibrated else tuple(fault for fault in FAULTS if fault in needing)
+
     def as_dict(self) -> dict[str, Any]:
         """Content as JSON values."""
         parts = ("stamps", "stillness", "noise", "temperature")
@@ -470,6 +478,7 @@ class Inspection(Presented):
             "summary": self.summary,
             "calibrated": self.calibrated,
             "findings": self.diagnosis.as_dicts(),
+            "not_looked_for": list(self.not_looked_for),
             "verdict": None if self.diagnosis.judgement is None else asdict(self.diagnosis.judgement),
         }
 

@@ -32,6 +32,10 @@ _FEWEST_TURNS: Final = 4
 """Rotations, fewer of which do not tell the scatter of the offset."""
 _LEAST_OFFSET: Final = 0.02
 """Smallest offset in sampling intervals: the effective time of a reading is not known better."""
+_OBSERVED: Final = 1e-9
+"""Relative singular value from which a combination of accelerometer errors is observed; far above rounding."""
+_SURE: Final = 5.0
+"""Sigmas of the accelerometer errors that a step must exceed, where a few rotations hardly determine them."""
 _COARSE: Final = 5
 """Blocks averaged for the offset, which is constant over a rotation."""
 _MOVING: Final = 0.2
@@ -58,6 +62,8 @@ class TimeOffset:
         Number of rotations used.
     errors : ndarray, shape (15,)
         Accelerometer errors, columns of :func:`_error_columns`.
+    spread : ndarray, shape (r, 15)
+        Root S of the covariance of these errors, SᵀS.
     """
 
     late_s: float
@@ -65,6 +71,7 @@ class TimeOffset:
     typical_s: float
     turns: int
     errors: Array
+    spread: Array
 
 
 @computed_once
@@ -90,7 +97,7 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
         rest = np.concatenate([columns[:, 3:], angle[:, None]], axis=1)
         projected.append(rest - own @ (own.T @ rest))
     stacked = np.concatenate(projected)
-    common = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=1e-9)[0]
+    common, spread = _solution(stacked[:, :-1], stacked[:, -1], freedom=len(stacked) - 3 * n)
     late = np.array(
         [
             np.linalg.lstsq(columns[:, :3], angle - columns[:, 3:] @ common, rcond=1e-9)[0][0]
@@ -98,7 +105,17 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
         ]
     )
     sigma = float(late.std(ddof=1)) / math.sqrt(n)
-    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), n, np.asarray(common))
+    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), n, common, spread)
+
+
+def _solution(columns: Array, values: Array, *, freedom: int) -> tuple[Array, Array]:
+    """Least squares of smallest norm, and the root of its covariance with the scatter of the residuals."""
+    U, size, Vt = np.linalg.svd(columns, full_matrices=False)
+    seen = size > _OBSERVED * size[0]
+    root = Vt[seen] / size[seen, None]
+    solution = (U[:, seen].T @ values) @ root
+    left = values - columns @ solution
+    return np.asarray(solution), np.asarray(root * math.sqrt(float(left @ left) / max(1, freedom - int(seen.sum()))))
 
 
 def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> tuple[Array, Array] | None:
@@ -137,12 +154,12 @@ def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array
     return np.concatenate([along * up, mixed, along, along * np.abs(up), lever], axis=1)
 
 
-def _expected(path: StabilisedForce, turns: BlockAverages, seen: TimeOffset) -> Array:
-    """Change of the specific force in B by the time offset and the accelerometer errors, over gravity, shape (m, 3)."""
-    e, up, rate = seen.errors, path.up_body, path.rate
+def _expected(path: StabilisedForce, turns: BlockAverages, errors: Array, late_s: float) -> Array:
+    """Change of the specific force in B by accelerometer errors and a time offset, over gravity, shape (m, 3)."""
+    e, up, rate = errors, path.up_body, path.rate
     symmetric = np.array([[e[0], e[3], e[5]], [e[3], e[1], e[4]], [e[5], e[4], e[2]]])
     change = np.gradient(rate, turns.step_s, axis=0)  # sequences begin and end at rest
-    out = seen.typical_s * cross(rate, up) + up @ symmetric + e[6:9] + e[9:12] * np.abs(up)
+    out = late_s * cross(rate, up) + up @ symmetric + e[6:9] + e[9:12] * np.abs(up)
     return np.asarray(out + cross(change, e[12:]) + cross(rate, cross(rate, e[12:])))
 
 
@@ -174,7 +191,7 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     left = path.force_start - path.up
     if seen is not None:
         # A time offset would make steps of the beginning and the end of a rotation.
-        left -= np.einsum("mab,mb->ma", path.attitude, _expected(path, turns, seen))
+        left -= _levelled(path, _expected(path, turns, seen.errors, seen.typical_s))
     left -= np.einsum("ma,ma->m", left, path.up)[:, None] * path.up
     steps, whole = _steps(left, turns.starts)
     places = np.flatnonzero(moving & whole)
@@ -184,9 +201,12 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     # Most places hold no step: their median gives the noise.
     scale = float(np.median(height)) / _RAYLEIGH_MEDIAN
     limit = math.sqrt(-2.0 * math.log(FALSE_ALARM / len(height))) * scale
-    best = int(np.argmax(height))
+    excess = height / np.maximum(limit, _HALF_A_SAMPLE * speed[places] * evidence.dt)
+    if excess.max() > 1.0 and seen is not None:
+        excess = height / np.hypot(height / excess, _SURE * _step_doubt(path, turns, seen)[places])
+    best = int(np.argmax(excess))
     block = int(places[best])
-    if height[best] <= max(limit, _HALF_A_SAMPLE * speed[block] * evidence.dt):
+    if excess[best] <= 1.0:
         return
     yield finding(
         "samples_lost",
@@ -195,6 +215,17 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
         angle_deg=math.degrees(float(height[best])),
         duration=float(height[best] / speed[block]),
     )
+
+
+def _levelled(path: StabilisedForce, in_body: Array) -> Array:
+    """Changes of the specific force in B, transformed to the frame at the start of the sequence, shape (m, 3)."""
+    return np.asarray(np.einsum("mab,mb->ma", path.attitude, in_body))
+
+
+def _step_doubt(path: StabilisedForce, turns: BlockAverages, seen: TimeOffset) -> Array:
+    """Standard deviation of the height of a step before each block, by that of the accelerometer errors, shape (m,)."""
+    steps = (_steps(_levelled(path, _expected(path, turns, errors, 0.0)), turns.starts)[0] for errors in seen.spread)
+    return np.asarray(np.sqrt(sum(np.einsum("ma,ma->m", step, step) for step in steps)))
 
 
 def _steps(values: Array, starts: Indices) -> tuple[Array, Mask]:

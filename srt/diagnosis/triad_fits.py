@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from scipy.linalg import polar
 
 from srt.diagnosis.rotation_readings import computed_once, robust_fit, rotation_angles
 
@@ -85,7 +86,8 @@ class RawTriads(NamedTuple):
 def raw_triads(evidence: Evidence) -> RawTriads:
     """Raw gyro matrix, and raw accelerometer matrix and bias, in the nominal frame.
 
-    Identity and zero if the rotations are not stated, or cover too few directions.
+    Identity and zero if the rotations are not stated, or cover too few directions. If only one sensor is observed, its
+    matrix is given in the unit's own frame, which the other sensor, taken as perfect, shares up to its misalignments.
     """
     gyro: Array = np.eye(3)
     accel: Array = np.eye(3)
@@ -94,14 +96,20 @@ def raw_triads(evidence: Evidence) -> RawTriads:
         return RawTriads(gyro, accel, bias)
     _, nominal, turned = rotation_angles(evidence)
     angle = np.linalg.norm(nominal, axis=1, keepdims=True)
-    if len(angle) and np.linalg.matrix_rank(nominal, tol=_RANK) == 3:
+    gyro_seen = bool(len(angle) and np.linalg.matrix_rank(nominal, tol=_RANK) == 3)
+    if gyro_seen:
         # Divided by the angle, so that full rotations do not outweigh the half ones.
         gyro = robust_fit(nominal / angle, turned / angle).T
     vertical, reading = evidence.poses
     gravity = evidence.data.gravity
     design = np.hstack([vertical / gravity, np.ones((len(vertical), 1))])
-    if np.linalg.matrix_rank(design, tol=_RANK) == 4:
+    accel_seen = bool(np.linalg.matrix_rank(design, tol=_RANK) == 4)
+    if accel_seen:
         solution = robust_fit(design, reading)
         accel, bias = solution[:3].T / gravity, solution[3]
-    usable = all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel))
-    return RawTriads(gyro, accel, bias) if usable else RawTriads(np.eye(3), np.eye(3), np.zeros(3))
+    if not all(np.linalg.cond(matrix) < _SOUND for matrix in (gyro, accel)):
+        return RawTriads(np.eye(3), np.eye(3), np.zeros(3))
+    if not (gyro_seen and accel_seen):
+        # A test that has only begun: the nominal frame of one sensor would differ from that of the other by the mount.
+        gyro, accel = (polar(matrix, side="left")[1] for matrix in (gyro, accel))
+    return RawTriads(gyro, accel, bias)

@@ -146,6 +146,7 @@ def _still_outward(recording: Recording, core: slice, outward: range, factor: fl
     index = np.array(outward)
     away = np.concatenate([recording.gyro[index], recording.accel[index]], axis=1) * factor
     sigma = np.maximum(beside.std(axis=0), least)
+    wander = _wander(recording) / sigma**2
     deviation = (away - beside.mean(axis=0)) / sigma
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), deviation]), axis=0)
     within = np.cumsum(np.concatenate([np.zeros((1, 6)), (beside - beside.mean(axis=0)) / sigma]), axis=0)
@@ -155,7 +156,7 @@ def _still_outward(recording: Recording, core: slice, outward: range, factor: fl
         if 4 * n <= len(beside):  # tremor of a hand: sums vary more than those of independent readings
             tremor = np.maximum(tremor, np.mean((within[n:] - within[:-n]) ** 2, axis=0) / n)
         # The factor (1 + n/N) is the uncertainty of the core's mean.
-        limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)))
+        limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)) + n**2 * wander)
         beyond = np.any(np.abs(total[n:] - total[:-n]) > limit, axis=1)
         if beyond.any():
             found = int(np.argmax(beyond)) + n - 1
@@ -222,10 +223,7 @@ def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Larges
     # The sum of counts over a chunk has an error below one count at either end.
     variance = np.maximum(variance, 2.0 * floor / size**2)
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(mean, axis=0)])
-    # Variance of the step between successive means by the stated bias instability, for any averaging time: the Allan
-    # variance of flicker noise is flat.
-    stated = (recording.noise.gyro_bias_instability, recording.noise.accel_bias_instability)
-    wander = 2.0 * np.repeat([figure or 0.0 for figure in stated], 3) ** 2
+    wander = _wander(recording)
     # Means over `span` chunks on both sides of one chunk, in which the jump may lie.
     before = (total[span : count - span] - total[: count - 2 * span]) / span
     after = (total[2 * span + 1 :] - total[span + 1 : count - span + 1]) / span
@@ -234,6 +232,15 @@ def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _Larges
     elsewhere = gain[np.abs(np.arange(len(gain)) - best) > span]
     lo, hi = a + size * max(0, best + span - 1), a + size * min(count, best + span + 2)
     return _LargestStep(float(gain[best]), float(elsewhere.max(initial=0.0)), best_join(recording, lo, hi)[0])
+
+
+def _wander(recording: Recording) -> Array:
+    """Variance of the difference of two means by the stated bias instability, shape (6,), as a rate.
+
+    It does not depend on the averaging time: the Allan variance of flicker noise is flat.
+    """
+    stated = (recording.noise.gyro_bias_instability, recording.noise.accel_bias_instability)
+    return np.asarray(2.0 * np.repeat([figure or 0.0 for figure in stated], 3) ** 2)
 
 
 def best_join(recording: Recording, a: int, b: int) -> tuple[int, float]:

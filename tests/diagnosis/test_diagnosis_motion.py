@@ -296,6 +296,19 @@ def test_lost_samples_are_told_with_place_and_duration(samples):
     assert duration > 0.3 * 0.01 * samples
 
 
+@pytest.mark.parametrize("count", [5, 7, 8])
+@pytest.mark.parametrize("grade", GRADES[1:])
+def test_a_test_that_has_only_begun_has_lost_no_samples(grade, count):
+    """Few rotations hardly determine the accelerometers' errors, which must not pass for steps."""
+    recording = case(grade).recording
+    labels = recording.sequences[:count]
+    rows = slice(0, recording.window_indices(*labels[-1].end_static_s).stop)
+    begun = replace(
+        recording, time=recording.time[rows], gyro=recording.gyro[rows], accel=recording.accel[rows], sequences=labels
+    )
+    assert "samples_lost" not in [finding.fault for finding in findings(begun)]
+
+
 @pytest.mark.parametrize("dwell", [0.0, 1.0])
 def test_turns_are_told_apart_whether_or_not_the_unit_stands_between_them(dwell):
     run = case("navigation-rlg").changed(schedule={"leg_dwell_s": dwell}).simulation

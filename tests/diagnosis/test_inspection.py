@@ -21,6 +21,7 @@ import srt
 from srt.diagnosis.inspection import declared_units, inspect
 from srt.model.table1 import SEQUENCES
 from srt.reports.figures.inspection import envelope, inspection_figure, save_figure
+from srt.reports.text.inspection import inspection_report
 
 FOLDER = recorded_sets.data_folder()
 RATE = 100.0
@@ -229,6 +230,13 @@ def test_it_is_json(inspected, inspected_rests):
         assert document["format"] == "srt-inspection"
         assert len(document["turns"]) == len(found.turns)
         assert (document["allan"] is None) == (found.allan is None)
+
+
+def test_faults_that_only_a_calibration_shows_are_told(inspected):
+    assert inspected.not_looked_for == ("accel_bias_drift", "asymmetry_omitted")
+    assert inspected.as_dict()["not_looked_for"] == ["accel_bias_drift", "asymmetry_omitted"]
+    assert "(--deep): accel_bias_drift, asymmetry_omitted." in inspection_report(inspected)
+    assert replace(inspected, calibrated=True).not_looked_for == ()
 
 
 def test_declared_units(tmp_path, rested):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import srt
+from sims.faults.injection import Case
 from sims.physics.free_motion import free_motion, random_attitude, random_turns
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.table_motion import table1_motion
@@ -46,6 +47,13 @@ def test_free_turns_are_found(name, peak):
         # The windows found lie inside rest, but for slow onsets that no sensor of the grade could tell from rest.
         assert overlap(turn.start_static_s, before) > 0.7
         assert overlap(turn.end_static_s, after) > 0.7
+
+
+@pytest.mark.parametrize("seed", [70002, 70003, 70004])
+def test_drift_within_the_stated_bias_instability_ends_no_window(seed):
+    """Fibre-optic unit at 50 Hz, accelerometers of 50 µg instability: a window of 10 s was cut to 8.2 s."""
+    recording = Case("tactical-fog", seed, {"recording": {"sample_rate_hz": 50.0}}).recording.with_sequences(())
+    assert (np.diff(find_windows(recording)).min() / 50.0) > 9.9
 
 
 def test_windows_of_the_seventeen_sequences():

@@ -215,8 +215,9 @@ def _leg_lines(turn: ManoeuvreSummary) -> list[str]:
 def _findings(inspection: Inspection) -> Iterable[str]:
     findings = inspection.diagnosis.findings
     if not findings:
-        how = "with a calibration." if inspection.calibrated else "without calibrating; --deep also calibrates."
-        yield from wrap(f"No fault found {how}")
+        yield "No fault found."
+    if inspection.not_looked_for and inspection.diagnosis.refusal is None:
+        yield from wrap(f"Not looked for without a calibration (--deep): {', '.join(inspection.not_looked_for)}.")
     if inspection.diagnosis.judgement is not None:
         yield from wrap(f"Verdict: {inspection.diagnosis.judgement}")
     for finding in findings:
