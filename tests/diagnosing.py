@@ -38,3 +38,8 @@ def grades_and_faults(faults):
         for k, grade in enumerate(GRADES)
     ]
     return pytest.mark.parametrize(("grade", "fault"), pairs)
+
+
+def every_second_grade(first):
+    """Values of ``grade``: every second one from the first or the second on; with ``slow`` the others, too."""
+    return [pytest.param(grade, marks=[pytest.mark.slow] * ((k + first) % 2)) for k, grade in enumerate(GRADES)]

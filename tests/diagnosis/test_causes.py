@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from diagnosing import every_second_grade
 from scipy.ndimage import uniform_filter1d
 
 import srt
@@ -36,7 +37,7 @@ def test_gyros_zeroed_when_stationary_have_no_latitude(grade):
     assert causes(replace(recording(grade), gyro=gyro)) == ["earth_rate_absent"]
 
 
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(1))
 def test_a_dead_band_is_no_latitude(grade):
     threshold = 0.01 if grade != "consumer-mems" else 0.08
     gyro = recording(grade).gyro
@@ -45,7 +46,7 @@ def test_a_dead_band_is_no_latitude(grade):
 
 
 @pytest.mark.parametrize("place", [0.02, 0.5, 0.98])
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(0))
 def test_one_spike_shifts_no_label(grade, place):
     label = recording(grade).sequences[7]
     rows = recording(grade).window_indices(*label.end_static_s)
@@ -57,7 +58,7 @@ def test_one_spike_shifts_no_label(grade, place):
 
 
 @pytest.mark.parametrize("sensor", ["gyro", "accel"])
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(1))
 def test_words_that_overflow_are_no_axis_map(grade, sensor):
     readings = getattr(recording(grade), sensor)
     count = np.abs(readings).max() / 40_000.0  # of 32,767 that a word of 16 bits holds
@@ -76,7 +77,7 @@ def test_words_that_overflow_between_pulses_have_no_dead_band(share):
     assert "gyro_dead_band" not in found
 
 
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(0))
 @pytest.mark.parametrize("unit", [1.0, DEG])
 def test_thousandths_of_a_unit_are_no_counts(grade, unit):
     """Readings in mrad/s or m°/s with three decimals, declared in rad/s or °/s."""
@@ -84,7 +85,7 @@ def test_thousandths_of_a_unit_are_no_counts(grade, unit):
     assert causes(replace(recording(grade), gyro=milli * unit)) == ["gyro_milli"]
 
 
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(1))
 def test_a_corrected_recording_is_sound(grade):
     raw = recording(grade)
     applier = srt.Applier(srt.calibrate(raw, checks=False))
@@ -93,7 +94,7 @@ def test_a_corrected_recording_is_sound(grade):
     assert causes(replace(raw, gyro=np.asarray(corrected[0]), accel=np.asarray(corrected[1]))) == []
 
 
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(0))
 def test_readings_off_their_grid_are_sound(grade):
     """A filter or a conversion leaves rounding on readings that their unit had quantized."""
     rng = np.random.default_rng(17)
@@ -102,7 +103,7 @@ def test_readings_off_their_grid_are_sound(grade):
     assert causes(replace(raw, gyro=gyro, accel=accel)) == []
 
 
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(1))
 def test_filtered_readings_are_sound(grade):
     """A moving average of three samples, as in many units, without stated noise, which it changes.
 
@@ -118,7 +119,7 @@ def test_filtered_readings_are_sound(grade):
     assert causes(replace(raw, gyro=gyro, accel=accel, noise=noise)) == []
 
 
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(0))
 def test_a_corrected_recording_without_labels_has_its_windows(grade):
     raw = recording(grade)
     applier = srt.Applier(srt.calibrate(raw, checks=False))
@@ -144,7 +145,7 @@ def test_one_axis_that_freezes_is_named_alone(grade, sensor):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.7, 0.9])
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(1))
 def test_an_axis_held_at_its_limit_is_clipped_not_frozen(grade, share):
     """Half the rate is no wrong value of a count either; the stated range is ten times as wide."""
     limit = share * np.abs(recording(grade).gyro).max()
@@ -153,6 +154,6 @@ def test_an_axis_held_at_its_limit_is_clipped_not_frozen(grade, share):
     assert "gyro_axis_stuck" not in found
 
 
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("grade", every_second_grade(0))
 def test_the_clean_twin_is_sound(grade):
     assert causes(recording(grade)) == []

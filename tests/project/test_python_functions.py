@@ -147,7 +147,7 @@ def test_plan_is_that_of_the_command(tmp_path):
     file = tmp_path / "small.toml"
     file.write_text(
         'imu = { from = "navigation-rlg" }\nfixture = { from = "lab-1mrad" }\nsite = { from = "latitude-45" }\n'
-        "[targets]\ngyro_scale_ppm = 50.0\n[plan]\nlargest_turn_deg = 360\nmost_legs = 1\ntotal_time_s = 300.0\n"
+        "[targets]\ngyro_scale_ppm = 50.0\n[plan]\nlargest_turn_deg = 180\nmost_legs = 1\nmost_sequences = 8\ntotal_time_s = 300.0\n"
     )
     assert main(["plan", str(file), "--json", str(tmp_path / "p.json"), "-q"]) == 0
     task = sims.load_plan_file(file).task()
@@ -213,7 +213,7 @@ def test_figures_are_made_and_written(recording, unit, tmp_path):
     ("call", "sentence"),
     [
         (srt.read, r"Gravity is not known: give it with gravity_m_s2=, or latitude_deg= and height_m="),
-        (lambda log: srt.read(log, gravity_m_s2=9.8), r"state it with gyro_unit= \(gyro_unit in recording.toml\)"),
+        (lambda log: srt.read(log, gravity_m_s2=9.8), r"give gyro_unit= \(gyro_unit in recording.toml\)"),
         (lambda log: srt.read(log, gyro_units="rad/s"), r"no keyword 'gyro_units' \(did you mean gyro_unit\?\)"),
         (lambda log: srt.read(log, gravity_m_s2=9.8, gyro_lsb="one"), "gyro_lsb= is 'one'"),
         (lambda log: srt.read(log, gravity_m_s2=9.8, gyro_lsb=[1.0, 2.0]), "one finite number, or three"),

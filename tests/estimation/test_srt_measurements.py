@@ -1,0 +1,49 @@
+"""Corrections of the processing of a recording: estimated g-sensitivity and estimated Earth rate."""
+
+from __future__ import annotations
+
+import accuracy_trials
+import numpy as np
+import pytest
+
+from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import SrtProcessor
+from srt.model.rotations import rotation_vector
+from srt.sequences.preparation import prepare
+
+OPTIONS = Options(gyro_bias="g-sensitive")
+
+
+@pytest.fixture(scope="module")
+def unit():
+    """Processor of a recording, and the true sensor errors."""
+    recording, truth = accuracy_trials.fixture_recording(5, "navigation", sample_rate_hz=50.0)
+    return SrtProcessor(prepare(recording, recording.sequences, OPTIONS.average), OPTIONS), truth
+
+
+def test_an_error_of_the_rates_acts_through_the_g_sensitivity_that_it_mimics(unit):
+    """Rates that are off by 1e-6 rad/s change the estimate of Γ, and the rotations that are compensated with it."""
+    processor, truth = unit
+    rng = np.random.default_rng(1)
+    before = processor.process(truth)
+    off = 1e-6 * rng.standard_normal((len(before.pool), 3, 1))
+    followed, (_, phi) = before.poses.fit(off), before.after_g_sensitivity(off)
+    after = processor.process(truth, g_sensitivity=before.gyro.matrix @ followed[:, :, 0])
+    K = processor.data.K
+    expected = np.einsum("kia,ka->ki", before.attitude_effect, phi[:, :, 0]).ravel()
+    # The start frame turns with the Earth: integrals take it at its mean, and â as if at rest, each to that angle.
+    turned = EARTH_RATE_RAD_S * before.integrals.weight_s.max()
+    change = after.z[: 2 * K] - before.z[: 2 * K]
+    np.testing.assert_allclose(change, expected, rtol=0, atol=2.0 * turned * np.abs(expected).max())
+
+
+def test_an_earth_rate_that_is_added_turns_the_start_frame_backwards(unit):
+    """dĈ/dt = Ĉ (ω̂×) − (ω̂e×) Ĉ ([P] eq. 2): an offset of 1e-7 rad/s turns Ĉ_End by minus that times the duration."""
+    processor, truth = unit
+    offset = 1e-7 * np.random.default_rng(2).standard_normal((processor.data.K, 3))
+    before, after = (processor.process(truth, earth_rate_offset=o) for o in (None, offset))
+    turned = rotation_vector(after.integrals.C_end @ np.swapaxes(before.integrals.C_end, 1, 2))
+    expected = -offset * before.integrals.weight_s[:, None]
+    # The Earth turns by 3e-3 rad meanwhile, which turns the direction of the change.
+    np.testing.assert_allclose(turned, expected, rtol=0, atol=3e-3 * np.abs(expected).max())
