@@ -41,14 +41,18 @@ SUBJECTS = (
     Subject(
         "eq. 1",
         "srt/estimation/srt_measurements.py",
-        ("tests/model/test_jacobians.py", EXACT, "tests/estimation/test_g_sensitivity.py"),
+        ("tests/estimation/test_srt_measurements.py", "tests/model/test_jacobians.py", EXACT),
         ("after_g_sensitivity", "process", "_without_g_sensitivity", "_down", "_carried_force"),
         (("g - np.linalg.norm(force, axis=1)", "g - 1.000001 * np.linalg.norm(force, axis=1)"),),
     ),
     Subject(
         "eq. 2",
         "srt/model/analytic_platform.py",
-        ("tests/model/test_analytic_platform.py", "tests/model/test_platform_integrals.py"),
+        (
+            "tests/model/test_analytic_platform.py",
+            "tests/model/test_platform_integrals.py",
+            "tests/model/test_jacobians.py",
+        ),
         ("integrate_attitude", "extend", "integrals", "_at_start", "_change", "_cross", "_times", "_compensate"),
         (("/ 12.0", "/ 13.0"), ("-0.5 * earth_rate", "-1.0 * earth_rate")),
         ("a - 1", "b + 1", "a - lo", "b - a", "a - lo + b", "b - a + lo", "stream.starts[k] - a"),
