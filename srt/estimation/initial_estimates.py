@@ -25,7 +25,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from srt.estimation.fixed_parameters import POSE_FRAME
 from srt.estimation.srt_measurements import SrtProcessor
@@ -265,6 +264,8 @@ def estimate_from_gravity(data: PreparedRecording) -> SensorErrors:
         J = down_jacobian(triad.compensate(readings), triad) @ E / (g * _NOISE)
         return np.concatenate([J, np.eye(9) / _MATRIX_PRIOR])
 
+    from scipy.optimize import least_squares  # heavy, and labelled sequences do without
+
     solution = least_squares(residuals, np.zeros(9), jac=jacobian, method="lm")
     vector = E @ solution.x
     weights = data.windows.duration_s / data.windows.duration_s.sum()
@@ -373,6 +374,8 @@ class _Stage:
 
     def fit(self, u: Array) -> Array:
         """Fit the errors, in units of ``sizes``, from an initial value in the same units."""
+        from scipy.optimize import least_squares  # heavy, and labelled sequences do without
+
         found = least_squares(
             lambda v: self._evaluated(v)[0],
             u,

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.special import chdtri
 
 from srt.constants import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, HOUR_S, MICRO_G
 from srt.exceptions import DataError, MissingExtraError
+from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -451,7 +451,7 @@ def _likeliest(design: Array, variance: Array, freedom: Array, kept: Indices) ->
         weighted = design[:, kept] / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)
         new = np.zeros_like(solution)
-        new[kept] = nnls(weighted / scale, variance / sigma)[0] / scale
+        new[kept] = nonnegative_least_squares(weighted / scale, variance / sigma) / scale
         if np.allclose(new, solution, rtol=1e-6, atol=0.0):
             break
         solution = new

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc, fdtrc
 
 if TYPE_CHECKING:
@@ -191,6 +190,8 @@ def walk_sigma(found: Statistics) -> float:
     With the eigenvalues λ of the information and the gradient g along its eigenvectors the log likelihood of a variance
     v is ``½ Σ [v g² / (1 + v λ) − log(1 + v λ)]``.
     """
+    from scipy.optimize import minimize_scalar  # heavy, and few calibrations have such a drift
+
     values, vectors = np.linalg.eigh(found.information)
     values, along = np.maximum(values, 0.0), (vectors.T @ found.gradient) ** 2
 

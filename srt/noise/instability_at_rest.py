@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.fft import dct
-from scipy.optimize import nnls
 from scipy.special import chdtri
+
+from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
     from srt.types import Array, Indices
@@ -76,6 +76,8 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
     power = np.full((len(windows), octaves, 3), np.nan)
     count = np.zeros((len(windows), octaves))
     design = np.zeros((len(windows), octaves, 3))
+    from scipy.fft import dct  # on use: labelled recordings with stated noise do without
+
     for w in np.flatnonzero(lengths >= _FEWEST_SAMPLES).tolist():
         n = int(lengths[w])
         square = dct(readings[windows[w, 0] : windows[w, 1]], axis=0, norm="ortho")[1:] ** 2
@@ -114,7 +116,7 @@ def _fitted(observed: Array, design: Array, freedom: Array) -> InstabilityAtRest
         sigma = np.maximum(expected, 1e-9 * y.max()) * relative
         weighted = A / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)
-        solution = nnls(weighted / scale, y / sigma)[0] / scale
+        solution = nonnegative_least_squares(weighted / scale, y / sigma) / scale
         expected = A @ solution
     information = (weighted / scale).T @ (weighted / scale)
     doubt = float(np.sqrt(np.linalg.pinv(information)[6, 6]) / scale[6])

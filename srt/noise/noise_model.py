@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.optimize import nnls
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import instability_at_rest
+from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -211,7 +211,7 @@ def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
         )
         weighted = design / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)
-        solution = nnls(weighted / scale, variance / sigma)[0] / scale
+        solution = nonnegative_least_squares(weighted / scale, variance / sigma) / scale
         before, expected = expected, design @ solution
         if np.all(np.abs(expected - before) <= _SETTLED * expected):
             break

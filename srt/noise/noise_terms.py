@@ -27,13 +27,12 @@ from math import log, pi
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.fft import dct
-from scipy.optimize import brentq, nnls
 from scipy.special import chdtri, stdtrit
 
 from srt.constants import DEG_PER_H, HOUR_S, MICRO_G
 from srt.exceptions import DataError
 from srt.noise.allan import CHANNELS, CONFIDENCE, TERMS, Term
+from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -204,6 +203,8 @@ def _design(x: Array, n: int, dt: float) -> Array:
 
 
 def _ramp(n: int, dt: float) -> Array:
+    from scipy.fft import dct
+
     return np.asarray(dct((np.arange(n) - 0.5 * (n - 1)) * dt, norm="ortho")[1:])
 
 
@@ -216,6 +217,8 @@ def _mean(values: Array, edges: Indices) -> Array:
 
 
 def _spectrum(x: Array, edges: Indices, design: Array, u: Array) -> _Spectrum:
+    from scipy.fft import dct
+
     c = np.asarray(dct(x, norm="ortho")[1:])
     count = np.diff(np.append(edges, len(c))).astype(np.float64)
     return _Spectrum(count, _sum(c**2, edges), _sum(c * u, edges), _sum(u**2, edges), design)
@@ -239,7 +242,7 @@ def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.
         weight = np.sqrt(count) / variance
         weighted = A[:, free] * weight[:, None]
         scale = np.linalg.norm(weighted, axis=0)
-        squares[free] = nnls(weighted / scale, (power - offset) * weight)[0] / scale
+        squares[free] = nonnegative_least_squares(weighted / scale, (power - offset) * weight) / scale
         if fixed is not None:
             squares[fixed] = square
         new = np.maximum(A @ squares, 1e-12 * variance)
@@ -276,6 +279,7 @@ def _channel(spectrum: _Spectrum, dt: float) -> tuple[Array, Array, Array, Mask,
 
 def _profile(spectrum: _Spectrum, best: _Fit, k: int, start: float, allowed: float) -> tuple[float, float]:
     """Limits of one squared coefficient where −2 ln(likelihood), the others refitted, is larger by ``allowed``."""
+    from scipy.optimize import brentq  # a heavy import that figures and tables of noise do without
 
     def excess(logarithm: float) -> float:
         return _likeliest(spectrum, k, float(np.exp(logarithm))).loss - best.loss - allowed

@@ -39,20 +39,22 @@ def restricted_likelihood(z: Array, H: Array, R0: Array, components: tuple[Array
         Variances, at least zero.
     """
     scale = 1.0 / np.sqrt(np.diag(R0))
-    z, H = z * scale, H * scale[:, None]
-    H = H / np.linalg.norm(H, axis=0)
-    R0, parts = R0 * np.outer(scale, scale), [C * np.outer(scale, scale) for C in components]
+    unit = H * scale[:, None]
+    # The restricted likelihood is that of the contrasts, the combinations of measurements without the parameters.
+    basis = np.linalg.qr(unit / np.linalg.norm(unit, axis=0), mode="complete")[0]
+    contrasts = basis[:, H.shape[1] :] * scale[:, None]
+    y, known = contrasts.T @ z, contrasts.T @ R0 @ contrasts
+    parts = [contrasts.T @ C @ contrasts for C in components]
     # Initial values: the traces agree.
-    sizes = np.array([max(float(z @ z) / max(float(np.trace(C)), 1e-300), 0.0) / len(parts) for C in parts])
-    effective = np.array([bool(np.any(C)) for C in parts])
+    square = float(np.sum((z * scale) ** 2)) / len(components)
+    sizes = np.array([square / max(float(np.diag(C) @ scale**2), 1e-300) for C in components])
+    effective = np.array([bool(np.any(C)) for C in components])
     sizes = np.where(effective, sizes, 0.0)
     for _ in range(_STEPS):
-        R = R0 + sum(v * C for v, C in zip(sizes, parts, strict=True))
-        W = np.linalg.inv(R)
-        P = W - W @ H @ np.linalg.solve(H.T @ W @ H, H.T @ W)
+        P = np.linalg.inv(known + sum(v * C for v, C in zip(sizes, parts, strict=True)))
         PC = [P @ C for C in parts]
-        Pz = P @ z
-        score = np.array([-0.5 * np.trace(A) + 0.5 * float(Pz @ C @ Pz) for A, C in zip(PC, parts, strict=True)])
+        Py = P @ y
+        score = np.array([-0.5 * np.trace(A) + 0.5 * float(Py @ C @ Py) for A, C in zip(PC, parts, strict=True)])
         fisher = np.array([[0.5 * np.sum(A * B.T) for B in PC] for A in PC])
         # A component without effect on the residuals, as a rotation error in a test of poses alone, stays zero.
         free = ((sizes > 0.0) | (score > 0.0)) & effective

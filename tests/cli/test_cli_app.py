@@ -34,6 +34,16 @@ def imported_by(code: str) -> set[str]:
     return {name.partition(".")[0] for name in json.loads(done.stderr)}
 
 
+def test_a_calibration_loads_what_it_runs(tmp_path):
+    """Labelled sequences need neither extras nor the heavy parts of scipy, which take a third of the time."""
+    assert main(["simulate", "demo", "-o", str(tmp_path / "unit"), "-q"]) == 0
+    command = f"from srt.cli import main\nassert main(['calibrate', {str(tmp_path / 'unit')!r}, '-q']) == 0"
+    done = python(f"import json, sys\n{command}\nprint(json.dumps(sorted(sys.modules)), file=sys.stderr)")
+    assert done.returncode == 0, done.stderr
+    loaded = set(json.loads(done.stderr.splitlines()[-1]))
+    assert not loaded & {"scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.stats", "scipy.signal", *HEAVY[2:]}
+
+
 def test_the_library_imports_neither_extras_nor_the_command_line():
     loaded = imported_by("import srt\nsrt.calibrate, srt.Recording")
     assert not loaded & {"gtsam", "filterpy", "pandas", "matplotlib", "click", "rich", "pydantic", "h5py", "pyarrow"}

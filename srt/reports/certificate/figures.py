@@ -6,6 +6,7 @@ import io
 import re
 import warnings
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -90,8 +91,9 @@ def certificate_figures(certificate: Certificate) -> tuple[CertificateFigure, ..
     return tuple(p for p in _FIGURES if shown[p.name])
 
 
+@lru_cache(maxsize=8)
 def figure_svg(certificate: Certificate, figure: CertificateFigure) -> str:
-    """Draw a figure as SVG; the same certificate gives the same text.
+    """Draw a figure as SVG, once for the page and the PDF; the same certificate gives the same text.
 
     Parameters
     ----------

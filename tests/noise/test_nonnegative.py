@@ -1,0 +1,30 @@
+"""Non-negative least squares against scipy's, and by its conditions of optimality."""
+
+import numpy as np
+from scipy.optimize import nnls
+
+from srt.noise.nonnegative import nonnegative_least_squares
+
+
+def test_agrees_with_scipy():
+    """Full rank makes the solution unique: both agree to rounding, times the condition number (below 1e4 here)."""
+    rng = np.random.default_rng(4)
+    for _ in range(300):
+        m, n = int(rng.integers(7, 20)), int(rng.integers(1, 8))
+        A = rng.standard_normal((m, n)) * 10.0 ** rng.uniform(-2.0, 2.0, n)
+        b = A @ np.where(rng.random(n) < 0.5, rng.random(n), -rng.random(n)) + 0.1 * rng.standard_normal(m)
+        expected = nnls(A, b)[0]
+        size = np.linalg.norm(b) / np.linalg.norm(A, axis=0)
+        np.testing.assert_allclose(nonnegative_least_squares(A, b) / size, expected / size, rtol=1e-9, atol=1e-11)
+
+
+def test_exact_solution_at_the_boundary():
+    """Unknowns that are exactly zero in the data stay zero, and the others are exact."""
+    A = np.vander(np.arange(1.0, 7.0), 4) / 100.0
+    truth = np.array([0.0, 2.0, 0.0, 3.0])
+    np.testing.assert_allclose(nonnegative_least_squares(A, A @ truth), truth, rtol=1e-9, atol=1e-9)
+
+
+def test_all_negative_gives_zero():
+    A = np.random.default_rng(1).random((9, 3))
+    assert not nonnegative_least_squares(A, -A @ np.ones(3)).any()
