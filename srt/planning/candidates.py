@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise, product
 from typing import TYPE_CHECKING, Final
 
@@ -16,8 +17,10 @@ from srt.planning.fixture_kinematics import AXIS_NAMES, INNER, OUTER, QUARTER_DE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from numpy.typing import ArrayLike
+
     from srt.planning.fixture_kinematics import FixtureKinematics
-    from srt.types import Indices
+    from srt.types import Array
 
     AxisRotations = tuple[tuple[int, int], ...]
 
@@ -64,24 +67,25 @@ class Candidate:
             if axis == INNER:
                 out.append(("z", turn))
             else:
-                letter, sign = _axis_letter(outer_axis(inner))
+                letter, sign = _outer_letter(inner % 360)
                 out.append((letter, sign * turn))
         return tuple(out)
 
     @property
     def down(self) -> str:
         """IMU axis that is down at the start, with its sign: "z", "-z"."""
-        return _signed(down_axis(*self.start_deg))
+        return _signed_down(*self.start_deg)
 
     @property
     def along_outer(self) -> str:
         """IMU axis along the outer axis at the start, with its sign."""
-        return _signed(outer_axis(self.start_deg[INNER]))
+        letter, sign = _outer_letter(self.start_deg[INNER] % 360)
+        return letter if sign > 0 else f"-{letter}"
 
     @property
     def end_down(self) -> str:
         """IMU axis that is down at the end, with its sign."""
-        return _signed(down_axis(*self.end_deg))
+        return _signed_down(*self.end_deg)
 
     @property
     def label(self) -> str:
@@ -144,26 +148,37 @@ class Candidate:
         return tuple(c for c in found if c.obstacle(fixture) is None)
 
 
-def outer_axis(inner_deg: int) -> Indices:
-    """Direction of the outer axis in IMU components: (sin inner, cos inner, 0)."""
-    a = math.radians(inner_deg)
-    return np.rint([math.sin(a), math.cos(a), 0.0]).astype(np.intp)
+def outer_axis(inner_deg: ArrayLike) -> Array:
+    """Direction of the outer axis in IMU components: (sin inner, cos inner, 0), shape (..., 3)."""
+    a = np.radians(inner_deg)
+    return np.rint(np.stack([np.sin(a), np.cos(a), np.zeros_like(a)], axis=-1)) + 0.0
 
 
-def down_axis(inner_deg: int, outer_deg: int) -> Indices:
-    """Direction of down in IMU components: the third row of R_y(outer) R_z(inner)."""
-    i, o = math.radians(inner_deg), math.radians(outer_deg)
-    return np.rint([-math.sin(o) * math.cos(i), math.sin(o) * math.sin(i), math.cos(o)]).astype(np.intp)
+def down_axis(inner_deg: ArrayLike, outer_deg: ArrayLike) -> Array:
+    """Direction of down in IMU components: the third row of R_y(outer) R_z(inner), shape (..., 3)."""
+    i, o = np.radians(inner_deg), np.radians(outer_deg)
+    return np.rint(np.stack([-np.sin(o) * np.cos(i), np.sin(o) * np.sin(i), np.cos(o)], axis=-1)) + 0.0
 
 
-def _axis_letter(direction: Indices) -> tuple[str, int]:
+@cache
+def _outer_letter(inner_deg: int) -> tuple[str, int]:
+    """IMU axis along the outer axis, and its sign; the planner asks thousands of candidates."""
+    return _axis_letter(outer_axis(inner_deg))
+
+
+def _signed_down(inner_deg: int, outer_deg: int) -> str:
+    return _signed_down_within_turn(inner_deg % 360, outer_deg % 360)
+
+
+@cache
+def _signed_down_within_turn(inner_deg: int, outer_deg: int) -> str:
+    letter, sign = _axis_letter(down_axis(inner_deg, outer_deg))
+    return letter if sign > 0 else f"-{letter}"
+
+
+def _axis_letter(direction: Array) -> tuple[str, int]:
     k = int(np.flatnonzero(direction)[0])
     return AXES[k], int(direction[k])
-
-
-def _signed(direction: Indices) -> str:
-    letter, sign = _axis_letter(direction)
-    return letter if sign > 0 else f"-{letter}"
 
 
 def from_catalogue(sequence: RotationSequence, fixture: FixtureKinematics | None = None) -> Candidate:
@@ -185,7 +200,7 @@ def from_catalogue(sequence: RotationSequence, fixture: FixtureKinematics | None
     starts = [
         (i, o)
         for i, o in product((0, 90, 180, 270), repeat=2)
-        if (_signed(down_axis(i, o)), _signed(outer_axis(i))) == (sequence.down, sequence.along_outer)
+        if (_signed_down(i, o), Candidate((i, o), ()).along_outer) == (sequence.down, sequence.along_outer)
     ]
     if not starts:
         raise InputError(
@@ -201,7 +216,7 @@ def from_catalogue(sequence: RotationSequence, fixture: FixtureKinematics | None
                 f"Sequence {sequence.id}: rotation {number} turns by {turn:g} deg; plans use multiples of 90 deg."
             )
         turn = QUARTER_DEG * round(turn / QUARTER_DEG)
-        letter, sign = _axis_letter(outer_axis(inner))
+        letter, sign = _outer_letter(inner % 360)
         if axis == "z":
             rotations.append((INNER, turn))
             inner += turn
@@ -261,7 +276,7 @@ class TurnPattern:
                 out.append((axis, turn))
                 inner_deg += turn
             else:
-                out.append((axis, _axis_letter(outer_axis(inner_deg))[1] * turn))
+                out.append((axis, _outer_letter(inner_deg % 360)[1] * turn))
         return tuple(out)
 
 

@@ -60,7 +60,7 @@ _NO_ROW: Final = 1e-6
 """Information on a target from all columns together, in units of the target, below which no column observes it."""
 _CUT_TOLERANCE: Final = 1e-4
 """Relative violation of a constraint of the linear programme that is accepted."""
-_CACHE_ROWS: Final = 4096
+_CACHE_ROWS: Final = 1024
 """Columns handled at a time, so that they fit the cache."""
 
 
@@ -89,8 +89,12 @@ class Columns:
 
     def information(self, which: Indices, weight: Array) -> Array:
         """``M(w)`` for weights of some columns, shape (p, p)."""
-        stacked = (self.rows[which] * np.sqrt(weight)[:, None, None]).reshape(-1, self.rows.shape[2])
-        return np.asarray(self.prior + stacked.T @ stacked)
+        out = self.prior.copy()
+        for first in range(0, len(which), _CACHE_ROWS):
+            part = slice(first, first + _CACHE_ROWS)
+            rows = (self.rows[which[part]] * np.sqrt(weight[part])[:, None, None]).reshape(-1, self.rows.shape[2])
+            out += rows.T @ rows
+        return out
 
     def variances(self, M: Array) -> tuple[Array, Array]:
         """``g_i`` and the columns of M⁻¹ that belong to the targets, shapes (q,) and (p, q)."""
@@ -102,8 +106,8 @@ class Columns:
         rows = self.rows if which is None else self.rows[which]
         out = np.empty((len(rows), X.shape[1]))
         for first in range(0, len(rows), _CACHE_ROWS):
-            part = rows[first : first + _CACHE_ROWS]
-            out[first : first + _CACHE_ROWS] = np.einsum("jmq,jmq->jq", part @ X, part @ X) / g
+            along = rows[first : first + _CACHE_ROWS] @ X
+            out[first : first + _CACHE_ROWS] = np.einsum("jmq,jmq->jq", along, along) / g
         return out
 
 
@@ -282,7 +286,8 @@ def _best_shares(columns: Columns, active: Indices, share: Array, total_s: float
     def logs(x: Array) -> tuple[Array, Array]:
         weight = np.maximum(x[:n], 0.0) * per_share
         g, X = columns.variances(columns.information(active, weight))
-        slopes = -np.einsum("jmq,jmq->jq", rows @ X, rows @ X) / g * per_share[:, None]
+        along = rows @ X
+        slopes = -np.einsum("jmq,jmq->jq", along, along) / g * per_share[:, None]
         return np.log(g), slopes.T
 
     first, _ = logs(share)

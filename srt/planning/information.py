@@ -49,6 +49,8 @@ _SHORTEST_S: Final = 1e-6
 LEAST_DRIFT: Final = np.array([tau <= 10.0 for tau in CORRELATION_TIMES_S], dtype=np.float64)
 """Least share of each drift process that is noise of one sequence, for a bound: those with correlation times up to 10 s
 are surely independent from sequence to sequence."""
+_CACHED: Final = 512
+"""Sequences whose covariances are computed at a time, so that they fit the cache."""
 _H, _DOWN, _START_RATE, _END_RATE = slice(0, 2), slice(2, 4), slice(4, 7), slice(7, 10)
 
 
@@ -88,15 +90,13 @@ class Signatures:
         self.integrals = _with_wait(turned, fixture.settle_s)
         self.between_windows_s = np.array([c.between_windows_s(fixture) for c in self.candidates])
         starts = np.array([c.start_deg for c in self.candidates], dtype=int).reshape(K, 2)
-        down = np.array([down_axis(i, o) for i, o in starts.tolist()], dtype=np.float64).reshape(K, 3)
-        outer = np.array([outer_axis(i) for i in starts[:, INNER].tolist()], dtype=np.float64).reshape(K, 3)
+        down, outer = down_axis(*starts.T), outer_axis(starts[:, INNER])
         base = np.stack([np.cross(outer, down), outer, down], axis=2)  # base to B_Strt
         g, C = conditions.gravity_m_s2, self.integrals.C_end
         self._up = np.stack([-down, -np.einsum("kab,ka->kb", C, down)], axis=1)
         f_start, f_end = g * self._up[:, 0], g * self._up[:, 1]
         # Horizontal directions: the two IMU axes that are horizontal at the start, in the order x, y, z.
-        rows = [[i for i in range(3) if d[i] == 0.0] for d in down]
-        self.basis = np.eye(3)[rows] if K else np.zeros((0, 2, 3))
+        self.basis = np.eye(3)[np.nonzero(down == 0.0)[1].reshape(K, 2)]
         self._tilt = model.attitude_to_horizontal(self.basis, f_start)
         earth = base @ conditions.earth_rate_base()
         gyro, accel = gyro_triad(SensorErrors()), accel_triad(SensorErrors())
@@ -204,12 +204,17 @@ class Signatures:
 
     def whitened(self, start_s: ArrayLike, end_s: ArrayLike, which: Indices | None = None) -> Array:
         """Jacobians in units of the noise, ``L⁻¹ H`` with ``L Lᵀ`` the covariance, shape (n, 10, N_UNKNOWNS)."""
-        R = np.asarray(sum(self.covariances(start_s, end_s, which).values()))
-        H = self.H if which is None else self.H[which]
-        # Rates and specific forces differ by orders of magnitude: the covariance is equilibrated first.
-        scale = 1.0 / np.sqrt(np.einsum("naa->na", R))
-        L = np.linalg.cholesky(R * scale[:, :, None] * scale[:, None, :])
-        return np.asarray(np.linalg.solve(L, H * scale[:, :, None]))
+        k = np.arange(len(self)) if which is None else np.asarray(which)
+        T = [np.broadcast_to(np.asarray(t, dtype=np.float64), k.shape) for t in (start_s, end_s)]
+        out = np.empty((len(k), *self.H.shape[1:]))
+        for first in range(0, len(k), _CACHED):
+            part = slice(first, first + _CACHED)
+            R = np.asarray(sum(self.covariances(T[0][part], T[1][part], k[part]).values()))
+            # Rates and specific forces differ by orders of magnitude: the covariance is equilibrated first.
+            scale = 1.0 / np.sqrt(np.einsum("naa->na", R))
+            L = np.linalg.cholesky(R * scale[:, :, None] * scale[:, None, :])
+            out[part] = np.linalg.solve(L, self.H[k[part]] * scale[:, :, None])
+        return out
 
 
 def _with_wait(integrals: RotationIntegrals, wait_s: float) -> RotationIntegrals:

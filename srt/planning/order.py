@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
 
     from srt.planning.candidates import Candidate
     from srt.planning.fixture_kinematics import FixtureKinematics
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 _MOST_PASSES: Final = 100
 """Improvements of a path at most."""
@@ -79,8 +80,9 @@ def _length(path: Sequence[int], cost: Array) -> float:
 
 def _improved(path: list[int], cost: Array) -> list[int]:
     """Shift short runs of sequences and reverse runs while that shortens the path, the best change first."""
+    changes = _changes(len(path))
     for _ in range(_MOST_PASSES):
-        trials = np.array(_neighbours(path))
+        trials = np.array(path)[changes]
         lengths = cost[trials[:, :-1], trials[:, 1:]].sum(axis=1)
         best = int(np.argmin(lengths))
         if lengths[best] > _length(path, cost) - _LEAST_GAIN_S:
@@ -89,14 +91,17 @@ def _improved(path: list[int], cost: Array) -> list[int]:
     return path
 
 
-def _neighbours(path: list[int]) -> list[list[int]]:
-    n, out = len(path), [path]
+@lru_cache(maxsize=16)
+def _changes(n: int) -> Indices:
+    """Orders of n positions after every change, the unchanged order first, shape (number of changes, n)."""
+    path = list(range(n))
+    out = [path]
     for size in range(1, _LONGEST_RUN + 1):
         for i in range(n - size + 1):
             run, rest = path[i : i + size], path[:i] + path[i + size :]
             out += [rest[:j] + run + rest[j:] for j in range(len(rest) + 1) if j != i]
     out += [path[:i] + path[i:j][::-1] + path[j:] for i in range(n) for j in range(i + 2, n + 1)]
-    return out
+    return np.array(out)
 
 
 def _angles(ways: Sequence[Sequence[Candidate]], fixture: FixtureKinematics) -> tuple[tuple[Candidate, ...], float]:

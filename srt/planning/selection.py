@@ -293,14 +293,25 @@ class _Search:
         share = np.clip((self.total_s - low) / np.maximum(high - low, 1e-9), 0.0, 1.0)
         return level, np.where(cost[0] <= self.total_s, share, np.nan)
 
-    def values(self, cost: Array, information: Array) -> Array:
-        """Criterion of n selections from their costs (factors, n) and information (factors, n, p, p); inf: too long."""
-        level, share = self._level(cost)
+    def values(self, cost: Array, information: Array, added: Indices | None = None) -> Array:
+        """Criterion of a selection, with each of n further sequences if any are given, shape (n or 1,); inf: too long.
+
+        Parameters
+        ----------
+        cost : ndarray, shape (factors,)
+        information : ndarray, shape (factors, p, p)
+        added : ndarray of int, shape (n,), optional
+        """
+        level, share = self._level(cost[:, None] if added is None else cost[:, None] + self.cost[:, added])
         fits = np.flatnonzero(np.isfinite(share))
-        out = np.full(cost.shape[1], np.inf)
+        out = np.full(len(level), np.inf)
         if fits.size:
-            low, high = information[level[fits], fits], information[level[fits] + 1, fits]
-            g = self.criterion.variances(self.criterion.prior + low + share[fits, None, None] * (high - low))
+            at, part = level[fits], share[fits, None, None]
+            M = (1.0 - part) * information[at] + part * information[at + 1]
+            if added is not None:
+                k = added[fits]
+                M += (1.0 - part) * self.information[at, k] + part * self.information[at + 1, k]
+            g = self.criterion.variances(self.criterion.prior + M)
             largest = g.max(axis=1)
             mean = np.mean((g / largest[:, None]) ** self.power, axis=1)
             out[fits] = np.log(largest) + np.log(mean) / self.power
@@ -324,20 +335,26 @@ class _Search:
         return np.array(chosen, dtype=np.intp)
 
     def _of(self, chosen: list[int]) -> float:
-        cost = self.cost[:, chosen].sum(axis=1)[:, None]
-        return float(self.values(cost, self.information[:, chosen].sum(axis=1)[:, None])[0])
+        return float(self.values(self.cost[:, chosen].sum(axis=1), self.information[:, chosen].sum(axis=1))[0])
 
     def _pass(self, chosen: list[int], now: float) -> tuple[list[int], float]:
         """Replace or drop the sequence in each place, then add one, wherever that decreases the criterion."""
+        every: Indices = np.array(chosen, dtype=np.intp)
+        total = self.cost[:, every].sum(axis=1), self.information[:, every].sum(axis=1)
         for i in range(min(len(chosen), self.most - 1), -1, -1):
             rest = chosen[:i] + chosen[i + 1 :]
-            cost, information = self.cost[:, rest].sum(axis=1), self.information[:, rest].sum(axis=1)
+            cost, information = total
+            if i < len(chosen):
+                cost, information = cost - self.cost[:, chosen[i]], information - self.information[:, chosen[i]]
             near = self._promising(cost, information)
-            values = self.values(cost[:, None] + self.cost[:, near], information[:, None] + self.information[:, near])
+            values = self.values(cost, information, near)
             k = int(np.argmin(values))
-            without = self._of(rest) if rest and i < len(chosen) else np.inf
+            without = float(self.values(cost, information)[0]) if rest and i < len(chosen) else np.inf
             if min(values[k], without) < now - 1e-9:
-                chosen, now = (rest, without) if without < values[k] else ([*rest, int(near[k])], float(values[k]))
+                chosen, now, total = rest, without, (cost, information)
+                if without >= values[k]:
+                    chosen, now = [*rest, int(near[k])], float(values[k])
+                    total = cost + self.cost[:, near[k]], information + self.information[:, near[k]]
         return chosen, now
 
     def _promising(self, cost: Array, information: Array) -> Indices:
