@@ -10,6 +10,7 @@ eqs. 3, 20-21); for a recorded one :mod:`srt.model.analytic_platform` computes t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -66,13 +67,18 @@ class RotationIntegrals:
     C_turned: Array | None = None
 
 
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+"""Gaussian quadrature of an even function from -1 to 1, which is twice that of a ramp from 0 to 1."""
+
+
 def ideal_rotations(
     sequences: Sequence[RotationSequence],
     rate_rad_s: float | Sequence[Array] = 1.0,
     window_s: float = 0.0,
     F_meas: float = 0.5,
+    acceleration_rad_s2: float | Sequence[Array] = math.inf,
 ) -> RotationIntegrals:
-    """Integrals of exact rotations about IMU axes at constant rates, with error-free sensors.
+    """Integrals of exact rotations about IMU axes, with error-free sensors.
 
     Planning and accuracy analysis use them. A calibration takes the integrals of the recorded rotations from
     :func:`srt.model.analytic_platform.integrate_attitude`.
@@ -87,6 +93,8 @@ def ideal_rotations(
         T_Meas of a window with integrated attitude, s; 0 where the attitude is held constant in the windows.
     F_meas : float
         Output of the averaging algorithm to a unit ramp (1/2 for linear and overlapping averages).
+    acceleration_rad_s2 : float, or sequence of K ndarrays
+        Angular acceleration from rest to the rate and back, rad/s²; infinite: the rate is constant.
 
     Returns
     -------
@@ -104,17 +112,24 @@ def ideal_rotations(
         k = np.flatnonzero(count > i)
         axis = np.array([AXES.index(sequences[j].rotations[i][0]) for j in k.tolist()])
         angle = np.array([sequences[j].rotations[i][1] for j in k.tolist()])
-        speed = rate_rad_s if isinstance(rate_rad_s, (int, float)) else np.array([rate_rad_s[j][i] for j in k.tolist()])
+        speed, acceleration = (
+            np.broadcast_to(given, k.shape)
+            if isinstance(given, (int, float))
+            else np.array([given[j][i] for j in k.tolist()], dtype=np.float64)
+            for given in (rate_rad_s, acceleration_rad_s2)
+        )
         size, u = np.abs(angle), np.sign(angle)[:, None] * np.eye(3)[axis]
         parts = _rodrigues_matrices(u)
         first, _ = _moments(size)
+        elapsed, products = _moments_in_time(size, speed, acceleration)
         # ∫ exp(βu×) dβ from 0 to |θ|; for v ⟂ u it is sin θ v + (1 − cos θ) u×v, the bracket of [P] eq. 3.
         swept = C[k] @ np.einsum("in,inab->nab", first, parts)
         rate[k] += swept[:, :, :, None] * u[:, None, None, :]
         abs_rate[k] += swept * np.abs(u)[:, None, :]
-        time[k] += swept / np.asarray(speed)[..., None, None]
-        noise[k] += _outer_product_integral(C[k], parts, size) / np.asarray(speed)[..., None, None, None]
-        weight_s[k] += size / speed
+        time[k] += C[k] @ np.einsum("in,inab->nab", elapsed, parts)
+        rotated = C[k] @ parts
+        noise[k] += np.einsum("ijn,inab,jncb->nacb", products, rotated, rotated, optimize=True)  # ∫ A_ab A_cb dt
+        weight_s[k] += elapsed[0]
         total_angle[k] += size[:, None] * u
         C[k] = C[k] @ rotation_matrix(u * size[:, None])
     if window_s > 0.0:
@@ -141,8 +156,22 @@ def _moments(angle: Array) -> tuple[Array, Array]:
     return first, products
 
 
-def _outer_product_integral(C: Array, parts: Array, angle: Array) -> Array:
-    """``∫ A_ab A_cb dβ`` with A = C exp(βu×) from 0 to |θ|, shape (n, 3, 3, 3)."""
-    _, products = _moments(angle)
-    rotated = C @ parts
-    return np.asarray(np.einsum("ijn,inab,jncb->nacb", products, rotated, rotated, optimize=True))
+def _moments_in_time(angle: Array, rate: Array, acceleration: Array) -> tuple[Array, Array]:
+    """Integrals over time of (1, cos β, sin β) and of their products, as :func:`_moments`, from rest to rest, s.
+
+    The rate is a trapezoid, or a triangle where the angle is too small to reach it. Over a ramp, where β grows with t²,
+    the integrals are Fresnel's: Gaussian quadrature gives them.
+    """
+    peak = np.minimum(rate, np.sqrt(angle * acceleration))
+    ramp, ramp_s = 0.5 * peak**2 / acceleration, peak / acceleration
+    first, products = (after - before for after, before in zip(_moments(angle - ramp), _moments(ramp), strict=True))
+    first, products = first / peak, products / peak
+    for begin, sign in ((0.0, 1.0), (angle, -1.0)):
+        beta = begin + sign * ramp * _NODES[:, None] ** 2
+        trig = np.stack([np.ones_like(beta), np.cos(beta), np.sin(beta)])
+        share = 0.5 * _WEIGHTS[:, None] * ramp_s
+        first += np.einsum("ipn,pn->in", trig, share)
+        square = np.einsum("ipn,jpn,pn->ijn", trig, trig, share, optimize=True)
+        square[0, 1:] = square[1:, 0] = 0.0
+        products += square
+    return first, products

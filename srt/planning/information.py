@@ -8,7 +8,6 @@ attitude) enter the covariance of its ten measurements, so that the information 
 
 from __future__ import annotations
 
-import math
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -82,11 +81,13 @@ class Signatures:
         self.candidates, self.fixture, self.conditions = tuple(candidates), fixture, conditions
         self.own_drift = OWN_DRIFT
         K = len(self.candidates)
-        speeds = [
-            np.array([math.radians(abs(turn)) / fixture.axes[axis].turn_s(turn) for axis, turn in c.axis_rotations])
-            for c in self.candidates
-        ]
-        turned = ideal_rotations([c.catalogue_sequence() for c in self.candidates], speeds)
+        rate, acceleration = (
+            [np.array([getattr(fixture.axes[axis], key) for axis, _ in c.axis_rotations]) for c in self.candidates]
+            for key in ("rate_rad_s", "acceleration_rad_s2")
+        )
+        turned = ideal_rotations(
+            [c.catalogue_sequence() for c in self.candidates], rate, acceleration_rad_s2=acceleration
+        )
         self.integrals = _with_wait(turned, fixture.settle_s)
         self.between_windows_s = np.array([c.between_windows_s(fixture) for c in self.candidates])
         starts = np.array([c.start_deg for c in self.candidates], dtype=int).reshape(K, 2)
