@@ -289,6 +289,10 @@ def find_windows(recording: Recording) -> Indices:
     DataError
         If fewer than two are found.
     """
+    return recording.memo("stationary windows", lambda: _find_windows(recording))
+
+
+def _find_windows(recording: Recording) -> Indices:
     blocks = blocks_of(recording)
     rest = find_rest(blocks)
     runs = still_runs(rest.still, blocks)
@@ -306,7 +310,9 @@ def find_windows(recording: Recording) -> Indices:
             f"Only {len(windows)} stationary windows of at least {shortest:g} s were found in the recording; "
             "stillness, turn, stillness is needed: let the unit rest between turns, or label the windows." + cut
         )
-    return np.array(windows, dtype=np.intp)
+    out = np.array(windows, dtype=np.intp)
+    out.flags.writeable = False
+    return out
 
 
 def find_turns(recording: Recording) -> tuple[SequenceLabel, ...]:
