@@ -151,13 +151,13 @@ class Candidate:
 def outer_axis(inner_deg: ArrayLike) -> Array:
     """Direction of the outer axis in IMU components: (sin inner, cos inner, 0), shape (..., 3)."""
     a = np.radians(inner_deg)
-    return np.rint(np.stack([np.sin(a), np.cos(a), np.zeros_like(a)], axis=-1)) + 0.0
+    return np.asarray(np.rint(np.stack([np.sin(a), np.cos(a), np.zeros_like(a)], axis=-1)) + 0.0)
 
 
 def down_axis(inner_deg: ArrayLike, outer_deg: ArrayLike) -> Array:
     """Direction of down in IMU components: the third row of R_y(outer) R_z(inner), shape (..., 3)."""
     i, o = np.radians(inner_deg), np.radians(outer_deg)
-    return np.rint(np.stack([-np.sin(o) * np.cos(i), np.sin(o) * np.sin(i), np.cos(o)], axis=-1)) + 0.0
+    return np.asarray(np.rint(np.stack([-np.sin(o) * np.cos(i), np.sin(o) * np.sin(i), np.cos(o)], axis=-1)) + 0.0)
 
 
 @cache

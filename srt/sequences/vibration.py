@@ -18,8 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import binom
+from scipy.special import betaincinv
 
 from srt.noise.noise_model import smallest_step
 from srt.sequences.window_means import averaging_weights
@@ -162,13 +161,11 @@ def _step(recording: Recording, sensor: str, windows: Indices) -> Array:
 
 def _limit(windows: int, tests: int) -> float:
     """F-ratio above which a bin stands out in a window, for a false-alarm probability over all windows and tests."""
-    chance = np.log(FALSE_ALARM / tests)
-
-    def excess(log_single: float) -> float:
-        return float(binom.logsf(windows // 2, windows, np.exp(log_single)) - chance)
-
+    # More than k of the windows: the tail of the binomial distribution is an incomplete beta function.
+    k = windows // 2
+    each = float(betaincinv(k + 1, windows - k, FALSE_ALARM / tests))
     # Any of the three channels of a window. With 2 and 2 m degrees of freedom, P(F > t) = (1 + t / m)^−m.
-    single, m = np.exp(brentq(excess, np.log(1e-12), np.log(0.5))) / 3.0, 2.0 * _NEIGHBOURS
+    single, m = each / 3.0, 2.0 * _NEIGHBOURS
     return float(m * (single ** (-1.0 / m) - 1.0))
 
 
