@@ -1,12 +1,13 @@
-"""Pictures of the README and the documentation: fixture with the 17 sequences, and the calibration of the demo.
+"""Pictures of the README and the documentation: fixture with the 17 sequences, calibration of the demo, convergence.
 
-``python benchmarks/pictures.py`` writes docs/images/fixture.png and docs/images/calibration.png. A test draws them
-again and compares, so that they are those of the present software.
+``python benchmarks/pictures.py`` writes them to docs/images. The maps of convergence show the tables of
+docs/studies/filters.md. A test draws all again and compares, so that they are those of the present software.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,9 @@ import numpy as np
 
 import sims
 import srt
+from sims.robustness.convergence import ConvergenceMap
+from sims.robustness.figures import map_figure
+from sims.robustness.trial_table import AxisLevels
 from srt.model.table1 import SEQUENCES
 from srt.reports.figures.calibration import calibration_figure
 from srt.reports.figures.style import (
@@ -36,6 +40,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
+STUDY = FOLDER.parent / "studies" / "filters.md"
+"""Tables that the maps of convergence show."""
 COLOURS = {"x": BLUE, "y": VERMILION, "z": GREEN}
 # Oblique view: table axes x (away from the reader), y (to the right, along the outer axis), z (down): right-handed.
 VIEW = np.array([[0.50, 0.94, 0.0], [0.40, -0.08, -1.0]])
@@ -146,7 +152,29 @@ def demo_figure() -> Figure:
     return calibration_figure(srt.calibrate(simulation.recording), truth=simulation.truth, title="demo")
 
 
-PICTURES = {"fixture.png": fixture_figure, "calibration.png": demo_figure}
+def levels(name: str, labels: list[str]) -> AxisLevels:
+    """Axis of a map, without rows of trials."""
+    none = np.zeros(0)
+    return AxisLevels(name, True, tuple(labels), np.array(labels, dtype=np.float64), none.astype(np.intp), none)
+
+
+def convergence_figure() -> Figure:
+    """Maps of convergence of the forms of the filter and the other estimators, from the tables of their study."""
+    shares, names = [], []
+    tables = re.findall(r"^\*\*Converged, %: (.*?)\*\*\n\n(.*?)\n\n", STUDY.read_text(encoding="utf-8"), re.M | re.S)
+    for name, table in tables:
+        head, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+        # "60 (20)": 60 % converged, 20 % with errors beyond their sigmas
+        cells = [[re.findall(r"\d+", cell) for cell in row[1:]] for row in reversed(rows)]
+        shares.append([[(len(cell) > 0, *map(int, [*cell, 0, 0][:2])) for cell in row] for row in cells])
+        names.append(name)
+    up, across = (axis.split()[0] for axis in head[0].split("↓"))
+    tried, converged, beyond = np.moveaxis(np.array(shares), -1, 0) * np.reshape([100, 1, 1], (3, 1, 1, 1))
+    axes = levels(across, head[1:]), levels(up, [row[0] for row in reversed(rows)])
+    return map_figure(ConvergenceMap(*axes, (), converged, tried, beyond), names)
+
+
+PICTURES = {"fixture.png": fixture_figure, "calibration.png": demo_figure, "convergence.png": convergence_figure}
 
 
 def main() -> None:

@@ -35,6 +35,8 @@ SEED = 20261122
 ESTIMATORS = ("closed-form", "least-squares", "ekf", "graph")
 RAMP_UG_PER_H = 1000.0
 SLIP_MRAD = 1.0
+LARGEST = 1e4
+"""Largest number that the table shows."""
 
 
 def none(case: Case, _rng: np.random.Generator) -> Recording:
@@ -122,6 +124,13 @@ def judged(recording: Recording, case: Case, estimator: str) -> Judged:
     return Judged(found.status, found.judgement.word, float(np.abs(off).max()), nees)
 
 
+def shown(value: float, digits: int) -> str:
+    """Number for the table; results that failed may be off by any amount, or have no valid covariance."""
+    if not np.isfinite(value) or value < 0.0:
+        return "-"
+    return f"{value:.{digits}f}" if value < LARGEST else f"> {LARGEST:.0f}"
+
+
 def counts(words: list[str]) -> str:
     """Words with their number, the most frequent first."""
     return ", ".join(f"{number} {word.replace('_', ' ')}" for word, number in Counter(words).most_common())
@@ -146,10 +155,9 @@ def main() -> None:
             for number, name in enumerate(ESTIMATORS):
                 rows = [row[number] for row, _ in done]
                 used = [row for row in rows if row.word in ("sound", "doubtful")]
-                sizes = [
-                    f"{np.nanmax([r.largest for r in part], initial=0.0):.1f}" if part else "-" for part in (rows, used)
-                ]
-                nees = [f"{np.nanmean([r.nees for r in part]):.2f}" if part else "-" for part in (rows, used)]
+                parts = [[r for r in part if np.isfinite(r.largest)] for part in (rows, used)]
+                sizes = [shown(max((r.largest for r in part), default=np.nan), 1) for part in parts]
+                nees = [shown(float(np.mean([r.nees for r in part])) if part else np.nan, 2) for part in parts]
                 print(
                     f"| {grade} | {fault} | {name} | {', '.join(sizes)} | {', '.join(nees)} | "
                     f"{counts([r.status for r in rows])} | {counts([r.word for r in rows])} | "
