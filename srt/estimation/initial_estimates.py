@@ -30,7 +30,6 @@ from srt.estimation.fixed_parameters import POSE_FRAME
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.exceptions import DataError
 from srt.model import measurement_model as model
-from srt.model.analytic_platform import gyro_stream
 from srt.model.measurement_model import down_jacobian
 from srt.model.sensor_model import Triad, accel_triad, outside_model, to_mars
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
@@ -59,14 +58,7 @@ def initial_estimate(data: PreparedRecording, options: Options) -> tuple[SensorE
         return errors, SrtProcessor(data, options).process(errors, nominal_vertical=True).U
     if data.nominal is None:
         return estimate_from_gravity(data), np.eye(3)
-    stream = gyro_stream(
-        data.recording.gyro,
-        data.recording.interval_s,
-        data.rotation,
-        data.rotation,
-        rates=data.recording.kind == "rate",
-    )
-    return estimate_from_fixture(data, stream)
+    return estimate_from_fixture(data, data.rotation_stream)
 
 
 _RIDGE: Final = 1e-6

@@ -150,7 +150,7 @@ def _root(spans: Indices, time_s: Array) -> tuple[Array, Array]:
 def interval_times(spans: Indices, time_s: Array) -> tuple[Array, Array]:
     """Start and end, s, of sample spans (n, 2)."""
     # A sample represents the interval before its time; a part without samples has no length.
-    length = float(np.median(np.diff(time_s)))
+    length = float(np.median(np.diff(time_s), overwrite_input=True))
     end = time_s[np.minimum(spans[:, 1], len(time_s)) - 1]
     return np.minimum(time_s[np.minimum(spans[:, 0], len(time_s) - 1)] - length, end), end
 

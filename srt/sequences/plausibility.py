@@ -263,22 +263,20 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     starts = np.linspace(0, max(len(triad) - _STRETCH, 0), _STRETCHES).astype(int)
     some = np.concatenate([triad[a : a + _STRETCH] for a in starts.tolist()])
-    # A noise-free rotation at a constant rate also repeats its extreme, but then the other channels are smooth too.
-    roughness = np.abs(triad[2:] - 2.0 * triad[1:-1] + triad[:-2])
-    noisy = roughness > _NO_NOISE * float(np.abs(triad).max())
+    smallest, largest = triad.min(axis=0), triad.max(axis=0)
+    smooth = _NO_NOISE * float(max(largest.max(), -smallest.min()))
     for axis in range(3):
         channel = triad[:, axis]
-        inner = (some[:, axis] > channel.min()) & (some[:, axis] < channel.max())
+        inner = (some[:, axis] > smallest[axis]) & (some[:, axis] < largest[axis])
         differences = np.abs(np.diff(some[:, axis]))[inner[1:] & inner[:-1]]
         if not differences.size or np.mean(differences == 0.0) > _REPEATS:
             continue
         step = float(smallest_step(some[inner, axis][:, None])[0])
         if step > _NOISY * float(np.median(differences)) / _MEDIAN_OF_DIFFERENCES:
             continue
-        others = np.asarray(np.any(np.delete(noisy, axis, axis=1), axis=1))
         for sign, limits in ((-1.0, low), (1.0, high)):
-            extreme = float((sign * channel).max())
-            if extreme > least and _is_limit(sign * channel, extreme, step, others):
+            extreme = float(largest[axis] if sign > 0.0 else -smallest[axis])
+            if extreme > least and _is_limit(sign * channel, extreme, step, triad, axis, smooth):
                 limits[axis] = sign * extreme
     return low, high
 
@@ -301,13 +299,18 @@ def _is_held(at: Mask) -> bool:
     return bool(np.any(edges[1::2] - edges[::2] >= _HELD))
 
 
-def _is_limit(channel: Array, extreme: float, step: float, others_noisy: Mask) -> bool:
-    """Return True if noisy readings are clipped at their largest value."""
+def _is_limit(channel: Array, extreme: float, step: float, triad: Array, axis: int, smooth: float) -> bool:
+    """Return True if noisy readings are clipped at their largest value.
+
+    A noise-free rotation at a constant rate also repeats its extreme, but then the other axes are ``smooth`` too.
+    """
     at = channel == extreme
-    held = at[2:] & at[1:-1] & at[:-2]
-    if held.any():
-        return float(np.mean(others_noisy[held])) > _MOSTLY_NOISY
-    count, inside = int(at.sum()), int(np.sum(np.abs(channel - (extreme - step)) < 0.5 * step))
+    held = np.flatnonzero(at[2:] & at[1:-1] & at[:-2])
+    if held.size:
+        roughness = np.abs(triad[held + 2] - 2.0 * triad[held + 1] + triad[held])
+        return float(np.mean(np.any(np.delete(roughness, axis, axis=1) > smooth, axis=1))) > _MOSTLY_NOISY
+    near = (channel > extreme - 1.5 * step) & (channel < extreme - 0.5 * step)
+    count, inside = int(at.sum()), int(near.sum())
     # Two's complement: the negative full scale is one count larger.
     full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
     return (count >= _PILE and count >= _PILE * inside) or (full_scale and count > 1)

@@ -255,46 +255,53 @@ class PreparedRecording:
         weights : ndarray, shape (n,), or None
             Averaging weight of each sample in its window, 0 outside the integrated windows; None if there are none.
         """
+        if not with_force and not integrated.any():
+            return self.rotation_stream, None, None
         spans, samples = self.rotation.copy(), self.windows.samples
         open_start, open_end = integrated[self.start], integrated[self.end]
         spans[open_start, 0] = samples[self.start[open_start], 0]
         spans[open_end, 1] = samples[self.end[open_end], 1]
         recording = self.recording
-        F = force = weights = None
-        if with_force or integrated.any():
-            n = int((spans[:, 1] - spans[:, 0]).sum())
-            force = np.empty((3, n))
-            if integrated.any():
-                F, weights = np.ones(n), np.zeros(n)
-            at = 0
-            for k, (a, b) in enumerate(spans.tolist()):
-                rows = recording.accel[a:b].T
-                if recording.kind == "increment":
-                    interval = recording.interval_s
-                    rows = rows / (interval if isinstance(interval, float) else interval[a:b])
-                force[:, at : at + b - a] = rows
-                for is_end, flagged, w in (
-                    (False, open_start[k], self.start[k]),
-                    (True, open_end[k], self.end[k]),
-                ):
-                    if flagged and F is not None and weights is not None:
-                        lo, hi = samples[w] - a + at
-                        weight = averaging_weights(hi - lo, self.average)
-                        # Mid-sample share of the average that an attitude error at this sample acts on.
-                        before = np.cumsum(weight) - 0.5 * weight
-                        F[lo:hi] = 1.0 - before if is_end else before
-                        weights[lo:hi] = weight
-                at += b - a
-        stream = gyro_stream(
-            recording.gyro,
-            recording.interval_s,
-            spans,
-            self.rotation,
-            rates=recording.kind == "rate",
-            F=F,
-        )
+        F = weights = None
+        n = int((spans[:, 1] - spans[:, 0]).sum())
+        force = np.empty((3, n))
+        if integrated.any():
+            F, weights = np.ones(n), np.zeros(n)
+        at = 0
+        for k, (a, b) in enumerate(spans.tolist()):
+            rows = recording.accel[a:b].T
+            if recording.kind == "increment":
+                interval = recording.interval_s
+                rows = rows / (interval if isinstance(interval, float) else interval[a:b])
+            force[:, at : at + b - a] = rows
+            for is_end, flagged, w in (
+                (False, open_start[k], self.start[k]),
+                (True, open_end[k], self.end[k]),
+            ):
+                if flagged and F is not None and weights is not None:
+                    lo, hi = samples[w] - a + at
+                    weight = averaging_weights(hi - lo, self.average)
+                    # Mid-sample share of the average that an attitude error at this sample acts on.
+                    before = np.cumsum(weight) - 0.5 * weight
+                    F[lo:hi] = 1.0 - before if is_end else before
+                    weights[lo:hi] = weight
+            at += b - a
+        stream = self._gyro_stream(spans, F)
         self._remove_vibration(stream, open_start, open_end)
         return stream, force, weights
+
+    @cached_property
+    def rotation_stream(self) -> GyroStream:
+        """Gyro samples of the rotations alone, the attitude constant in all windows."""
+        stream, none = self._gyro_stream(self.rotation, None), np.zeros(self.K, dtype=np.bool_)
+        self._remove_vibration(stream, none, none)
+        return stream
+
+    def _gyro_stream(self, spans: Indices, F: Array | None) -> GyroStream:
+        recording = self.recording
+        return gyro_stream(
+            recording.gyro, recording.interval_s, spans, self.rotation, rates=recording.kind == "rate", F=F
+        )
 
     def _remove_vibration(self, stream: GyroStream, open_start: Mask, open_end: Mask) -> None:
         """Let the rotations begin and end at the mean attitude of the windows, which a vibrating unit leaves."""

@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 import srt
-from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, _fit_one, flicker_spread, noise_model
+from srt.noise.noise_model import (
+    _PIECE,
+    ACCEL_FLOOR,
+    GYRO_FLOOR,
+    _allan_octaves,
+    _fit_one,
+    flicker_spread,
+    noise_model,
+)
 from srt.noise.variance_components import restricted_likelihood
 
 N, RATE = 2000, 200.0
@@ -145,3 +153,23 @@ def test_a_variance_of_few_differences_does_not_lead_the_fit():
     design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1) / (expected * np.sqrt(3.0 / count))[:, None]
     bound = 0.5 * np.sqrt(np.linalg.inv(design.T @ design)[0, 0])
     assert np.sqrt(np.mean((found - 1.0) ** 2)) < bound * (1.0 + 3.5 / np.sqrt(2.0 * len(found)))
+
+
+def test_octaves_of_pieces_are_those_of_the_definition():
+    """Differences of adjoining averages of 2^k samples, from each window's start, in windows of any length."""
+    rng = np.random.default_rng(11)
+    lengths = np.array([5, 2 * _PIECE + 4711, 700, 700, _PIECE, 1])
+    ends = np.cumsum(lengths)
+    windows = np.stack([ends - lengths, ends], axis=1)
+    n = int(ends[-1])
+    gyro, accel = rng.standard_normal((2, n, 3))
+    log = srt.Recording(np.arange(1, n + 1) / RATE, gyro, accel, accuracy_trials.SITE)
+    tau, count, variance = _allan_octaves(log, windows)
+    both = np.concatenate([gyro, accel], axis=1)
+    assert len(tau) == int(np.log2(lengths.max()))
+    for k, m in enumerate(2 ** np.arange(len(tau))):
+        whole = [both[a:b][: (b - a) // (2 * m) * 2 * m].reshape(-1, 2, m, 6) for a, b in windows]
+        steps = np.concatenate([np.diff(w.mean(axis=2), axis=1)[:, 0] for w in whole])
+        assert (tau[k], count[k]) == (pytest.approx(m / RATE), len(steps))
+        # Rounding: pairwise averages of k octaves.
+        np.testing.assert_allclose(variance[:, k], 0.5 * (steps**2).mean(axis=0), rtol=1e-13)
