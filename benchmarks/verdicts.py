@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from srt.recording.recording import Recording
+    from srt.result.calibration import Calibration
 
 SEED = 20261122
 ESTIMATORS = ("closed-form", "least-squares", "ekf", "graph")
@@ -115,6 +116,11 @@ def judged(recording: Recording, case: Case, estimator: str) -> Judged:
         found = srt.calibrate(recording, estimator, checks=False)
     except srt.SrtError:
         return Judged("refused", "refused", np.nan, np.nan)
+    return outcome(found, case)
+
+
+def outcome(found: Calibration, case: Case) -> Judged:
+    """Status, verdict and errors of a calibration of a unit with known errors."""
     seen = found.observed
     if not seen.any():
         return Judged(found.status, found.judgement.word, np.nan, np.nan)

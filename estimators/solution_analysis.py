@@ -17,6 +17,7 @@ from estimators.residual_analysis import (
     sequence_diagnostics,
 )
 from srt.estimation.calibration_builder import build_calibration
+from srt.estimation.error_sources import latitude_error
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
 from srt.noise.drift_forms import WALK
@@ -146,6 +147,10 @@ def analyse_solution(
     covariance = covariance_by_source(solution)
     covariance["held_values"] = _fixed_values(solution, uncertain, iteration.free)
     total = iteration.covariance + covariance["held_values"]
+    by_latitude = _latitude(joint, solution)
+    if by_latitude.any():
+        covariance["latitude"] = np.outer(by_latitude, by_latitude)
+        total = total + covariance["latitude"]
     # With "per-sequence" the scatter is no property of the unit; an instability as specified is in the solution.
     if joint.data.noise.gyro_flicker is None and joint.options.gyro_bias != "per-sequence":
         at = np.arange(N_PARAMETERS)[GROUP_SLICES["gyro_bias"]]
@@ -222,6 +227,17 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
         complete = linearise(joint, iteration.linearisation_point, iteration.compensated, iteration.free, prior)
     iteration.whole = system, prior, BlockSolution(complete)
     return iteration.whole[2]
+
+
+def _latitude(joint: JointModel, solution: BlockSolution) -> Array:
+    """Effect on the parameters of one sigma of the latitude, which counts as known, shape (27,)."""
+    system, recording = solution.system, joint.data.recording
+    error = np.concatenate([latitude_error(recording, placed=frame.fixture) for frame in joint.level_frames])
+    effect = np.zeros(len(system.b))
+    for kind in ("rate", "turn"):
+        rows = system.rows_of(kind).index.ravel()
+        effect[rows] = system.A[rows][:, system.of("earth_rate")] @ error
+    return np.asarray(-solution.rows_with_parameters.T @ effect)
 
 
 def _fixed_values(solution: BlockSolution, uncertain: Array, free: Mask) -> Array:

@@ -22,7 +22,7 @@ _GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "counts")
 _ACCEL_UNITS = ("m/s^2", "g", "mg", "m/s", "g*s", "counts")
 _TIME_UNITS = ("s", "ms", "0.1ms", "us", "ns")
 
-_SITE_KEYS = ("latitude_deg", "gravity_m_s2", "height_m", "gravity_sigma_m_s2")
+_SITE_KEYS = ("latitude_deg", "gravity_m_s2", "height_m", "gravity_sigma_m_s2", "latitude_sigma_deg")
 _NOISE_KEYS = (
     "gyro_noise_deg_per_sqrt_h", "accel_noise_ug_per_sqrt_hz", "gyro_quantization_arcsec", "accel_quantization_m_s",
     "gyro_bias_instability_deg_per_h", "accel_bias_instability_ug", "gyro_range_deg_s", "accel_range_g",

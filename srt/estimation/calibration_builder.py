@@ -231,6 +231,7 @@ def _site(data: PreparedRecording) -> dict[str, Any]:
         "latitude_deg": None if site.latitude_rad is None else float(np.degrees(site.latitude_rad)),
         "gravity_m_s2": site.gravity_m_s2,
         "gravity_sigma_m_s2": site.gravity_sigma_m_s2,
+        "latitude_sigma_deg": None if site.latitude_sigma_rad is None else float(np.degrees(site.latitude_sigma_rad)),
     }
 
 

@@ -208,6 +208,18 @@ def unknown_earth_rate(recording: Recording, *, placed: bool) -> Array:
     return np.array([1.0, 1.0, 0.0]) * EARTH_RATE_RAD_S * math.cos(latitude) / math.sqrt(2.0)
 
 
+def latitude_error(recording: Recording, *, placed: bool) -> Array:
+    """Error of the known Earth rate by one sigma of the latitude, north, east, down, shape (3,), rad/s.
+
+    The horizontal part of a free turn, not ``placed`` on the fixture, is unknown at any latitude.
+    """
+    latitude, sigma = recording.site.latitude_rad, recording.site.latitude_sigma_rad
+    if latitude is None or sigma is None:
+        return np.zeros(3)
+    error = -sigma * EARTH_RATE_RAD_S * np.array([math.sin(latitude), 0.0, math.cos(latitude)])
+    return np.where(unknown_earth_rate(recording, placed=placed) > 0.0, 0.0, error)
+
+
 def earth_rate_sigma(recording: Recording) -> float:
     """1-sigma error of the Earth rate in a pose, rad/s."""
     unknown = float(unknown_earth_rate(recording, placed=True).max())

@@ -16,7 +16,7 @@ import numpy as np
 from srt.estimation import error_sources as sources
 from srt.estimation.drift_model import NOTHING
 from srt.estimation.unknown_earth_rate import unknown_earth_rate_draws
-from srt.model.rotations import cross_matrix
+from srt.model.rotations import cross_matrix, rotation_matrix
 
 if TYPE_CHECKING:
     from srt.estimation.drift_model import Unmodelled
@@ -124,6 +124,7 @@ def disturbances(
         "accel_quantization": noise["accel_quantization"],
         "accel_bias_instability": bias_drift(data, by, "accel"),
         "earth_rate_alignment": _earth_rate_error(measurements, data),
+        **_latitude(measurements, data),
         **_stated_values(measurements, data),
         "gravity": Disturbance(force=(data.recording.site.gravity_sigma_m_s2 * -up)[:, :, None]),
     }
@@ -288,7 +289,26 @@ def _earth_rate_error(measurements: SrtMeasurements, data: PreparedRecording) ->
     axes = _attitude_errors(measurements, data)
     unknown = unknown_earth_rate_draws(measurements, data)
     parts = [np.cross(axes, measurements.earth_rate[:, :, None], axis=1), unknown]
-    delta = np.concatenate(parts, axis=2)
+    return _of_earth_rate(measurements, np.concatenate(parts, axis=2))
+
+
+def _latitude(measurements: SrtMeasurements, data: PreparedRecording) -> dict[str, Disturbance]:
+    """Error of the stated latitude, one draw for the recording; empty if its sigma is not stated."""
+    fixed, free = (sources.latitude_error(data.recording, placed=placed) for placed in (True, False))
+    if not (fixed.any() or free.any()):
+        return {}
+    down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
+    delta = free[2] * down
+    fixture = data.recording.fixture
+    if data.nominal is not None and fixture is not None:
+        to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
+        level = rotation_matrix(np.array([0.0, 0.0, -(fixture.heading_rad or 0.0)])) @ fixed
+        delta = np.where(data.placed[:, None], to_body @ level, delta)
+    return {"latitude": _of_earth_rate(measurements, delta[:, :, None])}
+
+
+def _of_earth_rate(measurements: SrtMeasurements, delta: Array) -> Disturbance:
+    """Effect of errors of ω̂e in B_Strt, shape (K, 3, S), rad/s."""
     seen = np.einsum("wab,was->wbs", measurements.window_attitude, delta[measurements.window_sequence])
     # ∫ exp(−ω̂e× t) dt over the sequence, to the second order in the Earth's angle.
     T = measurements.integrals.weight_s[:, None]

@@ -1,7 +1,7 @@
 """Errors that no residual shows: time base, gravity, latitude and heading, with their effect on the result.
 
 All measurements share them, so that they agree however large the error is. Each has a coefficient, and a stated sigma
-where the recording gives one; the sigmas of the result include it then. A latitude and a heading count as stated.
+where the recording gives one; the sigmas of the result include it then. A latitude without sigma counts as exact.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def unseen_errors(data: PreparedRecording) -> list[dict[str, Any]]:
     if site.latitude_rad is not None:
         # |dω/dφ| is the Earth rate itself; the poses decide how much of it falls on an axis.
         per_degree = EARTH_RATE_RAD_S * math.radians(1.0) / DEG_PER_H
-        rows.append(_row("latitude", ("°", None), ("gyro_bias", per_degree, "°/h"), largest=True))
+        sigma = site.latitude_sigma_rad
+        stated = None if sigma is None else math.degrees(sigma)
+        rows.append(_row("latitude", ("°", stated), ("gyro_bias", per_degree, "°/h"), largest=True))
         if fixture is not None and fixture.heading_rad is not None:
             per_mrad = EARTH_RATE_RAD_S * math.cos(site.latitude_rad) * 1e-3 / DEG_PER_H
             sigma = fixture.alignment_sigma_rad * 1e3

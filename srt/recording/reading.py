@@ -72,7 +72,8 @@ def read(
         ``time_unit``, ``gyro_lsb`` and ``accel_lsb`` (SI units per count, or a text as "1/131 deg/s"),
         ``gyro_offset``, ``accel_offset``, ``sample_rate_hz``, ``columns``, ``map_gyro``, ``map_accel``, ``topic`` and
         the other fields of :class:`~srt.recording.import_options.ImportOptions`. Place: ``latitude_deg``,
-        ``gravity_m_s2``, ``height_m``, ``gravity_sigma_m_s2``. Fixture: ``heading_deg``, ``alignment_sigma_mrad``,
+        ``gravity_m_s2``, ``height_m``, ``gravity_sigma_m_s2``, ``latitude_sigma_deg``. Fixture: ``heading_deg``,
+        ``alignment_sigma_mrad``,
         ``rotation_sigma_mrad``, ``wobble_sigma_mrad``; without any of them there is none. Noise of the unit:
         ``gyro_noise_deg_per_sqrt_h``, ``accel_noise_ug_per_sqrt_hz`` and the other keys of ``[imu]``. Unit:
         ``serial``, ``date``, ``temperature_c``, and ``applied``, the

@@ -65,6 +65,8 @@ class Site:
         Standard deviation of gravity, m/s²: a common error of the accelerometer scale factors.
     latitude_rad : float or None
         None: unknown; the gyro-bias sigma then includes the whole Earth rate.
+    latitude_sigma_rad : float or None
+        Standard deviation of the latitude, rad; None: not stated, and the latitude counts as exact.
 
     Raises
     ------
@@ -75,6 +77,7 @@ class Site:
     gravity_m_s2: float
     gravity_sigma_m_s2: float = 5e-6
     latitude_rad: float | None = None
+    latitude_sigma_rad: float | None = None
 
     def __post_init__(self) -> None:
         low, high = GRAVITY_RANGE_M_S2

@@ -192,6 +192,7 @@ SITE_KEYS: Final = (
     number("gravity_m_s2", "m/s²", "gravity_m_s2", low=9.5, high=10.1),
     number("height_m", "m", low=-1000.0, high=10000.0),
     number("gravity_sigma_m_s2", "m/s²", "gravity_sigma_m_s2", above=0.0),
+    number("latitude_sigma_deg", "degrees", "latitude_sigma_rad", factor=DEG, low=0.0, high=180.0),
 )
 
 FIXTURE_KEYS: Final = (

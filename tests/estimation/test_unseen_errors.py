@@ -70,3 +70,19 @@ def test_a_stated_sigma_is_told_and_in_the_result(calibrated):
     assert row["sigma"] == pytest.approx(50.0)
     part = GROUP_SLICES[row["group"]]
     np.testing.assert_allclose(stated.sigma[part] ** 2, found.sigma[part] ** 2 + (50e-6) ** 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("estimator", ["closed-form", "least-squares", "graph"])
+def test_a_stated_sigma_of_the_latitude_is_in_the_sigmas(calibrated, estimator):
+    """The contribution is the change of the result when the recording states a latitude one sigma off."""
+    pytest.importorskip("gtsam" if estimator == "graph" else "numpy")
+    plain, _, _ = calibrated
+    recording = replace(plain, site=replace(plain.site, latitude_sigma_rad=SMALL * 0.01 * DEG))
+    found, wrong = (srt.calibrate(r, estimator, checks=False) for r in (recording, shifted(recording, "latitude")))
+    contribution, change = found.contributions["latitude"], np.abs(wrong.errors.vector - found.errors.vector)
+    bias = GROUP_SLICES["gyro_bias"]
+    # The largest effect, of the gyro biases; products with the errors of unit and fixture are a few of 1e-3.
+    np.testing.assert_allclose(contribution[bias], change[bias], atol=0.01 * change[bias].max())
+    assert np.all(np.abs(contribution - change) <= 0.01 * contribution + 0.01 * found.sigma)
+    rows = {row["source"]: row["sigma"] for row in found.diagnostics["unseen_errors"]}
+    assert rows["latitude"] == pytest.approx(SMALL * 0.01)

@@ -31,6 +31,7 @@ SOURCE_LABELS: Final = {
     "stated_rate": "table rate",
     "gravity": "gravity",
     "clock": "time base",
+    "latitude": "latitude",
     "prior": "prior",
     "held_values": "fixed values",
     "recordings": "recordings",
