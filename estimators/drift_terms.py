@@ -1,52 +1,89 @@
-"""Bias drift within a recording as unknowns of the joint model: coefficients of the selected forms.
+"""Biases that vary within a recording as unknowns of the joint model: forms of drift, and gyro g-sensitivity.
 
 The effects on forces, rates and rotations are linear in the coefficients. Rotations are integrated with the mean drift
-of each, because a drift of hundreds of degrees per hour is not linear in the attitude.
+of each, because a drift of hundreds of degrees per hour is not linear in the attitude, and without Γ f in every sample
+(:mod:`srt.estimation.g_sensitivity`).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, most_significant
 from srt.estimation.drift_search import gyro_statistics
 from srt.estimation.error_sources import by_drift
-from srt.model import measurement_model as model
 from srt.model.sensor_model import gyro_triad
-from srt.noise.drift_forms import Statistics
+from srt.noise.drift_forms import WALK, Statistics
 
 if TYPE_CHECKING:
     from estimators.block_solution import BlockSolution
     from estimators.joint_model import JointModel
     from estimators.solver import IterationState
     from srt.estimation.drift_model import Sensor
+    from srt.estimation.error_sources import Slopes
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
 
 
+_WIDE_G_SENSITIVITY: Final = 1e-2
+"""Prior sigma of an element of Γ, rad/s per m/s²: 6 °/s/g, tens of times that of the worst consumer gyros."""
+
+
 class DriftTerms:
-    """Selected forms of drift, each with three coefficients for every function of the form.
+    """Selected forms of drift, each with three coefficients for every function of the form, after those of Γ.
 
     Parameters
     ----------
     data : PreparedRecording
     terms : tuple of DriftTerm
+    force_axes : ndarray, shape (n, 3), optional
+        Unit vectors in B along which gyro g-sensitivity is estimated, three coefficients for each; default none.
     """
 
-    def __init__(self, data: PreparedRecording, terms: tuple[DriftTerm, ...] = ()) -> None:
-        self.data, self.terms = data, terms
+    def __init__(
+        self, data: PreparedRecording, terms: tuple[DriftTerm, ...] = (), force_axes: Array | None = None
+    ) -> None:
+        self.data, self.terms, self.force_axes = data, terms, force_axes
+        first = 0 if force_axes is None else 3 * len(force_axes)
+        self.of_force = slice(0, first)
+        """Coefficients of the g-sensitivity."""
         sizes = [3 * data.drift_shapes[term.form].windows.shape[1] for term in terms]
-        stops = np.cumsum(sizes, dtype=np.intp).tolist()
+        stops = (first + np.cumsum(sizes, dtype=np.intp)).tolist()
         self.slices = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
-        self.size = sum(sizes)
+        self.size = first + sum(sizes)
         """Number of coefficients."""
 
     @property
     def sigma(self) -> Array:
         """Prior standard deviations of all coefficients."""
-        return np.repeat([term.sigma for term in self.terms], [s.stop - s.start for s in self.slices])
+        of_drift = np.repeat([term.sigma for term in self.terms], [s.stop - s.start for s in self.slices])
+        return np.concatenate([np.full(self.of_force.stop, _WIDE_G_SENSITIVITY), of_drift])
+
+    def of_forms(self, coefficients: Array) -> Array:
+        """Coefficients of the forms of drift, with zeros in place of those of Γ."""
+        out = coefficients.copy()
+        out[self.of_force] = 0.0
+        return out
+
+    @property
+    def freely_estimated(self) -> int:
+        """Number of coefficients with a wide prior, which is no measurement; that of a random walk is one."""
+        of_drift = sum(s.stop - s.start for t, s in zip(self.terms, self.slices, strict=True) if t.form != WALK)
+        return self.of_force.stop + of_drift
+
+    @property
+    def g_sensitivity_map(self) -> Array:
+        """Elements of Γ by rows (gyros before compensation, axes of B) from its coefficients, shape (9, 3 n)."""
+        assert self.force_axes is not None
+        return np.asarray(np.einsum("bd,nc->bcnd", np.eye(3), self.force_axes).reshape(9, -1))
+
+    def g_sensitivity(self, coefficients: Array) -> Array:
+        """Γ, shape (3, 3), rad/s per m/s²; zero where it is not estimated."""
+        if self.force_axes is None:
+            return np.zeros((3, 3))
+        return np.asarray((self.g_sensitivity_map @ coefficients[self.of_force]).reshape(3, 3))
 
     def of(self, sensor: str) -> list[tuple[DriftTerm, slice]]:
         """Terms of a sensor, with their coefficients."""
@@ -67,6 +104,15 @@ class DriftTerms:
             out[:, :, at] = by_drift(slope, shape)
         return out
 
+    def add_g_sensitivity(self, effect: dict[str, Array], by: Slopes, force: Array) -> None:
+        """Add the effect of Γ to that of the drift on the "rate" of windows with this specific force, and on "turn"."""
+        if self.force_axes is None:
+            return
+        assert by.integrals.velocity is not None
+        effect["rate"][:, :, self.of_force] = by_drift(by.rate, force @ self.force_axes.T)
+        turn = np.einsum("kabc,nc->kanb", by.integrals.velocity, self.force_axes)
+        effect["turn"][:, :, self.of_force] = turn.reshape(len(turn), 3, -1)
+
     def estimates(self, coefficients: Array) -> tuple[DriftEstimate, ...]:
         """Drift of every term over the recording."""
         return tuple(
@@ -86,7 +132,6 @@ def search(
     """Most significant form of drift of each triad that the residuals of a joint solution show."""
     state, compensated, data = iteration.linearisation_point, iteration.compensated, joint.data
     assert state is not None
-    assert state.attitude is not None
     assert compensated is not None
     keys = candidates(data, joint.drift.terms)
     residual = solution.residual
@@ -99,10 +144,8 @@ def search(
             information = effect.T @ effect - by_columns.T @ solution.with_columns(by_columns)
             chi_square = float(residual @ residual)
             found[sensor, form] = Statistics(effect.T @ residual[rows], information, chi_square, freedom)
-    rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, joint.earth_rate(state))
     # Rates at rest with their bias and with the drift that is modelled.
     slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
-    rest = rest + (state.bias_deviation @ slope.T)[joint.window_sequence]
-    rest = rest + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
+    rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
     found |= gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms)
     return most_significant(found, len(keys))

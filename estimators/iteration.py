@@ -34,6 +34,7 @@ from estimators.solution_analysis import (
 from estimators.solver import IterationState, JointSolver
 from srt.estimation.drift_model import MOST_TERMS
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import is_misfit, one_group_explains
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.estimation.move_checks import contradicting_move
@@ -291,7 +292,7 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
             continue
         if iteration.status != "converged":
             break
-        if _add_unmodelled_noise(joint, solver, iteration) or _add_drift(joint, solver, iteration):
+        if any(add(joint, solver, iteration) for add in (_add_g_sensitivity, _add_unmodelled_noise, _add_drift)):
             continue
         sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
         weak = iteration.free & (sigma > OBSERVED_BELOW * admission_sigma())
@@ -316,6 +317,9 @@ def _with_sound_moves(
         if iteration.status != "converged":
             solver.restart()
             break
+        if _add_g_sensitivity(joint, solver, iteration):
+            joint.start = replace(joint.start, drift=iteration.state.drift)
+            continue
         against = contradictions(joint, whole_solution(joint, solver, iteration))
         tests = [(against[step].chi_square, against[step].degrees_of_freedom) for step in joint.rank.tolist()]
         reasons = contradicting_move(tests, joint.data.is_move)
@@ -324,6 +328,24 @@ def _with_sound_moves(
         joint = joint.without_moves(reasons)
         solver.restart()
     return joint, None
+
+
+def _add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Model gyro g-sensitivity if the residuals exceed the noise and the rates at rest show it; True if so."""
+    if joint.options.gyro_bias != "auto" or joint.drift.force_axes is not None or solver.weights():
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    if any(joint.unmodelled_sigma) or not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
+        return False
+    state, compensated = iteration.linearisation_point, iteration.compensated
+    assert state is not None
+    assert compensated is not None
+    rest = joint.rest_rate(state, compensated)
+    if significant_g_sensitivity(joint.data, compensated.force, rest, joint.integrated) is None:
+        return False
+    iteration.state = joint.with_g_sensitivity(iteration.state)
+    solver.restart()
+    return True
 
 
 def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:

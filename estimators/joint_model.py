@@ -23,10 +23,10 @@ from estimators.drift_terms import DriftTerms
 from estimators.joint_state import CompensatedData, JointState, LevelFrame
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
+from srt.estimation.g_sensitivity import LEAST_SCATTER, pose_regression
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
-from srt.exceptions import InputError
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
 from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
@@ -43,7 +43,9 @@ if TYPE_CHECKING:
     from estimators.drift_states import DriftChain, DriftStates
     from estimators.linear_system import LinearSystem
     from srt.estimation.error_sources import Slopes, Source
+    from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
+    from srt.estimation.srt_measurements import SrtMeasurements
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.table1 import RotationSequence
     from srt.recording.recording import SequenceLabel
@@ -76,19 +78,9 @@ class JointModel:
     options : Options
     start : SensorErrors, ndarray of shape (3, 3)
         Initial estimate and U.
-
-    Raises
-    ------
-    InputError
-        If the options ask for gyro g-sensitivity, which joint estimation does not model.
     """
 
     def __init__(self, data: PreparedRecording, options: Options, start: tuple[SensorErrors, Array]) -> None:
-        if options.gyro_bias == G_SENSITIVE:
-            raise InputError(
-                f"Joint estimation has no option gyro_bias={G_SENSITIVE!r}: use the estimator closed-form or "
-                "least-squares, which have it, or omit the option."
-            )
         self.data, self.options = data, options
         self.fixture_states = options.fixture_states and data.recording.fixture is not None
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
@@ -99,13 +91,12 @@ class JointModel:
         self.unmodelled_sigma = (0.0, 0.0, 0.0)
         """Unmodelled error, 1-sigma: rotation, rad; specific force, m/s²; rate, rad/s."""
         stated = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
-        self.bias_scatter = {"auto": stated, "pooled": np.zeros(3), "per-sequence": np.full(3, _UNCONSTRAINED_BIAS)}[
-            options.gyro_bias
-        ]
+        fixed = {"pooled": np.zeros(3), "per-sequence": np.full(3, _UNCONSTRAINED_BIAS)}
+        self.bias_scatter = fixed.get(options.gyro_bias, stated)
         # Flicker noise is taken as independent between neighbours: their difference has twice the variance.
         self.bias_step = self.bias_scatter * math.sqrt(2.0) / flicker_spread(data.windows.samples)
         self.drift = DriftTerms(data)
-        """Drift within the recording that is modelled."""
+        """Drift within the recording that is modelled, and gyro g-sensitivity."""
         self._lay_out()
         self.U_prior, self.U_note = self._mounting(start[1])
         self.start = JointState(
@@ -118,6 +109,8 @@ class JointModel:
             np.zeros((len(self.level_frames), 3)),
             np.zeros(0),
         )
+        if options.gyro_bias == G_SENSITIVE:
+            self.start = self.with_g_sensitivity(self.start)
 
     def _lay_out(self) -> None:
         """Assign windows and sequences to level frames, and each window to the first sequence that uses it."""
@@ -171,7 +164,9 @@ class JointModel:
     def update_mounting_prior(self, state: JointState) -> None:
         """Update the prior of the mounting near the solution, so that it does not depend on the initial estimate."""
         if self.data.nominal is not None:
-            self.U_prior, self.U_note = self._mounting(self.processor.process(state.errors, U=state.U).U)
+            gamma = self.drift.g_sensitivity(state.drift)
+            measured = self.processor.process(state.errors, U=state.U, g_sensitivity=gamma)
+            self.U_prior, self.U_note = self._mounting(measured.U)
 
     def _mounting(self, U: Array) -> tuple[Array, str]:
         """Prior mean of U (nominal, or the estimate if MARS is clearly rotated from the mounting), and a warning."""
@@ -227,7 +222,40 @@ class JointModel:
 
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
         """Model of the recording without some moves, by their position and with the reason."""
-        return JointModel(self.data.without_moves(reasons), self.options, (self.start.errors, self.start.U))
+        out = JointModel(self.data.without_moves(reasons), self.options, (self.start.errors, self.start.U))
+        if self.drift.force_axes is not None and out.drift.force_axes is None:
+            out.start = out.with_g_sensitivity(out.start)
+        return out
+
+    def processed(self, state: JointState, deviation: Array) -> SrtMeasurements:
+        """SRT measurements at an estimate with their noise integrals; ``deviation`` is a bias by sequence, rad/s."""
+        return self.processor.process(
+            state.errors,
+            U=state.U,
+            bias_offset=deviation,
+            g_sensitivity=self.drift.g_sensitivity(state.drift),
+            earth_rate_offset=self._unknown_earth_rate(state),
+            with_noise=True,
+        )
+
+    def with_g_sensitivity(self, state: JointState) -> JointState:
+        """Model gyro g-sensitivity where the poses show it; return the state with Γ from the rates at rest."""
+        axes = self._poses(state).observed
+        self.follow_force(axes)
+        measured = self.processor.process(state.errors, U=state.U)
+        assert measured.poses is not None
+        first = measured.gyro.matrix @ measured.poses.fit(measured.rest_rate) @ axes.T
+        return replace(state, drift=np.concatenate([first.T.ravel(), state.drift]))
+
+    def follow_force(self, axes: Array) -> None:
+        """Model gyro g-sensitivity along axes of B, unit vectors of shape (n, 3)."""
+        self.drift = DriftTerms(self.data, self.drift.terms, axes)
+        self.processor = SrtProcessor(self.data, replace(self.options, gyro_bias=G_SENSITIVE), self.integrated)
+
+    def _poses(self, state: JointState) -> PoseRegression:
+        """Regression of the rates at rest on specific force."""
+        T, accel = self.data.windows.duration_s, accel_triad(state.errors)
+        return pose_regression(accel.compensate(self.data.windows.accel_mean), T / T.sum(), self.data.gravity)
 
     def with_initial_values(self, state: JointState, fixed: Mask) -> JointState:
         """Give fixed parameters the values of the initial estimate."""
@@ -258,7 +286,8 @@ class JointModel:
         slope = np.linalg.inv(gyro.matrix)
         deviation = state.bias_deviation @ slope.T
         gyro_mean, accel_mean = self.data.means(gyro, accel)
-        force, rate = accel.compensate(accel_mean), gyro.compensate(gyro_mean)
+        force = accel.compensate(accel_mean)
+        rate = gyro.compensate(gyro_mean - force @ self.drift.g_sensitivity(state.drift).T)
         force_jacobian = model.force_error_jacobian(force, accel)
         rate_jacobian = model.rate_error_jacobian(rate, gyro, self.data.rectified(gyro, accel)[0])
         raw_rate, raw_force = rate, force
@@ -267,7 +296,9 @@ class JointModel:
         integrals, rotation, force = self._integrate(state, deviation, force)
         by = sources.slopes(gyro, accel, raw_rate, raw_force, integrals)
         by_drift = self._drift_form(by)
-        force, rate = force - by_drift["force"] @ state.drift, rate - by_drift["rate"] @ state.drift
+        self.drift.add_g_sensitivity(by_drift, by, raw_force)
+        drift = self.drift.of_forms(state.drift)
+        force, rate = force - by_drift["force"] @ drift, rate - by_drift["rate"] @ drift
         rotation = rotation_matrix(-self._rotation_drift(integrals, state)) @ rotation
         noise = self._sensor_noise(by)
         return CompensatedData(
@@ -336,7 +367,7 @@ class JointModel:
         data = self.data
         if not self.integrated.any():
             integrals, _ = integrate_attitude(
-                self.processor.stream,
+                self.processor.stream_without(self.drift.g_sensitivity(state.drift), accel_triad(state.errors)),
                 gyro_triad(state.errors),
                 np.zeros((data.K, 3)),
                 bias_offset=deviation,
@@ -344,13 +375,7 @@ class JointModel:
                 with_noise=True,
             )
             return integrals, integrals.C_end, force
-        processed = self.processor.process(
-            state.errors,
-            U=state.U,
-            bias_offset=deviation,
-            earth_rate_offset=self._unknown_earth_rate(state),
-            with_noise=True,
-        )
+        processed = self.processed(state, deviation)
         integrals = processed.integrals
         assert integrals.C_turned is not None
         shared = self.integrated[data.end] & self.is_start[data.end]
@@ -419,6 +444,13 @@ class JointModel:
         compensated = self.compensate(state)
         return self.initial_attitudes(state, compensated), compensated
 
+    def rest_rate(self, state: JointState, compensated: CompensatedData) -> Array:
+        """Compensated rates of the windows with the bias of their sequence, less the Earth's, shape (W, 3), rad/s."""
+        assert state.attitude is not None
+        rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))
+        own = state.bias_deviation @ np.linalg.inv(gyro_triad(state.errors).matrix).T
+        return np.asarray(rest + own[self.window_sequence])
+
     def moving_windows(self, state: JointState, compensated: CompensatedData) -> Mask:
         """Windows, assumed stationary so far, in which the unit moved, shape (W,)."""
         assert state.attitude is not None
@@ -432,7 +464,7 @@ class JointModel:
     def integrate_windows(self, windows: Mask) -> None:
         """Integrate the attitude over windows instead of taking it as constant."""
         self.integrated = self.integrated | windows
-        self.processor = SrtProcessor(self.data, self.options, self.integrated)
+        self.processor = SrtProcessor(self.data, self.processor.options, self.integrated)
 
     @cached_property
     def rest_rate_weights(self) -> Array:
@@ -456,16 +488,23 @@ class JointModel:
 
     def update_bias_scatter(self, state: JointState, compensated: CompensatedData) -> None:
         """Estimate the bias scatter between sequences from the rates at rest, if no instability is specified."""
-        if self.data.noise.gyro_wander is not None or self.options.gyro_bias != "auto" or self.data.K < 3:
+        free = self.options.gyro_bias in ("auto", G_SENSITIVE)
+        if self.data.noise.gyro_wander is not None or not free or self.data.K < 3:
             return
-        assert state.attitude is not None
-        rest, _, _ = model.angular_rate_residual(compensated.rate, state.attitude, self.earth_rate(state))
-        rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.rate_slope), rest)
-        rest = rest + state.bias_deviation[self.window_sequence]
+        rest = np.einsum("wab,wb->wa", np.linalg.inv(compensated.rate_slope), self.rest_rate(state, compensated))
+        left = 1.0
+        if self.drift.force_axes is not None:  # the scatter beyond g-sensitivity, of which its fit takes a part
+            poses, T = self._poses(state), self.data.windows.duration_s
+            rest = rest - compensated.force @ poses.fit(rest).T
+            left = poses.scatter_left(compensated.force, self.rest_rate_weights - T / T.sum(), self.window_sequence)
+            if left < LEAST_SCATTER:
+                self.bias_scatter = self.bias_step = np.zeros(3)
+                return
         weights, variance = self.rest_rate_weights, sources.raw_rate_variance(self.data)
         doubt = sources.earth_rate_sigma(self.data.recording)
         expected = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0) + doubt**2
         own = weights @ rest
+        own = own.mean(axis=0) + (own - own.mean(axis=0)) / math.sqrt(left)
         unstated = self.data.recording.noise.gyro_noise is None and self.data.recording.fixture is not None
         self.bias_scatter = np.sqrt(excess_variance(own[~self.data.is_move], expected, bounded=unstated))
         in_time = self.order[~self.data.is_move[self.order]]

@@ -16,11 +16,12 @@ from estimators.residual_analysis import (
     residuals,
     sequence_diagnostics,
 )
+from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.error_sources import latitude_error
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
-from srt.noise.drift_forms import WALK
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def make_calibration(
     drift = joint.drift.estimates(iteration.state.drift)
     if drift:
         diagnostics = {"drift": [term.as_dict() for term in drift], **diagnostics}
+    followed, notes = _g_sensitivity(joint, iteration, analysis.g_sensitivity_covariance)
     result = SolverResult(
         errors=joint.with_initial_values(iteration.state, not_observed).errors,
         U=iteration.state.U,
@@ -87,9 +89,10 @@ def make_calibration(
         bias_by_sequence=iteration.state.bias_deviation + analysis.instability,
         end_attitude=identity if iteration.compensated is None else iteration.compensated.rotation,
         total=analysis.total,
-        diagnostics={"sequences": list(analysis.table)} | solver.diagnostics(joint) | diagnostics,
+        diagnostics={"sequences": list(analysis.table)} | solver.diagnostics(joint) | followed | diagnostics,
         sequences=analysis.sequences,
         drift=drift,
+        notes=notes,
     )
     return build_calibration(solver.name, data, joint.options, result, reasons, warnings=tuple(warnings))
 
@@ -114,6 +117,8 @@ class SolutionAnalysis:
     sequences : tuple of SequenceDiagnostics
     instability : ndarray, shape (K, 3), rad/s
         Bias instability of the gyros by sequence, minus its mean.
+    g_sensitivity_covariance : ndarray, shape (9, 9), or None
+        Of the elements of Γ by rows; None if it is not estimated.
     """
 
     covariance: dict[str, Array]
@@ -125,6 +130,7 @@ class SolutionAnalysis:
     sensor_noise_fit: tuple[float, int] = (0.0, 0)
     sequences: tuple[SequenceDiagnostics, ...] = ()
     instability: Array | float = 0.0
+    g_sensitivity_covariance: Array | None = None
 
 
 def analyse_solution(
@@ -169,6 +175,37 @@ def analyse_solution(
         sensor_noise_fit=_fit_to_sensor_noise(joint, solver, iteration) or (chi_square, freedom),
         sequences=sequence_diagnostics(joint, solution, against),
         instability=joint.instability_by_sequence(system, solution.delta),
+        g_sensitivity_covariance=_g_sensitivity_covariance(joint, solution),
+    )
+
+
+def _g_sensitivity_covariance(joint: JointModel, solution: BlockSolution) -> Array | None:
+    if joint.drift.force_axes is None:
+        return None
+    columns = solution.system.columns["drift_form"].start + np.r_[joint.drift.of_force]
+    combinations = np.zeros((len(solution.delta), 9))
+    combinations[columns] = joint.drift.g_sensitivity_map.T
+    return np.asarray(combinations.T @ solution.with_columns(combinations))
+
+
+def _g_sensitivity(
+    joint: JointModel, iteration: IterationState, covariance: Array | None
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Diagnostics of the g-sensitivity of the gyros, and warnings."""
+    data, state, compensated = joint.data, iteration.linearisation_point, iteration.compensated
+    automatic = joint.options.gyro_bias != G_SENSITIVE
+    if state is None or compensated is None:
+        return {}, ()
+    if covariance is None:
+        rest = joint.rest_rate(state, compensated)
+        size = g_sensitivity_report.significant_g_sensitivity(data, compensated.force, rest, joint.integrated)
+        return {}, g_sensitivity_report.warnings(None, size, automatic=automatic)
+    measurements = joint.processed(state, state.bias_deviation)
+    matrix = joint.drift.g_sensitivity(iteration.state.drift)
+    assert measurements.poses is not None
+    return (
+        g_sensitivity_report.diagnostics(data, measurements, matrix, joint.bias_scatter, covariance),
+        g_sensitivity_report.warnings(measurements.poses.unobserved, None, automatic=automatic),
     )
 
 
@@ -184,9 +221,8 @@ def goodness_of_fit(
         measured[prior] = False
         prior_leverage = float(np.sum(solution.rows_with_parameters[prior] * system.whitening["prior"][0]))
     chi_square = float(residual[measured] @ residual[measured])
-    # The wide priors of a modelled drift are no measurements; those of a random walk are.
-    wide = sum(s.stop - s.start for t, s in zip(joint.drift.terms, joint.drift.slices, strict=True) if t.form != WALK)
-    return chi_square, round(float(measured.sum()) - float(system.active.sum()) + prior_leverage) - wide
+    freedom = round(float(measured.sum()) - float(system.active.sum()) + prior_leverage)
+    return chi_square, freedom - joint.drift.freely_estimated
 
 
 def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> tuple[float, int] | None:

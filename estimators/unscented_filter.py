@@ -119,6 +119,8 @@ class SequenceModel:
         data = prepare_checked(joint.data.recording.with_sequences((label,)), (label,), joint.options.average)
         self.joint, self.free = JointModel(data, joint.options, (state.errors, state.U)), free
         self.joint.U_prior = joint.U_prior
+        if joint.drift.force_axes is not None:  # two windows alone would show one direction
+            self.joint.follow_force(joint.drift.force_axes)
         self.system = self._linearise(replace(state, bias_deviation=np.zeros((1, 3)), attitude=None))
         self.columns = global_columns(self.system)
         self.rows = np.concatenate([rows.index.ravel() for rows in self.system.rows if np.all(rows.owner >= 0)])

@@ -82,7 +82,7 @@ GROUPS = {
 @click.option(
     "--hold", multiple=True, metavar="NAME", help="Fix a parameter or a group, as gyro_scale_x or accel_bias."
 )
-@choice_option("--gyro-bias", "Model of the gyro bias; g-sensitive: closed-form and least-squares.")
+@choice_option("--gyro-bias", "Model of the gyro bias.")
 @click.option(
     "--no-fixture-states",
     is_flag=True,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srt.estimation import g_sensitivity_report
 from srt.estimation.asymmetry_choice import asymmetry_choice
-from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.leave_one_out import chi_square_probability, verdict
 from srt.estimation.unseen_errors import unseen_errors
@@ -24,10 +22,6 @@ if TYPE_CHECKING:
     from srt.estimation.solver_result import SolverResult
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
-
-
-_G_SENSITIVE: Final = " (as g-sensitive gyros, which closed form and least squares estimate)"
-"""Cause that the joint estimators do not model."""
 
 
 def build_calibration(
@@ -100,7 +94,7 @@ def build_calibration(
             "unseen_errors": unseen_errors(data),
         },
         verdict=evidence,
-        warnings=(*warnings, *_warnings(data, options, result, observed)),
+        warnings=(*warnings, *_warnings(data, result, observed)),
     )
 
 
@@ -166,7 +160,7 @@ def _status(
             f"The residuals are {np.sqrt(statistic / freedom):.2g} times as large as the sensors' own noise explains "
             f"(chi-square {statistic:.4g} for {freedom} degrees of freedom): a wrong label, motion in windows, a wrong "
             f"minimum, {'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or a unit "
-            f"that the sensor model does not describe{_G_SENSITIVE if result.solution is None else ''}."
+            f"that the sensor model does not describe."
         )
     if fixed:
         return "partial", f"{result.message} Fixed, not observed: {', '.join(fixed)}."
@@ -304,7 +298,7 @@ def _temperature(data: PreparedRecording) -> dict[str, Any] | None:
     return {"mean_c": float(T.mean()), "range_c": float(T.max() - T.min()), "sequences": rows}
 
 
-def _warnings(data: PreparedRecording, options: Options, result: SolverResult, observed: Mask) -> tuple[str, ...]:
+def _warnings(data: PreparedRecording, result: SolverResult, observed: Mask) -> tuple[str, ...]:
     messages = [f"{title} is void: {reason}." for title, reason in data.voided.items()]
     if result.integrated and len(result.integrated) < len(data.windows.duration_s):
         times = ", ".join(f"{data.recording.time[data.windows.samples[w, 0]]:.5g} s" for w in result.integrated)
@@ -314,9 +308,8 @@ def _warnings(data: PreparedRecording, options: Options, result: SolverResult, o
     messages += [term.sentence for term in result.drift]
     if result.status in (*USABLE, "not_converged"):
         messages += wrong_rotation_angles(data, result.end_attitude, result.U)
-    if result.solution is not None and result.status in USABLE:
-        automatic = options.gyro_bias != G_SENSITIVE
-        messages += g_sensitivity_report.warnings(data, result.solution.measurements, automatic=automatic)
+    if result.status in USABLE:
+        messages += result.notes
     if data.recording.site.latitude_rad is None:
         messages.append("No latitude is given: the gyro-bias sigma includes the whole Earth rate as an unknown.")
     if data.noise.floored:

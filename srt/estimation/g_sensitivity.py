@@ -27,13 +27,15 @@ import numpy as np
 if TYPE_CHECKING:
     from srt.model.analytic_platform import GyroStream
     from srt.model.sensor_model import Triad
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 
 MODE: Final = "g-sensitive"
 """Value of the option ``gyro_bias`` that estimates g-sensitivity."""
 LEAST_FORCE_VARIATION: Final = 0.1
 """Rms variation of the windows' specific force, in g, below which g-sensitivity along a direction is not observable."""
+LEAST_SCATTER: Final = 0.1
+"""Share of the bias variance between sequences that remains after the fit of g-sensitivity; below it, no estimate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,17 +46,35 @@ class PoseRegression:
     ----------
     weights : ndarray, shape (W, 3), s²/m
         l_w; they add up to zero.
-    unobserved : ndarray, shape (m, 3)
-        Unit vectors in B along which the specific force hardly varies; Γ is zero along them.
+    observed, unobserved : ndarray, shape (3 − m, 3) and (m, 3)
+        Unit vectors in B along which the specific force varies, and along which it hardly does; Γ is zero along these.
     """
 
     weights: Array
+    observed: Array
     unobserved: Array
 
     def fit(self, rate: Array) -> Array:
         """Γ, shape (3, 3) or (3, 3, S), rad/s per m/s², from window rates, shape (W, 3) or (W, 3, S)."""
         out: Array = np.einsum("wa...,wc->ac...", rate, self.weights)
         return out
+
+    def scatter_left(self, force: Array, deviation: Array, sequence: Indices) -> float:
+        """Share of the variance of a bias per sequence that remains after the regression.
+
+        Parameters
+        ----------
+        force : ndarray, shape (W, 3), m/s²
+        deviation : ndarray, shape (K, W)
+            Weights of the windows in each sequence's own rate, less those in the pooled rate.
+        sequence : ndarray of int, shape (W,)
+            Sequence of each window.
+        """
+        own = np.zeros((len(force), len(deviation)))
+        own[np.arange(len(force)), sequence] = 1.0
+        left = own - force @ (self.weights.T @ own)
+        whole = float(np.sum((deviation @ own) ** 2))
+        return float(np.sum((deviation @ left) ** 2)) / whole if whole > 0.0 else 1.0
 
 
 def pose_regression(force: Array, pool: Array, gravity: float) -> PoseRegression:
@@ -72,7 +92,7 @@ def pose_regression(force: Array, pool: Array, gravity: float) -> PoseRegression
     sizes, axes = np.linalg.eigh((pool[:, None] * deviation).T @ deviation)
     seen = sizes > (LEAST_FORCE_VARIATION * gravity) ** 2
     inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T
-    return PoseRegression(pool[:, None] * (deviation @ inverse), axes[:, ~seen].T)
+    return PoseRegression(pool[:, None] * (deviation @ inverse), axes[:, seen].T, axes[:, ~seen].T)
 
 
 def compensate_stream(stream: GyroStream, force: Array, accel: Triad, matrix: Array) -> GyroStream:

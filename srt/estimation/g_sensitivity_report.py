@@ -19,10 +19,9 @@ from srt.estimation.g_sensitivity import LEAST_FORCE_VARIATION, MODE
 from srt.result.calibration import G_SENSITIVITY
 
 if TYPE_CHECKING:
-    from srt.estimation.iteration import Solution
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array
+    from srt.types import Array, Mask
 
 
 FALSE_ALARM_PROBABILITY: Final = 1e-3
@@ -53,32 +52,48 @@ def rate_disturbances(measurements: SrtMeasurements, data: PreparedRecording, wa
     return np.concatenate([source.rate for source in sources if source.rate is not None], axis=2)
 
 
-def diagnostics(data: PreparedRecording, solution: Solution) -> dict[str, Any]:
+def diagnostics(
+    data: PreparedRecording,
+    measurements: SrtMeasurements,
+    matrix: Array,
+    wander: Array,
+    covariance: Array | None = None,
+) -> dict[str, Any]:
     """Estimated g-sensitivity, as JSON values; empty where it is not estimated.
 
     ``matrix``, its ``sigma`` and its ``covariance`` (nine elements by rows) are SI, rows gyros and columns axes of B;
     ``rest_rate_scatter_rad_s`` is the rms of the windows' rest rates about their mean before and after Γ is subtracted,
     and the value expected from noise.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    measurements : SrtMeasurements
+        With noise integrals.
+    matrix : ndarray, shape (3, 3), rad/s per m/s²
+    wander : ndarray, shape (3,), rad/s
+        As in :func:`rate_disturbances`.
+    covariance : ndarray, shape (9, 9), optional
+        Of the elements of the matrix by rows; default that of the regression of the rest rates.
     """
-    measurements = solution.measurements
     if measurements.poses is None:
         return {}
-    disturbed = rate_disturbances(measurements, data, solution.wander)
+    disturbed = rate_disturbances(measurements, data, wander)
     by_draw = np.einsum("ab,bcs->acs", measurements.gyro.matrix, measurements.poses.fit(disturbed)).reshape(9, -1)
-    P = by_draw @ by_draw.T
+    P = by_draw @ by_draw.T if covariance is None else covariance
     sigma = np.sqrt(np.diag(P)).reshape(3, 3)
     rate = measurements.after_g_sensitivity(disturbed)[0]
     expected = measurements.pool @ np.sum((rate - np.tensordot(measurements.pool, rate, 1)) ** 2, axis=2)
     left = measurements.rest_rate - measurements.pool @ measurements.rest_rate
     deviation = measurements.force - measurements.pool @ measurements.force
-    followed = np.linalg.solve(measurements.gyro.matrix, solution.g_sensitivity)
+    followed = np.linalg.solve(measurements.gyro.matrix, matrix)
     return {
         G_SENSITIVITY: {
-            "matrix": solution.g_sensitivity.tolist(),
+            "matrix": matrix.tolist(),
             "sigma": sigma.tolist(),
             "covariance": P.tolist(),
             "unit": "rad/s per m/s^2",
-            "matrix_deg_per_h_per_g": (solution.g_sensitivity * _DEG_PER_H_PER_G).tolist(),
+            "matrix_deg_per_h_per_g": (matrix * _DEG_PER_H_PER_G).tolist(),
             "sigma_deg_per_h_per_g": (sigma * _DEG_PER_H_PER_G).tolist(),
             "not_seen_along": measurements.poses.unobserved.tolist(),
             "rest_rate_scatter_rad_s": {
@@ -90,43 +105,72 @@ def diagnostics(data: PreparedRecording, solution: Solution) -> dict[str, Any]:
     }
 
 
-def warnings(data: PreparedRecording, measurements: SrtMeasurements, *, automatic: bool) -> tuple[str, ...]:
-    """Warnings: Γ estimated unasked, not observable in a direction, or significant and not estimated."""
-    if measurements.poses is not None:
+def warnings(unobserved: Array | None, size: float | None, *, automatic: bool) -> tuple[str, ...]:
+    """Warnings: Γ estimated unasked, not observable in a direction, or significant and not estimated.
+
+    Parameters
+    ----------
+    unobserved : ndarray, shape (m, 3), or None
+        Unit vectors along which Γ is not observable; None if it is not estimated.
+    size : float, rad/s per m/s², or None
+        Significant g-sensitivity that is not estimated.
+    automatic : bool
+        True if the options do not ask for an estimate.
+    """
+    if unobserved is not None:
         told = (_ESTIMATED,) if automatic else ()
-        if not len(measurements.poses.unobserved):
+        if not len(unobserved):
             return told
-        along = " and ".join("(" + ", ".join(f"{x:.2f}" for x in axis) + ")" for axis in measurements.poses.unobserved)
+        along = " and ".join("(" + ", ".join(f"{x:.2f}" for x in axis) + ")" for axis in unobserved)
         return (
             *told,
             f"Gyro g-sensitivity along {along} is not observable: the specific force varies by less than "
             f"{LEAST_FORCE_VARIATION:g} g in this direction. It is set to zero, and no sigma includes its error. Add "
             "sequences with these axes up and down.",
         )
-    size = significant_g_sensitivity(measurements, data)
     if size is None:
         return ()
     return (
         f"The gyros are g-sensitive: the rest rates depend on the specific force by up to "
         f"{size * _DEG_PER_H_PER_G:.2g} °/h/g (F-test, p < {FALSE_ALARM_PROBABILITY:g}). The sigmas do not include it; "
-        f"estimate it with --gyro-bias {MODE} (gyro_bias={MODE!r}), closed-form or least-squares.",
+        f"estimate it with --gyro-bias {MODE} (gyro_bias={MODE!r}).",
     )
 
 
-def significant_g_sensitivity(measurements: SrtMeasurements, data: PreparedRecording) -> float | None:
+def warnings_of(data: PreparedRecording, measurements: SrtMeasurements, *, automatic: bool) -> tuple[str, ...]:
+    """Warnings on a solution of the SRT measurements."""
+    if measurements.poses is not None:
+        return warnings(measurements.poses.unobserved, None, automatic=automatic)
+    size = significant_g_sensitivity(data, measurements.force, measurements.rest_rate, measurements.integrated)
+    return warnings(None, size, automatic=automatic)
+
+
+def significant_g_sensitivity(
+    data: PreparedRecording, force: Array, rest_rate: Array, integrated: Mask
+) -> float | None:
     """Largest element of Γ, rad/s per m/s², if the F-test finds it significant, else None.
 
     An Earth-rate error has a part fixed to the vertical, which looks like g-sensitivity: an effect below 3 sigma of the
     Earth rate is not significant.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    force : ndarray, shape (W, 3), m/s²
+        Compensated specific force of the windows.
+    rest_rate : ndarray, shape (W, 3), rad/s
+        Compensated rate of the windows less the Earth rate.
+    integrated : ndarray of bool, shape (W,)
+        Windows in which the unit moved.
     """
-    at_rest = ~(measurements.integrated[data.start] | measurements.integrated[data.end])
-    if measurements.integrated.all():  # integrated on request, not because they moved
+    at_rest = ~(integrated[data.start] | integrated[data.end])
+    if integrated.all():  # integrated on request, not because they moved
         at_rest[:] = True
     start, end = data.start[at_rest], data.end[at_rest]
     T = data.windows.duration_s
     root = np.sqrt(T[start] * T[end] / (T[start] + T[end]))[:, None]
-    change = root * (measurements.force[end] - measurements.force[start])
-    rate = root * (measurements.rest_rate[end] - measurements.rest_rate[start])
+    change = root * (force[end] - force[start])
+    rate = root * (rest_rate[end] - rest_rate[start])
     if len(rate) <= _LEAST_FREEDOM:
         return None
     constant = root / np.linalg.norm(root)

@@ -23,6 +23,7 @@ from srt.estimation import measurement_covariance
 from srt.estimation.drift_model import NOTHING, Unmodelled
 from srt.estimation.earth_rate_regression import with_earth_rate_regression
 from srt.estimation.error_sources import earth_rate_sigma
+from srt.estimation.g_sensitivity import LEAST_SCATTER
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.rest_rate_scatter import bias_gain, excess_variance, rest_rate_variance
 from srt.estimation.srt_measurements import SrtProcessor
@@ -58,8 +59,6 @@ _CREEPING: Final = 0.7
 """Ratio of successive corrections above which the first iterations, held back by a prior, creep."""
 _CREEPING_BELOW: Final = 10.0 * _NEAR
 """Largest correction that counts as creeping: beyond it, steps are limited in length, or the start is far off."""
-_LEAST_SCATTER: Final = 0.1
-"""Share of the bias variance between sequences that remains after the fit of g-sensitivity; below it, no estimate."""
 
 
 class Solver(Protocol):
@@ -320,7 +319,7 @@ class Iteration:
     def _scatter(self, measurements: SrtMeasurements) -> Array:
         """1-sigma of the bias between sequences, from the variation of their rest rates beyond noise (sensor axes)."""
         left = measurements.scatter_left()
-        if np.sum(~self.data.is_move) < 3 or left < _LEAST_SCATTER:
+        if np.sum(~self.data.is_move) < 3 or left < LEAST_SCATTER:
             return np.zeros(3)
         rest = measurements.rest_rate
         forms = [self.data.drift_shapes[term.form].windows for term in self.excess.drift if term.sensor == "gyro"]

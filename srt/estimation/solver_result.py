@@ -9,6 +9,7 @@ import numpy as np
 
 from srt.estimation import g_sensitivity_report
 from srt.estimation.drift_search import estimates, search
+from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.goodness_of_fit import chi_square, is_misfit
 from srt.estimation.leave_one_out import second_order_variance, sequence_diagnostics
 from srt.estimation.unmodelled_errors import fit_to_sensor_noise
@@ -69,8 +70,8 @@ class SolverResult:
         Leave-one-out diagnostics of every sequence, where the estimator computes them.
     drift : tuple of DriftEstimate
         Bias drift within the recording that the residuals show.
-    solution : Solution, optional
-        Solution of an iterated solver; None for joint estimators.
+    notes : tuple of str
+        Warnings on effects beyond the 27 errors, for a usable result.
     """
 
     errors: SensorErrors
@@ -92,7 +93,7 @@ class SolverResult:
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     sequences: tuple[SequenceDiagnostics, ...] = ()
     drift: tuple[DriftEstimate, ...] = ()
-    solution: Solution | None = None
+    notes: tuple[str, ...] = ()
 
 
 def solver_result(
@@ -133,7 +134,8 @@ def solver_result(
         # A solver that models drift has searched for it before.
         missing = () if models_drift else search(data, options, solution, fixed)
         drift = estimates(data, options, solution, fixed, missing)
-    diagnostics = g_sensitivity_report.diagnostics(data, solution)
+    measurements = solution.measurements
+    diagnostics = g_sensitivity_report.diagnostics(data, measurements, solution.g_sensitivity, solution.wander)
     if drift:
         diagnostics = {**diagnostics, "drift": [term.as_dict() for term in drift]}
     return SolverResult(
@@ -157,7 +159,7 @@ def solver_result(
         diagnostics=diagnostics,
         drift=drift,
         sequences=() if outside else sequence_diagnostics(leave_one_out, data, options, solution, fixed),
-        solution=solution,
+        notes=g_sensitivity_report.warnings_of(data, measurements, automatic=options.gyro_bias != G_SENSITIVE),
     )
 
 

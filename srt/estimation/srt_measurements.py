@@ -146,13 +146,7 @@ class SrtMeasurements:
         """Share of the variance of a bias per sequence that remains after the regression on specific force."""
         if self.poses is None:
             return 1.0
-        W, K = len(self.pool), len(self.share)
-        own = np.zeros((W, K))
-        own[np.arange(W), self.window_sequence] = 1.0
-        deviation = self.share - self.pool
-        left = own - self.force @ (self.poses.weights.T @ own)
-        whole = float(np.sum((deviation @ own) ** 2))
-        return float(np.sum((deviation @ left) ** 2)) / whole if whole > 0.0 else 1.0
+        return self.poses.scatter_left(self.force, self.share - self.pool, self.window_sequence)
 
 
 class SrtProcessor:
@@ -203,6 +197,12 @@ class SrtProcessor:
     def stream(self) -> GyroStream:
         """Gyro samples that are integrated."""
         return self._stream
+
+    def stream_without(self, g_sensitivity: Array, accel: Triad) -> GyroStream:
+        """Gyro samples less Γ f̂, with f̂ compensated by ``accel``, if the options select g-sensitivity."""
+        if not self._g_sensitive or self._force is None:
+            return self._stream
+        return compensate_stream(self._stream, self._force, accel, g_sensitivity)
 
     def process(
         self,
@@ -289,10 +289,10 @@ class SrtProcessor:
     ) -> tuple[GyroStream, Array, PoseRegression | None]:
         """Gyro samples and window means less Γ f̂, and the regression that estimates Γ; None if it is not estimated."""
         data = self.data
-        if not self._g_sensitive or self._force is None:
+        if not self._g_sensitive:
             return self._stream, gyro_mean, None
         matrix = np.zeros((3, 3)) if matrix is None else matrix
-        stream = compensate_stream(self._stream, self._force, accel, matrix)
+        stream = self.stream_without(matrix, accel)
         return stream, gyro_mean - force @ matrix.T, pose_regression(force, self._pool, data.gravity)
 
     def _jacobian(self, horizontal: Array, force: Array, rate: Array, gyro: Triad, accel: Triad) -> Array:

@@ -79,7 +79,7 @@ def iterate_with_unmodelled_errors(
         new = present
         fit = chi_square(solution, solver.fixed)
         if is_misfit(*fit):
-            if options.gyro_bias == "auto" and significant_g_sensitivity(solution.measurements, data) is not None:
+            if options.gyro_bias == "auto" and _shows_g_sensitivity(solution, data):
                 options, solver = replace(options, gyro_bias=MODE), new_solver()
                 solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
                 continue
@@ -99,6 +99,11 @@ def iterate_with_unmodelled_errors(
             excess=present, resume=solution, fixed_sigma=uncertain,
         )  # fmt: skip
     return solution, solver, present
+
+
+def _shows_g_sensitivity(solution: Solution, data: PreparedRecording) -> bool:
+    m = solution.measurements
+    return significant_g_sensitivity(data, m.force, m.rest_rate, m.integrated) is not None
 
 
 def fit_to_sensor_noise(
