@@ -71,7 +71,7 @@ class DriftTerms:
     def freely_estimated(self) -> int:
         """Number of coefficients with a wide prior, which is no measurement; that of a random walk is one."""
         of_drift = sum(s.stop - s.start for t, s in zip(self.terms, self.slices, strict=True) if t.form != WALK)
-        return int(self.of_force.stop) + of_drift
+        return int(self.of_force.stop + of_drift)
 
     @property
     def g_sensitivity_map(self) -> Array:
