@@ -21,6 +21,7 @@ from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.block_solution import eliminate
 from estimators.drift_terms import DriftTerms, search
 from estimators.elimination_steps import global_columns
+from estimators.initial_attitudes import initial_attitudes
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import contradictions, unmodelled_noise
@@ -174,7 +175,7 @@ def _compensate(
     """
     compensated = joint.compensate(state)
     if state.attitude is None:
-        state = joint.initial_attitudes(state, compensated)
+        state = initial_attitudes(joint, state, compensated)
     if scatter_updates is None:
         return state, compensated
     if scatter_updates == 0:

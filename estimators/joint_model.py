@@ -20,6 +20,7 @@ import numpy as np
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.drift_states import drift_chain, drift_states
 from estimators.drift_terms import DriftTerms
+from estimators.initial_attitudes import initial_attitudes
 from estimators.joint_state import CompensatedData, JointState, LevelFrame
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
@@ -29,11 +30,11 @@ from srt.estimation.rest_rate_scatter import excess_variance
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import measurement_model as model
 from srt.model.analytic_platform import integrate_attitude, parts_per_rotation
-from srt.model.rotations import rotation_matrix, rotation_vector, smallest_rotation
+from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
 from srt.sensor_errors import SensorErrors
-from srt.sequences.preparation import nominal_attitude, sequence_of_label
+from srt.sequences.preparation import nominal_attitude
 from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
 
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.table1 import RotationSequence
-    from srt.recording.recording import SequenceLabel
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -240,8 +240,7 @@ class JointModel:
 
     def with_g_sensitivity(self, state: JointState) -> JointState:
         """Model gyro g-sensitivity where the poses show it; return the state with Γ from the rates at rest."""
-        axes = self._poses(state).observed
-        self.follow_force(axes)
+        self.follow_force(axes := self._poses(state).observed)
         measured = self.processor.process(state.errors, U=state.U)
         assert measured.poses is not None
         first = measured.gyro.matrix @ measured.poses.fit(measured.rest_rate) @ axes.T
@@ -409,40 +408,10 @@ class JointModel:
             out["gyro_noise"].own["rate"][self.integrated] = np.eye(3)
         return out | sources.unmodelled(self.data, *self.unmodelled_sigma)
 
-    def initial_attitudes(self, state: JointState, compensated: CompensatedData) -> JointState:
-        """Attitudes from the data: level from the specific force, heading from the fixture or along the rotations."""
-        data = self.data
-        attitude = np.tile(np.eye(3), (len(data.windows.duration_s), 1, 1))
-        placed = np.zeros(len(attitude), dtype=np.bool_)
-        down = -compensated.force / np.linalg.norm(compensated.force, axis=1, keepdims=True)
-        earth = self.earth_rate(state)
-        heading = rotation_matrix(np.array([0.0, 0.0, self.heading_rad]))
-
-        def level(A: Array, w: int) -> Array:
-            return np.asarray(A @ smallest_rotation(down[w][None], A[2][None])[0])
-
-        def from_fixture(nominal: Array) -> Array:
-            # R_y(outer) R_x(ε) R_z(inner): the nominal attitude turned by ε about the horizontal axis across the outer.
-            tilted = rotation_matrix(state.non_orthogonality * np.cross([0.0, 1.0, 0.0], nominal[:, 2])) @ nominal
-            return np.asarray(heading @ state.base @ tilted @ state.U.T)
-
-        for label, w in data.poses:
-            attitude[w] = level(from_fixture(pose_nominal(label)), w)
-        for k in self.order.tolist():
-            s, e = int(data.start[k]), int(data.end[k])
-            nominal = self.nominal[k]
-            if not placed[s]:
-                A = from_fixture(nominal) if nominal is not None else _any_level_attitude(down[s])
-                attitude[s], placed[s] = level(A, s), True
-            if not placed[e]:
-                earth_rotation = rotation_matrix(-earth[s] * compensated.duration_s[k])
-                attitude[e], placed[e] = level(earth_rotation @ attitude[s] @ compensated.rotation[k], e), True
-        return replace(state, attitude=attitude)
-
     def placed(self, state: JointState) -> tuple[JointState, CompensatedData]:
         """State with attitudes from the data, and the data compensated with it."""
         compensated = self.compensate(state)
-        return self.initial_attitudes(state, compensated), compensated
+        return initial_attitudes(self, state, compensated), compensated
 
     def rest_rate(self, state: JointState, compensated: CompensatedData) -> Array:
         """Compensated rates of the windows with the bias of their sequence, less the Earth's, shape (W, 3), rad/s."""
@@ -512,13 +481,6 @@ class JointModel:
         self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
 
 
-def pose_nominal(label: SequenceLabel) -> Array:
-    """Nominal start attitude C_nom of a label."""
-    sequence = sequence_of_label(label)
-    assert sequence is not None
-    return nominal_attitude(sequence)
-
-
 def _nominal_start(sequence: RotationSequence | None) -> Array | None:
     """Nominal start attitude C_nom; None if it needs IMU z along the outer axis, which the fixture cannot do."""
     if sequence is None or sequence.along_outer[-1] == "z":
@@ -536,10 +498,3 @@ def _nominal_end(C: Array | None, sequence: RotationSequence | None) -> Array | 
             return None
         C = C @ rotation_matrix(axis * angle)
     return C
-
-
-def _any_level_attitude(down: Array) -> Array:
-    """Arbitrary attitude, B to L, with a given down vector."""
-    first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(down, first), down])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from estimators.joint_model import pose_nominal
+from estimators.initial_attitudes import pose_nominal
 from estimators.linear_system import FIXTURE, N_ERRORS, LinearSystem, RowGroup, total, whiten
 from srt.estimation.error_sources import shared_edges
 from srt.model import measurement_model as model

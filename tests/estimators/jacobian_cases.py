@@ -23,7 +23,8 @@ from estimators.linearisation import linearise
 from estimators.recording_opening import open_joint_model
 
 if TYPE_CHECKING:
-    from estimators.joint_model import JointModel
+    from estimators.initial_attitudes import initial_attitudes
+from estimators.joint_model import JointModel
 
 EPS = np.finfo(float).eps
 G = 9.80665
@@ -167,7 +168,7 @@ def make(motions, variant, size, noise=NOISE, off=True):
     joint.ends_tied = True
     rng = np.random.default_rng(11)
     state = replace(joint.start, U=motion.U)
-    state = joint.initial_attitudes(state, joint.compensate(state))
+    state = initial_attitudes(joint, state, joint.compensate(state))
     if off:
         a = 0.3 if size == "large" else 1e-3
         deviation = 1e-8 * rng.standard_normal(state.bias_deviation.shape) * variant.walk
