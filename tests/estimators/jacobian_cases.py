@@ -19,12 +19,12 @@ from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 pytest.importorskip("gtsam")
+from estimators.initial_attitudes import initial_attitudes
 from estimators.linearisation import linearise
 from estimators.recording_opening import open_joint_model
 
 if TYPE_CHECKING:
-    from estimators.initial_attitudes import initial_attitudes
-from estimators.joint_model import JointModel
+    from estimators.joint_model import JointModel
 
 EPS = np.finfo(float).eps
 G = 9.80665
