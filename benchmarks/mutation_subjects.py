@@ -198,6 +198,66 @@ SUBJECTS = (
         ),
     ),
     Subject(
+        "sources of noise",
+        "srt/estimation/error_sources.py",
+        ("tests/estimation/test_noise_sources.py", "tests/estimation/test_unseen_errors.py"),
+        (),
+        (
+            ("(by.rate, q**2 / T[:, None])", "(by.rate, 0.81 * q**2 / T[:, None])"),
+            ("integrals.noise @ q**2", "0.81 * integrals.noise @ q**2"),
+            ("noise.accel_white**2 * windows", "0.81 * noise.accel_white**2 * windows"),
+            ("A = by.angle * noise.gyro_edge", "A = 0.9 * by.angle * noise.gyro_edge"),
+            ("per_rate, end = by.rate *", "per_rate, end = 0.9 * by.rate *"),
+            ("noise.accel_edge**2 * data", "0.81 * noise.accel_edge**2 * data"),
+            ("(edges[data.start, 1], -A[None])", "(edges[data.start, 1], A[None])"),
+            ("(edges[data.end, 0], end)", "(edges[data.end, 0], -end)"),
+            (
+                "[(edges[:, 0], -per_rate), (edges[:, 1], per_rate)]",
+                "[(edges[:, 0], per_rate), (edges[:, 1], per_rate)]",
+            ),
+            ("np.array([fixture.rotation_sigma_rad,", "np.array([0.9 * fixture.rotation_sigma_rad,"),
+            ("fixture.wobble])", "0.9 * fixture.wobble])"),
+            ("error = -sigma *", "error = -0.9 * sigma *"),
+        ),
+    ),
+    Subject(
+        "projected sources",
+        "srt/estimation/measurement_covariance.py",
+        ("tests/estimation/test_noise_sources.py",),
+        (),
+        (
+            ("* sources.alignment_sigma(data.recording)", "* 0.0 * sources.alignment_sigma(data.recording)"),
+            (
+                "axis=2) * sources.alignment_sigma(data.recording)",
+                "axis=2) * 0.9 * sources.alignment_sigma(data.recording)",
+            ),
+            ("(data.recording.site.gravity_sigma_m_s2 * -up)", "(0.9 * data.recording.site.gravity_sigma_m_s2 * -up)"),
+            ("by.force * size, windows", "0.9 * by.force * size, windows"),
+            ("by.integrals.time_parts * size", "0.9 * by.integrals.time_parts * size"),
+            ("by.rate * size, windows", "0.9 * by.rate * size, windows"),
+        ),
+    ),
+    Subject(
+        "fixed values",
+        "srt/estimation/iteration.py",
+        ("tests/estimation/test_noise_sources.py",),
+        (),
+        (("by_fixed = measurements.H * np", "by_fixed = 0.9 * measurements.H * np"),),
+    ),
+    Subject(
+        "fixed values of the joint model",
+        "estimators/solution_analysis.py",
+        ("tests/estimation/test_noise_sources.py", "tests/estimation/test_unseen_errors.py"),
+        (),
+        (
+            (
+                "root = solution.rows_with_parameters.T @ effect",
+                "root = 0.9 * solution.rows_with_parameters.T @ effect",
+            ),
+            ("@ error\n", "@ error * 0.9\n"),
+        ),
+    ),
+    Subject(
         "digest",
         "srt/result/json_file.py",
         (
