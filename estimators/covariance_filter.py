@@ -51,13 +51,6 @@ class CovarianceFilter(KalmanFilter):  # type: ignore[misc]
             raise np.linalg.LinAlgError("the covariance form lost positive definiteness")
         return np.asarray(P)
 
-    def grow(self, number: int) -> None:
-        """Append states of mean zero and unit variance, independent of the others."""
-        n = len(self.x)
-        P = np.eye(n + number)
-        P[:n, :n] = self.P
-        self.dim_x, self.x, self.P, self._I = n + number, np.append(self.x, np.zeros(number)), P, np.eye(n + number)
-
     def propagate(self, F: Array, u: Array | float = 0.0, *, noise_root: Array | None = None) -> None:
         """Predict ``x = F x + u`` with the process noise ``noise_root noise_rootᵀ``."""
         n = len(self.x)

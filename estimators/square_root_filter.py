@@ -16,8 +16,6 @@ from filterpy.kalman import SquareRootKalmanFilter
 from scipy.linalg import solve_triangular
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from srt.types import Array
 
 
@@ -56,13 +54,6 @@ class SquareRootFilter(SquareRootKalmanFilter):  # type: ignore[misc]
         root = E @ self.root[: E.shape[1]]
         return np.asarray(root @ root.T)
 
-    def grow(self, number: int) -> None:
-        """Append states of mean zero and unit variance, independent of the others."""
-        n = self.dim_x
-        root = np.eye(n + number)
-        root[:n, :n] = self.root
-        self.dim_x, self.x, self._P1_2 = n + number, np.append(self.x, np.zeros(number)), root
-
     def propagate(self, F: Array, u: Array | float = 0.0, *, noise_root: Array | None = None) -> None:
         """Predict ``x = F x + u`` with the process noise ``noise_root noise_rootᵀ``, which may be singular."""
         self.F = F
@@ -86,15 +77,3 @@ class SquareRootFilter(SquareRootKalmanFilter):  # type: ignore[misc]
         self.y: Array = U @ self.y
         self.K: Array = self.K @ U.T
         self.whitened = self.SI1_2 @ self.y
-
-    def correct_extended(
-        self,
-        z: Array,
-        jacobian: Callable[[Array], Array],
-        h: Callable[[Array], Array],
-        *,
-        noise_root: Array | None = None,
-    ) -> None:
-        """Update with the nonlinear measurement ``z = h(x) + noise``, linearised about the present estimate."""
-        H = np.asarray(jacobian(self.x))
-        self.correct(z - np.asarray(h(self.x)) + H @ self.x, H, noise_root=noise_root)
