@@ -1,6 +1,9 @@
-"""Speed and memory figures: medians, and ratios to one read of the samples in the same run, on one core.
+"""Speed of everything in one table: estimators in memory, commands as processes, length of a recording, two workers.
 
-``python benchmarks/speed.py`` runs all; ``--long`` adds 20 million samples.
+``python benchmarks/speed.py`` prints it as Markdown; ``--only memory processes length workers`` takes parts of it,
+``--long`` adds 20 million samples, ``--rounds N`` takes medians of N. Times are CPU times on one core (``workers``:
+wall times). Each has its ratio to a fixed numpy load that runs right before it, so that a busy or another machine
+matters less. benchmarks/README.md says what the rows are.
 """
 
 import os
@@ -9,152 +12,282 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
+import subprocess
+import sys
+import tempfile
 import time
 import tracemalloc
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
 
 import accuracy_trials
 import numpy as np
 import recorded_sets
+import robustness
 
 import srt
 from sims.physics.imu import read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
-from srt.comparison.estimator_comparison import default_estimators, run_estimators
+from sims.robustness.run import run_campaign
+from srt.comparison.estimator_comparison import default_estimators
+from srt.comparison.parallel import Engine
 from srt.model.analytic_platform import gyro_stream, integrate_attitude
 from srt.model.sensor_model import gyro_triad
 
-REPEATS = 15
+PARTS = ("memory", "processes", "length", "workers")
+ROUNDS = 7
 """Repeats of each timing; figures are medians."""
+SAMPLE_RATE_HZ = 200.0
+PEERS = {
+    "Xsens MTi from its file": "imu_tk in C++: 2.4 loads",
+}
+"""Other tools on the same work. imu_tk took 0.66 of this command as it was in November 2026, which took 3.7 loads."""
 
 
-def timed(call: Callable[[], object], repeats: int = REPEATS, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Median time, s; wall time by default."""
-    spans = []
-    for _ in range(repeats):
-        began = clock()
-        call()
-        spans.append(clock() - began)
-    return float(np.median(spans))
+@dataclass(frozen=True)
+class Row:
+    """Line of the table: name, CPU time and that of the numpy load beside it, s, and what to compare it with."""
+
+    name: str
+    seconds: float
+    load_s: float
+    limit_s: float | None = None
+    peer: str = ""
+
+    def text(self) -> str:
+        limit = "" if self.limit_s is None else f"{self.seconds / self.limit_s:.0f}"
+        return f"| {self.name} | {self.seconds * 1e3:.1f} | {self.seconds / self.load_s:.3f} | {limit} | {self.peer} |"
 
 
-def table_1() -> None:
-    recording, _ = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=200.0)
-    srt.calibrate(recording, checks=False)
-    whole = timed(lambda: srt.calibrate(recording, checks=False))
-    playbacks = len(srt.calibrate(recording, checks=False).corrections)
-    read = timed(lambda: (recording.gyro.sum(), recording.accel.sum()))
-    print(
-        f"closed form, 17 sequences, {len(recording.time)} samples at 200 Hz: {whole * 1e3:.1f} ms "
-        f"({playbacks} iterations), {whole / read:.0f} times summing the samples once"
+def numpy_load() -> None:
+    """Fixed work: element-wise, sorting and small dense matrices, about as a calibration mixes them."""
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        matrix = rng.standard_normal((400, 400))
+        np.linalg.inv(matrix)
+        np.sort(rng.standard_normal(200_000))
+        np.cumsum(matrix)
+
+
+def cpu_time(call: Callable[[], object]) -> float:
+    """CPU time of a call, s."""
+    began = time.process_time()
+    call()
+    return time.process_time() - began
+
+
+def sum_once(recording: srt.Recording) -> float:
+    """One read of all samples: no calibration can be faster."""
+    return float(recording.gyro.sum() + recording.accel.sum())
+
+
+def process_time(arguments: list[str], environment: dict[str, str] | None = None) -> float:
+    """CPU time of a process with its start and its own processes, s.
+
+    Raises
+    ------
+    RuntimeError
+        If it ends with an error.
+    """
+    before = os.times()
+    done = subprocess.run(
+        arguments, capture_output=True, text=True, check=False, env={**os.environ, **(environment or {})}
     )
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(arguments)} ended with {done.returncode}: {done.stderr[-500:]}")
+    after = os.times()
+    return after.children_user + after.children_system - before.children_user - before.children_system
 
 
-def side_by_side() -> None:
-    recording, _ = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=200.0)
-    names, left_out = default_estimators(recording)
-    run_estimators(recording, names)
-    spans = [run_estimators(recording, names)[1] for _ in range(REPEATS)]
-    medians = {name: float(np.median([span[name] for span in spans])) for name in names}
-    each = ", ".join(f"{name} {median * 1e3:.0f} ms" for name, median in medians.items())
-    together = float(np.median([sum(span.values()) for span in spans]))
-    print(f"the estimators side by side, {len(recording.time)} samples at 200 Hz: {together:.2f} s ({each})")
-    for name, reason in left_out.items():
-        print(f"  {name} left out: {reason}")
+def beside_load(measure: Callable[[], float], rounds: int) -> tuple[float, float]:
+    """Medians of a time and of the numpy load, measured in turns after one run of each; s."""
+    measure()
+    pairs = [(cpu_time(numpy_load), measure()) for _ in range(rounds)]
+    load_s, seconds = np.median(np.array(pairs), axis=0).tolist()
+    return seconds, load_s
 
 
-def with_drift() -> None:
-    """Joint estimation with and without stated bias instability, Table 1 once and four times over; CPU time."""
-    rng = np.random.default_rng(3)
-    gyro, accel = accuracy_trials.INSTABILITY["navigation"]
-    imu = replace(accuracy_trials.GRADES["navigation"], gyro_bias_instability=gyro, accel_bias_instability=accel)
-    for times in (1, 4):
-        motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=50.0, sequences=tuple(TABLE_1) * times)
-        drifting = read_out(motion, accuracy_trials.normal_errors(rng), imu, rng)
-        still = replace(drifting.noise, gyro_bias_instability=None, accel_bias_instability=None)
-        quiet = replace(drifting, noise=still)
-        for name in ("ekf", "graph"):
-            spans = [
-                timed(partial(srt.calibrate, r, name, checks=False, gyro_bias=bias), 5, time.process_time)
-                for r, bias in ((drifting, "auto"), (quiet, "pooled"))
-            ]
-            print(
-                f"{name}, {17 * times} sequences: {spans[0]:.2f} s with bias instability, {spans[1]:.2f} s without, "
-                f"ratio {spans[0] / spans[1]:.2f}"
-            )
-
-
-def play_back() -> None:
-    recording, truth = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=200.0)
+def in_memory(rounds: int) -> list[Row]:
+    """Estimators on samples in memory, with and without checks, with and without drift, and one iteration alone."""
+    recording, truth = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=SAMPLE_RATE_HZ)
     n = len(recording.time)
+    read_s = cpu_time(lambda: [sum_once(recording) for _ in range(100)]) / 100
+    rows = []
+
+    def add(name: str, call: Callable[[], object], *, limit: float | None = read_s) -> None:
+        seconds, load_s = beside_load(lambda: cpu_time(call), rounds)
+        rows.append(Row(name, seconds, load_s, limit, PEERS.get(name, "")))
+
+    def fresh() -> srt.Recording:
+        # Derived values are stored with a recording: a copy computes them again.
+        return replace(recording)
+
+    names, left_out = default_estimators(recording)
+    for name in names:
+        add(f"{name}, {n} samples, 17 sequences", lambda name=name: srt.calibrate(fresh(), name, checks=False))
+    for name, reason in left_out.items():
+        print(f"{name} left out: {reason}", file=sys.stderr)
+    add("closed-form with all checks", lambda: srt.calibrate(fresh(), "closed-form"))
+    for times in (1, 4):
+        drifting, quiet = with_and_without_drift(times)
+        for name in [name for name in ("ekf", "graph") if name in names]:
+            for what, each, bias in (("with", drifting, "auto"), ("without", quiet, "pooled")):
+                title = f"{name}, {17 * times} sequences at 50 Hz, {what} bias instability"
+                choices = {"estimator": name, "checks": False, "gyro_bias": bias}
+                add(title, lambda each=each, choices=choices: srt.calibrate(replace(each), **choices), limit=None)
     spans = np.linspace(0, n, 18).astype(int)
     spans = np.stack([spans[:-1], spans[1:]], axis=1)
     stream = gyro_stream(recording.gyro, recording.interval_s, spans, spans, rates=True)
-    earth = np.zeros((17, 3))
-    triad = gyro_triad(truth)
-    one = timed(lambda: integrate_attitude(stream, triad, earth))
-    read = timed(lambda: (recording.gyro.sum(axis=0), recording.accel.sum(axis=0)))
-    print(
-        f"one iteration with Jacobian: {one / n * 1e9:.0f} ns per integrated sample, "
-        f"{one / read:.1f} times reading all columns once ({read / n * 1e9:.0f} ns)"
-    )
-
-
-def free_recording() -> None:
+    triad, earth = gyro_triad(truth), np.zeros((17, 3))
+    add(f"one iteration with Jacobian, all {n} samples integrated", lambda: integrate_attitude(stream, triad, earth))
     folder = recorded_sets.data_folder()
-    if folder is None:
-        print("recorded sets not found: xsens_mti not timed")
-        return
-    recording = recorded_sets.xsens_mti(folder)
-    arrays = recording.time, recording.gyro, recording.accel
-
-    def whole() -> object:
-        fresh = srt.Recording(*arrays, recording.site)
-        return srt.calibrate(fresh, checks=False)
-
-    whole()
-    print(f"xsens_mti, {len(recording.time)} samples from arrays, segmentation included: {timed(whole) * 1e3:.0f} ms")
+    if folder is not None:
+        xsens = recorded_sets.xsens_mti(folder)
+        add("Xsens MTi in memory, windows and turns found", lambda: srt.calibrate(replace(xsens), checks=False))
+    return rows
 
 
-def scaling(sizes: tuple[int, ...]) -> None:
+def with_and_without_drift(times: int) -> tuple[srt.Recording, srt.Recording]:
+    """Table 1 a number of times over, with stated bias instability and without."""
+    rng = np.random.default_rng(3)
+    gyro, accel = accuracy_trials.INSTABILITY["navigation"]
+    imu = replace(accuracy_trials.GRADES["navigation"], gyro_bias_instability=gyro, accel_bias_instability=accel)
+    motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=50.0, sequences=tuple(TABLE_1) * times)
+    drifting = read_out(motion, accuracy_trials.normal_errors(rng), imu, rng)
+    still = replace(drifting.noise, gyro_bias_instability=None, accel_bias_instability=None)
+    return drifting, replace(drifting, noise=still)
+
+
+def processes(rounds: int) -> list[Row]:
+    """Commands as processes: start, imports, files, all checks, result, figures."""
+    recording, _ = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=SAMPLE_RATE_HZ)
+    command = [sys.executable, "-m", "srt.cli"]
+    rows = []
+    with tempfile.TemporaryDirectory() as directory:
+        at = Path(directory)
+        for kind in ("npz", "csv"):
+            srt.write_recording(recording, at / kind, samples_format=kind)
+        # Digits of a log in floating point: a quantized reading has fewer, and is read faster.
+        rng = np.random.default_rng(0)
+        dithered = replace(recording, gyro=recording.gyro + 1e-9 * rng.standard_normal(recording.gyro.shape))
+        srt.write_recording(dithered, at / "digits")
+        unlabelled = ["simulate", "navigation-rlg", "-q", "-o", str(at / "unlabelled")]
+        process_time([*command, *unlabelled])
+        result, page = str(at / "unit.json"), str(at / "unit.html")
+        process_time([*command, "calibrate", str(at / "npz"), "-o", result, "-q"])
+        commands = {
+            "Python and numpy alone": [sys.executable, "-c", "import numpy"],
+            "srt --help": [*command, "--help"],
+            "srt list": [*command, "list"],
+            "srt calibrate, NPZ": [*command, "calibrate", str(at / "npz"), "-q"],
+            "srt calibrate, CSV": [*command, "calibrate", str(at / "csv"), "-q"],
+            "srt calibrate, CSV of 17 digits": [*command, "calibrate", str(at / "digits"), "-q"],
+            "srt calibrate, unlabelled, 183 k samples": [*command, "calibrate", str(at / "unlabelled"), "-q"],
+            "srt compare of all": [*command, "compare", str(at / "npz"), "-q"],
+            "srt certificate": [*command, "certificate", result, str(at / "npz"), "-o", page, "-q"],
+            "srt simulate demo": [*command, "simulate", "demo", "-o", str(at / "demo"), "--overwrite", "-q"],
+            "srt plan tactical-equal": [*command, "plan", "tactical-equal", "-q"],
+        }
+        folder = recorded_sets.data_folder()
+        if folder is not None:
+            srt.write_recording(recorded_sets.xsens_mti(folder), at / "xsens")
+            commands["Xsens MTi from its file"] = [*command, "calibrate", str(at / "xsens"), "-q"]
+        for name, arguments in commands.items():
+            seconds, load_s = beside_load(partial(process_time, arguments), rounds)
+            rows.append(Row(name, seconds, load_s, peer=PEERS.get(name, "")))
+        completion = {"_SRT_COMPLETE": "bash_complete", "COMP_WORDS": "srt cal", "COMP_CWORD": "1"}
+        seconds, load_s = beside_load(partial(process_time, command, completion), rounds)
+        rows.append(Row("completion in the shell", seconds, load_s))
+    return rows
+
+
+def length(sizes: tuple[int, ...]) -> list[Row]:
+    """The closed form on longer recordings; names hold the time of a sample and the memory over that of the samples."""
     rng = np.random.default_rng(0)
+    rows = []
     for n in sizes:
-        recording = long_recording(n, rng)
+        recording, _ = accuracy_trials.noisy_recording(
+            int(rng.integers(1 << 30)), "tactical", sample_rate_hz=float(round(n / 456.0))
+        )
+        load_s = cpu_time(numpy_load)
+        seconds = cpu_time(partial(srt.calibrate, replace(recording), "closed-form", checks=False))
+        read_s = cpu_time(partial(sum_once, recording))
+        # Tracing takes time: memory is of a run of its own.
         tracemalloc.start()
-        began = time.perf_counter()
-        calibration = srt.calibrate(recording, "closed-form", checks=False)
-        span = time.perf_counter() - began
+        srt.calibrate(replace(recording), "closed-form", checks=False)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         samples = sum(a.nbytes for a in (recording.time, recording.gyro, recording.accel))
-        print(
-            f"{len(recording.time):>9d} samples: {span:6.2f} s, {span / len(recording.time) * 1e9:4.0f} ns per sample, "
-            f"peak memory {1.0 + peak / samples:.2f} times the samples ({calibration.status})"
+        name = (
+            f"closed-form, {len(recording.time):,} samples: {seconds / len(recording.time) * 1e9:.0f} ns each, "
+            f"memory {1.0 + peak / samples:.2f} of the samples"
         )
+        rows.append(Row(name, seconds, load_s, read_s))
+    return rows
 
 
-def long_recording(n: int, rng: np.random.Generator) -> srt.Recording:
-    """The 17 sequences at the sample rate that gives about n samples."""
-    rate = n / 456.0
-    recording, _ = accuracy_trials.noisy_recording(
-        int(rng.integers(1 << 30)), "tactical", sample_rate_hz=float(round(rate))
-    )
-    return recording
+def workers(rounds: int) -> list[str]:
+    """Wall time of a campaign with one worker over that with two, by joblib and by Dask where it is installed."""
+    campaign = replace(robustness.full(), trials=60)
+    engines: dict[str, Callable[[int], AbstractContextManager[Engine]]] = {"joblib": joblib_engine}
+    if find_spec("distributed") is not None:
+        engines["Dask"] = dask_engine
+    lines = []
+    for name, engine in engines.items():
+        ratios = []
+        for _ in range(rounds):
+            spans = []
+            for count in (1, 2):
+                with engine(count) as made, tempfile.TemporaryDirectory() as folder:
+                    run_campaign(replace(campaign, trials=4), Path(folder, "warm"), engine=made)
+                    began = time.perf_counter()
+                    run_campaign(campaign, Path(folder, "timed"), engine=made)
+                    spans.append(time.perf_counter() - began)
+            ratios.append(spans[0] / spans[1])
+        lines.append(f"Campaign by {name}: two workers are {np.median(ratios):.2f} times one ({rounds} rounds).")
+    return lines
+
+
+@contextmanager
+def joblib_engine(count: int) -> Iterator[Engine]:
+    """Processes of joblib."""
+    yield Engine(count)
+
+
+@contextmanager
+def dask_engine(count: int) -> Iterator[Engine]:
+    """Workers of one thread on this machine, behind a scheduler of Dask."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield Engine(count, cluster.scheduler_address)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--long", action="store_true", help="up to 20 million samples")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts of the table")
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="repeats of each timing")
     arguments = parser.parse_args()
-    table_1()
-    side_by_side()
-    with_drift()
-    play_back()
-    free_recording()
-    scaling((100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000))
+    print("| what | CPU time, ms | over the numpy load | over one read of the samples | peer |")
+    print("|---|---|---|---|---|")
+    sizes = (100_000, 1_000_000, 20_000_000) if arguments.long else (100_000, 1_000_000)
+    parts = {
+        "memory": partial(in_memory, arguments.rounds),
+        "processes": partial(processes, arguments.rounds),
+        "length": partial(length, sizes),
+    }
+    for name, part in parts.items():
+        if name in arguments.only:
+            for row in part():
+                print(row.text(), flush=True)
+    if "workers" in arguments.only:
+        print("\n" + "\n".join(workers(min(arguments.rounds, 3))))
 
 
 if __name__ == "__main__":

@@ -326,3 +326,9 @@ def test_the_page_of_errata_agrees_with_their_tests(derivation):
             assert (text == "–") == (truth is None)
             if truth is not None:
                 assert sp.expand(sp.sympify(truth, locals=names)) == expression(derivation, text)
+
+
+def test_every_benchmark_is_explained():
+    text = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(\w+\.py)`", text))
+    assert named | {"speed.py"} == {p.name for p in (ROOT / "benchmarks").glob("*.py")}
