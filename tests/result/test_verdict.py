@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import srt
 from srt.diagnosis.faults import FAULTS
+from srt.estimation import calibration_builder
 from srt.estimation.leave_one_out import verdict
 from srt.result.calibration import STATUSES
 from srt.result.verdict import DOUBTFUL, FAILED, IN_USED_READINGS, SOUND, USABLE
@@ -35,7 +37,8 @@ def judged(statistic, freedom, *, status="converged", diagnostics=None, noise=No
     ("statistic", "freedom", "word", "reason"),
     [
         (44.0, 44, SOUND, "The residuals agree with the sensors' own noise (chi-square 44 for 44"),
-        (70.0, 44, SOUND, "less well than in 19 of 20 tests"),
+        (60.4, 44, SOUND, "The residuals agree with the sensors' own noise (chi-square 60.4 for 44"),
+        (60.6, 44, SOUND, "less well than in 19 of 20 tests"),
         (78.7, 44, SOUND, "p = 0.001"),
         (79.0, 44, DOUBTFUL, "larger than the sensors' own noise explains"),
         (10.0, 44, SOUND, "better than the sensors' own noise allows"),
@@ -43,7 +46,7 @@ def judged(statistic, freedom, *, status="converged", diagnostics=None, noise=No
     ],
 )
 def test_agreement_with_the_sensors_noise_comes_first(statistic, freedom, word, reason):
-    """chi-square of 44 degrees of freedom exceeds 78.75 with p = 1e-3 (tables of the distribution)."""
+    """chi-square of 44 degrees of freedom exceeds 60.48 with p = 0.05, 78.75 with 1e-3 (tables of the distribution)."""
     found = judged(statistic, freedom)
     assert found.word == word
     assert reason in found.reason
@@ -113,3 +116,16 @@ def test_the_file_holds_the_verdict_and_loads_without_one(tmp_path):
     assert document["verdict"]["word"] == again.judgement.word == SOUND
     assert document["verdict"]["reason"] == again.judgement.reason
     assert again.verdict == evidence
+
+
+@pytest.mark.parametrize(("ratio", "status"), [(2.9, "converged"), (3.1, "inconsistent")])
+def test_residuals_of_three_times_the_sensors_noise_are_no_calibration(ratio, status):
+    """A noise figure that is wrong by a factor of three is a wrong figure, and labels or windows are next."""
+    fit = 44 * ratio**2, 44
+    result = SimpleNamespace(
+        status="converged", message="It ended.", diagnostics={}, sensor_noise_fit=fit, chi_square=44.0,
+        degrees_of_freedom=44,
+    )  # fmt: skip
+    found, message = calibration_builder._status(result, {}, {"contradicting": None}, free=False)
+    assert found == status
+    assert ("3.1 times as large" in message) == (status == "inconsistent")
