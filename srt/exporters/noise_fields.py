@@ -55,7 +55,7 @@ def statement(model: ExportModel) -> list[str]:
     for sensor in ("gyro", "accel"):
         term = _worst(model, sensor, _BIAS_WALK)
         if term is not None and term[1] and getattr(model.settings, f"{sensor}_random_walk") is None:
-            lines.append(f"{sensor} random walk: upper limit (97.5 %), as the log of srt noise does not resolve it")
+            lines.append(f"{sensor} random walk: upper limit (95 %), as the log of srt noise does not resolve it")
     return lines
 
 

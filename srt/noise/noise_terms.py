@@ -14,28 +14,29 @@ with s = sin(π j / 2n), coefficient j has the variance::
     λ = ε²/12 · 4 s²/dt² + N²/dt + B² n/(2 ln 2 j) + K² dt/(4 s²)
 
 Quantization and 1/f noise are nearly diagonal. The coefficients are then independent normal numbers of mean R u, u the
-transform of t, and the likelihood of the record, restricted for R and the constant, is a sum over them. Terms have
-profile-likelihood intervals. The ramp has a t interval with Satterthwaite's degrees of freedom; where K is not
-resolved, at least that of a walk of K's upper limit, which looks like a ramp. A term whose interval reaches zero is an
-upper limit.
+transform of t, and the likelihood of the record, restricted for R and the constant, is a sum over them. An
+interval holds the values whose likelihood, the other terms fitted anew, is above a threshold that
+:mod:`srt.noise.likelihood_thresholds` derives. A term whose interval reaches zero is an upper limit, and holds 95 %
+like an interval.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from math import log, pi
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import chdtri, stdtrit
+from scipy.special import stdtrit
 
 from srt.constants import DEG_PER_H, HOUR_S, MICRO_G
 from srt.exceptions import DataError
 from srt.noise.allan import CHANNELS, CONFIDENCE, TERMS, Term
-from srt.noise.nonnegative import nonnegative_least_squares
+from srt.noise.likelihood_thresholds import SLOW, SimulatedRecords, normal_threshold
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from srt.recording.recording import Recording
     from srt.types import Array, Indices, Mask
@@ -55,7 +56,6 @@ FEWEST: Final = 64
 """Smallest number of samples."""
 
 _RAMP: Final = len(TERMS)
-_WALK: Final = [term.name for term in TERMS].index("bias_random_walk")
 _SINGLE_BINS: Final = 256
 """Coefficients that are kept one by one; slow terms show in few of them."""
 _BINS_PER_E: Final = 25
@@ -63,6 +63,12 @@ _BINS_PER_E: Final = 25
 _PASSES: Final = 200
 _STILL: Final = 1e-7
 """Relative change of λ at which the fit has converged."""
+_FIRST_THRESHOLD: Final = 3.84
+"""Quantile of chi-square with 1 degree of freedom."""
+_THRESHOLDS: Final = 2
+"""Thresholds computed for an end of an interval."""
+_CLOSE: Final = 0.01
+"""Share of its width to which an end of an interval is known."""
 _PRECISION: Final = 0.5
 """Relative half-width of the 95 % interval at which a term counts as known, for the record length needed."""
 _LENGTHS_S: Final = np.geomspace(10.0, 1e8, 64)
@@ -137,7 +143,7 @@ class _Fit:
     variance: Array
 
 
-def noise_terms(recording: Recording, window: tuple[int, int]) -> NoiseTerms:
+def noise_terms(recording: Recording, window: tuple[int, int], rng: np.random.Generator | None = None) -> NoiseTerms:
     """Fit the noise terms of all channels over one stationary window.
 
     Parameters
@@ -145,6 +151,8 @@ def noise_terms(recording: Recording, window: tuple[int, int]) -> NoiseTerms:
     recording : Recording
     window : (int, int)
         First sample and one past the last.
+    rng : numpy.random.Generator, optional
+        Of the simulated records behind the intervals; one of fixed seed if left out.
 
     Returns
     -------
@@ -175,12 +183,20 @@ def noise_terms(recording: Recording, window: tuple[int, int]) -> NoiseTerms:
     )
     edges, design, u = _bins(n), _design(0.5 * pi * np.arange(1, n) / n, n, dt), _ramp(n, dt)
     design = np.stack([_mean(column, edges) for column in design.T], axis=1)
+    records = SimulatedRecords.draw(
+        np.diff(np.append(edges, n - 1)).astype(np.float64),
+        _sum(u**2, edges),
+        design,
+        np.random.default_rng(0) if rng is None else rng,
+    )
     for c in range(len(CHANNELS)):
         x = (recording.gyro, recording.accel)[c // 3][a:b, c % 3]
         if not np.ptp(x) > 1e-15 * np.abs(x).max():
             continue
         spectrum = _spectrum((x - x.mean()) * factor, edges, design, u)
-        for name, row in zip(("value", "low", "high", "resolved", "needed_s"), _channel(spectrum, dt), strict=True):
+        for name, row in zip(
+            ("value", "low", "high", "resolved", "needed_s"), _channel(spectrum, records, dt), strict=True
+        ):
             getattr(found, name)[c] = row
     return found
 
@@ -224,8 +240,13 @@ def _spectrum(x: Array, edges: Indices, design: Array, u: Array) -> _Spectrum:
     return _Spectrum(count, _sum(c**2, edges), _sum(c * u, edges), _sum(u**2, edges), design)
 
 
-def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.0) -> _Fit:
-    """Restricted maximum likelihood by iterated non-negative least squares, one squared coefficient fixed if stated."""
+def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.0, ramp: float | None = None) -> _Fit:
+    """Maximum likelihood by iterated non-negative least squares, one squared coefficient or the ramp fixed if stated.
+
+    The likelihood is restricted for the ramp, which is estimated, unless the ramp is fixed.
+    """
+    from scipy.optimize import nnls  # a heavy import that figures and tables of noise do without
+
     A, count = spectrum.design, spectrum.count
     free = np.array([k for k in range(A.shape[1]) if k != fixed])
     offset = np.zeros(len(A)) if fixed is None else A[:, fixed] * square
@@ -234,15 +255,13 @@ def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.
     variance = np.exp(np.convolve(np.log(variance), np.ones(9) / 9.0, mode="same"))
     squares = np.zeros(A.shape[1])
     for _ in range(_PASSES):
-        weight_u = spectrum.uu / variance
-        ramp_variance = 1.0 / weight_u.sum()
-        ramp = float((spectrum.cu / variance).sum() * ramp_variance)
+        slope, slope_variance = _slope(spectrum, variance, ramp)
         # The last term restores the power that the estimate of the ramp takes away (restricted likelihood).
-        power = (spectrum.cc - 2.0 * ramp * spectrum.cu + (ramp**2 + ramp_variance) * spectrum.uu) / count
+        power = (spectrum.cc - 2.0 * slope * spectrum.cu + (slope**2 + slope_variance) * spectrum.uu) / count
         weight = np.sqrt(count) / variance
         weighted = A[:, free] * weight[:, None]
         scale = np.linalg.norm(weighted, axis=0)
-        squares[free] = nonnegative_least_squares(weighted / scale, (power - offset) * weight) / scale
+        squares[free] = nnls(weighted / scale, (power - offset) * weight)[0] / scale
         if fixed is not None:
             squares[fixed] = square
         new = np.maximum(A @ squares, 1e-12 * variance)
@@ -250,70 +269,102 @@ def _likeliest(spectrum: _Spectrum, fixed: int | None = None, square: float = 0.
         variance = new
         if change < _STILL:
             break
-    ramp_variance = 1.0 / float((spectrum.uu / variance).sum())
-    ramp = float((spectrum.cu / variance).sum() * ramp_variance)
-    power = spectrum.cc - 2.0 * ramp * spectrum.cu + ramp**2 * spectrum.uu
-    loss = float(np.sum(count * np.log(variance) + power / variance) - np.log(ramp_variance))
-    return _Fit(squares, ramp, ramp_variance, loss, variance)
+    slope, slope_variance = _slope(spectrum, variance, ramp)
+    power = spectrum.cc - 2.0 * slope * spectrum.cu + slope**2 * spectrum.uu
+    loss = float(np.sum(count * np.log(variance) + power / variance))
+    if ramp is None:
+        loss -= log(slope_variance)
+    return _Fit(squares, slope, slope_variance, loss, variance)
 
 
-def _channel(spectrum: _Spectrum, dt: float) -> tuple[Array, Array, Array, Mask, Array]:
+def _slope(spectrum: _Spectrum, variance: Array, ramp: float | None) -> tuple[float, float]:
+    """Weighted estimate of the ramp and its variance; a fixed ramp has none."""
+    if ramp is not None:
+        return ramp, 0.0
+    slope_variance = 1.0 / float((spectrum.uu / variance).sum())
+    return float((spectrum.cu / variance).sum()) * slope_variance, slope_variance
+
+
+def _channel(spectrum: _Spectrum, records: SimulatedRecords, dt: float) -> tuple[Array, Array, Array, Mask, Array]:
     """Value, low, high, resolved and needed length of the terms of one channel."""
     best = _likeliest(spectrum)
-    allowed = float(chdtri(1.0, 1.0 - CONFIDENCE))
     doubt = np.sqrt(np.diag(np.linalg.inv(_information(spectrum, best.variance))))
     low, high = np.zeros(len(ALL_TERMS)), np.zeros(len(ALL_TERMS))
     for k in range(_RAMP):
-        low[k], high[k] = _profile(spectrum, best, k, max(best.squares[k], doubt[k]), allowed)
-    value: Array = np.append(np.sqrt(best.squares), best.ramp)
+
+        def ratio(square: float, k: int = k) -> float:
+            return _likeliest(spectrum, k, square).loss - best.loss
+
+        def threshold(square: float, k: int = k) -> float:
+            fit = _likeliest(spectrum, k, square)
+            if k in SLOW:
+                return records.term_threshold(fit.squares, k, CONFIDENCE)
+            return normal_threshold(square / _sigma(spectrum, fit, k), CONFIDENCE)
+
+        low[k], high[k] = _ends(ratio, threshold, float(best.squares[k]), float(doubt[k]))
     low[:_RAMP], high[:_RAMP] = np.sqrt(low[:_RAMP]), np.sqrt(high[:_RAMP])
-    half = _ramp_half_width(spectrum, best, high[_WALK] ** 2 if low[_WALK] == 0.0 else 0.0)
-    low[_RAMP], high[_RAMP] = best.ramp - half, best.ramp + half
+    value: Array = np.append(np.sqrt(best.squares), best.ramp)
+    low[_RAMP], high[_RAMP] = _ramp_ends(spectrum, records, best)
     resolved: Mask = np.asarray(low > 0.0, dtype=np.bool_)
-    resolved[_RAMP] = low[_RAMP] * high[_RAMP] > 0.0
-    if not resolved[_RAMP]:
-        low[_RAMP], high[_RAMP] = 0.0, max(-low[_RAMP], high[_RAMP])
+    if resolved[_RAMP] and best.ramp < 0.0:
+        low[_RAMP], high[_RAMP] = -high[_RAMP], -low[_RAMP]
     assumed: Array = np.where(resolved, np.abs(value), high)
     return value, low, high, resolved, _needed(assumed, resolved, dt)
 
 
-def _profile(spectrum: _Spectrum, best: _Fit, k: int, start: float, allowed: float) -> tuple[float, float]:
-    """Limits of one squared coefficient where −2 ln(likelihood), the others refitted, is larger by ``allowed``."""
-    from scipy.optimize import brentq  # a heavy import that figures and tables of noise do without
+def _ends(
+    ratio: Callable[[float], float], threshold: Callable[[float], float], best: float, doubt: float
+) -> tuple[float, float]:
+    """Ends of the interval where the ratio is below the threshold; the lower one is zero if zero belongs to it.
 
-    def excess(logarithm: float) -> float:
-        return _likeliest(spectrum, k, float(np.exp(logarithm))).loss - best.loss - allowed
-
-    upper = log(start)
-    step = 0.5
-    while excess(upper + step) < 0.0:
-        step *= 2.0
-    high = float(np.exp(brentq(excess, upper if excess(upper) < 0.0 else upper - 20.0, upper + step, xtol=1e-3)))
-    if best.squares[k] == 0.0 or _likeliest(spectrum, k, 0.0).loss - best.loss < allowed:
-        return 0.0, high
-    middle = log(best.squares[k])
-    step = 0.5
-    while excess(middle - step) < 0.0:
-        step *= 2.0
-    return float(np.exp(brentq(excess, middle - step, middle, xtol=1e-3))), high
-
-
-def _ramp_half_width(spectrum: _Spectrum, best: _Fit, walk: float) -> float:
-    """Half-width of the ramp's interval.
-
-    Parameters
-    ----------
-    spectrum : _Spectrum
-    best : _Fit
-    walk : float
-        Squared upper limit of a bias random walk that is not resolved, else 0: such a walk looks like a ramp.
+    The threshold changes slowly along the values: it is that of the end that the threshold before it gave.
     """
-    quantile = float(stdtrit(_ramp_freedom(spectrum, best), 0.5 * (1.0 + CONFIDENCE)))
-    half = quantile * float(np.sqrt(best.ramp_variance))
-    if walk == 0.0:
-        return half
-    normal = float(stdtrit(1e9, 0.5 * (1.0 + CONFIDENCE)))
-    return max(half, normal * float(np.sqrt(_likeliest(spectrum, _WALK, walk).ramp_variance)))
+    from scipy.optimize import brentq
+
+    ratio = cache(ratio)
+
+    def upper(allowed: float) -> float:
+        high = best + doubt
+        while ratio(high) < allowed:
+            high = best + 2.0 * (high - best)
+        return float(brentq(lambda value: ratio(value) - allowed, best, high, xtol=_CLOSE * (high - best)))
+
+    def lower(allowed: float) -> float:
+        if ratio(0.0) < allowed:
+            return 0.0
+        return float(brentq(lambda value: ratio(value) - allowed, 0.0, best, xtol=_CLOSE * min(best, doubt)))
+
+    resolved = best > 0.0 and ratio(0.0) > threshold(0.0)
+    ends = []
+    for end in (lower, upper) if resolved else (upper,):
+        value = end(_FIRST_THRESHOLD)
+        for _ in range(_THRESHOLDS):
+            value = end(threshold(value))
+        ends.append(value)
+    # Zero is excluded: a threshold that is larger next to it leaves the lowest value that was resolved.
+    return (max(ends[0], _CLOSE * best), ends[1]) if resolved else (0.0, ends[0])
+
+
+def _ramp_ends(spectrum: _Spectrum, records: SimulatedRecords, best: _Fit) -> tuple[float, float]:
+    """Ends of the interval of the size of the ramp; the other terms are fitted anew to each ramp that is tested."""
+    from scipy.optimize import minimize_scalar
+
+    sign = 1.0 if best.ramp >= 0.0 else -1.0
+    size, doubt = abs(best.ramp), float(np.sqrt(best.ramp_variance))
+    found = minimize_scalar(
+        lambda tested: _likeliest(spectrum, ramp=sign * tested).loss,
+        bounds=(max(size - doubt, 0.0), size + doubt),
+        method="bounded",
+        options={"xatol": _CLOSE * doubt},
+    )
+
+    def ratio(tested: float) -> float:
+        return _likeliest(spectrum, ramp=sign * tested).loss - float(found.fun)
+
+    def threshold(tested: float) -> float:
+        return records.ramp_threshold(_likeliest(spectrum, ramp=sign * tested).squares, tested, CONFIDENCE)
+
+    return _ends(ratio, threshold, float(found.x), doubt)
 
 
 def _information(spectrum: _Spectrum, variance: Array) -> Array:
@@ -323,12 +374,11 @@ def _information(spectrum: _Spectrum, variance: Array) -> Array:
     return information + 1e-12 * np.diag(np.diag(information))
 
 
-def _ramp_freedom(spectrum: _Spectrum, fit: _Fit) -> float:
-    """Satterthwaite's degrees of freedom of the variance of the ramp: 2 V² / var(V)."""
-    gradient = fit.ramp_variance**2 * (spectrum.design.T @ (spectrum.uu / fit.variance**2))
-    kept = fit.squares > 0.0
+def _sigma(spectrum: _Spectrum, fit: _Fit, k: int) -> float:
+    """Standard deviation of squared coefficient k, fitted with the others that are not zero."""
+    kept = [k, *(j for j in range(len(fit.squares)) if j != k and fit.squares[j] > 0.0)]
     covariance = np.linalg.inv(_information(spectrum, fit.variance)[np.ix_(kept, kept)])
-    return max(2.0 * fit.ramp_variance**2 / float(gradient[kept] @ covariance @ gradient[kept]), 1.0)
+    return float(np.sqrt(covariance[0, 0]))
 
 
 def _needed(coefficients: Array, resolved: Mask, dt: float) -> Array:

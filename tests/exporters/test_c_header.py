@@ -200,7 +200,9 @@ STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-pedantic",
 FORMS = [("g++", f"-std=c++{year}") for year in (11, 14, 17, 20)] + [
     (COMPILER, f"-std=c{year}") for year in (99, 11, 17)
 ]
-CLANG = [(each, standard) for each, standard in (("clang++", "-std=c++20"), ("clang", "-std=c99"))]
+CLANG = [("clang++", f"-std=c++{year}") for year in (11, 14, 17, 20)] + [
+    ("clang", f"-std=c{year}") for year in (99, 11, 17)
+]
 SINGLE_DRIVER = """
 #include "imu.h"
 #include <stdio.h>

@@ -35,7 +35,7 @@ def noise_report(terms: NoiseTerms, allan: AllanDeviation, *, title: str) -> str
     """
     lines = [
         f"Noise of {title}: {duration(terms.length_s)} at rest, {1.0 / terms.interval_s:.4g} Hz",
-        "Maximum likelihood with 95 % intervals; fit of the Allan deviation; < : upper limit",
+        "Maximum likelihood with 95 % intervals; fit of the Allan deviation; < : upper limit, 95 %",
     ]
     for sensor in range(2):
         lines += ["", _table(terms, allan, sensor)]
