@@ -18,6 +18,8 @@ from sims.scenarios.simulation import schedule_of
 from srt.constants import DEG, MICRO_G
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from sims.faults.injection import Case
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording, SequenceLabel
@@ -262,23 +264,42 @@ def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) ->
     """The accelerometers are sampled or filtered later or earlier than the gyros, but have the same time stamps."""
     motion = case.simulation.motion
     late = float(rng.choice([-1.0, 1.0])) * severity * 1e-3
+    velocity, velocity_abs = (_late(motion, x, late, range(3)) for x in (motion.velocity, motion.velocity_abs))
+    return _read(case, replace(motion, velocity=velocity, velocity_abs=velocity_abs), rng)
 
-    def delayed(increments: Array) -> Array:
-        out = increments.copy()
-        for piece in np.split(np.arange(len(increments)), motion.piece_starts[1:]):
-            edges = np.arange(len(piece) + 1) * motion.interval
-            at = np.clip(edges - late, 0.0, edges[-1])
-            for axis in range(3):
-                sums = np.concatenate([[0.0], np.cumsum(increments[piece, axis])])
-                out[piece, axis] = np.diff(np.interp(at, edges, sums))
-            # The unit is at rest before and after: readings outside the piece equal those at its ends.
-            outside = np.diff(at) < (1.0 - 1e-9) * motion.interval
-            ends = np.where(np.arange(len(piece)) < len(piece) // 2, piece[0], piece[-1])
-            out[piece[outside]] = increments[ends[outside]]
-        return out
 
-    shifted = replace(motion, velocity=delayed(motion.velocity), velocity_abs=delayed(motion.velocity_abs))
-    return _read(case, shifted, rng)
+def _late(motion: TrueMotion, increments: Array, late_s: float, axes: Iterable[int]) -> Array:
+    """Increments of some axes as they are sampled later; the samples keep their time stamps."""
+    out = increments.copy()
+    for piece in np.split(np.arange(len(increments)), motion.piece_starts[1:]):
+        edges = np.arange(len(piece) + 1) * motion.interval
+        at = np.clip(edges - late_s, 0.0, edges[-1])
+        # The unit is at rest before and after: readings outside the piece equal those at its ends.
+        outside = np.diff(at) < (1.0 - 1e-9) * motion.interval
+        ends = np.where(np.arange(len(piece)) < len(piece) // 2, piece[0], piece[-1])
+        for axis in axes:
+            sums = np.concatenate([[0.0], np.cumsum(increments[piece, axis])])
+            out[piece, axis] = np.diff(np.interp(at, edges, sums))
+            out[piece[outside], axis] = increments[ends[outside], axis]
+    return out
+
+
+@injection("gyro_axis_delayed", 5.0, "ms")
+def gyro_axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One gyro has a filter of its own, or is converted after the others."""
+    motion = case.simulation.motion
+    late, axis = float(rng.choice([-1.0, 1.0])) * severity * 1e-3, int(rng.integers(3))
+    angle, angle_abs = (_late(motion, x, late, [axis]) for x in (motion.angle, motion.angle_abs))
+    return _read(case, replace(motion, angle=angle, angle_abs=angle_abs), rng)
+
+
+@injection("accel_axis_delayed", 5.0, "ms")
+def accel_axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One accelerometer has a filter of its own, or is converted after the others."""
+    motion = case.simulation.motion
+    late, axis = float(rng.choice([-1.0, 1.0])) * severity * 1e-3, int(rng.integers(3))
+    velocity, velocity_abs = (_late(motion, x, late, [axis]) for x in (motion.velocity, motion.velocity_abs))
+    return _read(case, replace(motion, velocity=velocity, velocity_abs=velocity_abs), rng)
 
 
 @injection("samples_lost", 0.05, "s")

@@ -184,6 +184,36 @@ _stuck("gyro_stuck", ("gyro",), dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=Tr
 _stuck("accel_stuck", ("accel",), 0.5)
 
 
+_REPEATING_PULSES: Final = (
+    "Pulses of laser gyros repeat in all six channels by themselves, once in fifty samples: what is told of repeated "
+    "samples there is the spikes and the lost angle in the rotations."
+)
+
+
+@injection("samples_duplicated", 24.0, "samples", unseen={GRADES[0]: _REPEATING_PULSES})
+def samples_duplicated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The logger sends its buffer twice: in place of the next sample, or before it, all later stamps being moved."""
+    recording, dt = case.recording, case.recording.nominal_interval_s
+    rows = np.array([_somewhere(recording, rng, 1).start for _ in range(max(1, round(severity)))])
+    if rng.random() < 0.5:
+        source = np.arange(len(recording.time))
+        source[rows] -= 1
+        return replace(recording, gyro=recording.gyro[source], accel=recording.accel[source])
+    rows = np.unique(rows)
+    late = np.arange(len(rows) + 1) * dt
+
+    def clock(time: Array) -> Array:
+        moved: Array = time + late[np.searchsorted(recording.time[rows], time - 0.5 * dt)]
+        return moved
+
+    out = _restamped(recording, clock)
+    source = np.sort(np.concatenate([np.arange(len(recording.time)), rows]))
+    stamps = out.time[source]
+    again = np.flatnonzero(np.diff(source) == 0) + 1
+    stamps[again] += dt
+    return replace(out, time=stamps, gyro=recording.gyro[source], accel=recording.accel[source])
+
+
 def _axis_stuck(fault: str, sensor: str, severity: dict[str, float], unseen: dict[str, str]) -> None:
     @injection(fault, severity, "s", unseen=unseen)
     def axis_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:

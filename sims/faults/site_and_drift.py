@@ -7,14 +7,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.signal import lfilter
 
-from sims.faults.injection import injection
+from sims.faults.injection import GRADES, Case, injection
 from sims.physics.imu import read_out
 from srt.constants import DEG, DEG_PER_H, MICRO_G, normal_gravity_m_s2
 from srt.estimation.options import Options
 
 if TYPE_CHECKING:
-    from sims.faults.injection import Case
     from sims.physics.imu import ImuModel
     from sims.physics.true_motion import TrueMotion
     from srt.recording.recording import Recording
@@ -135,6 +135,31 @@ def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Re
     return _again(case, replace(motion, angle=angle), case.simulation.imu, rng)
 
 
+@injection("units_joined", 1.0, "")
+def units_joined(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """The last sequences were recorded with another unit of the same grade, and put after the first ones."""
+    first, second = case.recording, Case(case.grade, case.seed + 7_000_000, case.changes).recording
+    count = int(rng.integers(5, len(first.sequences) - 4))
+    end, begin = first.sequences[count - 1].end_static_s[1], second.sequences[count].start_static_s[0]
+    rows, others = first.time <= end + 1e-6, second.time > begin + 1e-6
+    later = end + rng.uniform(20.0, 200.0) - begin
+    moved = tuple(
+        replace(
+            label,
+            start_static_s=(label.start_static_s[0] + later, label.start_static_s[1] + later),
+            end_static_s=(label.end_static_s[0] + later, label.end_static_s[1] + later),
+        )
+        for label in second.sequences[count:]
+    )
+    return replace(
+        first,
+        time=np.concatenate([first.time[rows], second.time[others] + later]),
+        gyro=np.concatenate([first.gyro[rows], second.gyro[others]]),
+        accel=np.concatenate([first.accel[rows], second.accel[others]]),
+        sequences=first.sequences[:count] + moved,
+    )
+
+
 @injection(
     "accel_bias_drift",
     {"navigation-rlg": 0.2, "tactical-fog": 4.0, "industrial-mems": 8.0, "consumer-mems": 100.0},
@@ -151,6 +176,20 @@ def accel_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> R
     unit = 1.0 if case.recording.kind == "rate" else case.recording.nominal_interval_s
     accel[:, int(rng.integers(3))] += _sign(rng) * severity * 1e3 * MICRO_G * share * unit
     return replace(case.recording, accel=accel)
+
+
+@injection("accel_settling", dict(zip(GRADES, (50.0, 500.0, 500.0, 1500.0), strict=True)), "ppm")
+def accel_settling(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The proof masses relax after a change of specific force: a share lags behind with a time constant of 3 s."""
+    motion = case.simulation.motion
+    decay = math.exp(-motion.interval / 3.0)
+    share = _sign(rng) * 1e-6 * severity
+    velocity = motion.velocity.copy()
+    for piece in np.split(np.arange(len(velocity)), motion.piece_starts[1:]):
+        true = motion.velocity[piece]
+        settled = lfilter([1.0 - decay], [1.0, -decay], true, axis=0, zi=decay * true[:1])[0]
+        velocity[piece] += share * (settled - true)
+    return _again(case, replace(motion, velocity=velocity), case.simulation.imu, rng)
 
 
 @injection(

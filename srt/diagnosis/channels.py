@@ -6,11 +6,13 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import gammainc
 
 from srt.constants import EARTH_RATE_RAD_S, STANDARD_GRAVITY_M_S2
 from srt.diagnosis.axes import manoeuvre_readings
 from srt.diagnosis.findings import check, finding
-from srt.diagnosis.repeated_samples import repeated_runs
+from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
+from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
 from srt.diagnosis.spikes import find_spikes
 from srt.model.table1 import AXES
 from srt.noise.noise_model import smallest_step
@@ -186,6 +188,25 @@ def repeated_rows(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
+_TWICE: Final = 3.0
+"""Ratio of repeated samples to those that chance explains, from which they count: pulses are not quite independent."""
+_FEWEST_TWICE: Final = 3
+"""Repeated samples at least: the frame of a single one may have been sent twice."""
+
+
+@check("samples_duplicated")
+def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
+    """Find single samples that repeat the one before in all channels, more of them than chance explains."""
+    for rows, expected in single_repeats(evidence):
+        count = len(rows)
+        if count < max(_FEWEST_TWICE, _TWICE * expected) or gammainc(count, expected) > REPEATS_BY_CHANCE:
+            continue
+        yield finding(
+            "samples_duplicated", count=count, time=float(evidence.recording.time[rows[0]]), expected=expected
+        )
+        return
+
+
 _WRAP_JUMP: Final = 0.9
 """Smallest jump of a wrapping reading between two samples, relative to its range."""
 _WRAP_SYMMETRY: Final = 0.02
@@ -200,6 +221,11 @@ _DEAD_SHARE: Final = 0.5
 """Share of stationary readings at zero, from which a channel may have a dead band."""
 _DEAD_STEPS: Final = 2.5
 """Smallest reading other than zero over the quantization step: one without a dead band."""
+
+_SAME_GRID: Final = 1e-3
+"""Distance of readings from multiples of a step, in steps, that rounding leaves."""
+_DEAD_EDGE: Final = 0.1
+"""Smallest over median size of the stationary readings other than zero: those beyond a dead band begin at its edge."""
 
 
 @check("gyro_dead_band")
@@ -219,6 +245,11 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
         if len(moving) < _MANY:
             continue
         threshold = float(size[size > 0.0].min())
+        shown = np.abs(stationary[stationary[:, axis] != 0.0, axis])
+        if shown.size and threshold < _DEAD_EDGE * float(np.median(shown)):
+            continue  # the readings reach down to zero: pulses, and noise in some window
+        if shown.size and np.all(np.abs(shown / threshold - np.rint(shown / threshold)) < _SAME_GRID):
+            continue  # multiples of the smallest reading: pulses
         step = float(smallest_step(moving[-_SAMPLES:])[axis])
         if threshold > _DEAD_STEPS * step:
             yield finding(

@@ -13,6 +13,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
+class RunnerUp:
+    """Fault that explains the same data nearly as well, and by how much less: a difference of log-likelihoods."""
+
+    fault: str
+    log_likelihood_lower: float
+
+    @property
+    def sentence(self) -> str:
+        """Remark for the reader."""
+        title = FAULTS[self.fault].title
+        return f"Nearly as likely (log-likelihood lower by {max(0.0, self.log_likelihood_lower):.2g}): {title}."
+
+
+@dataclass(frozen=True, slots=True)
 class Finding:
     """One fault found in a recording.
 
@@ -23,11 +37,14 @@ class Finding:
     sentence : str
     details : dict
         Values in the sentence, SI where the name carries no unit.
+    runner_up : RunnerUp or None
+        Next cause, if it explains the data nearly as well.
     """
 
     fault: str
     sentence: str
     details: dict[str, Any]
+    runner_up: RunnerUp | None = None
 
     @property
     def effect(self) -> Effect:

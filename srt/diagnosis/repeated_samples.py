@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -38,6 +39,10 @@ _PULSES: Final = 8.0
 each sample, they pause for up to five times as long as before and after."""
 _SUPPORT: Final = 3
 """Repeats added to those counted: with none seen, their rate may still be three over the number of rows."""
+_CHUNK: Final = 50
+"""Rows over which a share of repeats is taken: a pause between rotations is as short."""
+_SHORT: Final = 3
+"""Longest run of repeats that is a sample written twice, or a few times."""
 _GOES_ON: Final = 0.9
 """Share of the other sensor's rows that repeat, above which that sensor is frozen, too."""
 
@@ -142,3 +147,29 @@ def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> fl
     if not 0.0 < rate < 1.0:
         return math.inf
     return max(math.log(FALSE_ALARM / total) / math.log(rate), _PULSES * longest)
+
+
+def single_repeats(evidence: Evidence) -> list[tuple[Indices, float]]:
+    """Rows that repeat the row before them in all channels, in runs of at most three, and how many chance explains.
+
+    In the windows, and in the rotations, where pulses hardly repeat. Where gyros and accelerometers repeat
+    independently, rows repeat as often as the product of both shares says, chunk by chunk: both repeat at rest.
+    """
+    data = evidence.data
+    if data is None:
+        return []
+    windows = data.windows.samples
+    found: list[tuple[list[Indices], list[float]]] = [([], []), ([], [])]
+    for s, e in zip(data.start.tolist(), data.end.tolist(), strict=True):
+        for part, (a, b) in enumerate(pairwise([*windows[s].tolist(), *windows[e].tolist()])):
+            if b - a < _LEAST_BESIDE:
+                continue
+            rows, expected = found[part % 2]
+            every, gyro, accel = _repeats(evidence.recording, a, b)[:_FIRST_CHANNEL]
+            borders = np.arange(0, len(every), _CHUNK)
+            repeats = (np.add.reduceat(x.astype(np.float64), borders) for x in (gyro, accel, np.ones(len(every))))
+            by_gyro, by_accel, rows_there = repeats
+            expected.append(float(np.sum(by_gyro * by_accel / rows_there)))
+            edges = np.flatnonzero(np.diff(np.concatenate(([False], every, [False]))))
+            rows.append(a + 1 + edges[::2][np.diff(edges)[::2] <= _SHORT])
+    return [(np.concatenate(rows), sum(expected)) for rows, expected in found if rows]

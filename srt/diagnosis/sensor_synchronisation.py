@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import stdtrit
 
+from srt.diagnosis.cause_comparison import Cause, compare, with_runner_up
 from srt.diagnosis.findings import check, finding
 from srt.diagnosis.rotation_readings import BlockAverages, block_averages, computed_once, cross
 from srt.diagnosis.stabilised_force import StabilisedForce, stabilised_force
+from srt.model.table1 import AXES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,8 +60,12 @@ class TimeOffset:
         Mean lag of the accelerometers behind the gyros over the rotations, and its standard deviation.
     typical_s : float
         Median lag, which a rotation with lost samples does not affect.
-    turns : int
-        Number of rotations used.
+    by_turn : ndarray, shape (n,), s
+        Lag of each rotation used.
+    axes : ndarray, shape (n, 3)
+        Its axis, unit vectors in B.
+    by_accel : ndarray, shape (n, 3)
+        Lag that it would show for an accelerometer of x, y or z that lags by one second.
     errors : ndarray, shape (15,)
         Accelerometer errors, columns of :func:`_error_columns`.
     spread : ndarray, shape (r, 15)
@@ -69,7 +75,9 @@ class TimeOffset:
     late_s: float
     sigma_s: float
     typical_s: float
-    turns: int
+    by_turn: Array
+    axes: Array
+    by_accel: Array
     errors: Array
     spread: Array
 
@@ -92,20 +100,24 @@ def time_offset(evidence: Evidence) -> TimeOffset | None:
     # scatter over the rotations contains all that is not modelled. The unknowns of single rotations are projected out,
     # so the cost grows only linearly.
     projected = []
-    for columns, angle in chosen:
+    for columns, angles, _ in chosen:
         own, _ = np.linalg.qr(columns[:, :3])
-        rest = np.concatenate([columns[:, 3:], angle[:, None]], axis=1)
+        rest = np.concatenate([columns[:, 3:], angles], axis=1)
         projected.append(rest - own @ (own.T @ rest))
     stacked = np.concatenate(projected)
-    common, spread = _solution(stacked[:, :-1], stacked[:, -1], freedom=len(stacked) - 3 * n)
-    late = np.array(
+    seen, wanted = stacked[:, :-4], stacked[:, -4:]
+    common, spread = _solution(seen, wanted[:, 0], freedom=len(stacked) - 3 * n)
+    # Lags of single accelerometers pass through the same estimate: errors take over a part of them.
+    every = np.column_stack([common, np.linalg.lstsq(seen, wanted[:, 1:], rcond=_OBSERVED)[0]])
+    lags = np.array(
         [
-            np.linalg.lstsq(columns[:, :3], angle - columns[:, 3:] @ common, rcond=1e-9)[0][0]
-            for columns, angle in chosen
+            np.linalg.lstsq(columns[:, :3], angles - columns[:, 3:] @ every, rcond=_OBSERVED)[0][0]
+            for columns, angles, _ in chosen
         ]
     )
+    late, axes = lags[:, 0], np.array([axis for _, _, axis in chosen])
     sigma = float(late.std(ddof=1)) / math.sqrt(n)
-    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), n, common, spread)
+    return TimeOffset(float(late.mean()), sigma, float(np.median(late)), late, axes, lags[:, 1:], common, spread)
 
 
 def _solution(columns: Array, values: Array, *, freedom: int) -> tuple[Array, Array]:
@@ -118,10 +130,11 @@ def _solution(columns: Array, values: Array, *, freedom: int) -> tuple[Array, Ar
     return np.asarray(solution), np.asarray(root * math.sqrt(float(left @ left) / max(1, freedom - int(seen.sum()))))
 
 
-def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> tuple[Array, Array] | None:
-    """Equations of a sequence with one rotation about a horizontal axis: columns offset, start, scale, errors; angle.
+def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> tuple[Array, Array, Array] | None:
+    """Equations of a sequence with one rotation about a horizontal axis.
 
-    None for any other sequence.
+    Columns (offset, start, scale, errors); the angle, and those for each accelerometer late by 1 s; axis in B. None for
+    any other sequence.
     """
     if e - s < 2 * _COARSE:
         return None
@@ -137,8 +150,12 @@ def _equations(path: StabilisedForce, turns: BlockAverages, s: int, e: int) -> t
     across /= horizontal
     about = rate @ (total / size)
     own = np.stack([about * horizontal, np.ones(e - s), np.cumsum(about) * turns.step_s], axis=1)
-    seen = _error_columns(across @ path.attitude[s:e], path.up_body[s:e], path.rate[s:e], turns.step_s)
-    return _coarser(np.concatenate([own, seen], axis=1)), _coarser(path.force_start[s:e] @ across)
+    along = across @ path.attitude[s:e]
+    seen = _error_columns(along, path.up_body[s:e], path.rate[s:e], turns.step_s)
+    columns = np.concatenate([own, seen], axis=1)
+    late = along * cross(path.rate[s:e], path.up_body[s:e])
+    angles = np.column_stack([path.force_start[s:e] @ across, late])
+    return _coarser(columns), _coarser(angles), np.asarray(total / size)
 
 
 def _error_columns(along: Array, up: Array, rate: Array, step_s: float) -> Array:
@@ -168,15 +185,33 @@ def _coarser(values: Array) -> Array:
     return np.asarray(values[: n * _COARSE].reshape(n, _COARSE, *values.shape[1:]).mean(axis=1))
 
 
-@check("sensor_time_offset")
+def _lag_causes(seen: TimeOffset) -> list[Cause]:
+    """Patterns of the lag of accelerometers behind gyros over the rotations, for a lag of 1 s of some channels.
+
+    In a rotation about one axis only the gyro of that axis turns.
+    """
+    n, by_gyro = len(seen.axes), seen.axes**2
+    causes = [Cause("", np.zeros((n, 0)), {}), Cause("sensor_time_offset", np.ones((n, 1)), {})]
+    for i, axis in enumerate(AXES):
+        causes.append(Cause("gyro_axis_delayed", -by_gyro[:, i, None], {"channel": f"gyro_{axis}"}, 3))
+        causes.append(Cause("accel_axis_delayed", seen.by_accel[:, i, None], {"channel": f"accel_{axis}"}, 3))
+    return causes
+
+
+@check("sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed")
 def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
-    """Test for a lag of the rotation of gravity behind the gyros, common to all rotations."""
+    """Test for a lag of the rotation of gravity behind the gyros: of all channels of a sensor, or of one."""
     seen = time_offset(evidence)
     if seen is None:
         return
-    limit = -float(stdtrit(seen.turns - 1.0, 0.5 * FALSE_ALARM))
-    if abs(seen.late_s) > max(limit * seen.sigma_s, _LEAST_OFFSET * evidence.dt):
-        yield finding("sensor_time_offset", offset_ms=1e3 * seen.late_s, sigma_ms=1e3 * seen.sigma_s)
+    causes = _lag_causes(seen)
+    ranked = compare(seen.by_turn, causes)
+    best = next(explanation for explanation in ranked if explanation.cause.fault)
+    late, sigma = float(best.value[0]), float(best.sigma[0])
+    limit = -float(stdtrit(best.freedom, 0.5 * FALSE_ALARM / (len(causes) - 1)))
+    if abs(late) > max(limit * sigma, _LEAST_OFFSET * evidence.dt):
+        told = finding(best.cause.fault, offset_ms=1e3 * late, sigma_ms=1e3 * sigma, **best.cause.details)
+        yield with_runner_up(told, ranked)
 
 
 @check("samples_lost")

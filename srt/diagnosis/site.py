@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 HEIGHTS_M: Final = (5000.0, -500.0)
 """Highest and lowest test site, m."""
@@ -159,7 +159,9 @@ def _traceless() -> Array:
 
 
 _BASIS: Final = _traceless()
-_BIAS, _DRIFT, _G, _V, _H = slice(0, 3), slice(3, 6), slice(6, 14), 14, slice(15, 17)
+_H_COLUMNS: Final = 17
+"""Columns with the horizontal Earth rate."""
+BIAS, DRIFT, _G, _V, _H = slice(0, 3), slice(3, 6), slice(6, 14), 14, slice(15, 17)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +207,41 @@ def stationary_rate_fit(evidence: Evidence) -> StationaryRateFit | None:
     return None if evidence.data is None else _fit(evidence, evidence.data)
 
 
-def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class StationaryRates:
+    """Stationary rates and the columns that explain them.
+
+    Attributes
+    ----------
+    window : ndarray of int, shape (W,)
+        Number of each window in the prepared data.
+    start, end : ndarray, shape (W,), s
+    rate : ndarray, shape (W, 3), rad/s
+    columns : ndarray, shape (W, 3, 15 or 17)
+        Bias, drift, g-sensitivity, vertical rate; horizontal Earth rate if the attitudes are known.
+    covariance : ndarray, shape (3, W, W), (rad/s)²
+        By axis.
+    """
+
+    window: Indices
+    start: Array
+    end: Array
+    rate: Array
+    columns: Array
+    covariance: Array
+
+    @property
+    def known(self) -> bool:
+        """True if the attitudes are known."""
+        return bool(self.columns.shape[2] == _H_COLUMNS)
+
+
+@computed_once
+def stationary_rates(evidence: Evidence) -> StationaryRates | None:
+    """Stationary rates of the windows; None if they are too few or their poses too much alike."""
+    data = evidence.data
+    if data is None:
+        return None
     W = len(data.windows.duration_s)
     chosen = np.unique(np.linspace(0, W - 1, min(W, _MOST_WINDOWS)).astype(int))
     rate, force = data.windows.gyro_mean[chosen], data.windows.accel_mean[chosen]
@@ -226,18 +262,26 @@ def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | Non
     end = start + data.windows.duration_s[chosen]
     middle = 0.5 * (start + end)
     span = float(middle.max() - middle.min())
-    columns = 17 if known else 15
+    columns = _H_COLUMNS if known else _H_COLUMNS - 2
     freedom = rate.size - columns
     if span == 0.0 or freedom < LEAST_FREEDOM:
         return None
     X = np.zeros((*rate.shape, columns))
-    X[:, :, _BIAS] = np.eye(3)
-    X[:, :, _DRIFT] = np.eye(3) * ((middle - 0.5 * (middle.max() + middle.min())) / span)[:, None, None]
+    X[:, :, BIAS] = np.eye(3)
+    X[:, :, DRIFT] = np.eye(3) * ((middle - 0.5 * (middle.max() + middle.min())) / span)[:, None, None]
     X[:, :, _G] = np.einsum("nij,wj->win", _BASIS, down)
     X[:, :, _V] = turned[:, 2] if known else down
     if known:
         X[:, :, _H] = np.swapaxes(turned[:, :2], 1, 2)
-    covariance = _covariance(data, start, end, known=known)
+    return StationaryRates(chosen, start, end, rate, X, _covariance(data, start, end, known=known))
+
+
+def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | None:
+    rates = stationary_rates(evidence)
+    if rates is None:
+        return None
+    X, rate, covariance, known = rates.columns, rates.rate, rates.covariance, rates.known
+    freedom = rate.size - X.shape[2]
     solved = _solve(X, rate, covariance)
     if solved is None:
         return None
@@ -245,12 +289,12 @@ def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | Non
     instability = data.recording.noise.gyro_bias_instability
     if instability is None:
         # Bias instability is not stated: as much flicker noise as explains the residuals.
-        solved = _with_flicker(X, rate, covariance, flicker_covariance(start, end), freedom)
+        solved = _with_flicker(X, rate, covariance, flicker_covariance(rates.start, rates.end), freedom)
         value, P, chi_square = solved
     sigma = np.sqrt(np.diag(P) * max(1.0, chi_square / freedom))
     return StationaryRateFit(
-        value[_DRIFT],
-        sigma[_DRIFT],
+        value[DRIFT],
+        sigma[DRIFT],
         value[_G],
         sigma[_G],
         float(value[_V]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.diagnosis import (
@@ -10,8 +10,10 @@ from srt.diagnosis import (
     channels,
     clipping,
     imu_properties,
+    joined_units,
     sensor_synchronisation,
     sequences,
+    settling,
     site,
     timing,
     units,
@@ -38,8 +40,10 @@ _MODULES: Final = (
     sequences,
     vibration,
     window_disturbances,
+    settling,
     sensor_synchronisation,
     site,
+    joined_units,
     imu_properties,
 )
 """Modules that register their checks on import."""
@@ -78,6 +82,7 @@ class Diagnosis:
                 "effect": f.effect,
                 "sentence": f.sentence,
                 "details": {name: plain(value) for name, value in f.details.items()},
+                "runner_up": None if f.runner_up is None else asdict(f.runner_up),
             }
             for f in self.findings
         ]

@@ -8,8 +8,11 @@ import pytest
 from diagnosing import every_second_grade
 from scipy.ndimage import uniform_filter1d
 
+import sims.faults.execution
+import sims.faults.logger
+import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 import srt
-from sims.faults.injection import GRADES, Case
+from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
 
 
@@ -157,3 +160,22 @@ def test_an_axis_held_at_its_limit_is_clipped_not_frozen(grade, share):
 @pytest.mark.parametrize("grade", every_second_grade(0))
 def test_the_clean_twin_is_sound(grade):
     assert causes(recording(grade)) == []
+
+
+NEW = ("gyro_axis_delayed", "accel_axis_delayed", "accel_settling", "samples_duplicated", "units_joined")
+
+
+@pytest.mark.parametrize("fault", NEW)
+@pytest.mark.parametrize("grade", GRADES)
+def test_each_injection_is_named_first(grade, fault):
+    """One unit; ``benchmarks/faults.py`` runs several severities. Times, places and sizes come from the seed."""
+    if grade not in INJECTIONS[fault].severity:
+        pytest.skip(INJECTIONS[fault].unseen[grade])
+    injected = INJECTIONS[fault].recording(Case(grade, 5_150))
+    assert causes(injected)[0] == fault
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_noise_in_one_window_between_pulses_is_no_dead_band(grade):
+    """Readings off the grid of the pulses, in one window alone, come as near to zero as can be."""
+    assert causes(INJECTIONS["noisy_window"].recording(Case(grade, 60_000)))[0] == "noisy_window"

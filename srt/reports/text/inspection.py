@@ -221,4 +221,5 @@ def _findings(inspection: Inspection) -> Iterable[str]:
     if inspection.diagnosis.judgement is not None:
         yield from wrap(f"Verdict: {inspection.diagnosis.judgement}")
     for finding in findings:
-        yield from wrap(f"{_EFFECTS[finding.effect]}: {finding.sentence}")
+        beside = "" if finding.runner_up is None else f" {finding.runner_up.sentence}"
+        yield from wrap(f"{_EFFECTS[finding.effect]}: {finding.sentence}{beside}")

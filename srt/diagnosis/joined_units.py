@@ -1,0 +1,127 @@
+"""Recordings of two units, or of one that was restarted, joined into one: steps of bias between two sequences.
+
+Two sets of residuals show them: the stationary rates, and the magnitudes of the stationary specific force, which the
+attitude of the fixture does not enter. Each is weighted by white noise and the stated bias instability. A step between
+two sequences competes with a drift of the same parameters.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import fdtrc
+
+from srt.diagnosis.cause_comparison import Cause, compare
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
+from srt.noise.bias_instability import flicker_covariance
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srt.diagnosis.cause_comparison import Explanation
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+    from srt.diagnosis.site import StationaryRates
+    from srt.types import Array
+
+FALSE_ALARM: Final = 1e-5
+"""False-alarm probability in a recording: a tenth of that of all checks."""
+_LEAST_SEQUENCES: Final = 3
+"""Sequences on each side of a step at least: one alone is a disturbance."""
+_SLOWNESS: Final = (0.1, 0.3)
+"""Time constants of a warm-up tried beside a linear drift, relative to the test."""
+_LEAST_FREEDOM: Final = 8
+"""Degrees of freedom, fewer of which do not tell the scatter."""
+
+
+@check("units_joined")
+def units_joined(evidence: Evidence) -> Iterator[Finding]:
+    """Compare steps between any two sequences with a drift, in gyros and accelerometers."""
+    rates, data = stationary_rates(evidence), evidence.data
+    if rates is None or data is None or not evidence.has_labels:
+        return
+    order = np.argsort(data.windows.samples[data.start, 0])
+    place = np.zeros(len(data.windows.samples), dtype=np.intp)
+    place[data.start[order]] = place[data.end[order]] = np.arange(data.K)
+    place = place[rates.window]
+    time = 0.5 * (rates.start + rates.end)
+    share = (time - time.min()) / np.ptp(time)
+    cuts = range(_LEAST_SEQUENCES, data.K - _LEAST_SEQUENCES + 1)
+    shapes = [("gyro_bias_drift", share, 3), *(("gyro_bias_drift", np.exp(-share / slow), 3) for slow in _SLOWNESS)]
+    shapes += [("units_joined", (place >= cut).astype(np.float64), len(cuts)) for cut in cuts]
+    ranked = [found for found in (_gyros(evidence, rates, shapes), _forces(evidence, rates, shapes)) if found]
+    if not ranked or not cuts:
+        return
+    score = np.sum([[e.score for e in explained[1:]] for explained in ranked], axis=0)
+    drifts = 1 + len(_SLOWNESS)
+    best = drifts + int(np.argmax(score[drifts:]))
+    doubt = min(_probability(explained[0], explained[1 + best]) for explained in ranked)
+    if doubt < FALSE_ALARM / (len(ranked) * len(cuts)) and score[best] - score[:drifts].max() > -np.log(FALSE_ALARM):
+        at = cuts[best - drifts]
+        yield finding(
+            "units_joined",
+            before=evidence.title(int(order[at - 1])),
+            after=evidence.title(int(order[at])),
+            ratio=float(score[best] - score[:drifts].max()),
+        )
+
+
+def _probability(null: Explanation, step: Explanation) -> float:
+    """Probability of as large a reduction of the residuals by chance (F test)."""
+    more = null.freedom - step.freedom
+    if more <= 0 or step.freedom < _LEAST_FREEDOM:
+        return 1.0
+    return float(fdtrc(more, step.freedom, (null.square - step.square) / more / (step.square / step.freedom)))
+
+
+def _explained(values: Array, nuisance: Array, shapes: list[tuple[str, Array, int]], moved: Array) -> list[Explanation]:
+    """Explanations in the order of the shapes, after that by nothing; ``moved`` are the columns that a shape scales."""
+    causes = [Cause("", np.zeros((len(values), 0)), {"place": 0})]
+    causes += [
+        Cause(fault, moved @ shape, {"place": 1 + place}, choices)
+        for place, (fault, shape, choices) in enumerate(shapes)
+    ]
+    return sorted(compare(values, causes, nuisance), key=lambda explanation: explanation.cause.details["place"])
+
+
+def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
+    """Explanations of the stationary rates; empty without a stated bias instability, or with too few windows."""
+    if evidence.recording.noise.gyro_bias_instability is None:
+        return []
+    W, columns = len(rates.rate), rates.columns
+    fixed = np.delete(columns, np.r_[DRIFT], axis=2)
+    roots = [np.linalg.cholesky(rates.covariance[axis]) for axis in range(3)]
+
+    def whitened(table: Array) -> Array:
+        return np.concatenate([solve_triangular(L, table[:, axis], lower=True) for axis, L in enumerate(roots)])
+
+    # The whitened effect of a bias of each window alone: shape (3 W, 3, W).
+    own = (columns[:, :, BIAS, None] * np.eye(W)[:, None, None, :]).reshape(W, 3, -1)
+    return _explained(whitened(rates.rate), whitened(fixed), shapes, whitened(own).reshape(3 * W, 3, W))
+
+
+def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
+    """Explanations of the magnitudes of specific force by face; empty without a stated bias instability."""
+    data, instability = evidence.data, evidence.recording.noise.accel_bias_instability
+    if data is None or instability is None:
+        return []
+    force = evidence.stationary_force[rates.window]
+    size = np.linalg.norm(force, axis=1)
+    if np.any(size == 0.0):
+        return []
+    up = force / size[:, None]
+    axis = np.argmax(np.abs(up), axis=1)
+    face = 2 * axis + (up[np.arange(len(up)), axis] > 0.0)
+    faces, which = np.unique(face, return_inverse=True)
+    dummies = np.eye(len(faces))[which]
+    white = float(np.mean(data.noise.accel_white**2)) / (rates.end - rates.start)
+    edge = 2.0 * (float(np.mean(data.noise.accel_edge)) / (rates.end - rates.start)) ** 2
+    covariance = instability**2 * (up @ up.T) * flicker_covariance(rates.start, rates.end) + np.diag(white + edge)
+    # An attitude that is off by the fixture's accuracy enters with the misalignments alone: rounding stands for it.
+    L = np.linalg.cholesky(covariance + np.diag(1e-16 * size**2))
+    own = dummies[:, :, None] * np.eye(len(up))[:, None, :]
+    moved = solve_triangular(L, own.reshape(len(up), -1), lower=True).reshape(len(up), len(faces), len(up))
+    return _explained(solve_triangular(L, size, lower=True), solve_triangular(L, dummies, lower=True), shapes, moved)

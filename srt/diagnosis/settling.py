@@ -1,0 +1,115 @@
+"""Settling of the accelerometers after a change of specific force.
+
+The reading approaches its final value as ``f + s (L - f)``, where L lags behind f with a time constant τ. In the window
+after a rotation this leaves ``s (L0 - f) exp(-t/τ)``, L0 being L at the start of the window; L before the sequence is
+that of its first window. Each window and channel gives one estimate of s, whose scatter contains all other changes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import stdtrit
+
+from srt.diagnosis.cause_comparison import Cause, compare
+from srt.diagnosis.findings import check, finding
+from srt.diagnosis.window_averages import ACCEL, block_sigma, window_averages
+from srt.model.table1 import AXES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from srt.diagnosis.evidence import Evidence
+    from srt.diagnosis.findings import Finding
+    from srt.diagnosis.window_averages import WindowAverages
+    from srt.types import Array
+
+FALSE_ALARM: Final = 1e-5
+"""False-alarm probability in a recording: a tenth of that of all checks."""
+_TIMES_S: Final = (1.0, 2.0, 4.0, 8.0)
+"""Time constants tried, s; a factor of 1.4 off, a pattern still correlates by more than 0.95."""
+_FEWEST: Final = 6
+"""Windows after a rotation, fewer of which do not tell the scatter."""
+_LEAST_LAG: Final = 0.05
+"""Lag over gravity from which a window counts as one after a rotation."""
+_LARGEST: Final = 0.1
+"""Largest share that is settling: more is motion."""
+_REACH: Final = 5.0
+"""Time constants over which the lag is followed back."""
+
+
+@check("accel_settling")
+def accel_settling(evidence: Evidence) -> Iterator[Finding]:
+    """Test for a common settling of all accelerometers, or of one, after the rotations."""
+    averages = window_averages(evidence)
+    if averages is None:
+        return
+    found = []
+    for time_s in _TIMES_S:
+        patterns = _patterns(evidence, averages, time_s)
+        if patterns is None:
+            return
+        values, columns = patterns
+        details = {"time_s": time_s}
+        causes = [
+            Cause("accel_settling", columns.sum(axis=1, keepdims=True), {**details, "channel": "The accelerometers"})
+        ]
+        causes += [
+            Cause("accel_settling", columns[:, i, None], {**details, "channel": f"accel_{axis}"}, 3)
+            for i, axis in enumerate(AXES)
+        ]
+        found += compare(values, causes)
+    best = max(found, key=lambda explanation: explanation.score)
+    share, sigma = float(best.value[0]), float(best.sigma[0])
+    if _LARGEST > abs(share) > -stdtrit(best.freedom, 0.5 * FALSE_ALARM / len(found)) * sigma:
+        yield finding("accel_settling", share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
+
+
+def _patterns(evidence: Evidence, averages: WindowAverages, time_s: float) -> tuple[Array, Array] | None:
+    """Projections of the windows' readings on the decay, and their values for a share of 1; (n,) and (n, 3).
+
+    Each of unit variance by the noise of the blocks; None with too few windows.
+    """
+    data = evidence.data
+    assert data is not None
+    end = {int(w): k for k, w in enumerate(data.end.tolist()) if evidence.contiguous[k]}
+    sigma = np.median(block_sigma(averages)[:, ACCEL], axis=0)
+    values: list[Array] = []
+    columns: list[Array] = []
+    lags: list[Array] = []
+    for windows, means in averages.groups:
+        after = [(g, end[int(w)]) for g, w in enumerate(averages.window[windows]) if int(w) in end]
+        if not after:
+            continue
+        which, sequence = np.array(after).T
+        t = averages.step_s * (np.arange(means.shape[1]) + 0.5)
+        decay = time_s / averages.step_s * np.exp(-t / time_s) * 2.0 * np.sinh(0.5 * averages.step_s / time_s)
+        decay -= decay.mean()
+        size = float(np.linalg.norm(decay))
+        values.append(np.einsum("b,gbc->gc", decay / size, means[which][:, :, ACCEL]) / sigma)
+        lags.append(_lags(evidence, sequence, time_s))
+        columns.append(size * lags[-1] / sigma)
+    if not values:
+        return None
+    value, column, lag = (np.concatenate(parts) for parts in (values, columns, lags))
+    if np.count_nonzero(np.abs(lag).max(axis=1) > _LEAST_LAG * data.gravity) < _FEWEST:
+        return None
+    return value.ravel(), (column[:, :, None] * np.eye(3)).reshape(-1, 3)
+
+
+def _lags(evidence: Evidence, sequences: Array, time_s: float) -> Array:
+    """Lag L - f at the start of the window after each sequence, shape (n, 3), m/s²."""
+    data = evidence.data
+    assert data is not None
+    samples, dt = data.windows.samples, evidence.dt
+    out = np.empty((len(sequences), 3))
+    for row, k in enumerate(sequences.tolist()):
+        first, stop = int(samples[data.start[k], 0]), int(samples[data.end[k], 0])
+        begin = max(first, stop - round(_REACH * time_s / dt))
+        # Weights of a first-order lag; what came before stood at the reading of the first window.
+        weight = -np.expm1(-dt / time_s) * np.exp(-dt / time_s * np.arange(stop - begin)[::-1])
+        before = evidence.stationary_force[data.start[k]]
+        out[row] = weight @ evidence.force[begin:stop] + (1.0 - weight.sum()) * before
+        out[row] -= evidence.stationary_force[data.end[k]]
+    return out
