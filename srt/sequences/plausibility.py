@@ -310,7 +310,8 @@ def _is_limit(channel: Array, extreme: float, step: float, triad: Array, axis: i
         roughness = np.abs(triad[held + 2] - 2.0 * triad[held + 1] + triad[held])
         return float(np.mean(np.any(np.delete(roughness, axis, axis=1) > smooth, axis=1))) > _MOSTLY_NOISY
     near = (channel > extreme - 1.5 * step) & (channel < extreme - 0.5 * step)
-    count, inside = int(at.sum()), int(near.sum())
+    # Pulses that were corrected repeat a reading with those of the other axes: such rows count once.
+    count, inside = len(np.unique(triad[at], axis=0)), int(near.sum())
     # Two's complement: the negative full scale is one count larger.
     full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
     return (count >= _PILE and count >= _PILE * inside) or (full_scale and count > 1)

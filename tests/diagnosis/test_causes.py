@@ -14,6 +14,7 @@ import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 import srt
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
+from srt.sequences.plausibility import clipping_levels
 
 
 @cache
@@ -95,6 +96,16 @@ def test_a_corrected_recording_is_sound(grade):
     interval = raw.interval_s if raw.kind == "increment" else None
     corrected = applier.apply(raw.gyro, raw.accel, **({} if interval is None else {"dt": interval}))
     assert causes(replace(raw, gyro=np.asarray(corrected[0]), accel=np.asarray(corrected[1]))) == []
+
+
+def test_corrected_pulses_that_recur_together_are_not_clipped():
+    """Equal pulses of all axes give equal corrected readings, off any grid, and often at their largest value."""
+    changes = {"recording": {"sample_rate_hz": 50.0, "kind": "increment"}, "schedule": {"moves": "recorded"}}
+    raw = Case("navigation-rlg", 35, changes).recording
+    gyro, accel = srt.Applier(srt.calibrate(raw, checks=False)).apply(raw.gyro, raw.accel, dt=raw.interval_s)[:2]
+    levels = clipping_levels(replace(raw, gyro=np.asarray(gyro), accel=np.asarray(accel)))
+    assert not np.isfinite(levels.high).any()
+    assert not np.isfinite(levels.low).any()
 
 
 @pytest.mark.parametrize("grade", every_second_grade(0))
