@@ -47,8 +47,12 @@ _HELD: Final = 50
 _MOSTLY_NOISY: Final = 0.5
 """Share of repeated extreme readings with noise in another channel of the triad, above which they are clipped."""
 
-_PILE: Final = 5
-"""Number of readings at an extreme, and its ratio to the number one step inside, from which they are clipped."""
+_PILE: Final = 20
+"""Number of readings at an extreme from which they are clipped. In the tail of noise each reading is one step inside
+with at least the same probability, so that twenty of twenty at the extreme have 1e-6."""
+
+_PILE_RATIO: Final = 5
+"""Ratio of that number to the number one step inside."""
 
 _NOISY: Final = 0.5
 """Ratio of the resolution to the noise below which equal readings are not explained by the resolution."""
@@ -314,7 +318,7 @@ def _is_limit(channel: Array, extreme: float, step: float, triad: Array, axis: i
     count, inside = len(np.unique(triad[at], axis=0)), int(near.sum())
     # Two's complement: the negative full scale is one count larger.
     full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
-    return (count >= _PILE and count >= _PILE * inside) or (full_scale and count > 1)
+    return (count >= _PILE and count >= _PILE_RATIO * inside) or (full_scale and count > 1)
 
 
 def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | None = None) -> tuple[Clipping, ...]:
