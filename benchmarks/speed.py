@@ -163,11 +163,10 @@ def with_and_without_drift(times: int) -> tuple[srt.Recording, srt.Recording]:
     return drifting, replace(drifting, noise=still)
 
 
-def processes(rounds: int) -> list[Row]:
+def processes(rounds: int) -> Iterator[Row]:
     """Commands as processes: start, imports, files, all checks, result, figures."""
     recording, _ = accuracy_trials.noisy_recording(1, "navigation", sample_rate_hz=SAMPLE_RATE_HZ)
     command = [sys.executable, "-m", "srt.cli"]
-    rows = []
     with tempfile.TemporaryDirectory() as directory:
         at = Path(directory)
         for kind in ("npz", "csv"):
@@ -199,17 +198,15 @@ def processes(rounds: int) -> list[Row]:
             commands["Xsens MTi from its file"] = [*command, "calibrate", str(at / "xsens"), "-q"]
         for name, arguments in commands.items():
             seconds, load_s = beside_load(partial(process_time, arguments), rounds)
-            rows.append(Row(name, seconds, load_s, peer=PEERS.get(name, "")))
+            yield Row(name, seconds, load_s, peer=PEERS.get(name, ""))
         completion = {"_SRT_COMPLETE": "bash_complete", "COMP_WORDS": "srt cal", "COMP_CWORD": "1"}
         seconds, load_s = beside_load(partial(process_time, command, completion), rounds)
-        rows.append(Row("completion in the shell", seconds, load_s))
-    return rows
+        yield Row("completion in the shell", seconds, load_s)
 
 
-def length(sizes: tuple[int, ...]) -> list[Row]:
+def length(sizes: tuple[int, ...]) -> Iterator[Row]:
     """The closed form on longer recordings; names hold the time of a sample and the memory over that of the samples."""
     rng = np.random.default_rng(0)
-    rows = []
     for n in sizes:
         recording, _ = accuracy_trials.noisy_recording(
             int(rng.integers(1 << 30)), "tactical", sample_rate_hz=float(round(n / 456.0))
@@ -227,8 +224,7 @@ def length(sizes: tuple[int, ...]) -> list[Row]:
             f"closed-form, {len(recording.time):,} samples: {seconds / len(recording.time) * 1e9:.0f} ns each, "
             f"memory {1.0 + peak / samples:.2f} of the samples"
         )
-        rows.append(Row(name, seconds, load_s, read_s))
-    return rows
+        yield Row(name, seconds, load_s, read_s)
 
 
 def workers(rounds: int) -> list[str]:
