@@ -38,6 +38,8 @@ from srt.comparison.estimator_comparison import default_estimators
 from srt.comparison.parallel import Engine
 from srt.model.analytic_platform import gyro_stream, integrate_attitude
 from srt.model.sensor_model import gyro_triad
+from srt.noise.noise_model import noise_model
+from srt.sequences.preparation import prepare
 
 PARTS = ("memory", "processes", "length", "workers")
 ROUNDS = 7
@@ -145,6 +147,9 @@ def in_memory(rounds: int) -> list[Row]:
     stream = gyro_stream(recording.gyro, recording.interval_s, spans, spans, rates=True)
     triad, earth = gyro_triad(truth), np.zeros((17, 3))
     add(f"one iteration with Jacobian, all {n} samples integrated", lambda: integrate_attitude(stream, triad, earth))
+    windows = prepare(recording, recording.sequences).windows.samples
+    count = int(np.diff(windows, axis=1).sum())
+    add(f"noise fit of {count} samples at rest", lambda: noise_model(recording, windows))
     folder = recorded_sets.data_folder()
     if folder is not None:
         xsens = recorded_sets.xsens_mti(folder)
