@@ -15,8 +15,10 @@ from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.findings import check, finding
+from srt.diagnosis.rotation_readings import raw_integrals
 from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
 from srt.noise.bias_instability import flicker_covariance
+from srt.sequences.stationary_windows import MIN_TURN_RAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +43,7 @@ _LEAST_FREEDOM: Final = 8
 def units_joined(evidence: Evidence) -> Iterator[Finding]:
     """Compare steps between any two sequences with a drift, in gyros and accelerometers."""
     rates, data = stationary_rates(evidence), evidence.data
-    if rates is None or data is None or not evidence.has_labels or np.any(data.rotation[:, 1] <= data.rotation[:, 0]):
+    if rates is None or data is None or not evidence.has_labels or _has_poses(evidence):
         return  # single poses beside turns differ by more than noise: they are not all placed as accurately
     order = np.argsort(data.windows.samples[data.start, 0])
     place = np.zeros(len(data.windows.samples), dtype=np.intp)
@@ -67,6 +69,12 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
             after=evidence.title(int(order[at])),
             ratio=float(score[best] - score[:drifts].max()),
         )
+
+
+def _has_poses(evidence: Evidence) -> bool:
+    """True if some sequence is a pose without a rotation."""
+    turned = raw_integrals(evidence)
+    return turned is None or bool(np.any(turned.absolute.max(axis=1) < MIN_TURN_RAD))
 
 
 def _probability(null: Explanation, step: Explanation) -> float:
