@@ -130,14 +130,16 @@ def vibration(recording: Recording, samples: Indices, noise: NoiseModel) -> Vibr
     found = []
     for sensor in ("gyro", "accel"):
         table = getattr(recording, sensor) if recording.kind == "rate" else getattr(recording, sensor) / dt
-        power, ratio = _spectra(np.stack([table[b - n : b] for _, b in chosen.tolist()]))
+        # One window after the other: spectra of all at once would take more memory than the recording.
+        each = [_spectra(table[b - n : b]) for _, b in chosen.tolist()]
+        power, ratio = (np.stack(spectra) for spectra in zip(*each, strict=True))
         tests = 2 * (ratio.shape[1] - _LOWEST)
         more_than_half = len(chosen) // 2 + 1
         stands_out = np.sort(ratio, axis=0)[-more_than_half] > _limit(len(chosen), tests)
         stands_out[:_LOWEST] = False
         # Amplitude of the integral, angle or velocity, of all channels.
         bins = np.maximum(np.arange(ratio.shape[1]), 1)
-        size = np.sqrt(np.median(power.sum(axis=2), axis=0)) * 2.0 / n / (2.0 * np.pi * bins / (n * dt))
+        size = np.sqrt(np.median(power, axis=0)) * 2.0 / n / (2.0 * np.pi * bins / (n * dt))
         walk, step = getattr(noise, f"{sensor}_white") * np.sqrt(n * dt), _step(recording, sensor, chosen)
         stands_out &= size > np.where(walk < _DITHERED * step, step, 0.0).max()
         if stands_out.any():
@@ -170,23 +172,23 @@ def _limit(windows: int, tests: int) -> float:
 
 
 def _spectra(x: Array) -> tuple[Array, Array]:
-    """Periodograms of detrended windows (V, n, 3), shape (V, F, 3), and their largest ratio to neighbours, (V, F)."""
-    n = x.shape[1]
+    """Power of a detrended window (n, 3), all channels together, and its largest ratio to neighbours, (F,) each."""
+    n = len(x)
     time = np.arange(n) - 0.5 * (n - 1)
-    x = x - x.mean(axis=1, keepdims=True)
-    x = x - time[:, None] * np.einsum("t,vtc->vc", time / (time @ time), x)[:, None]
-    power = np.abs(np.fft.rfft(x, axis=1)) ** 2
-    total = np.concatenate([np.zeros((len(x), 1, 3)), np.cumsum(power, axis=1)], axis=1)
-    F = power.shape[1]
+    x = x - x.mean(axis=0)
+    x = x - time[:, None] * (time / (time @ time) @ x)
+    power = np.abs(np.fft.rfft(x, axis=0)) ** 2
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(power, axis=0)])
+    F = len(power)
     k = np.arange(F)
     # The same number of neighbours at the ends of the spectrum; the line itself reaches into the next bins.
     first = np.clip(k - _NEIGHBOURS - 1, 0, max(F - 2 * _NEIGHBOURS - 3, 0))
     last = np.minimum(first + 2 * _NEIGHBOURS + 3, F)
     low, high = np.maximum(k - 1, first), np.minimum(k + 2, last)
-    around = (total[:, last] - total[:, first]) - (total[:, high] - total[:, low])
+    around = (total[last] - total[first]) - (total[high] - total[low])
     level = around / (last - first - (high - low))[:, None]
     ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0.0)
-    return power, ratio.max(axis=2)
+    return power.sum(axis=1), ratio.max(axis=1)
 
 
 def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:
