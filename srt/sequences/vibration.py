@@ -7,9 +7,11 @@ not hold whole periods. And asymmetry rectifies the vibration of a channel that 
 the rotations every sample is compensated by its sign; changes of sign within a sample are neglected.
 
 Detection: a bin of the spectrum stands out in a window if the power of a channel over the mean power of the
-neighbouring bins, an F-ratio with 2 and 2 n degrees of freedom, is large. It is a line if it stands out in more than
-half of the windows. The probability of that for any bin and sensor of a recording with smooth spectra is at most
-:data:`FALSE_ALARM` (Bonferroni's inequality and the binomial distribution).
+neighbouring bins is large. Means of both sides are taken and the larger one counts, so that the slopes of filtered
+readings are no lines. The ratio to one side is an F-ratio with 2 and 2 n degrees of freedom, and that to the larger one
+does not exceed it. It is a line if it stands out in more than half of the windows. The probability of that for any bin
+and sensor of a recording with smooth spectra is at most :data:`FALSE_ALARM` (Bonferroni's inequality and the binomial
+distribution).
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ if TYPE_CHECKING:
 
 FALSE_ALARM: Final = 1e-5
 """Probability of a line in a recording without vibration."""
-_NEIGHBOURS: Final = 20
-"""Bins on either side whose mean is the power without a line."""
+_NEIGHBOURS: Final = 8
+"""Bins on one side whose mean is the power without a line: few, as filtered readings have lobes of 20 bins."""
 _LOWEST: Final = 10
 """Lowest bin that is tested: slower motion is drift or creep."""
 _FEWEST_SAMPLES: Final = 256
@@ -167,7 +169,7 @@ def _limit(windows: int, tests: int) -> float:
     k = windows // 2
     each = float(betaincinv(k + 1, windows - k, FALSE_ALARM / tests))
     # Any of the three channels of a window. With 2 and 2 m degrees of freedom, P(F > t) = (1 + t / m)^−m.
-    single, m = each / 3.0, 2.0 * _NEIGHBOURS
+    single, m = each / 3.0, float(_NEIGHBOURS)
     return float(m * (single ** (-1.0 / m) - 1.0))
 
 
@@ -178,15 +180,16 @@ def _spectra(x: Array) -> tuple[Array, Array]:
     x = x - x.mean(axis=0)
     x = x - time[:, None] * (time / (time @ time) @ x)
     power = np.abs(np.fft.rfft(x, axis=0)) ** 2
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(power, axis=0)])
-    F = len(power)
-    k = np.arange(F)
-    # The same number of neighbours at the ends of the spectrum; the line itself reaches into the next bins.
-    first = np.clip(k - _NEIGHBOURS - 1, 0, max(F - 2 * _NEIGHBOURS - 3, 0))
-    last = np.minimum(first + 2 * _NEIGHBOURS + 3, F)
-    low, high = np.maximum(k - 1, first), np.minimum(k + 2, last)
-    around = (total[last] - total[first]) - (total[high] - total[low])
-    level = around / (last - first - (high - low))[:, None]
+    # The spectrum of sampled readings is even about its end; bins 0 and 1 lost their power with the trend.
+    mirrored = np.concatenate([power, power[-2 : -2 - _NEIGHBOURS - 1 : -1]])
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(mirrored, axis=0)])
+    k = np.arange(len(power))
+    sides = []
+    # The line itself reaches into the next bins.
+    for first, last in ((np.maximum(k - 1 - _NEIGHBOURS, 2), k - 1), (k + 2, k + 2 + _NEIGHBOURS)):
+        count = np.maximum(last - first, 1)[:, None]
+        sides.append((total[np.maximum(last, first)] - total[first]) / count)
+    level = np.maximum(*sides)
     ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0.0)
     return power.sum(axis=1), ratio.max(axis=1)
 
