@@ -33,6 +33,8 @@ _FEWEST: Final = 6
 """Windows after a rotation, fewer of which do not tell the scatter."""
 _LEAST_LAG: Final = 0.05
 """Lag over gravity from which a window counts as one after a rotation."""
+_SMALLEST: Final = 1e-7
+"""Share from which settling matters: 0.1 µg of a change of 1 g. Rounding of noise-free readings has a pattern, too."""
 _LARGEST: Final = 0.1
 """Largest share that is settling: more is motion."""
 _REACH: Final = 5.0
@@ -62,7 +64,7 @@ def accel_settling(evidence: Evidence) -> Iterator[Finding]:
         found += compare(values, causes)
     best = max(found, key=lambda explanation: explanation.score)
     share, sigma = float(best.value[0]), float(best.sigma[0])
-    if _LARGEST > abs(share) > -stdtrit(best.freedom, 0.5 * FALSE_ALARM / len(found)) * sigma:
+    if _LARGEST > abs(share) > max(_SMALLEST, -stdtrit(best.freedom, 0.5 * FALSE_ALARM / len(found)) * sigma):
         yield finding("accel_settling", share_ppm=1e6 * share, sigma_ppm=1e6 * sigma, **best.cause.details)
 
 
