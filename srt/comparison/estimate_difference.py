@@ -37,6 +37,11 @@ EXPECTED_SIGMA_FLOOR: Final = 0.05
 efficient estimators is zero; they still differ by their stopping rules (0.01 sigma), by terms of second order and by
 the treatment of shared noise. Differences below a twentieth of sigma do not matter."""
 
+DRIFT_MODEL_ERROR: Final = 0.11
+"""Variance by which two models of the same bias instability may differ, as a fraction of the variance by drift: closed
+form and least squares have its covariance over the windows, filter and graph Markov states. The spectrum of either
+ripples by 5.5 %. Where both estimates are nearly efficient, that is more than the variance of their difference."""
+
 CLEARLY_SMALLER: Final = 0.95
 """Ratio of variances below which the reference is not the efficient estimate of a parameter."""
 
@@ -162,8 +167,13 @@ def estimate_difference(
     scale = np.where(shared, np.fmax(other.sigma, reference.sigma), np.nan)
     difference = np.where(shared, other.errors.vector - reference.errors.vector, np.nan)
     excess = other.covariance - reference.covariance
-    spread = np.maximum(np.sqrt(np.abs(np.diag(excess))), EXPECTED_SIGMA_FLOOR * scale)
-    statistic, p_value = _joint((difference / scale)[shared], (excess / np.outer(scale, scale))[np.ix_(shared, shared)])
+    uncertain = DRIFT_MODEL_ERROR * np.maximum(_drift_variance(other), _drift_variance(reference))
+    spread = np.maximum(np.sqrt(np.abs(np.diag(excess)) + uncertain), EXPECTED_SIGMA_FLOOR * scale)
+    statistic, p_value = _joint(
+        (difference / scale)[shared],
+        (excess / np.outer(scale, scale))[np.ix_(shared, shared)],
+        float(np.max((uncertain / scale**2)[shared], initial=0.0)),
+    )
     return EstimateDifference(
         estimator=name,
         reference=reference_name,
@@ -179,6 +189,15 @@ def estimate_difference(
     )
 
 
+def _drift_variance(calibration: Calibration) -> Array:
+    """Part of the variance that bias instability causes, shape (27,); zero where none is modelled."""
+    parts = (
+        calibration.contributions.get(f"{sensor}_bias_instability", np.zeros(len(NAMES)))
+        for sensor in ("gyro", "accel")
+    )
+    return np.asarray(sum(part**2 for part in parts))
+
+
 def _limit(count: int) -> float:
     """Two-sided normal quantile that the largest of ``count`` draws exceeds with half of FALSE_ALARM (Šidák).
 
@@ -188,7 +207,7 @@ def _limit(count: int) -> float:
     return float(-ndtri(0.5 * alone))
 
 
-def _joint(difference: Array, covariance: Array) -> tuple[float, float]:
+def _joint(difference: Array, covariance: Array, uncertain: float) -> tuple[float, float]:
     """Chi-square of differences in units of sigma, and its p-value.
 
     Parameters
@@ -197,11 +216,13 @@ def _joint(difference: Array, covariance: Array) -> tuple[float, float]:
     covariance : ndarray, shape (n, n)
         Expected covariance. The magnitude of its eigenvalues is used, with a floor: if the two estimates are equal,
         both consist of rounding.
+    uncertain : float
+        Variance by which the expected one may be wrong.
     """
     if not difference.size:
         return 0.0, 1.0
     eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    variance = np.maximum(np.abs(eigenvalues), EXPECTED_SIGMA_FLOOR**2)
+    variance = np.maximum(np.abs(eigenvalues) + uncertain, EXPECTED_SIGMA_FLOOR**2)
     statistic = float(np.sum((vectors.T @ difference) ** 2 / variance))
     return statistic, float(chdtrc(difference.size, statistic))
 
