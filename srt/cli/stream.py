@@ -108,6 +108,11 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any]) -> i
         for name, si in (("gyro_range_deg_s", DEG), ("accel_range_g", STANDARD_GRAVITY_M_S2))
     ]
     options = StreamOptions(units[0], units[1], dt, ranges[0], ranges[1], covariance=given["covariance"])
+    if given["source"] is None and (given["gyro_lsb"] or given["accel_lsb"]):
+        raise InputError(
+            "--gyro-lsb and --accel-lsb hold for RAW_IMU messages, but lines of text are corrected: send readings in "
+            "the units that --gyro-unit and --accel-unit state."
+        )
     corrector = StreamCorrector(calibration, frame, options, warn)
     try:
         if given["source"] is None:

@@ -347,6 +347,7 @@ def re_count(text, kind):
         (["-", "--to", "udp:127.0.0.1:14550"], "--from ADDRESS"),
         (["--from", "udp:127.0.0.1:14550", "--to", "udp:127.0.0.1:14550"], "its own datagrams"),
         (["-", "--gyro-unit", "deg"], "does not fit samples of kind rate"),
+        (["-", "--gyro-lsb", "1e-6", "--accel-lsb", "1e-5"], "hold for RAW_IMU messages"),
         (["-", "--increments-s", "-1"], "dt of the stream is -1"),
         (["--from", "udp:127.0.0.1:14550", "--to", "udp:127.0.0.1:14551", "--gyro-lsb", "1"], "--accel-lsb"),
     ],
