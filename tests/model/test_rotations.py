@@ -81,3 +81,59 @@ def test_quaternion_algebra(n, seed):
     v, w = rng.normal(size=(2, n, 3))
     crossed = np.einsum("nab,nb->na", rotations.cross_matrix(v), w)
     np.testing.assert_allclose(crossed, np.cross(v, w), atol=8 * EPS * 25)
+
+
+# --- rotation vectors of matrices -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 0.1, 1.0, 2.0, 3.0, math.pi - 1e-6])
+def test_rotation_vectors_of_matrices(size):
+    """Each element of the quaternion is the largest one for some of the axes."""
+    rng = np.random.default_rng(2)
+    axes = np.vstack([np.eye(3), -np.eye(3), rng.normal(size=(60, 3))])
+    phi = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    found = rotations.rotation_vector(Rotation.from_rotvec(phi).as_matrix())
+    # Rounding of the matrices, a few eps, is an error of the angle of as much.
+    np.testing.assert_allclose(found, phi, rtol=0, atol=16 * EPS)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.9e-3, 1.1e-3, 0.03, 0.5, 2.0, 3.0])
+def test_inverse_right_jacobian_is_the_derivative_of_the_logarithm(size):
+    """Log(exp(φ×) exp(δ×)) by central differences, on both sides of the switch of the series."""
+    rng = np.random.default_rng(3)
+    axes = rng.normal(size=(20, 3))
+    phi = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    before, step = Rotation.from_rotvec(phi), 1e-5
+    columns = [
+        ((before * Rotation.from_rotvec(step * e)).as_rotvec() - (before * Rotation.from_rotvec(-step * e)).as_rotvec())
+        / (2.0 * step)
+        for e in np.eye(3)
+    ]
+    # Third derivatives, below 10 at 3 rad, times a sixth of the squared step; rounding of the angles over the step.
+    atol = 10.0 * step**2 / 6.0 + 16 * EPS / step
+    np.testing.assert_allclose(rotations.inverse_right_jacobian(phi), np.stack(columns, axis=2), rtol=0, atol=atol)
+
+
+def test_series_of_the_inverse_jacobian_is_its_closed_form():
+    """Just below the switch the series, just above the closed form: the factor of φ×φ× has an error of 1e-9."""
+    below, above = (
+        rotations.inverse_right_jacobian(np.array([[0.6, -0.48, 0.64]]) * 1e-3 * side) for side in (1 - 1e-9, 1 + 1e-9)
+    )
+    np.testing.assert_allclose(below, above, rtol=0, atol=1e-11)
+    angle = 0.9e-3
+    X = rotations.cross_matrix(np.array([0.6, -0.48, 0.64]) * angle)
+    factor = (1.0 / 12.0) + angle**2 / 720.0  # + angle^4 / 30240, 2e-17
+    found = rotations.inverse_right_jacobian(np.array([[0.6, -0.48, 0.64]]) * angle)[0] - np.eye(3) - 0.5 * X
+    np.testing.assert_allclose(found, factor * X @ X, rtol=0, atol=2 * EPS)
+
+
+def test_smallest_rotation_takes_one_vector_to_the_other():
+    rng = np.random.default_rng(4)
+    before, after = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 50, 3)))
+    C = rotations.smallest_rotation(before, after)
+    cosine = np.einsum("na,na->n", before, after)
+    # The division by 1 + cos amplifies rounding for nearly opposite vectors.
+    bound = 16 * EPS / (1.0 + cosine)[:, None]
+    assert np.all(np.abs(np.einsum("nab,nb->na", C, before) - after) < bound)
+    angle = Rotation.from_matrix(C).magnitude()
+    assert np.all(np.abs(angle - np.arccos(cosine)) < 1e-7)  # square root of the rounding error, near 0 and π
