@@ -267,6 +267,21 @@ def test_blocks_leave_no_trace(monkeypatch, weighted):
             )
 
 
+def test_attitude_after_the_rotation_is_that_of_a_stream_that_ends_there():
+    """The Earth turns a hundred times faster, so that its sign shows; the second sequence starts late in the stream."""
+    gyro = random_recording(700)
+    spans, rotation = np.array([[0, 300], [400, 700]]), np.array([[40, 250], [420, 610]])
+    earth = 7e-3 * np.random.default_rng(6).normal(size=(2, 3))
+    whole = gyro_stream(gyro, 0.01, spans, rotation, rates=False, F=np.ones(600))
+    found, _ = integrate_attitude(whole, ERRORS, earth)
+    cut = np.stack([spans[:, 0], rotation[:, 1]], axis=1)
+    expected, _ = integrate_attitude(gyro_stream(gyro, 0.01, cut, rotation, rates=False), ERRORS, earth)
+    # The coning term of the last sample takes the change of the increment from both sides, or from one.
+    coning = float(np.linalg.norm(gyro, axis=1).max()) ** 2 / 12.0
+    np.testing.assert_allclose(found.C_turned, expected.C_end, rtol=0, atol=coning)
+    assert np.abs(found.C_turned - found.C_end).max() > 0.01
+
+
 def test_long_chain_against_one_by_one_multiplication():
     """About a fixed axis no coning enters: only the chain over the block's border is left."""
     n = analytic_platform.BLOCK + 77
