@@ -66,7 +66,8 @@ def apply(
     streamed = stream["source"] is not None or str(recording_path) == STANDARD
     check_stream(stream, recording_path, output, c_header, streamed=streamed)
     if streamed:
-        return run_stream(load_fit(calibration_file, force=force, trust=trust), frame, stream)
+        calibration = load_fit(calibration_file, force=force, trust=trust)
+        return run_stream(calibration, frame, stream, check_size=not force)
     check_places(recording_path, output, c_header, overwrite=overwrite)
     calibration = load_fit(calibration_file, force=force, trust=trust)
     header = None

@@ -68,8 +68,8 @@ def parse_address(text: str) -> Address:
     return Address(host.strip("[]"), int(port))
 
 
-def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any]) -> int:
-    """Correct a stream until it ends; counts of lost and malformed samples go to standard error.
+def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, check_size: bool) -> int:
+    """Correct a stream until it ends; counts of lost, malformed and doubtful samples go to standard error.
 
     Parameters
     ----------
@@ -77,11 +77,13 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any]) -> i
     frame : "mars" or "table"
     given : dict
         Values of :data:`OPTIONS` by name.
+    check_size : bool
+        Tell of specific forces whose median is not near gravity.
 
     Returns
     -------
     int
-        0; lost and malformed samples are counted and never end a stream.
+        0; lost, malformed and doubtful samples are counted and never end a stream.
 
     Raises
     ------
@@ -107,7 +109,10 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any]) -> i
         None if given[name] is None else given[name] * si
         for name, si in (("gyro_range_deg_s", DEG), ("accel_range_g", STANDARD_GRAVITY_M_S2))
     ]
-    options = StreamOptions(units[0], units[1], dt, ranges[0], ranges[1], covariance=given["covariance"])
+    gravity = calibration.site.get("gravity_m_s2", STANDARD_GRAVITY_M_S2) if check_size else None
+    options = StreamOptions(
+        units[0], units[1], dt, ranges[0], ranges[1], gravity=gravity, covariance=given["covariance"]
+    )
     if given["source"] is None and (given["gyro_lsb"] or given["accel_lsb"]):
         raise InputError(
             "--gyro-lsb and --accel-lsb hold for RAW_IMU messages, but lines of text are corrected: send readings in "

@@ -174,12 +174,29 @@ def check_rest(
             f"{gravity:.4g} is expected at rest ({bad.size} of {ratio.size} windows): the unit moved, or a "
             "reading is clipped; correct the window, or leave it out."
         )
-    cause = _likely_cause(typical, "accel", interval_s) or _unknown_cause(typical, "accelerometer")
     raise DataError(
         f"At rest the accelerometers read {typical * gravity:.4g} m/s² ({bad.size} of {ratio.size} windows, "
-        f"first {labels[int(bad[0])]}), but about {gravity:.4g} is expected: {cause}; "
-        "correct accel_unit or kind."
+        f"first {labels[int(bad[0])]}), but about {gravity:.4g} is expected: "
+        f"{size_cause(typical * gravity, gravity, interval_s)}; correct accel_unit or kind."
     )
+
+
+def size_cause(force: float, gravity: float, interval_s: float | None = None) -> str | None:
+    """Likely cause of an implausible size of specific force; None if it is plausible at rest.
+
+    Parameters
+    ----------
+    force : float
+        Typical size, m/s².
+    gravity : float
+        m/s².
+    interval_s : float, optional
+        Sampling interval, with which increments taken for rates (or back) are recognised.
+    """
+    ratio = force / gravity
+    if _is_legal(ratio):
+        return None
+    return _likely_cause(ratio, "accel", interval_s) or _unknown_cause(ratio, "accelerometer")
 
 
 def check_turns(

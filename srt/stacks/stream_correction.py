@@ -11,6 +11,7 @@ import numpy as np
 
 from srt.exceptions import InputError
 from srt.result.applier import Applier
+from srt.sequences.plausibility import size_cause
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -24,11 +25,15 @@ MALFORMED: Final = "malformed"
 LOST: Final = "lost"
 CLIPPED: Final = "at the end of the range"
 OTHER_TEMPERATURE: Final = "outside the temperature of the test"
+IMPLAUSIBLE: Final = "of implausible size"
+NOT_ADVANCING: Final = "with a time that does not advance"
 NOT_SENT: Final = "not sent"
 PASSED_ON: Final = "without an IMU, passed on"
 
 _CLIPPED_FROM: Final = 0.999
 """Fraction of the range from which a reading is clipped: one part in a thousand of noise or rounding below it."""
+_BLOCK: Final = 500
+"""Samples whose median size is judged: a few seconds, more than half of which no shock or free fall fills."""
 _TIMES_TOLD: Final = (1, 10, 100, 1000, 10**4, 10**5, 10**6)
 """Counts at which an event is told, so that a broken sensor does not fill the disk with sentences."""
 
@@ -47,6 +52,8 @@ class StreamOptions:
         Measuring ranges, rad/s and m/s².
     temperature_margin_c : float
         Distance from the temperatures of the test that is told.
+    gravity : float or None
+        Size, m/s², near which the median specific force is expected; None: not checked.
     covariance : bool
         True: each corrected sample comes with its 1-sigma by the calibration.
 
@@ -62,10 +69,11 @@ class StreamOptions:
     gyro_range: float | None = None
     accel_range: float | None = None
     temperature_margin_c: float = 10.0
+    gravity: float | None = None
     covariance: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("dt", "gyro_range", "accel_range", "temperature_margin_c"):
+        for name in ("dt", "gyro_range", "accel_range", "temperature_margin_c", "gravity"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"The {name} of the stream is {value:g}: give a positive number, or leave it out.")
@@ -86,9 +94,13 @@ class StreamCorrector:
     ----------
     counts : Counter
         Number of samples by event.
+    interval_s : float or None
+        Sampling interval, where the stream states times.
     """
 
-    __slots__ = ("_applier", "_options", "_ranges", "_tell", "_temperature", "_units", "counts")
+    __slots__ = (
+        "_applier", "_options", "_ranges", "_squares", "_tell", "_temperature", "_units", "counts", "interval_s",
+    )  # fmt: skip
 
     def __init__(
         self, calibration: Calibration, frame: Any, options: StreamOptions, tell: Callable[[str], None]
@@ -103,7 +115,9 @@ class StreamCorrector:
             math.inf if r is None else _CLIPPED_FROM * r * seconds for r in (options.gyro_range, options.accel_range)
         ]
         self._ranges = ranges[0], ranges[1]
+        self._squares: list[float] = []
         self.counts: Counter[str] = Counter({CORRECTED: 0})
+        self.interval_s = options.dt
 
     def correct(self, values: tuple[float, ...], temperature: float | None = None) -> tuple[float, ...]:
         """Correct one sample.
@@ -132,6 +146,11 @@ class StreamCorrector:
         largest_rate, largest_force = self._ranges
         if max(map(abs, gyro)) >= largest_rate or max(map(abs, accel)) >= largest_force:
             self.event(CLIPPED, "a reading is at the end of its range, and its correction is not true")
+        if self._options.gravity is not None:
+            squares = self._squares
+            squares.append(accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2])
+            if len(squares) == _BLOCK:
+                self._check_size()
         if temperature is not None and self._temperature is not None:
             low, high = self._temperature
             if not low <= temperature <= high:
@@ -159,8 +178,26 @@ class StreamCorrector:
             self._tell(f"{sentence}{total}")
 
     def summary(self) -> str:
-        """Counts in one sentence."""
+        """Counts in one sentence, at the end of the stream."""
+        if 0 < self.counts[CORRECTED] < _BLOCK:
+            self._check_size()
         return ", ".join(f"{count} {kind}" for kind, count in self.counts.items() if count or kind == CORRECTED)
+
+    def _check_size(self) -> None:
+        """Tell of samples whose median specific force is not near gravity, as in the motion of any vehicle."""
+        squares, gravity = self._squares, self._options.gravity
+        if gravity is None or not squares:
+            return
+        force = math.sqrt(sorted(squares)[len(squares) // 2]) / (self._options.dt or 1.0)
+        cause = size_cause(force, gravity, self.interval_s)
+        if cause is not None:
+            self.event(
+                IMPLAUSIBLE,
+                f"the accelerometers read {force:.4g} m/s² in the median, but about {gravity:.4g} is expected: {cause}"
+                "; state the units of both sensors (--gyro-unit, --accel-unit) or --increments-s",
+                len(squares),
+            )
+        squares.clear()
 
     def _sigma(self, gyro: Vector, accel: Vector) -> tuple[float, ...]:
         covariance = self._applier.sample_covariance(gyro, accel, dt=self._options.dt)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from srt.exceptions import InputError
 from srt.recording.import_options import CHANNELS
 from srt.recording.importers.channels import assign
-from srt.stacks.stream_correction import LOST, MALFORMED
+from srt.stacks.stream_correction import LOST, MALFORMED, NOT_ADVANCING
 
 if TYPE_CHECKING:
     from srt.stacks.stream_correction import StreamCorrector
@@ -134,16 +134,19 @@ class LineCorrector:
         return json.dumps(document)
 
     def _count_lost(self, time: float) -> None:
-        """Count samples that a step of time leaves out; the step before is the usual one."""
+        """Count samples that a step of time leaves out, and steps back; the step before is the usual one."""
         last, self._last = self._last, time
         if last is None:
             return
         step = time - last
-        if self._step is not None and step > _LATE * self._step > 0.0:
+        if step <= 0.0:
+            self._corrector.event(NOT_ADVANCING, f"line {self._line}: the time goes from {last:.9g} to {time:.9g} s")
+            return
+        if self._step is not None and step > _LATE * self._step:
             count = round(step / self._step) - 1
             self._corrector.event(LOST, f"line {self._line}: {count} samples are missing before {time:.9g}", count)
             return
-        self._step = step
+        self._step = self._corrector.interval_s = step
 
 
 def _finite(value: float) -> float:

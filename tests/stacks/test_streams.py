@@ -165,13 +165,13 @@ def test_lost_samples_clipping_and_temperature_are_told(told):
     assert "4 samples are missing before 0.15" in told[0]
     high = Y.copy()
     high[:, 0] = 5.0
-    lines.correct(csv(high)[0])
+    lines.correct(csv(high, TIME + TIME[-1])[0])
     assert "end of its range" in told[1]
     hot = LineCorrector(corrector(told))
     hot.correct(csv()[0] + ",24.9")
     assert len(told) == 2
-    for _ in range(12):
-        hot.correct(csv()[0] + ",60.0")
+    for line in csv()[1:13]:
+        hot.correct(line + ",60.0")
     assert "60.0 °C, and the calibration holds 14.0 to 36.0 °C" in told[2]
     assert "10 samples are outside the temperature" in told[3]
     assert len(told) == 4
@@ -361,3 +361,70 @@ def test_wrong_usage(tmp_path, capfd, arguments, fragment):
 def test_addresses():
     assert parse_address("udp:127.0.0.1:14550") == ("127.0.0.1", 14550)
     assert parse_address("udp:[::1]:80") == ("::1", 80)
+
+
+@pytest.mark.parametrize(
+    ("scale", "options", "fragment"),
+    [
+        (1.0 / 9.80665, {}, "g"),
+        (16384.0 / 9.80665, {}, "counts"),
+        (1e5, {}, "counts"),
+        (0.01, {}, "increments per sample, declared as rates"),
+        (1.0, {"dt": 0.01}, "rates, declared as increments"),
+        (0.01, {"dt": 0.01}, None),
+        (1.0, {}, None),
+        (1.5, {}, None),
+    ],
+)
+def test_an_implausible_size_is_told_once_with_its_cause(told, scale, options, fragment):
+    n = 700
+    rest = scale * np.tile([0.01, 0.02, -0.03, 0.3, -0.2, 9.8], (n, 1))
+    lines = LineCorrector(corrector(told, gravity=9.80665, **options))
+    for line in csv(rest, 0.01 * np.arange(n)):
+        lines.correct(line)
+    lines._corrector.summary()
+    if fragment is None:
+        assert told == []
+    else:
+        assert len(told) == 1
+        assert fragment in told[0].partition("expected: ")[2]
+        assert lines._corrector.counts["of implausible size"] == 500
+
+
+def test_a_short_stream_is_judged_at_its_end(told):
+    lines = LineCorrector(corrector(told, gravity=9.80665))
+    lines.correct("0,0,0,0,0,0,1.0")
+    assert "1 of implausible size" in lines._corrector.summary()
+    assert "1 of implausible size" in lines._corrector.summary()
+    assert len(told) == 1
+
+
+def test_free_fall_for_less_than_half_of_the_samples_is_plausible(told):
+    y = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 9.8], (500, 1))
+    y[100:340, 5] = 0.0
+    lines = LineCorrector(corrector(told, gravity=9.80665))
+    for line in csv(y, 0.01 * np.arange(500)):
+        lines.correct(line)
+    assert told == []
+
+
+def test_time_that_does_not_advance_is_told_and_losses_after_it_are_seen(told):
+    lines = LineCorrector(corrector(told))
+    stamps = np.array([0.01, 0.02, 0.03, 0.01, 0.02, 0.02, 0.03, 0.06])
+    for line in csv(Y[:8], stamps):
+        assert lines.correct(line) is not None
+    counts = lines._corrector.counts
+    assert (counts["with a time that does not advance"], counts["lost"]) == (2, 2)
+    assert "line 4: the time goes from 0.03 to 0.01 s" in told[0]
+
+
+@pytest.mark.parametrize(("extra", "said"), [([], True), (["--force"], False), (["--accel-unit", "g"], False)])
+def test_the_command_tells_of_accelerometers_in_g(tmp_path, monkeypatch, capfd, extra, said):
+    import io
+
+    CALIBRATION.save(tmp_path / "unit.json")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("0.01,1,2,3,0,0,1\n0.02,1,2,3,0,0,1\n"))
+    assert main(["apply", str(tmp_path / "unit.json"), "-", *extra]) == 0
+    errors = capfd.readouterr().err
+    assert ("but about 9.807 is expected: " in errors) == said
+    assert ("2 of implausible size" in errors) == said
