@@ -46,7 +46,7 @@ def memory_kib(pid: int) -> int:
 
 def steps(texts: list[str]) -> dict[str, float]:
     """CPU time of a line, µs: all of it in the process, and its parts alone."""
-    corrector = StreamCorrector(unit(), "mars", StreamOptions(), print)
+    corrector = StreamCorrector(unit(), "mars", StreamOptions(gravity=9.80665), print)
     whole, out = LineCorrector(corrector), io.StringIO()
     parsed = []
 

@@ -7,6 +7,7 @@ allows, columns are read one at a time, so that memory never has a table twice.
 
 from __future__ import annotations
 
+import io
 import tokenize
 import zipfile
 import zlib
@@ -302,10 +303,13 @@ def _read_hdf5(path: Path, time_required: bool) -> Samples:
 
 
 def _write_hdf5(path: Path, samples: Samples) -> None:
+    # In memory first: a file that HDF5 cannot close, as on a full disk, ends the interpreter with a segmentation fault.
+    image = io.BytesIO()
     # The newest file layout has checksums of its structure, fletcher32 of the data.
-    with _h5py().File(path, "w", libver="latest") as file:
+    with _h5py().File(image, "w", libver="latest") as file:
         for name in samples.names:
             file.create_dataset(name, data=samples.column(name), track_times=False, fletcher32=True)
+    path.write_bytes(image.getbuffer())
 
 
 def _pyarrow() -> tuple[Any, Any]:

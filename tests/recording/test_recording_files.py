@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
+import subprocess
 import sys
 import tempfile
 import tracemalloc
@@ -346,3 +348,22 @@ def test_a_flipped_bit_changes_no_sample_in_silence(tmp_path, samples_format):
         else:
             assert all(np.array_equal(found.column(name), samples.column(name)) for name in samples.names)
     assert refused >= 60  # every flip in the data is noticed; one in an unused byte of the structure need not be
+
+
+@pytest.mark.skipif(os.name == "nt", reason="limit of file sizes")
+@pytest.mark.parametrize("suffix", [".npz", ".h5"])
+def test_a_full_disk_is_one_error_and_the_interpreter_ends_as_usual(tmp_path, suffix):
+    """HDF5 ended it with a segmentation fault, because its open file could not be written."""
+    if suffix == ".h5":
+        pytest.importorskip("h5py")
+    code = (
+        "import resource\nimport numpy as np\nfrom srt.exceptions import InputError\n"
+        "from srt.recording.samples import Samples, write_samples\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        f"try: write_samples({str(tmp_path / ('x' + suffix))!r}, Samples(np.ones((9999, 3)), np.ones((9999, 3))))\n"
+        "except InputError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "File too large" in done.stdout
+    assert list(tmp_path.iterdir()) == []
