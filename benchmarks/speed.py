@@ -36,7 +36,9 @@ from sims.physics.table_motion import table1_motion
 from sims.robustness.run import run_campaign
 from srt.comparison.estimator_comparison import default_estimators
 from srt.comparison.parallel import Engine
-from srt.model.analytic_platform import gyro_stream, integrate_attitude
+from srt.model.analytic_platform import integrate_attitude
+from srt.model.gyro_stream import gyro_stream
+from srt.model.platform_steps import COMPILED_RECORDINGS, many_recordings
 from srt.model.sensor_model import gyro_triad
 from srt.noise.noise_model import noise_model
 from srt.sequences.preparation import prepare
@@ -146,7 +148,12 @@ def in_memory(rounds: int) -> list[Row]:
     spans = np.stack([spans[:-1], spans[1:]], axis=1)
     stream = gyro_stream(recording.gyro, recording.interval_s, spans, spans, rates=True)
     triad, earth = gyro_triad(truth), np.zeros((17, 3))
-    add(f"one iteration with Jacobian, all {n} samples integrated", lambda: integrate_attitude(stream, triad, earth))
+    sample = noise_model(recording, spans).gyro_sample(recording.nominal_interval_s)
+    # As one recording, and as one of a campaign, where numba compiles the steps if it is installed.
+    for what, count in (("", 1), (", of a campaign", COMPILED_RECORDINGS)):
+        with many_recordings(count):
+            one = partial(integrate_attitude, stream, triad, earth, sample_noise_rad=sample)
+            add(f"one iteration with Jacobian, all {n} samples integrated{what}", one)
     windows = prepare(recording, recording.sequences).windows.samples
     count = int(np.diff(windows, axis=1).sum())
     add(f"noise fit of {count} samples at rest", lambda: noise_model(recording, windows))

@@ -26,7 +26,7 @@ from estimators.solver import IterationState
 from estimators.square_root_filter import SquareRootFilter
 from srt.estimation.initial_estimates import initial_estimate, rotation_angles
 from srt.exceptions import DataError, InputError
-from srt.model.analytic_platform import gyro_stream
+from srt.model.gyro_stream import gyro_stream
 from srt.model.sensor_model import Triad, to_mars
 from srt.sensor_errors import GROUP_SLICES, NAMES
 from srt.sequences.checked_preparation import prepare_checked

@@ -14,6 +14,7 @@ from sims.robustness.campaign import drawn_prior
 from sims.scenarios.simulation import simulate
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import SrtError
+from srt.model.platform_steps import many_recordings
 from srt.result.verdict import USABLE
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
@@ -61,7 +62,7 @@ def run_trial(campaign: Campaign, task: tuple[int, int]) -> list[Row]:
         One row for each estimator: the columns of :mod:`sims.robustness.result_folder`.
     """
     # Overflow far from a solution is expected: the outcome of the trial records the failure.
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), many_recordings(campaign.size):
         return _run(campaign, *task)
 
 

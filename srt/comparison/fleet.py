@@ -18,6 +18,7 @@ import numpy as np
 
 from srt.comparison.outliers import FALSE_ALARMS, MINIMUM_UNITS, FleetOutliers, find_outliers
 from srt.exceptions import DataError, InputError, SrtError
+from srt.model.platform_steps import many_recordings
 from srt.recording.atomic_file import atomic_path
 from srt.result.verdict import USABLE
 from srt.sensor_errors import N_PARAMETERS, NAMES, SYMBOLS, UNITS
@@ -53,6 +54,8 @@ class UnitTask:
     estimator: str
     options: Options
     force: bool
+    units: int = 1
+    """Number of units of the fleet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +261,8 @@ def calibrate_fleet(
         recordings = {path: path for path in paths}
     chosen = _Options() if options is None else options
     tasks = [
-        UnitTask(n, name, str(path), estimator, chosen, force) for n, (name, path) in enumerate(recordings.items())
+        UnitTask(n, name, str(path), estimator, chosen, force, len(recordings))
+        for n, (name, path) in enumerate(recordings.items())
     ]
     done: dict[int, FleetUnit] = {}
     for number, unit in _run(tasks, engine):
@@ -304,7 +308,8 @@ def calibrate_unit(task: UnitTask) -> tuple[int, FleetUnit]:
     try:
         recording = load_recording(Path(task.recording))
         serial = recording.serial
-        result = calibrate(recording, task.estimator, options=task.options, force=task.force)
+        with many_recordings(task.units):
+            result = calibrate(recording, task.estimator, options=task.options, force=task.force)
     except SrtError as error:
         return task.number, unit(serial, FAILED, str(error), error.exit_code)
     except Exception as error:  # one unit must not stop the others

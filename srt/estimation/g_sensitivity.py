@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from srt.model.analytic_platform import GyroStream
+    from srt.model.gyro_stream import GyroStream
     from srt.model.sensor_model import Triad
     from srt.types import Array, Indices
 

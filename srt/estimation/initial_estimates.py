@@ -37,7 +37,7 @@ from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
 
 if TYPE_CHECKING:
     from srt.estimation.options import Options
-    from srt.model.analytic_platform import GyroStream
+    from srt.model.gyro_stream import GyroStream
     from srt.model.table1 import RotationSequence
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from srt.estimation.earth_rate_regression import EarthRateRegression
     from srt.estimation.g_sensitivity import PoseRegression
     from srt.estimation.options import Options
-    from srt.model.analytic_platform import GyroStream
+    from srt.model.gyro_stream import GyroStream
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
     from srt.sensor_errors import SensorErrors

@@ -13,112 +13,31 @@ rotation at 50 Hz has an error of 1.5e-8 rad. The change s is the central differ
 rate has a kink, as between two rotations about different axes: a difference across the kink would be false coning.
 
 All sequences of a recording are integrated as one stream in cache-sized blocks. Afterwards the attitudes are referred
-to the start of each sequence.
+to the start of each sequence. The steps up to the attitude are in :mod:`srt.model.platform_steps`, the sums here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from srt.model import rotations
+from srt.model.platform_steps import steps_of
 from srt.model.rotation_integrals import RotationIntegrals
 
 if TYPE_CHECKING:
+    from srt.model.gyro_stream import GyroStream
     from srt.model.sensor_model import Triad
     from srt.types import Array, Indices
 BLOCK: Final = 16384
 """Samples per block: the 3x3 matrices of a block fit into a processor's cache."""
-
-_SMOOTHING_S: Final = 0.2
-"""Averaging time of the rate that decides the sign of a channel near zero, s; short against a rotation."""
-
-_NOISE_SIGMAS: Final = 3.0
-"""A channel within this many sigma of zero has its sign from the smoothed rate."""
-
-_OCTANT_ITERATIONS: Final = 8
-"""Limit of the iterations that search the octant of a sample: the number of octants."""
 
 _PARTS: Final = (2, 12)
 """Fewest and most parts of one rotation."""
 
 _TOTAL_PARTS: Final = 600
 """Parts of all rotations of a recording together; bounds the memory of their integrals."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GyroStream:
-    """Raw gyro samples of K sequences, one after another.
-
-    Attributes
-    ----------
-    increments : ndarray, shape (3, n)
-        Raw readings times their interval, rad.
-    smooth : ndarray, shape (3, n)
-        Increments averaged over 0.2 s, which decide the sign of a channel near zero.
-    interval_s : ndarray, shape (n,)
-    starts : ndarray of int, shape (K + 1,)
-        Sequence k is the samples starts[k] to starts[k + 1].
-    rotation : ndarray of int, shape (K, 2)
-        First sample of the rotation and one past its last, within the stream. Windows with integrated attitude lie
-        outside it.
-    F : ndarray, shape (n,), or None
-        Weight of an attitude error, see :mod:`srt.model.rotation_integrals`; None: 1 everywhere.
-    velocity : ndarray, shape (3, n), m/s, or None
-        Compensated specific force times the interval, for the integral ``velocity``; None: not computed.
-    """
-
-    increments: Array
-    smooth: Array
-    interval_s: Array
-    starts: Indices
-    rotation: Indices
-    F: Array | None = None
-    velocity: Array | None = None
-
-
-def gyro_stream(
-    gyro: Array,
-    interval_s: float | Array,
-    spans: Indices,
-    rotation: Indices,
-    *,
-    rates: bool,
-    F: Array | None = None,
-) -> GyroStream:
-    """Collect the gyro samples of all sequences into one stream.
-
-    Parameters
-    ----------
-    gyro : ndarray, shape (n, 3)
-        Raw readings of the whole recording, rad/s (``rates``) or rad.
-    interval_s : float or ndarray, shape (n,)
-    spans : ndarray of int, shape (K, 2)
-        First sample and one past the last, per sequence.
-    rotation : ndarray of int, shape (K, 2)
-        The rotation's samples in the recording's numbering.
-    rates : bool
-        The readings are rates; False: increments.
-    F : ndarray, shape (sum of the spans' lengths,), optional
-    """
-    lengths = spans[:, 1] - spans[:, 0]
-    starts = np.concatenate([[0], np.cumsum(lengths)])
-    n = int(starts[-1])
-    increments, dt = np.empty((3, n)), np.empty(n)
-    for (a, b), s in zip(spans.tolist(), starts.tolist(), strict=False):
-        end = s + b - a
-        dt[s:end] = interval_s if isinstance(interval_s, float) else interval_s[a:b]
-        if rates:
-            np.multiply(gyro[a:b].T, dt[s:end], out=increments[:, s:end])
-        else:
-            increments[:, s:end] = gyro[a:b].T
-    width = max(1, round(_SMOOTHING_S / float(np.median(dt)))) if n else 1
-    smooth = uniform_filter1d(increments, width, axis=1, mode="nearest") if width > 1 and n else increments
-    offset = starts[:-1] - spans[:, 0]
-    return GyroStream(increments, smooth, dt, starts, rotation + offset[:, None], F)
 
 
 def integrate_attitude(
@@ -155,63 +74,21 @@ def integrate_attitude(
         unless the stream has weights F.
     """
     K, n = len(stream.starts) - 1, int(stream.starts[-1])
-    sequence_of = np.repeat(np.arange(K), np.diff(stream.starts))
-    inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
-    chain = _AttitudeChain(np.concatenate([stream.starts, stream.rotation[:, 1]]))
+    offset = np.zeros((K, 3)) if bias_offset is None else bias_offset
+    steps = steps_of(stream, gyro, offset, sample_noise_rad)
+    sequence_of, chain = steps.sequence_of, steps.chain
     sums = _ErrorSums(stream, with_noise=with_noise)
     attitude = np.empty((3, 3, n if stream.F is not None else 0))
     for a in range(0, n, BLOCK):
         b = min(a + BLOCK, n)
-        # One sample more on either side, for the change of the rate at the block's edges.
-        lo, hi = max(a - 1, 0), min(b + 1, n)
-        theta, D = _compensate(stream, slice(lo, hi), gyro, inverses, sample_noise_rad)
-        if bias_offset is not None and bias_offset.any():
-            theta -= bias_offset.T[:, sequence_of[lo:hi]] * stream.interval_s[lo:hi]
-        change = _change(theta, sequence_of[lo:hi])
-        inner = slice(a - lo, a - lo + b - a)
-        theta, D = np.ascontiguousarray(theta[:, inner]), D if D.ndim == 2 else D[:, :, inner]
-        phi = theta + _cross(theta, change[:, inner]) / 12.0
-        C_mid = chain.extend(phi, a)
+        theta, X, C_mid = steps.block(a, b)
         if stream.F is not None:
             attitude[:, :, a:b] = C_mid
-        sums.add(theta, _times(C_mid, D), a, range(int(sequence_of[a]), int(sequence_of[b - 1]) + 1))
+        sums.add(theta, X, a, range(int(sequence_of[a]), int(sequence_of[b - 1]) + 1))
     to_start = np.swapaxes(_matrices(chain.edges[:, :K]), 1, 2)
     if stream.F is not None:
         attitude = _at_start(stream, attitude, to_start, earth_rate)
     return sums.integrals(chain.edges, to_start, earth_rate, gyro), attitude
-
-
-class _AttitudeChain:
-    """Product of the rotations of all samples, block by block, relative to the start of the stream.
-
-    Attributes
-    ----------
-    edges : ndarray of complex, shape (2, number of edges)
-        Attitude before each of the samples that were given as edges.
-    """
-
-    def __init__(self, samples: Indices) -> None:
-        self._samples = samples
-        self._last = np.array([[1.0 + 0j], [0.0]])
-        self._C_before = np.eye(3)
-        self.edges = np.empty((2, len(samples)), dtype=np.complex128)
-        self.edges[:, samples == 0] = self._last
-
-    def extend(self, phi: Array, first: int) -> Array:
-        """Append the rotation vectors (3, m) of the samples from ``first`` on; return Ĉ at mid-interval, (3, 3, m)."""
-        # Ĉ relative to inertial space: the solution of [P] eq. 2 without its term of the Earth's rotation, which
-        # _ErrorSums.integrals takes into account.
-        chained = rotations.multiply(self._last, rotations.prefix_product(rotations.from_rotation_vector(phi)))
-        self._last = chained[:, -1:]
-        ended = np.flatnonzero((self._samples > first) & (self._samples <= first + phi.shape[1]))
-        self.edges[:, ended] = chained[:, self._samples[ended] - first - 1]
-        C = rotations.to_matrix(chained)
-        C_mid = np.empty_like(C)
-        C_mid[:, :, 0] = self._C_before + C[:, :, 0]
-        np.add(C[:, :, :-1], C[:, :, 1:], out=C_mid[:, :, 1:])
-        C_mid *= 0.5
-        self._C_before = C[:, :, -1].copy()
-        return C_mid
 
 
 class _ErrorSums:
@@ -287,7 +164,7 @@ class _ErrorSums:
             rate=sums[..., :3],
             abs_rate=np.einsum("kabb->kab", sums[..., 3:6]),
             time=time,
-            weight_s=_weight(stream),
+            weight_s=elapsed if stream.F is None else _totals(stream.interval_s * stream.F, stream.starts),
             # The Earth's part of the angle, in B. Integrated windows add little to it and are not excluded.
             angle=self._angle - np.einsum("ka,kab->kb", earth_rate, time @ gyro.matrix),
             noise=noise,
@@ -348,111 +225,9 @@ def _at_start(stream: GyroStream, C: Array, to_start: Array, earth_rate: Array) 
     return C
 
 
-def _weight(stream: GyroStream) -> Array:
-    weighted = stream.interval_s if stream.F is None else stream.interval_s * stream.F
-    total = np.concatenate([[0.0], np.cumsum(weighted)])
-    out: Array = np.diff(total[stream.starts])
-    return out
-
-
-def _change(theta: Array, sequence_of: Indices) -> Array:
-    """Change of the increment per interval, (3, m): central, limited where the rate kinks, zero at sequence edges.
-
-    The limiter is van Leer's monotonised central one: no change beyond twice either one-sided difference, and none
-    where these disagree in sign.
-    """
-    out = np.zeros_like(theta)
-    if theta.shape[1] < 3:
-        return out
-    step = np.diff(theta, axis=1)
-    step[:, sequence_of[1:] != sequence_of[:-1]] = 0.0
-    back, ahead = step[:, :-1], step[:, 1:]
-    limit = 2.0 * np.minimum(np.abs(back), np.abs(ahead))
-    limit[back * ahead <= 0.0] = 0.0
-    np.clip(0.5 * (back + ahead), -limit, limit, out=out[:, 1:-1])
-    return out
-
-
-def _cross(u: Array, v: Array) -> Array:
-    """Cross product of arrays of shape (3, n)."""
-    out = np.empty_like(u)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.multiply(u[j], v[k], out=out[i])
-        out[i] -= u[k] * v[j]
-    return out
-
-
-def _apply(D: Array, v: Array) -> Array:
-    """D v for one matrix (3, 3) or one per sample (3, 3, n)."""
-    if D.ndim == 2:
-        return D @ v
-    out: Array = np.einsum("abn,bn->an", D, v)
-    return out
-
-
-def _times(C: Array, D: Array) -> Array:
-    """C D for C of shape (3, 3, n), D of shape (3, 3) or (3, 3, n)."""
-    if D.ndim == 2:
-        out = np.empty_like(C)
-        for a in range(3):
-            np.matmul(D.T, C[a], out=out[a])
-        return out
-    product: Array = C[:, 0, None] * D[0]
-    product += C[:, 1, None] * D[1]
-    product += C[:, 2, None] * D[2]
-    return product
-
-
-def _compensate(
-    stream: GyroStream, block: slice, gyro: Triad, inverses: Array, sample_noise_rad: Array | None
-) -> tuple[Array, Array]:
-    """Compensated increments of a block, (3, m), and the matrices that made them, (3, 3) or (3, 3, m)."""
-    dt = stream.interval_s[block]
-    y = stream.increments[:, block] - gyro.bias[:, None] * dt
-    if len(inverses) == 1:
-        return inverses[0] @ y, inverses[0]
-    mean_inverse = np.linalg.inv(gyro.matrix)
-    table = np.ascontiguousarray(np.moveaxis(inverses, 0, 2))
-    smooth = sigma = None
-    reference = mean_inverse @ y
-    if sample_noise_rad is not None:
-        sigma = np.broadcast_to(_NOISE_SIGMAS * np.sqrt(mean_inverse**2 @ sample_noise_rad**2)[:, None], y.shape)
-        smooth = stream.smooth[:, block] - gyro.bias[:, None] * dt
-        np.copyto(reference, mean_inverse @ smooth, where=np.abs(reference) < sigma)
-    octant = _octant(reference)
-    D = np.take(table, octant, axis=2)  # contiguous, unlike fancy indexing
-    theta = _apply(D, y)
-    # The first octant ignores the asymmetry: the solution may lie in another octant, and that one lead to a third.
-    new = _octant(_sign_reference(theta, D, smooth, sigma))
-    at = np.flatnonzero(new != octant)
-    new = new[at]
-    for _ in range(_OCTANT_ITERATIONS):
-        if at.size == 0:
-            break
-        octant[at] = new
-        part = table[:, :, new]
-        D[:, :, at] = part
-        theta[:, at] = solved = _apply(part, y[:, at])
-        reference = _sign_reference(
-            solved, part, None if smooth is None else smooth[:, at], None if sigma is None else sigma[:, at]
-        )
-        new = _octant(reference)
-        at, new = at[new != octant[at]], new[new != octant[at]]
-    return theta, D
-
-
-def _sign_reference(theta: Array, D: Array, smooth: Array | None, sigma: Array | None) -> Array:
-    """Values whose signs give the octant: the compensated increments; within 3 sigma of zero, the smoothed ones."""
-    if smooth is None or sigma is None:
-        return theta
-    near_zero = np.abs(theta) < sigma
-    return np.where(near_zero, _apply(D, smooth), theta) if near_zero.any() else theta
-
-
-def _octant(v: Array) -> Indices:
-    """Octant numbers of vectors of shape (3, n)."""
-    negative = v < 0.0
-    out: Indices = negative[0] + 2 * negative[1].astype(np.intp) + 4 * negative[2]
+def _totals(values: Array, starts: Indices) -> Array:
+    """Sums over the samples of each sequence, shape (K,)."""
+    out: Array = np.diff(np.concatenate([[0.0], np.cumsum(values)])[starts])
     return out
 
 

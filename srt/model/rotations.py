@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
     Quaternions = NDArray[np.complex128]
 
-_SMALL_ANGLE_SQUARED = 0.05
+SMALL_ANGLE_SQUARED = 0.05
 """Squared rotation angle, rad², below which the Taylor series are exact to double precision."""
 
 
 def from_rotation_vector(phi: Array) -> Quaternions:
     """Quaternions of rotation vectors of shape (3, n), rad; result (2, n)."""
     squared = np.einsum("in,in->n", phi, phi)
-    if squared.size and squared.max() < _SMALL_ANGLE_SQUARED:
+    if squared.size and squared.max() < SMALL_ANGLE_SQUARED:
         # Taylor series of cos(θ/2) and sin(θ/2)/θ in θ²; the first neglected terms, 8e-17 and 4e-18 at θ² = 0.05, are
         # below the rounding error.
         s = squared * 0.25

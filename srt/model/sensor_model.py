@@ -65,7 +65,7 @@ SIGNS: Final = 1.0 - 2.0 * ((np.arange(8)[:, None] >> np.arange(3)) & 1)
 MIN_SINGULAR_VALUE: Final = 0.15
 """Smallest singular value of a triad's matrix that is accepted; below it the axes are nearly coplanar."""
 
-_OCTANT_ITERATIONS: Final = 8
+OCTANT_ITERATIONS: Final = 8
 """Limit of the iterations that search the octant of a sample: the number of octants."""
 
 _CONTRACTION_ITERATIONS: Final = 100
@@ -115,7 +115,7 @@ class Triad:
         octant = octants(flat @ np.linalg.inv(self.matrix).T)
         solution = np.einsum("nij,nj->ni", inverses[octant], flat)
         # The solution in a wrong octant points to another octant; few samples need a second iteration.
-        for _ in range(_OCTANT_ITERATIONS):
+        for _ in range(OCTANT_ITERATIONS):
             wrong = np.flatnonzero(octants(solution) != octant)
             if wrong.size == 0:
                 break

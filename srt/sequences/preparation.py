@@ -10,7 +10,8 @@ import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S
 from srt.exceptions import DataError
-from srt.model.analytic_platform import GyroStream, equal_parts, gyro_stream, parts_per_rotation
+from srt.model.analytic_platform import equal_parts, parts_per_rotation
+from srt.model.gyro_stream import GyroStream, gyro_stream
 from srt.model.table1 import SEQUENCES, RotationSequence, axis_vector
 from srt.noise.bias_instability import DriftDraws, drift_draws, interval_times, window_draws
 from srt.noise.drift_forms import DriftShape, Intervals, drift_shapes

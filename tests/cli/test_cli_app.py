@@ -19,7 +19,7 @@ from srt.cli.calibrate import CHOICES
 from srt.cli.output_paths import SAMPLES_FORMATS as FORMATS
 from srt.recording.samples import SAMPLES_FORMATS
 
-HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow")
+HEAVY = ("numpy", "scipy", "matplotlib", "rich", "pydantic", "pandas", "gtsam", "filterpy", "h5py", "pyarrow", "numba")
 
 
 def python(code: str, **options: object) -> subprocess.CompletedProcess[str]:

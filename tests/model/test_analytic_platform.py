@@ -11,7 +11,8 @@ from platform_streams import EPS, PERFECT, legs
 from scipy.spatial.transform import Rotation
 
 from srt.model import analytic_platform
-from srt.model.analytic_platform import gyro_stream, integrate_attitude
+from srt.model.analytic_platform import integrate_attitude
+from srt.model.gyro_stream import gyro_stream
 from srt.model.sensor_model import Triad, gyro_triad
 from srt.sensor_errors import SensorErrors
 

@@ -8,7 +8,8 @@ from conftest import G
 from platform_streams import EPS, PERFECT
 
 import sims
-from srt.model.analytic_platform import gyro_stream, integrate_attitude
+from srt.model.analytic_platform import integrate_attitude
+from srt.model.gyro_stream import gyro_stream
 from srt.model.rotation_integrals import ideal_rotations
 from srt.model.table1 import SEQUENCES
 from srt.recording.recording import Site

@@ -13,7 +13,8 @@ from hypothesis.extra.numpy import arrays
 import sims
 from sims.physics.imu import exact_increments
 from srt.exceptions import DataError
-from srt.model.analytic_platform import gyro_stream, integrate_attitude
+from srt.model.analytic_platform import integrate_attitude
+from srt.model.gyro_stream import gyro_stream
 from srt.model.sensor_model import (
     MIN_SINGULAR_VALUE,
     SIGNS,

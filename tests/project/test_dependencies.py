@@ -29,6 +29,7 @@ EXTRAS = {
     "srt/cli": ("cli",),
     "srt/comparison": ("campaign", "cluster"),
     "srt/exporters": ("formats", "graph"),
+    "srt/model": ("fast",),
     "srt/noise": ("allan",),
     "srt/recording": ("io", "formats"),
     "srt/reports": ("pandas",),

@@ -1,0 +1,87 @@
+"""Raw gyro samples of all sequences of a recording as one stream, which the analytic platform integrates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+if TYPE_CHECKING:
+    from srt.types import Array, Indices
+
+_SMOOTHING_S: Final = 0.2
+"""Averaging time of the rate that decides the sign of a channel near zero, s; short against a rotation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroStream:
+    """Raw gyro samples of K sequences, one after another.
+
+    Attributes
+    ----------
+    increments : ndarray, shape (3, n)
+        Raw readings times their interval, rad.
+    smooth : ndarray, shape (3, n)
+        Increments averaged over 0.2 s, which decide the sign of a channel near zero.
+    interval_s : ndarray, shape (n,)
+    starts : ndarray of int, shape (K + 1,)
+        Sequence k is the samples starts[k] to starts[k + 1].
+    rotation : ndarray of int, shape (K, 2)
+        First sample of the rotation and one past its last, within the stream. Windows with integrated attitude lie
+        outside it.
+    F : ndarray, shape (n,), or None
+        Weight of an attitude error, see :mod:`srt.model.rotation_integrals`; None: 1 everywhere.
+    velocity : ndarray, shape (3, n), m/s, or None
+        Compensated specific force times the interval, for the integral ``velocity``; None: not computed.
+    """
+
+    increments: Array
+    smooth: Array
+    interval_s: Array
+    starts: Indices
+    rotation: Indices
+    F: Array | None = None
+    velocity: Array | None = None
+
+
+def gyro_stream(
+    gyro: Array,
+    interval_s: float | Array,
+    spans: Indices,
+    rotation: Indices,
+    *,
+    rates: bool,
+    F: Array | None = None,
+) -> GyroStream:
+    """Collect the gyro samples of all sequences into one stream.
+
+    Parameters
+    ----------
+    gyro : ndarray, shape (n, 3)
+        Raw readings of the whole recording, rad/s (``rates``) or rad.
+    interval_s : float or ndarray, shape (n,)
+    spans : ndarray of int, shape (K, 2)
+        First sample and one past the last, per sequence.
+    rotation : ndarray of int, shape (K, 2)
+        The rotation's samples in the recording's numbering.
+    rates : bool
+        The readings are rates; False: increments.
+    F : ndarray, shape (sum of the spans' lengths,), optional
+    """
+    lengths = spans[:, 1] - spans[:, 0]
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    n = int(starts[-1])
+    increments, dt = np.empty((3, n)), np.empty(n)
+    for (a, b), s in zip(spans.tolist(), starts.tolist(), strict=False):
+        end = s + b - a
+        dt[s:end] = interval_s if isinstance(interval_s, float) else interval_s[a:b]
+        if rates:
+            np.multiply(gyro[a:b].T, dt[s:end], out=increments[:, s:end])
+        else:
+            increments[:, s:end] = gyro[a:b].T
+    width = max(1, round(_SMOOTHING_S / float(np.median(dt)))) if n else 1
+    smooth = uniform_filter1d(increments, width, axis=1, mode="nearest") if width > 1 and n else increments
+    offset = starts[:-1] - spans[:, 0]
+    return GyroStream(increments, smooth, dt, starts, rotation + offset[:, None], F)
