@@ -77,7 +77,7 @@ def _sign_changes(source: str, offsets: list[int], subject: Subject) -> Iterator
 
     for node in _chosen(ast.parse(source), subject):
         for inner in _arithmetic(node):
-            if ast.unparse(inner) in subject.without_effect:
+            if not {ast.unparse(inner), lines[inner.lineno - 1].strip()}.isdisjoint(subject.without_effect):
                 continue
             if isinstance(inner, ast.UnaryOp):
                 at = place(inner.lineno, inner.col_offset)

@@ -371,9 +371,9 @@ class _Builder:
         before, after = joint.order[:-1], joint.order[1:]
         unit = np.broadcast_to(np.eye(3), (len(before), 3, 3))
         covariance = {"gyro_bias_instability": (joint.bias_walk_sigma() ** 2)[:, :, None] * np.eye(3)}
-        owner, blocks = np.full(len(before), -1), [("bias", after, unit), ("bias", before, -unit)]
-        step = np.arange(len(before))
-        self.add("walk", owner, deviation[after] - deviation[before], covariance, list(blocks), step)
+        blocks: list[Block] = [("bias", after, unit), ("bias", before, -unit)]
+        nobody = np.full(len(before), -1)
+        self.add("walk", nobody, deviation[after] - deviation[before], covariance, blocks, np.arange(len(before)))
 
     def add_edges(self) -> None:
         """Unknowns of the quantization at window edges: independent, with unit variance."""
@@ -392,7 +392,6 @@ class _Builder:
     def add_prior(self, prior: Prior) -> None:
         """Add the prior of the sensor errors; the prior of the gyro bias applies to its mean over the sequences."""
         difference = self.state.errors.vector - prior.mean.vector
-        difference[N_ERRORS:] += self.state.bias_deviation.mean(axis=0)
         number = self.joint.data.K if self.joint.bias_walks else 1
         E = np.eye(N_PARAMETERS)[None]
         blocks: list[Block] = [("errors", 0, E[:, :, :N_ERRORS])]

@@ -146,6 +146,17 @@ def test_system_against_played_back_differences(motions, variant, size):
         assert {(k, "earth_rate") for k in ("rate", "turn", "earth_rate:0")} <= seen
 
 
+def test_priors_have_the_means_and_sigmas_stated(motions):
+    case = make(motions, VARIANTS["all"], "large")
+    residuals, whitening = unwhitened_residuals(case.system), case.system.whitening
+    np.testing.assert_allclose(residuals["prior"][0], case.state.errors.vector - case.prior.mean.vector, atol=64 * EPS)
+    W = whitening["prior"][0]
+    np.testing.assert_allclose(W.T @ W @ case.prior.covariance, np.eye(W.shape[1]), atol=1e-12)
+    sigma = case.joint.data.recording.fixture.alignment_sigma_rad
+    for kind in FIXTURE:
+        np.testing.assert_allclose(np.abs(whitening[kind][0]), np.eye(len(whitening[kind][0])) / sigma, rtol=1e-12)
+
+
 @pytest.mark.parametrize(("variant", "size"), [("all", "zero"), ("all", "large"), ("free", "large")])
 def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
     """A reading of the angle at a window's edge that is off: the sample before has it more, the one after has it less.

@@ -125,6 +125,7 @@ def test_a_move_that_contradicts_is_left_out_and_listed(estimator, factor):
     assert calibration.status == "converged"
     void = [w for w in messages(calibration) if w.startswith("The move at") and "is void" in w]
     assert len(void) == len(messages(calibration)) == 2
+    assert all(("from the start attitude of the next" in w) == (factor == 0.5) for w in void)
     reference = found(estimator)
     # Two moves of sixteen carry an eighth of their information.
     assert np.abs((calibration.errors.vector - reference.errors.vector) / reference.sigma).max() < 1.5

@@ -102,6 +102,17 @@ def entry(i, j, value):
     return change
 
 
+def gyro_matrix(S):
+    """Edit of a Basalt file: its correction of the gyros is I + S."""
+
+    def edit(text):
+        document = json.loads(text)
+        document["value0"]["calib_gyro_bias"][3:] = S.T.ravel().tolist()
+        return json.dumps(document)
+
+    return edit
+
+
 @pytest.mark.parametrize(
     ("target", "part", "edit", "fragment"),
     [
@@ -122,6 +133,7 @@ def entry(i, j, value):
         ("openvins", "", rewritten("model", lambda _: "mine"), "one of kalibr"),
         ("openvins", "", rewritten("R_IMUtoACC", entry(0, 0, 1.1)), "no rotation"),
         ("basalt", "", lambda text: spoil(text, '"calib_accel_bias": [', '"calib_accel_bias": [0.0, '), "shape"),
+        ("basalt", "", gyro_matrix(-np.eye(3)), "calib_gyro_bias has no inverse"),
         ("imucal", "", lambda text: spoil(text, '"from_gyr_unit": "deg/s"', '"from_gyr_unit": "rad/s"'), "deg/s"),
         ("imucal", "", lambda text: spoil(text, '"2.0.0"', '"1.0.0"'), "_format_version"),
         ("imucal", "", lambda text: spoil(text, '"Ferraris"', '"Magnetometer"'), "cal_type"),
