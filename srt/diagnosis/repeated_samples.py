@@ -75,14 +75,13 @@ def repeated_runs(evidence: Evidence) -> list[list[RepeatRun]]:
     for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
         first, edges = int(windows[s, 0]), (int(windows[s, 1]), int(windows[e, 0]), int(windows[e, 1]))
         rows = _repeats(evidence.recording, first, edges[2])
-        for which, (same, companion) in enumerate(zip(rows, _COMPANIONS, strict=True)):
-            start, count = _longest(same)
+        found_here = zip(*(x.tolist() for x in _longest(rows)), _COMPANIONS, strict=True)
+        for which, (start, count, companion) in enumerate(found_here):
             alike = companion is not None and rows[companion, start : start + count]
             both = count > 0 and np.mean(alike) >= _GOES_ON
             runs[which].append(RepeatRun(first + start, 0 if both else count))
-            if same.any():
-                parts = np.split(same, [edge - first - 1 for edge in edges[:2]])
-                likes[which, :, k] = [_longest(part)[1] for part in parts]
+        parts = np.split(rows, [edge - first - 1 for edge in edges[:2]], axis=1)
+        likes[:, :, k] = np.stack([_longest(part)[1] for part in parts], axis=1)
     total = int((windows[data.end, 1] - windows[data.start, 0]).sum())
     for which, longest in enumerate(runs):
         like = max(_ordinary(likes[which, (0, 2)].ravel()), _ordinary(likes[which, 1]))
@@ -115,19 +114,31 @@ def _repeats(recording: Recording, a: int, b: int) -> Mask:
 
     In all channels, in those of the gyros, in those of the accelerometers, and in each of the six.
     """
-    single = np.concatenate([x[a + 1 : b] == x[a : b - 1] for x in (recording.gyro, recording.accel)], axis=1).T
-    gyro, accel = single[:3].all(axis=0), single[3:].all(axis=0)
-    return np.stack([gyro & accel, gyro, accel, *single])
+    out = np.empty((9, max(b - a - 1, 0)), dtype=np.bool_)
+    every, gyro, accel = out[:_FIRST_CHANNEL]
+    for triad, x, single in ((gyro, recording.gyro, out[3:6]), (accel, recording.accel, out[6:])):
+        np.equal(x[a + 1 : b].T, x[a : b - 1].T, out=single)
+        np.logical_and.reduce(single, axis=0, out=triad)
+    np.logical_and(gyro, accel, out=every)
+    return out
 
 
-def _longest(same: Mask) -> tuple[int, int]:
-    """Start and length of the longest run of True."""
-    if not same.any():
-        return 0, 0
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], same, [False]))))
-    lengths = edges[1::2] - edges[::2]
-    k = int(np.argmax(lengths))
-    return int(edges[2 * k]), int(lengths[k])
+def _longest(same: Mask) -> tuple[Indices, Indices]:
+    """Starts and lengths of the longest runs of True in the rows of an array (R, n), shape (R,) each."""
+    rows, n = same.shape
+    # All rows as one, with a False between them.
+    padded = np.zeros((rows, n + 1), dtype=np.bool_)
+    padded[:, :n] = same
+    joined = np.concatenate(([False], padded.ravel()))
+    edges = np.flatnonzero(joined[1:] != joined[:-1])
+    begins, lengths = edges[::2], edges[1::2] - edges[::2]
+    borders = np.searchsorted(begins, np.arange(rows + 1) * (n + 1)).tolist()
+    starts, counts = np.zeros(rows, dtype=np.intp), np.zeros(rows, dtype=np.intp)
+    for row, (a, b) in enumerate(pairwise(borders)):
+        if b > a:
+            k = a + int(np.argmax(lengths[a:b]))
+            starts[row], counts[row] = begins[k] - row * (n + 1), lengths[k]
+    return starts, counts
 
 
 def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> float:
@@ -139,11 +150,11 @@ def _by_chance(evidence: Evidence, which: int, run: RepeatRun, total: int) -> fl
         for a, b in ((max(0, run.first - beside), run.first), (after, min(n, after + beside))):
             if b - a < 2:
                 continue
-            same = _repeats(recording, a, b)[which]
+            same = _repeats(recording, a, b)[which : which + 1]
             repeats = np.count_nonzero(same)
-            longest = max(longest, _longest(same)[1])
+            longest = max(longest, int(_longest(same)[1][0]))
             if repeats or beside >= _LEAST_BESIDE:
-                rate = max(rate, (repeats + _SUPPORT) / (len(same) + _SUPPORT))
+                rate = max(rate, (repeats + _SUPPORT) / (same.shape[1] + _SUPPORT))
     if not 0.0 < rate < 1.0:
         return math.inf
     return max(math.log(FALSE_ALARM / total) / math.log(rate), _PULSES * longest)

@@ -254,6 +254,10 @@ def clipping_levels(recording: Recording) -> ClippingLevels:
     -------
     ClippingLevels
     """
+    return recording.memo("clipping levels", lambda: _clipping_levels(recording))
+
+
+def _clipping_levels(recording: Recording) -> ClippingLevels:
     dt = recording.nominal_interval_s
     per_sample = dt if recording.kind == "increment" else 1.0
     low, high = np.full(6, -np.inf), np.full(6, np.inf)

@@ -158,8 +158,11 @@ def _step(recording: Recording, sensor: str, windows: Indices) -> Array:
     stated = getattr(recording.noise, f"{sensor}_quantization")
     if stated is not None:
         return np.full(3, stated)
-    some = np.concatenate([getattr(recording, sensor)[a:b] for a, b in windows.tolist()])
-    step = smallest_step(some[:: max(1, len(some) // _STEP_SAMPLES)])
+    # Every so many samples of the windows, as if these were joined: a copy of all is as large as the recording.
+    table, before = getattr(recording, sensor), np.cumsum(windows[:, 1] - windows[:, 0])
+    stride = max(1, int(before[-1]) // _STEP_SAMPLES)
+    firsts = windows[:, 0] + -np.concatenate([[0], before[:-1]]) % stride
+    step = smallest_step(np.concatenate([table[a:b:stride] for a, b in zip(firsts, windows[:, 1], strict=True)]))
     return step * recording.nominal_interval_s if recording.kind == "rate" else step
 
 
