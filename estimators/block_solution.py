@@ -185,11 +185,15 @@ def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -
         Weights by kind and number: "window" (force and rate), "turn", and "start" and "end" by window, in the order of
         the rows.
     """
-    factor = np.ones(len(system.b))
+    factor, whitening = np.ones(len(system.b)), dict(system.whitening)
     for group in {kind for kind, _ in weights}:
         numbers = [n for kind, n in weights if kind == group]
         root = np.sqrt([weights[group, n] for n in numbers])[:, None]
         for kind in ("force", "rate") if group == "window" else (group,):
             rows = system.rows_of(kind).index
-            factor[rows if group in ("start", "end") else rows[numbers]] = root
-    return replace(system, A=(diags_array(factor) @ system.A).tocsr(), b=system.b * factor)
+            members = np.arange(len(rows)) if group in ("start", "end") else np.array(numbers)
+            factor[rows[members]] = root
+            whitening[kind] = whitening[kind].copy()
+            whitening[kind][members] *= root[:, :, None]
+    A = (diags_array(factor) @ system.A).tocsr()
+    return replace(system, A=A, b=system.b * factor, whitening=whitening)

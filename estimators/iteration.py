@@ -18,7 +18,7 @@ from scipy.sparse import hstack
 from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
-from estimators.block_solution import eliminate
+from estimators.block_solution import BlockSolution, eliminate
 from estimators.drift_terms import DriftTerms, search
 from estimators.elimination_steps import global_columns
 from estimators.initial_attitudes import initial_attitudes
@@ -293,7 +293,10 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
             continue
         if iteration.status != "converged":
             break
-        if any(add(joint, solver, iteration) for add in (_add_g_sensitivity, _add_unmodelled_noise, _add_drift)):
+        if any(
+            add(joint, solver, iteration)
+            for add in (_add_g_sensitivity, _add_instability, _add_unmodelled_noise, _add_drift)
+        ):
             continue
         sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
         weak = iteration.free & (sigma > OBSERVED_BELOW * admission_sigma())
@@ -346,6 +349,23 @@ def _add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterat
         return False
     iteration.state = joint.with_g_sensitivity(iteration.state)
     solver.restart()
+    return True
+
+
+def _add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
+    """Use the largest bias instability that the windows cannot exclude if it alone explains the residuals."""
+    data, state = joint.data, iteration.linearisation_point
+    if solver.weights() or any(joint.unmodelled_sigma) or np.all(data.noise.accel_limit <= data.noise.accel_flicker):
+        return False
+    solution = whole_solution(joint, solver, iteration)
+    if not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
+        return False
+    assert state is not None
+    joint.data = replace(data, noise=data.noise.at_limit)
+    again = linearise(joint, state, joint.compensate(state), iteration.free, solver.prior)
+    if is_misfit(*goodness_of_fit(joint, solver, BlockSolution(again), again)):
+        joint.data = data
+        return False
     return True
 
 

@@ -338,7 +338,7 @@ class JointModel:
         noise, out = self.data.noise, {}
         if self._gyro_chain is not None and noise.gyro_flicker is not None:
             out["gyro"] = drift_states(self._gyro_chain, noise.gyro_flicker, ("rate", by.rate), by.integrals.time_parts)
-        if self._accel_chain is not None:
+        if noise.accel_flicker.any():
             out["accel"] = drift_states(self._accel_chain, noise.accel_flicker, ("force", by.force))
         return out
 
@@ -351,10 +351,8 @@ class JointModel:
         return drift_chain(self.data, self.rank[self.window_sequence], self.rank, parts_per_rotation(self.data.K))
 
     @cached_property
-    def _accel_chain(self) -> DriftChain | None:
-        """Steps of the drift of the accelerometers; None if none is specified."""
-        if not self.data.noise.accel_flicker.any():
-            return None
+    def _accel_chain(self) -> DriftChain:
+        """Steps of the drift of the accelerometers."""
         return drift_chain(self.data, self.rank[self.window_sequence], self.rank, 0)
 
     def _integrate(self, state: JointState, deviation: Array, force: Array) -> tuple[RotationIntegrals, Array, Array]:

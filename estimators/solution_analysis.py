@@ -18,7 +18,7 @@ from estimators.residual_analysis import (
 )
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.error_sources import latitude_error
+from srt.estimation.error_sources import accel_drift, latitude_error
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
@@ -153,6 +153,11 @@ def analyse_solution(
     covariance = covariance_by_source(solution)
     covariance["held_values"] = _fixed_values(solution, uncertain, iteration.free)
     total = iteration.covariance + covariance["held_values"]
+    by_unseen = _unseen_drift(joint, solution)
+    if by_unseen.any():
+        part = covariance.setdefault("accel_bias_instability", nothing.copy())
+        covariance["accel_bias_instability"] = part + by_unseen
+        total = total + by_unseen
     by_latitude = _latitude(joint, solution)
     if by_latitude.any():
         covariance["latitude"] = np.outer(by_latitude, by_latitude)
@@ -263,6 +268,17 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
         complete = linearise(joint, iteration.linearisation_point, iteration.compensated, iteration.free, prior)
     iteration.whole = system, prior, BlockSolution(complete)
     return iteration.whole[2]
+
+
+def _unseen_drift(joint: JointModel, solution: BlockSolution) -> Array:
+    """Covariance of the parameters by the bias instability that the windows cannot exclude, shape (27, 27)."""
+    system = solution.system
+    effect = system.whitening["force"] @ accel_drift(
+        joint.data, system.compensated.force_slope, joint.data.noise.accel_unseen
+    )
+    rows = system.rows_of("force").index
+    root = np.einsum("wap,was->ps", solution.rows_with_parameters[rows], effect)
+    return np.asarray(root @ root.T)
 
 
 def _latitude(joint: JointModel, solution: BlockSolution) -> Array:

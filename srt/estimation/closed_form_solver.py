@@ -147,7 +147,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     first = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
     solver = ClosedFormSolver(data, options)
-    solution, _, unmodelled = iterate_with_unmodelled_errors(data, options, lambda: solver, first, uncertain, progress)
+    data, solution, _, unmodelled = iterate_with_unmodelled_errors(
+        data, options, lambda: solver, first, uncertain, progress
+    )
     fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]

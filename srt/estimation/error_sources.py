@@ -178,6 +178,23 @@ def by_drift(slope: Array, course: Array) -> Array:
     return np.asarray(np.einsum(form, slope, course).reshape(len(slope), 3, -1))
 
 
+def accel_drift(data: PreparedRecording, by_force: Array, floor: Array) -> Array:
+    """Effect on the mean specific forces of a bias instability of the accelerometers, (W, 3, S).
+
+    It is for instability beyond that of the weights, which all estimators add to their covariance: with weights that
+    included it, it would cost accuracy where it does not exist.
+
+    Parameters
+    ----------
+    data : PreparedRecording
+    by_force : ndarray, shape (W, 3, 3)
+        Derivative of the mean specific forces by the raw ones.
+    floor : ndarray, shape (3,), m/s²
+        Allan floors of the channels.
+    """
+    return by_drift(by_force * floor, data.window_drift)
+
+
 def start_sigma(recording: Recording) -> Array:
     """Standard deviation of inner angle, outer angle and axis wobble of a pose, shape (3,), rad; zero without fixture.
 

@@ -377,6 +377,8 @@ class Iteration:
         except _DivergenceError:
             gain, status = np.zeros((N_PARAMETERS, len(measurements.z))), "outside_model"
         covariance = {name: gain @ R @ gain.T for name, R in by_source.items()}
+        unseen = gain @ measurement_covariance.accel_drift(measurements, self.data, self.data.noise.accel_unseen)
+        covariance["accel_bias_instability"] += unseen @ unseen.T
         # The errors of the fixed values propagate into the estimated parameters.
         by_fixed = measurements.H * np.where(self.solver.fixed, self.fixed_sigma, 0.0)
         covariance["held_values"] = gain @ by_fixed @ by_fixed.T @ gain.T

@@ -134,7 +134,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     fixed, prior, relied = dict(on_request), admission_sigma(), None
     for _ in range(_ROUNDS + 1):
         requested = tuple(fixed)
-        solution, solver, unmodelled = iterate_with_unmodelled_errors(
+        used, solution, solver, unmodelled = iterate_with_unmodelled_errors(
             data,
             options,
             partial(LeastSquaresSolver, requested, prior, relied),
@@ -158,8 +158,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         if not weak.any():
             break
     leave_one_out = partial(without_sequences, considered=relied is not None)
-    result = solver_result(data, options, solution, fixed, leave_one_out, unmodelled, models_drift=True)
-    return build_calibration("least-squares", data, options, result, fixed)
+    result = solver_result(used, options, solution, fixed, leave_one_out, unmodelled, models_drift=True)
+    return build_calibration("least-squares", used, options, result, fixed)
 
 
 def _relies_on_fixture(data: PreparedRecording) -> bool:

@@ -193,6 +193,12 @@ def bias_drift(data: PreparedRecording, by: Slopes, sensor: str) -> Disturbance:
     return _following(by, sensor, data.noise.gyro_flicker, (data.drift.windows, data.drift.parts))
 
 
+def accel_drift(measurements: SrtMeasurements, data: PreparedRecording, floor: Array) -> Array:
+    """Effect on z of a bias instability of the accelerometers with Allan floors of shape (3,), shape (n_z, S)."""
+    force = sources.accel_drift(data, slopes_of(measurements).force, floor)
+    return project(measurements, data, Disturbance(force=force), np.zeros(3))
+
+
 def drift_form(
     measurements: SrtMeasurements, data: PreparedRecording, sensor: str, form: str, sigma: float = 1.0
 ) -> Disturbance:

@@ -8,7 +8,7 @@ Once the noise is settled, a drift is searched for, and the noise estimated agai
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,24 @@ _ROUNDS: Final = 3
 """Largest number of rounds that estimate the unmodelled errors."""
 
 
+class Fitted(NamedTuple):
+    """Solution with the noise that its residuals show.
+
+    Attributes
+    ----------
+    data : PreparedRecording
+        Recording with the noise that was used.
+    solution : Solution
+    solver : Solver
+    unmodelled : Unmodelled
+    """
+
+    data: PreparedRecording
+    solution: Solution
+    solver: Solver
+    unmodelled: Unmodelled
+
+
 def iterate_with_unmodelled_errors(
     data: PreparedRecording,
     options: Options,
@@ -45,10 +63,11 @@ def iterate_with_unmodelled_errors(
     progress: Progress | None,
     *,
     models_drift: bool = False,
-) -> tuple[Solution, Solver, Unmodelled]:
+) -> Fitted:
     """Iterate, and repeat with unmodelled errors if the residuals contradict the noise.
 
-    If the rest rates then show a g-sensitivity of the gyros, it is estimated first.
+    If the rest rates then show a g-sensitivity of the gyros, it is estimated first. If the largest bias instability
+    that the windows cannot exclude explains the residuals, it is used instead.
 
     Parameters
     ----------
@@ -63,12 +82,6 @@ def iterate_with_unmodelled_errors(
     progress : callable, optional
     models_drift : bool
         Model the bias drift that the residuals show.
-
-    Returns
-    -------
-    Solution
-    Solver
-    Unmodelled
     """
     solver = new_solver()
     solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
@@ -82,6 +95,13 @@ def iterate_with_unmodelled_errors(
             if options.gyro_bias == "auto" and _shows_g_sensitivity(solution, data):
                 options, solver = replace(options, gyro_bias=MODE), new_solver()
                 solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
+                continue
+            if not any(present.sizes) and explained_at_limit(solution, data, solver.fixed):
+                data, solver = replace(data, noise=data.noise.at_limit), new_solver()
+                solution = iterate(
+                    data, options, solver, first[0], solution.U, progress,
+                    excess=present, resume=solution, fixed_sigma=uncertain,
+                )  # fmt: skip
                 continue
             if not any(present.sizes) and _one_sequence_explains(solution, data, solver.fixed, *fit):
                 break
@@ -98,7 +118,16 @@ def iterate_with_unmodelled_errors(
             data, options, solver, first[0], solution.U, progress,
             excess=present, resume=solution, fixed_sigma=uncertain,
         )  # fmt: skip
-    return solution, solver, present
+    return Fitted(data, solution, solver, present)
+
+
+def explained_at_limit(solution: Solution, data: PreparedRecording, fixed: Mask) -> bool:
+    """True if the largest bias instability that the windows cannot exclude explains the residuals."""
+    grown = data.noise.accel_limit**2 - data.noise.accel_flicker**2
+    if not np.any(grown > 0.0):
+        return False
+    G = measurement_covariance.accel_drift(solution.measurements, data, np.sqrt(np.maximum(grown, 0.0)))
+    return not is_misfit(*chi_square(solution, fixed, solution.measurement_covariance + G @ G.T))
 
 
 def _shows_g_sensitivity(solution: Solution, data: PreparedRecording) -> bool:

@@ -3,22 +3,26 @@
 Type-II discrete cosines of the readings of a window of n samples are nearly independent. Coefficient j, at the
 frequency f = j / (2 n dt), has the variance::
 
-    λ = N²/dt + q² · 4 sin²(π f dt)/dt² + B²/(4 ln 2 · f dt)
+    λ = N²/dt + q² · 4 sin²(π f dt)/dt² + B² λ_B
 
-for white noise N, an error q of every reading of the integral, and bias instability B. In octaves of f, the median over
-the windows is robust against single windows with motion. The three terms are fitted to it by least squares, N and q for
-each channel, B for the three channels of a sensor together.
+for white noise N, an error q of every reading of the integral, and bias instability B, whose λ_B is that of the
+Gauss-Markov processes of :mod:`srt.noise.bias_instability`: near 1/(4 ln 2 f dt), but a quarter less at j = 1, where
+slower processes leak. In octaves of f, the median over the windows is robust against single windows with motion. The
+terms are fitted to it by least squares, N and q for each channel, B for the three channels of a sensor together. The
+fastest process has a size of its own: at its frequencies, a sensor may have less noise or more than flicker noise.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import chdtri
 
+from srt.noise.bias_instability import CORRELATION_TIMES_S, PROCESS_VARIANCE, flicker_covariance
 from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
@@ -30,6 +34,8 @@ _MEDIAN: Final = math.pi / 2.0
 """Variance of a median over that of the mean, of normal numbers."""
 _SIGNIFICANT: Final = 3.09
 """B² over its 1-sigma from which B counts as shown: p = 1e-3."""
+_PARTS: Final = 64
+"""Parts of a window whose means give the first cosine coefficients: an eighth, of which averages lose below 2 %."""
 _PASSES: Final = 3
 """Fits with the weights of the fit before."""
 
@@ -44,8 +50,9 @@ class InstabilityAtRest:
         True if the windows show it (p < 1e-3).
     value : float
         Allan floor in units of the readings; zero if it is not shown.
-    bound : float
-        Allan floor that the windows cannot exclude: the square of the estimate, plus its 1-sigma.
+    bound, limit : float
+        Allan floor whose square is that of the estimate plus 1 sigma, and the largest that the windows cannot exclude
+        (p = 1e-3).
     white : ndarray, shape (3,)
         White noise of the same fit, in units of the readings times √s.
     """
@@ -53,6 +60,7 @@ class InstabilityAtRest:
     shown: bool
     value: float
     bound: float
+    limit: float
     white: Array
 
 
@@ -75,7 +83,7 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
     octaves = int(math.log2(longest))
     power = np.full((len(windows), octaves, 3), np.nan)
     count = np.zeros((len(windows), octaves))
-    design = np.zeros((len(windows), octaves, 3))
+    design = np.zeros((len(windows), octaves, 4))
     from scipy.fft import dct  # on use: labelled recordings with stated noise do without
 
     for w in np.flatnonzero(lengths >= _FEWEST_SAMPLES).tolist():
@@ -84,7 +92,7 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
         f_dt = np.arange(1, n) / (2.0 * n)
         octave = np.minimum(np.log2(2.0 * longest * f_dt).astype(np.intp), octaves - 1)
         terms = np.stack([np.full(n - 1, 1.0 / dt_s), 4.0 * np.sin(math.pi * f_dt) ** 2 / dt_s**2], axis=1)
-        terms = np.concatenate([terms, 1.0 / (4.0 * math.log(2.0) * f_dt)[:, None]], axis=1)
+        terms = np.concatenate([terms, _drift_variances(n, dt_s)], axis=1)
         number = np.bincount(octave, minlength=octaves)
         there = number > 0
         for target, values in ((power, square), (design, terms)):
@@ -96,8 +104,29 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
     used = count.sum(axis=0) > 0
     freedom = count.sum(axis=0)[used]
     observed = np.nanmedian(power[:, used], axis=0)
-    mean = np.stack([np.sum(design[:, used, i] * count[:, used], axis=0) / freedom for i in range(3)], axis=1)
+    mean = np.stack([np.sum(design[:, used, i] * count[:, used], axis=0) / freedom for i in range(4)], axis=1)
     return _fitted(observed, mean, freedom)
+
+
+@lru_cache(maxsize=8)
+def _drift_variances(n: int, dt_s: float) -> Array:
+    """Variance of the cosine coefficients 1 to n − 1 of a window by the fastest and by all other processes, (n − 1, 2).
+
+    For bias instability of one.
+    """
+    from scipy.fft import dct
+
+    omega, tau = math.pi * np.arange(1, n) / (n * dt_s), np.array(CORRELATION_TIMES_S)
+    processes = PROCESS_VARIANCE / dt_s * 2.0 * tau / (1.0 + (omega[:, None] * tau) ** 2)
+    out = np.stack([processes[:, 0], processes[:, 1:].sum(axis=1)], axis=1)
+    # Processes slower than the window leak; the first coefficients are those of the means over parts of it.
+    parts = min(n, _PARTS)
+    start = n * dt_s / parts * np.arange(parts)
+    covariance = flicker_covariance(start, start + n * dt_s / parts, CORRELATION_TIMES_S[1:])
+    exact = np.diag(dct(dct(covariance, axis=0, norm="ortho"), axis=1, norm="ortho")) * n / parts
+    first = parts // 8
+    out[:first, 1] = exact[1 : first + 1]
+    return out
 
 
 def _fitted(observed: Array, design: Array, freedom: Array) -> InstabilityAtRest | None:
@@ -105,10 +134,10 @@ def _fitted(observed: Array, design: Array, freedom: Array) -> InstabilityAtRest
     if not np.all(observed.max(axis=0) > 0.0):
         return None  # a constant channel
     rows = len(observed)
-    by_axis = np.zeros((3, rows, 7))
+    by_axis = np.zeros((3, rows, 8))
     for axis in range(3):
-        by_axis[axis][:, [axis, 3 + axis, 6]] = design
-    A = by_axis.reshape(-1, 7)
+        by_axis[axis][:, [axis, 3 + axis, 6, 7]] = design
+    A = by_axis.reshape(-1, 8)
     y = observed.T.ravel()
     relative = np.tile(np.sqrt(2.0 * _MEDIAN / freedom), 3)
     expected = y
@@ -119,12 +148,13 @@ def _fitted(observed: Array, design: Array, freedom: Array) -> InstabilityAtRest
         solution = nonnegative_least_squares(weighted / scale, y / sigma) / scale
         expected = A @ solution
     information = (weighted / scale).T @ (weighted / scale)
-    doubt = float(np.sqrt(np.linalg.pinv(information)[6, 6]) / scale[6])
-    square = float(solution[6])
+    doubt = float(np.sqrt(np.linalg.pinv(information)[-1, -1]) / scale[-1])
+    square = float(solution[-1])
     shown = square > _SIGNIFICANT * doubt
     return InstabilityAtRest(
         shown=shown,
         value=math.sqrt(square) if shown else 0.0,
         bound=math.sqrt(square + doubt),
+        limit=math.sqrt(square + _SIGNIFICANT * doubt),
         white=np.sqrt(solution[:3]),
     )

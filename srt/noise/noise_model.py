@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -61,7 +61,12 @@ class NoiseModel:
     gyro_flicker : ndarray, shape (3,), rad/s, or None
         Bias instability (Allan floor), the input of :mod:`srt.noise.bias_instability`; None if not stated.
     accel_flicker : ndarray, shape (3,), m/s²
-        The same for the accelerometers; zero if not stated.
+        The same for the accelerometers, as stated or as the windows show it.
+    accel_unseen : ndarray, shape (3,), m/s²
+        Bias instability beyond ``accel_flicker`` that the windows cannot exclude to 1 sigma. The weights do not include
+        it, the sigmas do.
+    accel_limit : ndarray, shape (3,), m/s²
+        Largest bias instability that the windows cannot exclude, at least ``accel_flicker``.
     estimated, floored : tuple of str
         Figures estimated from the windows, and figures raised to the lower limit.
     """
@@ -74,8 +79,15 @@ class NoiseModel:
     accel_wander: Array
     gyro_flicker: Array | None
     accel_flicker: Array
+    accel_unseen: Array
+    accel_limit: Array
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
+
+    @property
+    def at_limit(self) -> NoiseModel:
+        """Noise with the largest bias instability that the windows cannot exclude."""
+        return replace(self, accel_flicker=self.accel_limit, accel_unseen=np.zeros(3))
 
     def gyro_sample(self, interval_s: float) -> Array:
         """1-sigma of the angle of a single sample, random walk and quantization, shape (3,), rad."""
@@ -120,25 +132,29 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
         figures[f"{sensor}_white"] = np.maximum(figures[f"{sensor}_white"], least)
     instability = stated.gyro_bias_instability
     spread = flicker_spread(windows)
-    accel_instability = stated.accel_bias_instability
-    if accel_instability is None:
-        accel_instability = _accel_instability(recording, windows)
+    accel = (stated.accel_bias_instability or 0.0, 0.0, stated.accel_bias_instability or 0.0)
+    if stated.accel_bias_instability is None:
+        accel = _accel_instability(recording, windows)
         estimated.append("accel_bias_instability")
     if instability is None:
         estimated.append("gyro_bias_instability")
     return NoiseModel(
         **figures,
         gyro_wander=None if instability is None else np.full(3, instability * spread),
-        accel_wander=np.full(3, accel_instability * spread),
+        accel_wander=np.full(3, math.hypot(*accel[:2]) * spread),
         gyro_flicker=None if instability is None else np.full(3, instability),
-        accel_flicker=np.full(3, accel_instability),
+        accel_flicker=np.full(3, accel[0]),
+        accel_unseen=np.full(3, accel[1]),
+        accel_limit=np.full(3, accel[2]),
         estimated=tuple(estimated),
         floored=tuple(floored),
     )
 
 
-def _accel_instability(recording: Recording, windows: Indices) -> float:
-    """Bias instability of the accelerometers from the windows, m/s²; without any stated figure, at least its bound.
+def _accel_instability(recording: Recording, windows: Indices) -> tuple[float, float, float]:
+    """Bias instability of the accelerometers that the windows show, that beyond it to 1 sigma, and the largest, m/s².
+
+    If the noise is stated, an instability that the windows do not show counts as none, unless residuals ask for it.
 
     That of the gyros is not taken from the windows, where angle random walk and the quantization of slow rates hide it:
     the scatter of the rest rates between sequences is its measure.
@@ -147,8 +163,10 @@ def _accel_instability(recording: Recording, windows: Indices) -> float:
     force = recording.accel if recording.kind == "rate" else recording.accel / dt
     found = instability_at_rest(force, windows, dt)
     if found is None:
-        return 0.0
-    return found.bound if recording.noise.accel_noise is None else found.value
+        return 0.0, 0.0, 0.0
+    if recording.noise.accel_noise is not None:
+        return found.value, 0.0, found.limit
+    return found.value, math.sqrt(found.bound**2 - found.value**2), found.limit
 
 
 def flicker_spread(windows: Indices) -> float:

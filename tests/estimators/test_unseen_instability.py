@@ -1,0 +1,70 @@
+"""Bias instability that is in the sigmas and not in the weights, in all estimators."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import srt
+from sims.faults.injection import Case
+from srt.constants import MICRO_G
+from srt.sequences import preparation
+
+ESTIMATORS = ("closed-form", "least-squares", "ekf", "graph")
+UNSEEN = 3.0 * MICRO_G
+TOGETHER = float(np.hypot(UNSEEN, 1.0 * MICRO_G))
+"""With the instability of the unit, which is stated."""
+
+
+@cache
+def recording():
+    return Case("navigation-rlg", 7).recording
+
+
+@cache
+def with_all_stated(estimator):
+    stated = replace(recording(), noise=replace(recording().noise, accel_bias_instability=TOGETHER))
+    return srt.calibrate(stated, estimator, checks=False)
+
+
+@cache
+def calibrated(estimator, unseen=0.0):
+    """Result with the stated noise and an instability that counts as not excluded."""
+    original = preparation.noise_model
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            preparation,
+            "noise_model",
+            lambda *a: replace(original(*a), accel_unseen=np.full(3, unseen), accel_limit=np.zeros(3)),
+        )
+        return srt.calibrate(replace(recording()), estimator, checks=False)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_estimate_and_agreement_are_those_of_the_weights(estimator):
+    without, result = calibrated(estimator), calibrated(estimator, UNSEEN)
+    np.testing.assert_array_equal(result.errors.vector, without.errors.vector)
+    assert result.verdict["chi_square"] == pytest.approx(without.verdict["chi_square"], rel=1e-9)
+    grown = result.covariance - without.covariance
+    source = "accel_bias_instability"
+    own = result.contributions[source] ** 2 - without.contributions.get(source, np.zeros(27)) ** 2
+    unit = np.diag(result.covariance)
+    np.testing.assert_allclose(np.diag(grown) / unit, own / unit, rtol=1e-6, atol=1e-9)
+
+
+def test_closed_form_has_the_covariance_of_a_stated_instability():
+    """The closed form has no weights: it is the same estimate, and the same error, with the instability stated."""
+    np.testing.assert_allclose(calibrated("closed-form", UNSEEN).sigma, with_all_stated("closed-form").sigma, rtol=1e-3)
+
+
+def test_optimal_estimators_agree_and_gain_nothing_by_wrong_weights():
+    """Least squares lacks the tied ends of the graph; weights with the instability have the smallest (Gauss-Markov)."""
+    found = {name: calibrated(name, UNSEEN).sigma for name in ("least-squares", "ekf", "graph")}
+    np.testing.assert_allclose(found["ekf"], found["graph"], rtol=1e-6)
+    np.testing.assert_allclose(found["least-squares"][9:24], found["graph"][9:24], rtol=0.06)
+    best = with_all_stated("graph").sigma
+    assert np.all(found["graph"] > best * (1.0 - 1e-6))
+    assert np.all(best > 0.7 * found["graph"])
