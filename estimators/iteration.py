@@ -36,19 +36,21 @@ from estimators.solver import IterationState, JointSolver
 from srt.estimation.drift_model import MOST_TERMS
 from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
-from srt.estimation.goodness_of_fit import is_misfit, one_group_explains
+from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.estimation.move_checks import contradicting_move
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.model.prior import Prior
 from srt.model.rotations import rotation_matrix
 from srt.model.sensor_model import outside_model
+from srt.noise.drift_forms import WALK
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
     from estimators.joint_model import JointModel
     from estimators.joint_state import CompensatedData, JointState
     from estimators.linear_system import LinearSystem
+    from srt.estimation.drift_model import DriftTerm
     from srt.estimation.registry import Progress
     from srt.result.calibration import Calibration
     from srt.types import Array, Mask
@@ -353,7 +355,7 @@ def _add_g_sensitivity(joint: JointModel, solver: JointSolver, iteration: Iterat
 
 
 def _add_instability(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
-    """Use the largest bias instability that the windows cannot exclude if it alone explains the residuals."""
+    """Use a smooth drift, or the largest bias instability not excluded, if either explains the residuals."""
     data, state = joint.data, iteration.linearisation_point
     if solver.weights() or any(joint.unmodelled_sigma) or np.all(data.noise.accel_limit <= data.noise.accel_flicker):
         return False
@@ -361,12 +363,36 @@ def _add_instability(joint: JointModel, solver: JointSolver, iteration: Iteratio
     if not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
         return False
     assert state is not None
+    terms = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, solution.system)[1])
+    smooth = tuple(term for term in terms if term.sensor == "accel" and term.form != WALK)
+    drift = joint.drift
+    if smooth:
+        after = _with_drift(joint, iteration.state, smooth)[1]
+        joint.drift, before = _with_drift(joint, state, smooth)
+        if _explains(joint, solver, iteration, before):
+            iteration.state = after
+            return True
+        joint.drift = drift
     joint.data = replace(data, noise=data.noise.at_limit)
-    again = linearise(joint, state, joint.compensate(state), iteration.free, solver.prior)
-    if is_misfit(*goodness_of_fit(joint, solver, BlockSolution(again), again)):
-        joint.data = data
-        return False
-    return True
+    if _explains(joint, solver, iteration, state):
+        return True
+    joint.data = data
+    return False
+
+
+def _explains(joint: JointModel, solver: JointSolver, iteration: IterationState, state: JointState) -> bool:
+    """True if the model as it is now explains the residuals at a state, and no sequence contradicts the others."""
+    system = linearise(joint, state, joint.compensate(state), iteration.free, solver.prior)
+    solution = BlockSolution(system)
+    fit = goodness_of_fit(joint, solver, solution, system)
+    tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+    return not is_misfit(*fit) and contradicting_group(tests, *fit) is None
+
+
+def _with_drift(joint: JointModel, state: JointState, terms: tuple[DriftTerm, ...]) -> tuple[DriftTerms, JointState]:
+    """Terms of drift beside those of a model that lacks them, and a state with their coefficients, zero."""
+    drift = DriftTerms(joint.data, (*joint.drift.terms, *terms), joint.drift.force_axes)
+    return drift, replace(state, drift=np.append(state.drift, np.zeros(drift.size - len(state.drift))))
 
 
 def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: IterationState) -> bool:
@@ -406,8 +432,6 @@ def _add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState
     terms = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
     if not terms:
         return False
-    joint.drift = DriftTerms(joint.data, (*joint.drift.terms, *terms))
+    joint.drift, iteration.state = _with_drift(joint, iteration.state, terms)
     joint.unmodelled_sigma = (0.0, 0.0, 0.0)
-    new = np.zeros(joint.drift.size - len(iteration.state.drift))
-    iteration.state = replace(iteration.state, drift=np.append(iteration.state.drift, new))
     return True

@@ -10,8 +10,9 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from srt.estimation import measurement_covariance
 from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, most_significant
 from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
+from srt.estimation.goodness_of_fit import chi_square, is_misfit
 from srt.estimation.rest_rate_scatter import bias_gain
-from srt.noise.drift_forms import residual_statistics
+from srt.noise.drift_forms import WALK, residual_statistics
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,6 +54,19 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     slope = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
     found |= gyro_statistics(data, slope, measurements.rest_rate, measurements.integrated, solution.excess.drift)
     return most_significant(found, len(keys))
+
+
+def explaining_drift(
+    data: PreparedRecording, options: Options, solution: Solution, fixed: Mask
+) -> tuple[DriftTerm, ...]:
+    """Smooth drift of the accelerometers that is significant and explains the residuals; else empty."""
+    terms = tuple(t for t in search(data, options, solution, fixed) if t.sensor == "accel" and t.form != WALK)
+    R = solution.measurement_covariance
+    for term in terms:
+        effect = term.sigma * _effect(data, options, solution, term.sensor, term.form)
+        R = R + effect @ effect.T
+    statistic, freedom = chi_square(solution, fixed, R)
+    return () if is_misfit(statistic, freedom - 3 * len(terms)) else terms
 
 
 def gyro_statistics(

@@ -14,10 +14,15 @@ import numpy as np
 
 from srt.estimation import measurement_covariance
 from srt.estimation.drift_model import MOST_TERMS, NOTHING, Unmodelled
-from srt.estimation.drift_search import search
+from srt.estimation.drift_search import explaining_drift, search
 from srt.estimation.g_sensitivity import MODE
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
-from srt.estimation.goodness_of_fit import chi_square, is_misfit, one_group_explains
+from srt.estimation.goodness_of_fit import (
+    chi_square,
+    contradicting_group,
+    is_misfit,
+    one_group_explains,
+)
 from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import consistency_tests, rows_of_sequences
 from srt.noise.variance_components import restricted_likelihood
@@ -25,6 +30,7 @@ from srt.noise.variance_components import restricted_likelihood
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from srt.estimation.drift_model import DriftTerm
     from srt.estimation.iteration import Solution, Solver
     from srt.estimation.options import Options
     from srt.estimation.registry import Progress
@@ -67,7 +73,7 @@ def iterate_with_unmodelled_errors(
     """Iterate, and repeat with unmodelled errors if the residuals contradict the noise.
 
     If the rest rates then show a g-sensitivity of the gyros, it is estimated first. If the largest bias instability
-    that the windows cannot exclude explains the residuals, it is used instead.
+    that the windows cannot exclude explains the residuals, and no smooth drift does, it is used instead.
 
     Parameters
     ----------
@@ -96,17 +102,23 @@ def iterate_with_unmodelled_errors(
                 options, solver = replace(options, gyro_bias=MODE), new_solver()
                 solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
                 continue
-            if not any(present.sizes) and explained_at_limit(solution, data, solver.fixed):
-                data, solver = replace(data, noise=data.noise.at_limit), new_solver()
-                solution = iterate(
-                    data, options, solver, first[0], solution.U, progress,
-                    excess=present, resume=solution, fixed_sigma=uncertain,
-                )  # fmt: skip
-                continue
-            if not any(present.sizes) and _one_sequence_explains(solution, data, solver.fixed, *fit):
+            ramp: tuple[DriftTerm, ...] = ()
+            if not any(present.sizes) and _explained_at_limit(solution, data, solver.fixed):
+                ramp = explaining_drift(data, options, solution, solver.fixed)
+                if not ramp:
+                    data, solver = replace(data, noise=data.noise.at_limit), new_solver()
+                    solution = iterate(
+                        data, options, solver, first[0], solution.U, progress,
+                        excess=present, resume=solution, fixed_sigma=uncertain,
+                    )  # fmt: skip
+                    continue
+            elif not any(present.sizes) and _one_sequence_explains(solution, data, solver.fixed, *fit):
                 break
-            new = _estimated(solution, data, solver.fixed, present)
-        if np.allclose(new.sizes, present.sizes, rtol=0.1, atol=1e-6):
+            if ramp and models_drift:
+                new = Unmodelled(drift=(*present.drift, *ramp))
+            else:
+                new = _estimated(solution, data, solver.fixed, present)
+        if new.drift == present.drift and np.allclose(new.sizes, present.sizes, rtol=0.1, atol=1e-6):
             more = models_drift and len(present.drift) < MOST_TERMS
             terms = search(data, options, solution, solver.fixed) if more else ()
             if not terms:
@@ -121,13 +133,15 @@ def iterate_with_unmodelled_errors(
     return Fitted(data, solution, solver, present)
 
 
-def explained_at_limit(solution: Solution, data: PreparedRecording, fixed: Mask) -> bool:
-    """True if the largest bias instability that the windows cannot exclude explains the residuals."""
+def _explained_at_limit(solution: Solution, data: PreparedRecording, fixed: Mask) -> bool:
+    """True if the largest bias instability that the windows cannot exclude explains the residuals of all sequences."""
     grown = data.noise.accel_limit**2 - data.noise.accel_flicker**2
     if not np.any(grown > 0.0):
         return False
     G = measurement_covariance.accel_drift(solution.measurements, data, np.sqrt(np.maximum(grown, 0.0)))
-    return not is_misfit(*chi_square(solution, fixed, solution.measurement_covariance + G @ G.T))
+    R = solution.measurement_covariance + G @ G.T
+    fit = chi_square(solution, fixed, R)
+    return not is_misfit(*fit) and contradicting_group(_tests(solution, data, fixed, R), *fit) is None
 
 
 def _shows_g_sensitivity(solution: Solution, data: PreparedRecording) -> bool:
@@ -158,12 +172,17 @@ def _one_sequence_explains(
     solution: Solution, data: PreparedRecording, fixed: Mask, statistic: float, freedom: int
 ) -> bool:
     """True if the measurements without one sequence agree, and that sequence contradicts them."""
+    return one_group_explains(_tests(solution, data, fixed, solution.measurement_covariance), statistic, freedom)
+
+
+def _tests(solution: Solution, data: PreparedRecording, fixed: Mask, R: Array) -> list[tuple[float, int]]:
+    """Chi-square and degrees of freedom of every sequence, with the covariance R; empty if R is singular."""
     H, groups = np.where(fixed, 0.0, solution.measurements.H), [rows for rows, _ in rows_of_sequences(data)]
     try:
-        found = consistency_tests(solution.measurements.z, H, solution.measurement_covariance, groups)
+        found = consistency_tests(solution.measurements.z, H, R, groups)
     except np.linalg.LinAlgError:
-        return False
-    return one_group_explains([(test.chi_square, test.degrees_of_freedom) for test in found], statistic, freedom)
+        return []
+    return [(test.chi_square, test.degrees_of_freedom) for test in found]
 
 
 def _estimated(solution: Solution, data: PreparedRecording, fixed: Mask, present: Unmodelled) -> Unmodelled:

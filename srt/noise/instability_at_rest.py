@@ -121,7 +121,7 @@ def _drift_variances(n: int, dt_s: float) -> Array:
     out = np.stack([processes[:, 0], processes[:, 1:].sum(axis=1)], axis=1)
     # Processes slower than the window leak; the first coefficients are those of the means over parts of it.
     parts = min(n, _PARTS)
-    start = n * dt_s / parts * np.arange(parts)
+    start = np.asarray(n * dt_s / parts * np.arange(parts), dtype=np.float64)
     covariance = flicker_covariance(start, start + n * dt_s / parts, CORRELATION_TIMES_S[1:])
     exact = np.diag(dct(dct(covariance, axis=0, norm="ortho"), axis=1, norm="ortho")) * n / parts
     first = parts // 8
