@@ -111,7 +111,7 @@ def examined(number: int, seed: int) -> tuple[str, list[str]]:
     title = f"{number}: {title}, {form}, {'with' if labelled else 'without'} labels"
     try:
         recording = processed(raw, form, rng)
-    except DataError as error:
+    except (DataError, InputError) as error:
         return f"{title} ({error})", ["not calibrated"] if form != "corrected" else []
     # Poses placed one by one, without the moves between them, have nothing to be recognised by.
     if not labelled and not (recording.gaps.size and "protocol" in values):

@@ -106,6 +106,7 @@ class Injection:
     unit: str
     options: Options | None = None
     unseen: Mapping[str, str] = field(default_factory=dict)
+    causes: tuple[str, ...] = ()
 
     def recording(self, case: Case, severity: float | None = None) -> Recording:
         """Recording of a case with the fault; the random numbers depend on the seed of the case and the fault."""
@@ -113,7 +114,28 @@ class Injection:
         return self.apply(case, self.severity[case.grade] if severity is None else severity, rng)
 
 
+@dataclass(frozen=True)
+class FaultyCase(Case):
+    """Case whose recording has a fault already, to inject a second one.
+
+    Attributes
+    ----------
+    faulty : Recording or None
+    """
+
+    faulty: Recording | None = None
+
+    @property
+    def recording(self) -> Recording:
+        """Recording with the first fault."""
+        assert self.faulty is not None
+        return self.faulty
+
+
 INJECTIONS: Final[dict[str, Injection]] = {}
+"""One injection of each fault of the catalogue."""
+VARIANTS: Final[dict[str, Injection]] = {}
+"""Further injections, whose names are not those of the catalogue: faults in another form, and pairs of faults."""
 
 
 def injection(
@@ -132,7 +154,19 @@ def injection(
     def register(apply: Apply) -> Apply:
         if fault in INJECTIONS:
             raise InputError(f"The fault {fault!r} is injected in two ways: keep one.")
-        INJECTIONS[fault] = Injection(fault, apply, by_grade, unit, options, missing)
+        INJECTIONS[fault] = Injection(fault, apply, by_grade, unit, options, missing, (fault,))
+        return apply
+
+    return register
+
+
+def variant(kind: str, severity: float, unit: str, *causes: str) -> Callable[[Apply], Apply]:
+    """Register a further injection; ``causes`` are the names of the catalogue that are right for it."""
+
+    def register(apply: Apply) -> Apply:
+        if kind in VARIANTS or kind in INJECTIONS:
+            raise InputError(f"The kind {kind!r} is injected in two ways: keep one.")
+        VARIANTS[kind] = Injection(kind, apply, dict.fromkeys(GRADES, severity), unit, causes=causes)
         return apply
 
     return register

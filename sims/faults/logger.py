@@ -30,7 +30,7 @@ _EDGE: Final = 5
 # --- helpers ---------------------------------------------------------------------------------------------------------
 
 
-def _somewhere(recording: Recording, rng: np.random.Generator, count: int) -> slice:
+def somewhere(recording: Recording, rng: np.random.Generator, count: int) -> slice:
     """Consecutive samples of a sequence drawn at random, in its windows or its rotation."""
     label = recording.sequences[int(rng.integers(len(recording.sequences)))]
     first = recording.window_indices(*label.start_static_s).start + _EDGE
@@ -48,7 +48,7 @@ def _with(recording: Recording, sensor: str, values: Array) -> Recording:
     return replace(recording, gyro=values) if sensor == "gyro" else replace(recording, accel=values)
 
 
-def _restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
+def restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
     """Recording with samples and labels on another clock."""
 
     def moved(label: SequenceLabel) -> SequenceLabel:
@@ -82,7 +82,7 @@ def time_backwards(case: Case, severity: float, rng: np.random.Generator) -> Rec
     """The clock is set back by ``severity`` while the logger runs."""
     recording = case.recording
     time = recording.time.copy()
-    time[_somewhere(recording, rng, 1).start :] -= severity
+    time[somewhere(recording, rng, 1).start :] -= severity
     return replace(recording, time=time)
 
 
@@ -91,7 +91,7 @@ def time_repeats(case: Case, severity: float, rng: np.random.Generator) -> Recor
     """Consecutive samples have the same time stamp."""
     recording = case.recording
     time = recording.time.copy()
-    rows = _somewhere(recording, rng, max(1, round(severity)))
+    rows = somewhere(recording, rng, max(1, round(severity)))
     time[rows] = time[rows.start - 1]
     return replace(recording, time=time)
 
@@ -110,7 +110,7 @@ def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generato
 def time_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit of the time stamps is ``severity`` times smaller or larger than declared; labels have the same clock."""
     factor = severity ** float(rng.choice([-1.0, 1.0]))
-    return _restamped(case.recording, lambda time: factor * time)
+    return restamped(case.recording, lambda time: factor * time)
 
 
 @injection("stamp_jitter", 0.1, "intervals (rms)")
@@ -126,7 +126,7 @@ def gap_in_sequence(case: Case, severity: float, rng: np.random.Generator) -> Re
     """Consecutive samples are missing, including their time stamps."""
     recording = case.recording
     keep = np.ones(len(recording.time), dtype=bool)
-    keep[_somewhere(recording, rng, _samples(recording, severity))] = False
+    keep[somewhere(recording, rng, _samples(recording, severity))] = False
     return replace(recording, time=recording.time[keep], gyro=recording.gyro[keep], accel=recording.accel[keep])
 
 
@@ -170,7 +170,7 @@ def _stuck(fault: str, sensors: tuple[str, ...], severity: float | dict[str, flo
     def stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         """Readings repeat their last value for a time, and then continue normally."""
         recording = case.recording
-        rows = _somewhere(recording, rng, _samples(recording, severity))
+        rows = somewhere(recording, rng, _samples(recording, severity))
         for sensor in sensors:
             values = getattr(recording, sensor).copy()
             values[rows] = values[rows.start - 1]
@@ -194,7 +194,7 @@ _REPEATING_PULSES: Final = (
 def samples_duplicated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The logger sends its buffer twice: in place of the next sample, or before it, all later stamps being moved."""
     recording, dt = case.recording, case.recording.nominal_interval_s
-    rows = np.array([_somewhere(recording, rng, 1).start for _ in range(max(1, round(severity)))])
+    rows = np.array([somewhere(recording, rng, 1).start for _ in range(max(1, round(severity)))])
     if rng.random() < 0.5:
         source = np.arange(len(recording.time))
         source[rows] -= 1
@@ -206,7 +206,7 @@ def samples_duplicated(case: Case, severity: float, rng: np.random.Generator) ->
         moved: Array = time + late[np.searchsorted(recording.time[rows], time - 0.5 * dt)]
         return moved
 
-    out = _restamped(recording, clock)
+    out = restamped(recording, clock)
     source = np.sort(np.concatenate([np.arange(len(recording.time)), rows]))
     stamps = out.time[source]
     again = np.flatnonzero(np.diff(source) == 0) + 1
@@ -267,7 +267,7 @@ def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     size = severity * limit * (recording.nominal_interval_s if recording.kind == "increment" else 1.0)
     values, axis = getattr(recording, sensor).copy(), int(rng.integers(3))
     for _ in range(int(rng.integers(1, 4))):
-        values[_somewhere(recording, rng, 1), axis] += size * rng.choice([-1.0, 1.0])
+        values[somewhere(recording, rng, 1), axis] += size * rng.choice([-1.0, 1.0])
     return _with(recording, sensor, values)
 
 
@@ -289,7 +289,7 @@ def accel_clipped(case: Case, severity: float, rng: np.random.Generator) -> Reco
     """Shock: half a sine of 60 ms along one axis, with a peak of ``severity`` times the accelerometers' range."""
     simulation = case.simulation
     motion, limit = simulation.motion, simulation.imu.accel_range
-    rows = _somewhere(case.recording, rng, _samples(case.recording, 0.06))
+    rows = somewhere(case.recording, rng, _samples(case.recording, 0.06))
     phase = np.pi * (np.arange(rows.stop - rows.start) + 0.5) / (rows.stop - rows.start)
     velocity = motion.velocity.copy()
     velocity[rows, rng.integers(3)] += rng.choice([-1.0, 1.0]) * severity * limit * motion.interval * np.sin(phase)

@@ -1,0 +1,242 @@
+"""Faults of operators, mountings, labels and sites that the catalogue does not list one by one, and pairs of faults.
+
+They were written without knowledge of the checks, as those of ``sims.faults.foreign_loggers``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import sims.faults.execution
+import sims.faults.foreign_loggers
+import sims.faults.site_and_drift  # noqa: F401 - registers its injections
+from sims.faults.injection import INJECTIONS, FaultyCase, variant
+from srt.constants import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sims.faults.injection import Case
+    from srt.recording.recording import Recording, SequenceLabel
+    from srt.types import Array
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return float(rng.choice((-1.0, 1.0)))
+
+
+def _relabelled(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
+    """Recording with the labels on another clock; windows are cut at the ends of the samples."""
+    low, high = recording.time[0] - recording.nominal_interval_s, recording.time[-1]
+
+    def moved(label: SequenceLabel) -> SequenceLabel:
+        first, second = (np.clip(clock(np.array(at)), low, high) for at in (label.start_static_s, label.end_static_s))
+        return replace(label, start_static_s=tuple(first.tolist()), end_static_s=tuple(second.tolist()))
+
+    return recording.with_sequences(tuple(moved(label) for label in recording.sequences))
+
+
+def _turned(recording: Recording, gyro: Rotation | None, accel: Rotation | None) -> Recording:
+    return replace(
+        recording,
+        gyro=recording.gyro if gyro is None else recording.gyro @ gyro.as_matrix().T,
+        accel=recording.accel if accel is None else recording.accel @ accel.as_matrix().T,
+    )
+
+
+# --- labels ----------------------------------------------------------------------------------------------------------
+
+
+@variant("labels of a fast clock", 0.02, "of the rate", "labels_shifted", "sample_rate")
+def labels_of_a_fast_clock(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The labels come from a clock that runs fast or slow against that of the samples."""
+    first, sign = case.recording.time[0], _sign(rng)
+    return _relabelled(
+        case.changed(schedule={"moves": "recorded"}).recording,
+        lambda time: first + (1.0 + sign * severity) * (time - first),
+    )
+
+
+@variant("windows reach into the rotations", 0.5, "s", "labels_shifted", "noisy_window", "unsettled")
+def windows_too_long(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The operator's windows begin before the rest and end after it, by as much as he is slow."""
+    slow = severity * rng.uniform(0.9, 1.1)
+
+    def longer(label: SequenceLabel) -> SequenceLabel:
+        (first, second), (third, last) = label.start_static_s, label.end_static_s
+        return replace(label, start_static_s=(first, second + slow), end_static_s=(third - slow, last))
+
+    return case.recording.with_sequences(tuple(longer(label) for label in case.recording.sequences))
+
+
+@variant("labels of the next sequences", 1.0, "sequences", "labels_exchanged", "labels_shifted", "wrong_direction")
+def labels_of_the_next(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """One sequence was left out of the list, and all names from there on are those of the following sequences."""
+    labels = case.recording.sequences
+    names = [label.id for label in labels]
+    left_out = int(rng.integers(2, len(names) - 3))
+    step = max(1, round(severity))
+    names = names[:left_out] + names[left_out + step :] + names[left_out : left_out + step]
+    return case.recording.with_sequences(
+        tuple(replace(label, id=name) for label, name in zip(labels, names, strict=True))
+    )
+
+
+@variant("time of the labels from the start", 400.0, "s", "labels_shifted")
+def labels_from_the_start(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Samples are stamped from switch-on, and labels count from the start of the recording."""
+    late = severity * rng.uniform(0.9, 1.1)
+    recording = case.changed(schedule={"moves": "recorded"}).recording
+    return replace(recording, time=recording.time + late)
+
+
+# --- mounting --------------------------------------------------------------------------------------------------------
+
+
+@variant("mounted at 45 deg", 45.0, "deg", "frame_turned")
+def mounted_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The unit stands askew on the table."""
+    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
+    return _turned(case.recording, turn, turn)
+
+
+@variant("sensors askew in their housing", 3.0, "deg")
+def sensors_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Both triads are turned by a few degrees in the housing."""
+    turn = Rotation.from_rotvec(severity * DEG * rng.uniform(-1.0, 1.0, 3))
+    return _turned(case.recording, turn, turn)
+
+
+@variant("accelerometer board askew", 30.0, "deg", "frames_disagree")
+def accelerometer_board_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The accelerometers are turned against the gyros."""
+    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
+    return _turned(case.recording, None, turn)
+
+
+@variant("mounted anew in the middle", 90.0, "deg", "units_joined", "frame_turned", "labels_exchanged")
+def mounted_anew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The unit is taken off the table between two sequences and mounted in another orientation."""
+    recording = case.recording
+    count = len(recording.sequences)
+    label = recording.sequences[int(rng.integers(count // 4, 3 * count // 4))]
+    rows = slice(recording.window_indices(*label.end_static_s).stop, len(recording.time))
+    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
+    gyro, accel = recording.gyro.copy(), recording.accel.copy()
+    gyro[rows], accel[rows] = turn.apply(gyro[rows]), turn.apply(accel[rows])
+    return replace(recording, gyro=gyro, accel=accel)
+
+
+@variant("east, north, up for north, east, down", 1.0, "", "frame_turned")
+def east_north_up(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Both triads in axes that point right, forward and up, where front, right and down are expected."""
+    axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return replace(case.recording, gyro=case.recording.gyro @ axes.T, accel=case.recording.accel @ axes.T)
+
+
+@variant("two axes reversed", 1.0, "", "frame_turned", "frames_disagree")
+def two_axes_reversed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Two columns of one triad, or of both, have the reversed sign."""
+    signs = -np.ones(3)
+    signs[int(rng.integers(3))] = 1.0
+    gyro, accel = ((True, True), (True, False), (False, True))[int(rng.integers(3))]
+    recording = case.recording
+    return replace(
+        recording,
+        gyro=recording.gyro * signs if gyro else recording.gyro,
+        accel=recording.accel * signs if accel else recording.accel,
+    )
+
+
+@variant("columns one further", 1.0, "", "gyro_axes_swapped", "frames_disagree", "frame_turned")
+def columns_one_further(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """The columns of one triad are read in cyclic order."""
+    sensor, step = str(rng.choice(["gyro", "accel"])), int(rng.integers(1, 3))
+    values = np.roll(getattr(case.recording, sensor), step, axis=1)
+    return replace(case.recording, gyro=values) if sensor == "gyro" else replace(case.recording, accel=values)
+
+
+# --- site ------------------------------------------------------------------------------------------------------------
+
+
+def _sited(case: Case, **changes: float) -> Recording:
+    return replace(case.recording, site=replace(case.recording.site, **changes))
+
+
+@variant("southern latitude", 1.0, "", "latitude")
+def southern_latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """The latitude has the wrong sign."""
+    assert case.recording.site.latitude_rad is not None
+    return _sited(case, latitude_rad=-case.recording.site.latitude_rad)
+
+
+@variant("longitude for latitude", 1.0, "", "latitude")
+def longitude_for_latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """Longitude and latitude are exchanged."""
+    return _sited(case, latitude_rad=float(rng.uniform(-20.0, 20.0)) * DEG)
+
+
+@variant("gravity of another country", 0.04, "m/s^2", "gravity")
+def gravity_of_another_country(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """Gravity at the equator or near a pole."""
+    return _sited(case, gravity_m_s2=case.recording.site.gravity_m_s2 + _sign(rng) * severity)
+
+
+@variant("table faces the other way", 180.0, "deg", "north")
+def table_faces_the_other_way(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The heading of the table is that of its back, or of a magnetic compass beside iron."""
+    fixture = case.recording.fixture
+    assert fixture is not None
+    assert fixture.heading_rad is not None
+    heading = fixture.heading_rad + _sign(rng) * severity * DEG
+    return replace(case.recording, fixture=replace(fixture, heading_rad=heading))
+
+
+# --- pairs -----------------------------------------------------------------------------------------------------------
+
+PAIRS: Final = (
+    ("gyro_degrees", "gyro_axis_flipped"),
+    ("accel_axes_swapped", "accel_lsb"),
+    ("sample_rate", "spikes"),
+    ("gap_in_sequence", "samples_stuck"),
+    ("time_unit", "gyro_lsb"),
+    ("gyro_milli", "left_handed"),
+    ("gyro_wrapped", "spikes"),
+    ("accel_sign_convention", "gyro_channel_dead"),
+    ("frame_turned", "gap_in_sequence"),
+    ("stamp_jitter", "samples_duplicated"),
+    ("labels_shifted", "gyro_radians"),
+    ("wrong_angle", "accel_bias_drift"),
+    ("latitude", "accel_stuck"),
+    ("gyro_clipped", "north"),
+)
+"""Pairs of the catalogue; the second is put into the recording that has the first."""
+
+
+def _pair(first: str, second: str) -> None:
+    @variant(f"{first} and {second}", 1.0, "times the stated ones", first, second)
+    def pair(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        """Put two faults into one recording; what is refused at construction is refused here."""
+        one, other = INJECTIONS[first], INJECTIONS[second]
+        faulty = one.apply(case, _scaled(first, case.grade, severity), rng)
+        later = FaultyCase(case.grade, case.seed, case.changes, faulty)
+        return other.apply(later, _scaled(second, case.grade, severity), rng)
+
+
+def _scaled(fault: str, grade: str, share: float) -> float:
+    """Stated severity of a fault, or for a factor the power of it; the best grade with one stands in for another."""
+    injection = INJECTIONS[fault]
+    stated = injection.severity.get(grade, next(iter(injection.severity.values())))
+    if injection.unit in ("", "-", "Hz", "samples", "sequences", "columns") or injection.unit.startswith("counts"):
+        return stated
+    if injection.unit.startswith("of the largest"):
+        return 1.0 - (1.0 - stated) * share
+    return stated**share if "times" in injection.unit else stated * share
+
+
+for _first, _second in PAIRS:
+    _pair(_first, _second)
