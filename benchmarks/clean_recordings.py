@@ -36,7 +36,7 @@ from srt.exceptions import DataError, InputError
 from srt.recording.protocol import load_protocol
 
 if TYPE_CHECKING:
-    from srt.recording.recording import Recording
+    from srt.recording.recording import Recording, SequenceLabel
 
 EXPECTED = ("sequence_repeated", "sequence_missing")
 """Findings that are true of a sound recording: a protocol of fewer sequences, or of repeated ones."""
@@ -80,6 +80,12 @@ def tables(rng: np.random.Generator, number: int) -> tuple[dict[str, Any], str]:
     return values, f"{grade}, {rate:g} Hz, {what}"
 
 
+def narrowed(label: SequenceLabel, recording: Recording) -> SequenceLabel:
+    """Label whose windows end one sample before the rotation that they adjoin: the filter spreads it by as much."""
+    (start, end), (begin, last), one = label.start_static_s, label.end_static_s, recording.nominal_interval_s
+    return replace(label, start_static_s=(start, end - one), end_static_s=(begin + one, last))
+
+
 def processed(recording: Recording, form: str, rng: np.random.Generator) -> Recording:
     """Recording after one form of processing."""
     if form == "corrected":
@@ -94,7 +100,8 @@ def processed(recording: Recording, form: str, rng: np.random.Generator) -> Reco
             for table in (recording.gyro, recording.accel)
         )
         noise = replace(recording.noise, gyro_noise=None, accel_noise=None)  # the filter changes it
-        return replace(recording, gyro=gyro, accel=accel, noise=noise)
+        filtered = replace(recording, gyro=gyro, accel=accel, noise=noise)
+        return filtered.with_sequences(tuple(narrowed(label, recording) for label in recording.sequences))
     if form == "off the grid":
         gyro, accel = (table + rng.normal(0.0, 1e-12, table.shape) for table in (recording.gyro, recording.accel))
         return replace(recording, gyro=gyro, accel=accel)

@@ -20,7 +20,7 @@ from srt.constants import DEG, MICRO_G, STANDARD_GRAVITY_M_S2
 if TYPE_CHECKING:
     from sims.faults.injection import Case
     from srt.recording.recording import Recording, SequenceLabel
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 _G: Final = STANDARD_GRAVITY_M_S2
 _BITS: Final = 15
@@ -47,7 +47,7 @@ def _sign(rng: np.random.Generator) -> float:
     return float(rng.choice((-1.0, 1.0)))
 
 
-def _kept(recording: Recording, rows: Array) -> Recording:
+def _kept(recording: Recording, rows: Indices) -> Recording:
     """Recording of some of its samples, with their stamps."""
     return replace(recording, time=recording.time[rows], gyro=recording.gyro[rows], accel=recording.accel[rows])
 
@@ -154,7 +154,7 @@ def samples_dropped(case: Case, severity: float, rng: np.random.Generator) -> Re
 
     def label_moved(label: SequenceLabel) -> SequenceLabel:
         first, second = (np.interp(at, recording.time, moved) for at in (label.start_static_s, label.end_static_s))
-        return replace(label, start_static_s=tuple(first.tolist()), end_static_s=tuple(second.tolist()))
+        return replace(label, start_static_s=(first[0], first[1]), end_static_s=(second[0], second[1]))
 
     labels = tuple(label_moved(label) for label in recording.sequences)
     return replace(recording, time=stamps, gyro=recording.gyro[keep], accel=recording.accel[keep], sequences=labels)

@@ -35,7 +35,7 @@ def _relabelled(recording: Recording, clock: Callable[[Array], Array]) -> Record
 
     def moved(label: SequenceLabel) -> SequenceLabel:
         first, second = (np.clip(clock(np.array(at)), low, high) for at in (label.start_static_s, label.end_static_s))
-        return replace(label, start_static_s=tuple(first.tolist()), end_static_s=tuple(second.tolist()))
+        return replace(label, start_static_s=(first[0], first[1]), end_static_s=(second[0], second[1]))
 
     return recording.with_sequences(tuple(moved(label) for label in recording.sequences))
 

@@ -211,6 +211,8 @@ _MOST_OUTLIERS: Final = 0.3
 """Share of windows excluded, above which all are used: the noise is not that of a few windows."""
 _RESOLUTION_SAMPLES: Final = 4000
 """Readings from which the quantization step is taken."""
+_ONE_PULSE: Final = 0.5
+"""Power of one pulse in all windows, of which this share is none: scale factors are corrected by less."""
 _COARSE: Final = 0.5
 """Quantization step over the stated noise of a sample, above which the noise cannot be measured."""
 
@@ -253,8 +255,10 @@ def white_noise_test(evidence: Evidence, sensor: Sensor) -> WhiteNoiseTest | Non
     total, count = power[kept].sum(axis=0), pairs[kept].sum(axis=0)  # (octaves, 3), (octaves,)
     used = count > 0
     tau, total, count = tau[used], total[used], count[used]
-    if len(tau) == 0 or np.any(total.sum(axis=0) == 0.0):
-        return None  # constant readings do not show that there is no noise
+    # Constant readings do not show that there is no noise; corrected ones hold what a pulse of another axis adds.
+    pulse = getattr(evidence.recording.noise, f"{sensor}_quantization") or 0.0
+    if len(tau) == 0 or np.any(total[0] <= 0.5 * _ONE_PULSE * (pulse / tau[0]) ** 2):
+        return None
     edge = getattr(data.noise, f"{sensor}_edge")
     instability = getattr(evidence.recording.noise, f"{sensor}_bias_instability") or 0.0
     other = 3.0 * edge**2 / tau[:, None] ** 2 + instability**2 + step**2 * dt / 12.0 / tau[:, None]

@@ -32,6 +32,8 @@ _ROUNDS: Final = 12
 """Reweightings of a robust fit."""
 _ROTATING: Final = 0.05
 """Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
+_SLOWEST_RAD_S: Final = 0.05
+"""Slowest rotation of a manoeuvre, rad/s: half a turn in a minute."""
 _MANY_WINDOWS: Final = 12
 """Windows, fewer of which do not give a g-sensitivity: three times the unknowns, one bias and three slopes."""
 
@@ -208,7 +210,9 @@ def turning_windows(evidence: Evidence) -> Mask:
         for w in (s, e):
             inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
             in_windows[w] = _rate_range(means[inside])
-    return np.asarray(in_windows > _ROTATING * float(np.median(in_turns)))
+    # Poses placed one by one have no rotation to compare with: their noise is none either.
+    slowest = _SLOWEST_RAD_S * (1.0 if evidence.per_rate == 1.0 else evidence.dt)
+    return np.asarray(in_windows > _ROTATING * max(float(np.median(in_turns)), slowest))
 
 
 def _rate_range(means: Array) -> float:

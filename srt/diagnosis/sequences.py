@@ -19,7 +19,7 @@ from srt.diagnosis.rotation_readings import (
     turning_windows,
 )
 from srt.diagnosis.stabilised_force import stabilised_force
-from srt.diagnosis.triad_fits import raw_triads
+from srt.diagnosis.triad_fits import gyro_fit, raw_triads
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
@@ -52,6 +52,8 @@ _SIGMAS: Final = 6.0
 _AGREE: Final = 0.5
 """Share of an angular error that may be missing in the accelerometers: an error of the gyros alone, by lost samples or
 asymmetric scale factors, is missing there entirely."""
+_RAW_SCALE: Final = 0.015
+"""Scale-factor error of uncalibrated MEMS gyros, 1 sigma."""
 _NOTHING: Final = 1e-12
 """Specific force, m/s², that any stationary accelerometer exceeds."""
 _SHORT: Final = 0.5
@@ -197,7 +199,9 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     if fixture is None:
         return
     numbers, nominal, _ = rotation_angles(evidence)
-    allowed = _SIGMAS * math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad)
+    # Rotations about too few axes leave the scale factors in their angles.
+    scale = 0.0 if gyro_fit(evidence).rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
+    allowed = _SIGMAS * np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
     left = _end_mismatch(evidence)
     off = off[[left.get(int(k), math.inf) < _AGREE * abs(e) for k, e in zip(numbers[off], excess[off], strict=True)]]

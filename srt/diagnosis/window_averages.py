@@ -126,6 +126,10 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
     floor = np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(evidence.dt)
     typical = np.sqrt(np.median(late, axis=0))
     pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
+    # Corrected pulses show finer steps: what the correction of one axis adds to another.
+    noise = recording.noise
+    pulse = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3) / evidence.dt
+    resolution = np.where(pulses, np.maximum(resolution, pulse), resolution)
     # A running sum of pulses is off by one pulse at most; quantization above the noise, by half a step per sample.
     coarse = np.where(pulses, resolution / size, np.where(typical < resolution, 0.5 * resolution, 0.0))
     return WindowAverages(

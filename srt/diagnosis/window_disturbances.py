@@ -163,6 +163,7 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeS
     data = evidence.data
     assert data is not None
     sigma = block_sigma(averages)
+    spread = _span_spread(averages, sigma)
     tests = len(_SPANS) * int(averages.blocks.sum())
     limit, z = float(chdtri(3.0, FALSE_ALARM / tests)), -float(ndtri(0.5 * FALSE_ALARM / tests))
     noise = _step_noise(averages, accel)
@@ -170,7 +171,9 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeS
     out = {}
     for windows, means in averages.groups:
         rate = means[:, :, GYRO] - np.median(means[:, :, GYRO], axis=1, keepdims=True)
-        power = _turning_power(rate, sigma[windows, None, GYRO], averages.block_doubt[GYRO])
+        power = _turning_power(
+            rate, [factor * sigma[windows, None, GYRO] for factor in spread], averages.block_doubt[GYRO]
+        )
         for i in np.flatnonzero([any((p[i] > limit).any() for p in power) for i in range(len(windows))]).tolist():
             v, count = int(windows[i]), means.shape[1]
             span = _turning_span([p[i] for p in power], limit)
@@ -189,15 +192,33 @@ def _steps(evidence: Evidence, averages: WindowAverages) -> dict[int, _AttitudeS
     return out
 
 
-def _turning_power(rate: Array, sigma: Array, doubt: Array) -> list[Array]:
+def _turning_power(rate: Array, sigma: list[Array], doubt: Array) -> list[Array]:
     """Squared angles over spans of blocks over their variance, for each length of span, shape (g, B - span + 1)."""
-    total = np.concatenate([np.zeros((len(rate), 1, 3)), np.cumsum(rate, axis=1)], axis=1)
     power = []
-    for span in _SPANS:
-        mean = (total[:, span:] - total[:, :-span]) / span
-        beyond = np.maximum(np.abs(mean) - doubt, 0.0) / sigma
+    for span, one in zip(_SPANS, sigma, strict=True):
+        beyond = np.maximum(np.abs(_span_means(rate, span)) - doubt, 0.0) / one
         power.append(span * np.einsum("gbc,gbc->gb", beyond, beyond))
     return power
+
+
+def _span_means(blocks: Array, span: int) -> Array:
+    """Means over consecutive blocks, (g, B, c) to (g, B - span + 1, c)."""
+    total = np.cumsum(np.pad(blocks, ((0, 0), (1, 0), (0, 0))), axis=1)
+    return np.asarray((total[:, span:] - total[:, :-span]) / span)
+
+
+def _span_spread(averages: WindowAverages, sigma: Array) -> Array:
+    """Scatter of gyro means over spans of blocks over that of independent blocks, at least 1, (spans, 3).
+
+    A filter correlates blocks of few samples: their sums scatter more, and their differences less.
+    """
+    spread = np.empty((len(_SPANS), len(sigma), 3))
+    for v, means in averages.groups:
+        rate = means[:, :, GYRO] - np.median(means[:, :, GYRO], axis=1, keepdims=True)
+        for s, span in enumerate(_SPANS):
+            scatter = MAD * np.median(np.abs(_span_means(rate, span)), axis=1)
+            spread[s, v] = scatter * np.sqrt(span) / sigma[v, GYRO]
+    return np.maximum(1.0, np.median(spread, axis=1))
 
 
 def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:

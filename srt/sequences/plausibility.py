@@ -47,6 +47,15 @@ _HELD: Final = 50
 _MOSTLY_NOISY: Final = 0.5
 """Share of repeated extreme readings with noise in another channel of the triad, above which they are clipped."""
 
+_IN_A_ROW: Final = 3
+"""Smallest number of extreme readings in a row that are clipped."""
+
+_LARGEST: Final = 2000
+"""Number of largest readings of a channel, which tell how often they repeat."""
+
+_CHANCE: Final = 1e-5
+"""Probability that the extreme of a channel repeats in a row by chance: 1e-4 for the twelve extremes."""
+
 _PILE: Final = 20
 """Number of readings at an extreme from which they are clipped. In the tail of noise each reading is one step inside
 with at least the same probability, so that twenty of twenty at the extreme have 1e-6."""
@@ -241,10 +250,11 @@ def check_turns(
 def clipping_levels(recording: Recording) -> ClippingLevels:
     """Find the readings at which channels are clipped, from the stated range and from the readings.
 
-    A noisy channel does not repeat its extreme reading. Three equal readings in a row at the extreme, many more
-    readings there than one step inside, or several at the full scale of a converter are clipped, whatever range is
-    stated. Pulses are clipped where several axes or senses hold one extreme. Other coarse, and noise-free readings
-    repeat at any value: clipping is then found by the stated range only.
+    A noisy channel does not repeat its extreme reading. Clipped, whatever range is stated, are three equal readings in
+    a row at the extreme, or more where large readings repeat by chance; many more readings there than one step inside;
+    several at the full scale of a converter with fewer beside them. Pulses are clipped where several axes or senses
+    hold one extreme. Other coarse, and noise-free readings repeat at any value: clipping is then found by the stated
+    range only.
 
     Parameters
     ----------
@@ -297,11 +307,12 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
         if not differences.size or np.mean(differences == 0.0) > _REPEATS:
             continue
         step = float(smallest_step(some[inner, axis][:, None])[0])
-        if step > _NOISY * float(np.median(differences)) / _MEDIAN_OF_DIFFERENCES:
+        noise = float(np.median(differences)) / _MEDIAN_OF_DIFFERENCES
+        if step > _NOISY * noise:
             continue
         for sign, limits in ((-1.0, low), (1.0, high)):
             extreme = float(largest[axis] if sign > 0.0 else -smallest[axis])
-            if extreme > least and _is_limit(sign * channel, extreme, step, triad, axis, smooth):
+            if extreme > least and _is_limit(sign * channel, (extreme, step, noise), triad, axis, smooth):
                 limits[axis] = sign * extreme
     return low, high
 
@@ -324,22 +335,45 @@ def _is_held(at: Mask) -> bool:
     return bool(np.any(edges[1::2] - edges[::2] >= _HELD))
 
 
-def _is_limit(channel: Array, extreme: float, step: float, triad: Array, axis: int, smooth: float) -> bool:
-    """Return True if noisy readings are clipped at their largest value.
+def _is_limit(channel: Array, levels: tuple[float, float, float], triad: Array, axis: int, smooth: float) -> bool:
+    """Return True if noisy readings are clipped at their largest value; ``levels`` are that, their step and noise.
 
     A noise-free rotation at a constant rate also repeats its extreme, but then the other axes are ``smooth`` too.
     """
+    extreme, step, noise = levels
     at = channel == extreme
-    held = np.flatnonzero(at[2:] & at[1:-1] & at[:-2])
+    rows = np.flatnonzero(at)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], at, [False]))))
+    length = edges[1::2] - edges[::2]
+    longest = int(length.max())
+    if longest >= _IN_A_ROW:
+        long = rows[np.repeat(length >= _fewest_in_a_row(channel, extreme), length)]
+        held = long[:-2][long[2:] - long[:-2] == _IN_A_ROW - 1]
+    else:
+        held = rows[:0]
     if held.size:
         roughness = np.abs(triad[held + 2] - 2.0 * triad[held + 1] + triad[held])
         return float(np.mean(np.any(np.delete(roughness, axis, axis=1) > smooth, axis=1))) > _MOSTLY_NOISY
     near = (channel > extreme - 1.5 * step) & (channel < extreme - 0.5 * step)
     # Pulses that were corrected repeat a reading with those of the other axes: such rows count once.
     count, inside = len(np.unique(triad[at], axis=0)), int(near.sum())
+    # Normal noise has many readings in the sigma below its largest; a shake that reaches the limit has few.
+    tail = np.count_nonzero((channel > extreme - noise) & ~at)
     # Two's complement: the negative full scale is one count larger.
     full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
-    return (count >= _PILE and count >= _PILE_RATIO * inside) or (full_scale and count > 1)
+    return (count >= _PILE and count >= _PILE_RATIO * inside) or (full_scale and count > max(1, int(tail)))
+
+
+def _fewest_in_a_row(channel: Array, extreme: float) -> int:
+    """Number of extreme readings in a row that chance does not make, by how often large readings repeat.
+
+    Filtered readings repeat where the sample that enters the filter equals the one that leaves it.
+    """
+    below = channel[:-1] < extreme
+    large = below & (channel[:-1] >= np.partition(channel, -min(len(channel), _LARGEST))[-min(len(channel), _LARGEST)])
+    repeats = np.count_nonzero(channel[1:][large] == channel[:-1][large])
+    rate = (repeats + 1.0) / (np.count_nonzero(large) + 2.0)
+    return max(_IN_A_ROW, 1 + math.ceil(math.log(_CHANCE) / math.log(rate)))
 
 
 def clipped_samples(recording: Recording, part: slice, levels: ClippingLevels | None = None) -> tuple[Clipping, ...]:

@@ -39,6 +39,9 @@ _OUTWARD_BLOCKS: Final = 3
 _FEW: Final = 8
 """Smallest number of samples of a part of a window; shorter parts are dropped."""
 
+_MEDIAN_OF_DIFFERENCES: Final = 0.954
+"""Median absolute difference of two normal values, in sigma of one: 0.6745 √2."""
+
 _CHUNK_S: Final = 0.5
 """Averaging time of the means in which attitude jumps are searched, s."""
 
@@ -77,6 +80,8 @@ def to_the_sample(
         First sample and one past the last; windows do not overlap.
     """
     pieces = np.array([0, *recording.gaps.tolist(), len(recording.time)])
+    # A hand trembles less in a core than elsewhere; the noise of a unit on a fixture is the same everywhere.
+    spread = np.ones(6) if recording.fixture is None else _spread_of_sums(blocks, rest)
     out: list[tuple[int, int]] = []
     for first, last in runs:
         if last - first < 3:
@@ -88,7 +93,7 @@ def to_the_sample(
             max(int(pieces[piece - 1]), int(blocks.first[first]) - reach),
             min(int(pieces[piece]), int(blocks.first[last - 1]) + blocks.size + reach),
         )
-        a, b = _extend(recording, cores, outer, rest.level)
+        a, b = _extend(recording, cores, outer, rest.level, spread)
         if out and a < out[-1][1]:  # both extend into the same blocks: each gets one half
             middle = (a + out[-1][1]) // 2
             out[-1], a = (out[-1][0], middle), middle
@@ -127,18 +132,36 @@ def trimmed(recording: Recording, window: tuple[int, int], floor: Array) -> tupl
     return _extend(recording, ((a, min(b, a + n)), (max(a, b - n), b)), window, floor)
 
 
+def _spread_of_sums(blocks: Blocks, rest: Rest) -> Array:
+    """Variance of the sum of a block at rest over that of independent readings, at least 1, shape (6,).
+
+    Filtered readings are correlated. A core, which is chosen for its small scatter, shows less of it.
+    """
+    together = rest.still[1:] & rest.still[:-1] & (np.diff(blocks.piece) == 0)
+    if not together.any():
+        return np.ones(6)
+    change = np.median(np.abs(np.diff(blocks.mean, axis=0)[together]), axis=0) / _MEDIAN_OF_DIFFERENCES
+    return np.asarray(np.maximum(1.0, blocks.size * change**2 / rest.level))
+
+
 def _extend(
-    recording: Recording, cores: tuple[tuple[int, int], tuple[int, int]], outer: tuple[int, int], variance: Array
+    recording: Recording,
+    cores: tuple[tuple[int, int], tuple[int, int]],
+    outer: tuple[int, int],
+    variance: Array,
+    spread: Array | float = 1.0,
 ) -> tuple[int, int]:
     """Extend the first core backward and the second forward to the last still samples, not beyond ``outer``."""
     factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
     (a, b), (c, d) = cores
     sides = ((slice(a, b), range(a - 1, outer[0] - 1, -1)), (slice(c, d), range(d, outer[1])))
-    before, after = (_still_outward(recording, *side, factor, np.sqrt(variance)) for side in sides)
+    before, after = (_still_outward(recording, *side, factor, np.sqrt(variance), spread) for side in sides)
     return a - before, d + after
 
 
-def _still_outward(recording: Recording, core: slice, outward: range, factor: float, least: Array) -> int:
+def _still_outward(
+    recording: Recording, core: slice, outward: range, factor: float, least: Array, spread: Array | float
+) -> int:
     """Number of samples next to a core that are consistent with it."""
     if len(outward) == 0:
         return 0
@@ -155,6 +178,8 @@ def _still_outward(recording: Recording, core: slice, outward: range, factor: fl
     while n <= min(len(index), max(1, round(_LONGEST_SUM_S / recording.nominal_interval_s))):
         if 4 * n <= len(beside):  # tremor of a hand: sums vary more than those of independent readings
             tremor = np.maximum(tremor, np.mean((within[n:] - within[:-n]) ** 2, axis=0) / n)
+        if n > 1:
+            tremor = np.maximum(tremor, spread)
         # The factor (1 + n/N) is the uncertainty of the core's mean.
         limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)) + n**2 * wander)
         beyond = np.any(np.abs(total[n:] - total[:-n]) > limit, axis=1)

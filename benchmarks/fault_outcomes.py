@@ -1,0 +1,256 @@
+"""Outcome of every kind of fault at three severities in four grades: named, refused, or in silence.
+
+``python benchmarks/fault_outcomes.py --markdown docs/fault-detection.md`` injects each kind into one unit of each grade
+at the stated severity, its half and its quarter (of a factor the root), and compares a calibration that says nothing
+with that of the same unit without the fault. Kinds are the faults of the catalogue, their variants in the forms of
+foreign loggers and operators, and pairs. Times, places, axes, signs and sizes come from ``--seed``. ``--kinds`` and
+``--part`` choose a part of them. The exit code is 1 if a calibration is beyond 3 sigma in silence, of a kind that is
+not on the list of what cannot be seen.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from fault_study import all_injections, severity_at
+
+import srt
+from sims.faults.foreign_operators import PAIRS
+from sims.faults.injection import GRADES, VARIANTS, Case, Injection
+from srt.diagnosis.staged_diagnosis import diagnose
+from srt.exceptions import DataError, InputError
+from srt.recording.atomic_file import atomic_write_text
+from srt.sensor_errors import NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from srt.result.calibration import Calibration
+
+SEVERITIES: Final = 3
+SIGMAS: Final = 3.0
+"""Largest shift in silence, in sigma of the calibration without the fault."""
+OUTCOMES: Final = ("named first", "another cause first", "refused without a cause", "doubtful", "within", "beyond")
+"""Outcomes: the last three name no cause; the calibration is not sound, or its shift is within or beyond the limit."""
+HEADINGS: Final = ("named first", "another first", "refused", "only doubtful", "silent, within 3σ", "silent, beyond 3σ")
+BEGIN, END = "<!-- outcomes -->", "<!-- end of outcomes -->"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Outcome of one injection.
+
+    Attributes
+    ----------
+    kind, grade : str
+    rung : int
+        Number of halvings of the stated severity.
+    severity : float
+    outcome : str
+        One of :data:`OUTCOMES`.
+    named : str
+        First cause named; "" for none.
+    shift : float
+        Largest shift of a parameter, in sigma; 0 where it was not calibrated.
+    parameter : str
+        Parameter of that shift.
+    """
+
+    kind: str
+    grade: str
+    rung: int
+    severity: float
+    outcome: str
+    named: str = ""
+    shift: float = 0.0
+    parameter: str = ""
+
+
+def all_kinds() -> dict[str, Injection]:
+    """Faults of the catalogue, and their variants."""
+    return {**all_injections(), **VARIANTS}
+
+
+class Units:
+    """One unit of each grade and severity, and its calibration without a fault."""
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+        self._cases: dict[tuple[str, int], Case] = {}
+        self._clean: dict[tuple[str, int], Calibration] = {}
+
+    def case(self, grade: str, rung: int) -> Case:
+        key = grade, rung
+        if key not in self._cases:
+            self._cases[key] = Case(grade, self.seed + 10 * GRADES.index(grade) + rung)
+        return self._cases[key]
+
+    def clean(self, grade: str, rung: int) -> Calibration:
+        key = grade, rung
+        if key not in self._clean:
+            self._clean[key] = srt.calibrate(self.case(grade, rung).recording, checks=False)
+        return self._clean[key]
+
+    def shift(self, found: Calibration, grade: str, rung: int) -> tuple[float, str]:
+        """Largest shift of a parameter that both calibrations observe, in sigma, and its name."""
+        clean = self.clean(grade, rung)
+        known = found.observed & clean.observed
+        shifts = np.zeros(len(NAMES))
+        shifts[known] = np.abs(found.errors.vector - clean.errors.vector)[known] / clean.sigma[known]
+        return float(shifts.max()), NAMES[int(shifts.argmax())]
+
+
+def outcome_of(injection: Injection, units: Units, grade: str, rung: int, severity: float) -> Outcome:
+    """Inject a fault and classify what the diagnosis and the calibration say."""
+    stated = injection.fault, grade, rung, severity
+    try:
+        recording = injection.recording(units.case(grade, rung), severity)
+    except InputError as error:
+        return Outcome(*stated, _naming(injection, error.fault), error.fault or "")
+    diagnosis = diagnose(recording, injection.options)
+    first = diagnosis.first
+    if first is None:
+        first = next((f for f in diagnosis.findings if f.fault in injection.causes), None)
+    if first is not None:
+        return Outcome(*stated, _naming(injection, first.fault), first.fault)
+    try:
+        found = srt.calibrate(recording, checks=False, options=injection.options)
+    except (DataError, InputError) as error:
+        return Outcome(*stated, _naming(injection, error.fault), error.fault or "")
+    shift, parameter = units.shift(found, grade, rung)
+    silent = found.judgement.word == "sound"
+    outcome = OUTCOMES[4 if shift <= SIGMAS else 5] if silent else OUTCOMES[3]
+    return Outcome(*stated, outcome, "", shift, parameter)
+
+
+def _naming(injection: Injection, named: str | None) -> str:
+    if named is None:
+        return OUTCOMES[2]
+    return OUTCOMES[0] if named in injection.causes else OUTCOMES[1]
+
+
+def severities(injection: Injection, grade: str) -> Iterator[tuple[int, float]]:
+    """Severity steps; a fault without smaller severities has its stated one in all, with other draws.
+
+    In a grade in which a fault cannot be seen, it has the severity of the first grade in which it can.
+    """
+    stated = injection.severity if grade in injection.severity else dict.fromkeys(GRADES, _any(injection))
+    injected = Injection(injection.fault, injection.apply, stated, injection.unit)
+    last = stated[grade]
+    for rung in range(SEVERITIES):
+        smaller = severity_at(injected, grade, rung)
+        last = last if smaller is None else smaller
+        yield rung, last
+
+
+def _any(injection: Injection) -> float:
+    return next(iter(injection.severity.values()))
+
+
+def outcomes(kinds: Sequence[str], grades: Sequence[str], seed: int) -> Iterator[Outcome]:
+    """Outcomes of kinds in grades at all severities."""
+    units, known = Units(seed), all_kinds()
+    for grade in grades:
+        for kind in kinds:
+            for rung, severity in severities(known[kind], grade):
+                yield outcome_of(known[kind], units, grade, rung, severity)
+
+
+def unseen(kind: str, grade: str) -> bool:
+    """True if the list of what cannot be seen holds the fault in this grade."""
+    return grade in all_kinds()[kind].unseen
+
+
+def page(rows: Sequence[Outcome], seed: int) -> str:
+    """Section of docs/fault-detection.md: table by grade and severity, and every outcome that is not naming."""
+    known = all_kinds()
+    kinds = {row.kind for row in rows}
+    described = [row for row in rows if known[row.kind].causes]
+    right, ours = (sum(row.outcome == OUTCOMES[0] for row in part) for part in (rows, described))
+    variants = len(kinds & set(VARIANTS))
+    lines = [
+        BEGIN,
+        "## Outcomes at three severities",
+        "",
+        f"`python benchmarks/fault_outcomes.py --seed {seed} --markdown docs/fault-detection.md` injects {len(kinds)} "
+        "kinds into one unit of each\ngrade and severity, with times, places, axes and signs from the seed: "
+        f"{len(kinds) - variants} faults of the catalogue and {variants} variants, of "
+        f"which\n{len(PAIRS)} are pairs. The variants were written without knowledge of the checks. Of {len(rows)} injections, {right} were named first;"
+        f"\nof the kinds that the catalogue describes, {ours} of {len(described)}.",
+        "",
+        f"| grade | severity | {' | '.join(HEADINGS)} |",
+        "|---|---|" + "---|" * len(HEADINGS),
+    ]
+    for grade in GRADES:
+        for rung, word in enumerate(("stated", "half", "quarter")):
+            mine = Counter(row.outcome for row in rows if row.grade == grade and row.rung == rung)
+            lines.append(f"| {grade} | {word} | " + " | ".join(str(mine[name]) for name in OUTCOMES) + " |")
+    lines += ["", "Not named first, by kind (grade, number of halvings):", ""]
+    for kind in known:
+        mine = [row for row in rows if row.kind == kind and row.outcome != OUTCOMES[0]]
+        if mine:
+            lines.append(f"- {kind}: {_told(mine)}")
+    return "\n".join([*lines, END])
+
+
+def _told(rows: Iterable[Outcome]) -> str:
+    by_text: dict[str, list[str]] = {}
+    for row in rows:
+        text = row.named if row.outcome == OUTCOMES[1] else row.outcome
+        if row.outcome in OUTCOMES[4:]:
+            text = "silent, beyond 3σ" if row.outcome == OUTCOMES[5] else "silent, within 3σ"
+        where = f"{row.grade} {row.rung}" + (f" ({row.shift:.2g}σ)" if row.outcome == OUTCOMES[5] else "")
+        by_text.setdefault(text, []).append(where + ("*" if unseen(row.kind, row.grade) else ""))
+    return "; ".join(f"{text}: {', '.join(where)}" for text, where in by_text.items())
+
+
+def write_section(path: Path, text: str) -> None:
+    """Replace the section of a page, or append it."""
+    whole = path.read_text(encoding="utf-8")
+    before, _, rest = whole.partition(BEGIN)
+    after = rest.partition(END)[2] if rest else "\n"
+    atomic_write_text(path, before.rstrip("\n") + "\n\n" + text + after)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument("--kinds", nargs="+", default=(), help="default all")
+    parser.add_argument("--grades", nargs="+", default=GRADES, choices=GRADES)
+    parser.add_argument("--part", type=int, default=1, metavar="N", help="every Nth kind (default 1)")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="page of which to write the section")
+    arguments = parser.parse_args()
+    known = all_kinds()
+    wrong = [kind for kind in arguments.kinds if kind not in known]
+    if wrong:
+        parser.error(f"there is no kind {wrong[0]!r}: choose of {', '.join(known)}")
+    kinds = [*(arguments.kinds or known)][:: arguments.part]
+    began, rows = time.process_time(), []
+    for row in outcomes(kinds, arguments.grades, arguments.seed):
+        rows.append(row)
+        if row.outcome != OUTCOMES[0]:
+            shift = f" {row.shift:.3g} sigma {row.parameter}" if row.parameter else ""
+            print(f"{row.kind}, {row.grade}, {row.severity:.4g}: {row.outcome} {row.named}{shift}", flush=True)
+    counts = Counter(row.outcome for row in rows)
+    print(f"{len(kinds)} kinds, {len(rows)} injections, {time.process_time() - began:.0f} s of CPU time")
+    for name in OUTCOMES:
+        print(f"  {name}: {counts[name]} ({100.0 * counts[name] / len(rows):.1f} %)")
+    if arguments.markdown:
+        write_section(arguments.markdown, page(rows, arguments.seed))
+    return int(any(row.outcome == OUTCOMES[5] and not unseen(row.kind, row.grade) for row in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

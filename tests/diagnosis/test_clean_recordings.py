@@ -1,0 +1,58 @@
+"""Sound recordings raise nothing: filtered, corrected and coarse ones that once did, and many draws of one channel."""
+
+import numpy as np
+import pytest
+from clean_recordings import examined
+from scipy.ndimage import uniform_filter1d
+
+from srt.sequences.plausibility import _limits_seen
+
+SEED = 20261124
+LEAST = 0.2
+
+
+def case(seed, number, *, slow=True):
+    return pytest.param(seed, number, marks=[pytest.mark.slow] if slow else [])
+
+
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        case(20261201, 34, slow=False),  # bump: blocks of two filtered samples are correlated
+        case(2026, 638),  # bump: corrected pulses, whose smallest step is the crosstalk of another axis
+        case(2026, 891),
+        case(20261201, 102, slow=False),  # labels shifted: poses without a rotation, and the noise of pulses
+        case(20261201, 132),  # short window: a core chosen for its small scatter, and filtered readings
+        case(20261201, 136, slow=False),
+        case(2026, 40, slow=False),  # noise: corrected pulses without a single pulse in the windows
+        case(2026, 341),  # wrong angle: one rotation, and a gyro scale factor of 1 %
+        case(2026, 299),  # noise of a window: the filter moves the rotation into it
+        case(2026, 948),
+        case(20261201, 397),
+    ],
+)
+def test_recordings_that_raised_a_finding(seed, number):
+    assert examined(number, seed)[1] == []
+
+
+@pytest.mark.parametrize("width", [1, 3])
+def test_extremes_of_filtered_quantized_noise_are_no_limit(width):
+    rng = np.random.default_rng((SEED, width))
+    for _ in range(60):
+        noise = rng.normal(1.0, 0.01, (20_000, 3))
+        readings = uniform_filter1d(np.round(noise / 0.0065) * 0.0065, width, axis=0)
+        low, high = _limits_seen(readings, LEAST)
+        assert np.isinf(low).all()
+        assert np.isinf(high).all()
+
+
+def test_full_scale_by_chance_is_no_limit():
+    """Noise whose largest readings are one count below a power of two; a shake that reaches it is clipped."""
+    rng = np.random.default_rng((SEED, 9))
+    counts = np.round(rng.normal(2000.0, 12.0, (20_000, 3)))
+    counts += 2047 - counts.max(axis=0)
+    counts[[7000, 9000], 0] = 2047
+    assert np.isinf(_limits_seen(counts, 100.0)[1]).all()
+    shaken = counts - 500
+    shaken[[7000, 9000], 0] = 2047
+    np.testing.assert_array_equal(_limits_seen(shaken, 100.0)[1], [2047.0, np.inf, np.inf])
