@@ -143,7 +143,7 @@ def nominal_rate_of_a_chip(case: Case, severity: float, rng: np.random.Generator
 @variant("samples dropped, stamps closed up", 40.0, "samples", "samples_lost")
 def samples_dropped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The bus loses single samples in rotations; stamps are counted, and the last ones are missing at the end."""
-    recording = case.recording
+    recording = case.changed(schedule={"moves": "recorded"}).recording
     keep = np.ones(len(recording.time), dtype=bool)
     for _ in range(round(severity)):
         part = _turning(recording, rng)

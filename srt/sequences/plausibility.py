@@ -325,14 +325,16 @@ def _held_pulses(triad: Array, least: float) -> tuple[Array, Array]:
     triad only if it is clipped there.
     """
     peak = float(np.abs(triad).max())
-    held = np.array([[_is_held(triad[:, axis] == sign * peak) for axis in range(3)] for sign in (-1.0, 1.0)])
+    held = np.array(
+        [[_longest_run(triad[:, axis] == sign * peak) >= _HELD for axis in range(3)] for sign in (-1.0, 1.0)]
+    )
     seen = held & (peak > least) & (held.sum() > 1)
     return np.where(seen[0], -peak, -np.inf), np.where(seen[1], peak, np.inf)
 
 
-def _is_held(at: Mask) -> bool:
+def _longest_run(at: Mask) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate(([False], at, [False]))))
-    return bool(np.any(edges[1::2] - edges[::2] >= _HELD))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _is_limit(channel: Array, levels: tuple[float, float, float], triad: Array, axis: int, smooth: float) -> bool:
@@ -342,18 +344,12 @@ def _is_limit(channel: Array, levels: tuple[float, float, float], triad: Array, 
     """
     extreme, step, noise = levels
     at = channel == extreme
-    rows = np.flatnonzero(at)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], at, [False]))))
-    length = edges[1::2] - edges[::2]
-    longest = int(length.max())
-    if longest >= _IN_A_ROW:
-        long = rows[np.repeat(length >= _fewest_in_a_row(channel, extreme), length)]
-        held = long[:-2][long[2:] - long[:-2] == _IN_A_ROW - 1]
-    else:
-        held = rows[:0]
+    held = np.flatnonzero(at[2:] & at[1:-1] & at[:-2])
     if held.size:
         roughness = np.abs(triad[held + 2] - 2.0 * triad[held + 1] + triad[held])
-        return float(np.mean(np.any(np.delete(roughness, axis, axis=1) > smooth, axis=1))) > _MOSTLY_NOISY
+        noisy = float(np.mean(np.any(np.delete(roughness, axis, axis=1) > smooth, axis=1))) > _MOSTLY_NOISY
+        if not noisy or _longest_run(at) >= _fewest_in_a_row(channel, extreme):
+            return noisy
     near = (channel > extreme - 1.5 * step) & (channel < extreme - 0.5 * step)
     # Pulses that were corrected repeat a reading with those of the other axes: such rows count once.
     count, inside = len(np.unique(triad[at], axis=0)), int(near.sum())

@@ -1,0 +1,69 @@
+"""Outcomes of faults: kinds and their severities, the twin without the fault, and a run of a few kinds."""
+
+import fault_outcomes
+import numpy as np
+import pytest
+from fault_outcomes import OUTCOMES, Outcome, Units, all_kinds, outcome_of, outcomes, page, severities, write_section
+
+from sims.faults.foreign_operators import PAIRS
+from sims.faults.injection import GRADES, INJECTIONS, VARIANTS
+from srt.diagnosis.faults import FAULTS
+
+SEED = 20261400
+
+
+def test_kinds():
+    assert len(all_kinds()) >= 120
+    assert len(VARIANTS) * 3 >= len(all_kinds())
+    assert set(INJECTIONS) <= set(FAULTS)
+    for kind in all_kinds().values():
+        assert set(kind.causes) <= set(FAULTS), kind.fault
+    assert {f"{first} and {second}" for first, second in PAIRS} <= set(VARIANTS)
+
+
+@pytest.mark.parametrize("kind", ["bump", "labels_exchanged", "gyro_lsb", "left_handed", "window_short", "north"])
+def test_severities_do_not_increase(kind):
+    for grade in GRADES:
+        steps = [severity for _, severity in severities(all_kinds()[kind], grade)]
+        assert len(steps) == 3
+        away = [abs(np.log(step)) if kind == "gyro_lsb" else step for step in steps]
+        assert away == sorted(away, reverse=kind != "window_short")
+
+
+def test_outcomes_of_some_kinds():
+    """One fault that is named, one that the calibration finds as an error of the sensors, one with the wrong cause."""
+    units, kinds = Units(SEED), all_kinds()
+    named = outcome_of(kinds["gyro_degrees"], units, "consumer-mems", 0, 1.0)
+    assert (named.outcome, named.named) == (OUTCOMES[0], "gyro_degrees")
+    found = outcome_of(kinds["offset subtracted twice"], units, "consumer-mems", 0, 0.01)
+    assert found.outcome == OUTCOMES[4]
+    assert 0.0 < found.shift < 3.0
+    wrong = outcome_of(kinds["gravity removed"], units, "consumer-mems", 0, 1.0)
+    assert wrong.outcome in OUTCOMES[1:3]
+
+
+@pytest.mark.slow
+def test_a_twentieth_of_the_study():
+    rows = list(outcomes(list(all_kinds())[::20], GRADES, SEED))
+    assert len(rows) == 12 * len(list(all_kinds())[::20])
+    assert not [row for row in rows if row.outcome == OUTCOMES[5] and not fault_outcomes.unseen(row.kind, row.grade)]
+
+
+def test_page(tmp_path):
+    rows = [
+        Outcome("bump", "consumer-mems", 1, 0.5, OUTCOMES[5], "", 4.2, "gyro_scale_x"),
+        Outcome("bump", "consumer-mems", 0, 1.0, OUTCOMES[0], "bump"),
+        Outcome("north", "consumer-mems", 0, 1.0, OUTCOMES[5], "", 9.0, "gyro_bias_x"),
+        Outcome("clock fast", "navigation-rlg", 0, 1.05, OUTCOMES[1], "latitude"),
+    ]
+    path = tmp_path / "page.md"
+    path.write_text("# Page\n\ntext\n", encoding="utf-8")
+    for _ in range(2):
+        write_section(path, page(rows, SEED))
+    text = path.read_text(encoding="utf-8")
+    assert text.count("## Outcomes") == 1
+    assert text.startswith("# Page\n\ntext\n\n<!--")
+    assert "| consumer-mems | stated | 1 | 0 | 0 | 0 | 0 | 1 |" in text
+    assert "- bump: silent, beyond 3σ: consumer-mems 1 (4.2σ)" in text
+    assert "- north: silent, beyond 3σ: consumer-mems 0 (9σ)*" in text
+    assert "- clock fast: latitude: navigation-rlg 0" in text
