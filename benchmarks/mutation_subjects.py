@@ -126,7 +126,8 @@ SUBJECTS = (
             ('"rate": 2.0 * outer', '"rate": 1.0 * outer'),
             ("alone * outer", "0.0 * outer"),
         ),
-        ("np.cumsum(integrated) - 1",),  # numbers only name the unknowns
+        # Numbers only name the unknowns.
+        ("np.cumsum(integrated) - 1", "number = np.where(integrated, np.cumsum(integrated) - 1, -1)"),
     ),
     Subject(
         "noise projected",

@@ -33,6 +33,10 @@ class InputError(SrtError):
     exit_code = 2
 
 
+class NotStatedError(InputError):
+    """A quantity that the input does not state and the user has to."""
+
+
 class DataError(SrtError):
     """Data that are readable but cannot support the requested result (exit code 1)."""
 

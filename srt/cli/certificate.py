@@ -78,7 +78,10 @@ def certificate(
             show(sentence)
         show(f"Written: {page}, {document}")
     if made.failed:
-        say(f"{calibration_file}: the limits of {limits} are not met by {', '.join(made.failed)}.")
+        from srt.sensor_errors import INDEX, SYMBOLS
+
+        names = ", ".join(f"{name} ({SYMBOLS[INDEX[name]]})" for name in made.failed)
+        say(f"{calibration_file}: the limits of {limits} are not met by {names}.")
         return DataError.exit_code
     if made.outcome == DOUBTFUL:
         say(f"{calibration_file}: the limits of {limits} cannot be passed by a doubtful calibration.")

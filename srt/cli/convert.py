@@ -176,7 +176,7 @@ def convert(
         given["applied"] = applied_of(applied, rest["instance"])
     recording, imported, importer = read_log(source, given, format=name, like=like)
     if not force:
-        check_gravity(recording, source)
+        check_gravity(recording, source, rest.get("accel_lsb"))
     # All checks are done: the recording is written.
     write_recording(recording, output, samples_format=samples_format, overwrite=overwrite)
     if not quiet:
@@ -209,13 +209,15 @@ def check_target(folder: Path, source: Path, second: Path | None, samples_format
             raise InputError(f"{path} would be replaced by its own conversion: name another folder than {folder}.")
 
 
-def check_gravity(recording: Recording, source: Path) -> None:
+def check_gravity(recording: Recording, source: Path, accel_lsb: str | None = None) -> None:
     """Refuse accelerometers that do not read gravity: a unit, or the kind of the samples, is wrong.
 
     Parameters
     ----------
     recording : Recording
     source : Path
+    accel_lsb : str, optional
+        Value of a count as stated, which is then the first cause.
 
     Raises
     ------
@@ -236,4 +238,11 @@ def check_gravity(recording: Recording, source: Path) -> None:
             interval_s=recording.nominal_interval_s,
         )
     except DataError as error:
-        raise DataError(f"{source}: {str(error).rstrip('.')}, or add --force.", fault=error.fault) from None
+        reason = f"{str(error).rstrip('.')}, or add --force."
+        if accel_lsb is not None:
+            ratio = force / recording.site.gravity_m_s2
+            reason = (
+                f"With the stated value of a count, {accel_lsb}, the accelerometers read {ratio:.3g} times gravity: "
+                "correct --accel-lsb, or add --force."
+            )
+        raise DataError(f"{source}: {reason}", fault=error.fault) from None

@@ -42,8 +42,8 @@ DRIFT_MODEL_ERROR: Final = 0.11
 form and least squares have its covariance over the windows, filter and graph Markov states. The spectrum of either
 ripples by 5.5 %. Where both estimates are nearly efficient, that is more than the variance of their difference."""
 
-CLEARLY_SMALLER: Final = 0.95
-"""Ratio of variances below which the reference is not the efficient estimate of a parameter."""
+CLEARLY_SMALLER: Final = 0.9
+"""Ratio of variances below which the reference is not the efficient estimate of a parameter: 5 % of a sigma."""
 
 _NAMED: Final = 3
 """Number of parameters that a sentence names; the others are counted."""

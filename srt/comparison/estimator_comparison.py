@@ -326,9 +326,12 @@ def _notes(
             yield f"{name} is doubtful: {calibration.judgement.reason}"
     for name, pair in differences.items():
         if pair.smaller_sigma:
+            reference = calibrations[pair.reference]
+            enlarged = reference.verdict.get("added_noise") or (reference.noise.get("sigma_inflation") or 1.0) > 1.0
+            reason = "has sigmas that its residuals have enlarged" if enlarged else "is not efficient for them"
             yield (
                 f"{name} reports a smaller sigma than {pair.reference} for {listing(pair.smaller_sigma)}: "
-                f"{pair.reference} is not efficient for them, or its residuals have enlarged its sigmas."
+                f"{pair.reference} {reason}."
             )
     usable = [name for name in calibrations if name in differences or name == chosen]
     alone: dict[tuple[str, ...], list[str]] = {}

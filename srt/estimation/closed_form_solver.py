@@ -7,6 +7,7 @@ paper. Leave-one-out solves the formulas that the other sequences support.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -23,6 +24,7 @@ from srt.model import closed_form
 from srt.model.table1 import AXES, SEQUENCES
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 from srt.sequences.checked_preparation import prepare_checked
+from srt.sequences.moves import recorded_moves
 
 if TYPE_CHECKING:
     from srt.estimation.iteration import Solution
@@ -158,6 +160,9 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
     result = solver_result(data, options, solution, fixed, without_sequences, unmodelled, models_drift=False)
+    if not options.ignore_moves:
+        moves = len(recorded_moves(recording, labels))
+        result = replace(result, diagnostics={**result.diagnostics, "unused_moves": moves})
     return build_calibration("closed-form", data, options, result, fixed, warnings=warnings)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, NotStatedError
 from srt.recording.import_options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
 from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site, require_bounded
 from srt.recording.schema import COUNTS, TIME_UNITS
@@ -412,9 +412,10 @@ def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> Non
         if quantity in SENSOR_UNITS:
             allowed = [*SENSOR_UNITS[quantity]["rate"], *SENSOR_UNITS[quantity]["increment"], COUNTS]
         missing.append(quantity)
-        ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}")
+        counts = f" (for them {option(f'{quantity}_lsb')} alone is enough)" if quantity in SENSOR_UNITS else ""
+        ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}{counts}")
     if missing:
-        raise InputError(f"The file does not state the unit of {', '.join(missing)}: give {'; and '.join(ways)}.")
+        raise NotStatedError(f"The file does not state the unit of {', '.join(missing)}: give {'; and '.join(ways)}.")
 
 
 def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str]) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.exceptions import DataError, InputError, did_you_mean
+from srt.exceptions import DataError, InputError, NotStatedError, did_you_mean
 from srt.recording.import_options import ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, in_imu_axes, without_repeats
 from srt.recording.samples import SAMPLES_FORMATS
@@ -207,7 +207,7 @@ def import_file(path: Path, options: ImportOptions | None = None, name: str = AU
     except OSError as error:
         raise InputError(f"Cannot read {path} ({error.strerror or error}): check its permissions.") from None
     except (InputError, DataError) as error:
-        if type(error) not in (InputError, DataError):
+        if type(error) not in (InputError, NotStatedError, DataError):
             raise
         # Errors about arrays do not name their file, and names out of a damaged file may be unprintable.
         text = _printable(str(error))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError, did_you_mean
+from srt.exceptions import InputError, NotStatedError, did_you_mean
 from srt.recording.folder import TOML_NAME, load_recording, read_document, read_metadata, sha256_of
 from srt.recording.import_options import CHANNELS, TRIADS, ImportOptions, parse_columns, parse_lsb, parse_offset
 from srt.recording.imported_samples import StatedUnits, in_imu_axes, samples_in_si, to_recording
@@ -108,7 +108,7 @@ def read(
             return read_log(path, given, format=format, like=like)[0]
         return _from_arrays(source, given, like)
     except InputError as error:
-        if type(error) is not InputError:  # a missing extra names a package, and no keyword
+        if type(error) not in (InputError, NotStatedError):  # a missing extra names a package, and no keyword
             raise
         raise InputError(_as_keywords(str(error)), fault=error.fault) from None
 
@@ -141,7 +141,15 @@ def read_log(
     InputError
     """
     options = import_options(given)
-    about = surroundings(given, like)
+    try:
+        about = surroundings(given, like)
+    except NotStatedError as gravity:
+        # All that is missing is asked for at once.
+        try:
+            import_file(path, options, format)
+        except NotStatedError as units:
+            raise NotStatedError(f"{units} {gravity}") from None
+        raise
     importer, imported = import_file(path, options, format)
     origin = {"source": os.fspath(path), "data_sha256": sha256_of(path)}
     try:
@@ -193,7 +201,7 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
     _state(document, given)
     site = document.get("site", {})
     if isinstance(site, dict) and "gravity_m_s2" not in site and not {"latitude_deg", "height_m"} <= set(site):
-        raise InputError(
+        raise NotStatedError(
             "Gravity is not known: give it with --gravity-m-s2, or --latitude-deg and --height-m for normal gravity, "
             "or name a recording of the same place with --like."
         )

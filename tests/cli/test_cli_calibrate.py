@@ -109,6 +109,9 @@ def test_summary_says_what_to_do(calibration):
     assert "To do: state gyro_noise_deg_per_sqrt_h in [imu] of recording.toml" in head
     assert "'srt inspect unit-7 --deep'" in head
     assert max(map(len, lines)) <= 80
+    moved = replace(calibration, diagnostics={**calibration.diagnostics, "unused_moves": 16})
+    head = " ".join(calibration_summary(moved, title="x").split("\n\n")[0].split())
+    assert "To do: 16 recorded moves are not used by the closed form: '--estimator graph' uses them." in head
     failed = replace(calibration, status="not_converged", message="It is not done.")
     head = calibration_summary(failed, title="x", source="unit-7").split("\n\n")[0]
     assert "Status not converged: It is not done." in head

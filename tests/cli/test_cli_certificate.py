@@ -69,7 +69,7 @@ def test_page_and_pdf_with_everything(lab, tmp_path, capfd):
     warning, failure = err.splitlines()
     assert warning.startswith("srt: warning: ")
     assert "changed significantly: " in warning
-    assert "are not met by gyro_scale_x, gyro_scale_y, gyro_scale_z." in failure
+    assert "are not met by gyro_scale_x (κxx), gyro_scale_y (κyy), gyro_scale_z (κzz)." in failure
     assert "3 of 6 limited parameters failed" in out
     page, document = (tmp_path / "out" / "deep" / f"new-certificate.{suffix}" for suffix in ("html", "pdf"))
     assert {path.name for path in page.parent.iterdir()} == {page.name, document.name}

@@ -118,7 +118,8 @@ def test_like_another_recording(log, tmp_path, capsys):
         ([*SI, "--gravity-m-s2", "-9.81"], ["gravity_m_s2 is -9.81", "9.5 to 10.1"]),
         ([*SI, *SITE, "--latitude-deg", "95"], ["latitude_deg is 95", "-90 to 90"]),
         ([*SI, *SITE, "--alignment-sigma-mrad", "0"], ["alignment_sigma_mrad is 0"]),
-        ([*SITE], ["log.csv", "the unit of gyro, accel", "--gyro-unit", "--accel-unit"]),
+        ([*SITE], ["log.csv", "the unit of gyro, accel", "--gyro-unit", "--accel-unit", "--gyro-lsb alone"]),
+        ([], ["log.csv", "the unit of gyro, accel", "--gyro-unit", "--accel-unit", "Gravity is not known"]),
         ([*SI, *SITE, "--format", "euroq"], ["no format 'euroq' (did you mean euroc?)"]),
         ([*SI, *SITE, "--topic", "/imu"], ["--topic is given, but the format csv"]),
         ([*SI, *SITE, "--gyro-unit", "counts"], ["--gyro-lsb"]),
@@ -147,6 +148,19 @@ def test_a_wrong_unit_shows_in_gravity(log, tmp_path, capsys, arguments, fragmen
     assert convert(log, "-o", tmp_path / "rec", *SI, *SITE, *arguments, "--force") == 0
     factor = STANDARD_GRAVITY_M_S2 if "g" in arguments else 1.0
     np.testing.assert_array_equal(srt.load_recording(tmp_path / "rec").accel, ACCEL * factor)
+
+
+def test_a_wrong_value_of_a_count_is_named(log, tmp_path, capsys):
+    units = ["--gyro-unit", "rad/s", "--time-unit", "s", "--accel-lsb", "0.1"]
+    message = refused(capsys, tmp_path / "rec", log, *units, *SITE, code=1)
+    assert "With the stated value of a count, 0.1, the accelerometers read 0.0997 times gravity" in message
+    assert "correct --accel-lsb, or add --force" in message
+
+
+def test_stamps_in_another_unit_are_told(log, tmp_path, capsys):
+    np.savetxt(log, np.column_stack([1e3 * TIME, GYRO, ACCEL]), header=HEADER, delimiter=",", comments="")
+    assert convert(log, "-o", tmp_path / "rec", *SI, *SITE) == 0
+    assert "a rate of 0.064 Hz, which no IMU has: check --time-unit" in " ".join(capsys.readouterr().out.split())
 
 
 def test_gyros_faster_than_any(log, tmp_path, capsys):

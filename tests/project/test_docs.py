@@ -25,7 +25,8 @@ from test_errata_papers import BIAS_EFFECTS
 
 import sims
 import srt
-from sims.scenarios import plan_file
+from sims.scenarios import plan_file, scenario
+from sims.scenarios.toml_table import LibraryTable
 from srt.cli import main
 from srt.cli.app import app
 from srt.mount.alignment import mount_from_calibration
@@ -243,9 +244,10 @@ def test_the_reference_holds_the_whole_library():
     assert all(f"`{name}`" in reference or f"sims.{name}" in reference for name in tables)
 
 
-def first_column(page, heading):
-    """Code in the first column of the table under a heading."""
-    section = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", TEXTS[page], re.M | re.S)[1]
+def first_column(page, heading, part=""):
+    """Code in the first column of the table under a heading; with ``part``, the first one after that heading."""
+    text = TEXTS[page][TEXTS[page].index(f"\n## {part}\n") if part else 0 :]
+    section = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", text, re.M | re.S)[1]
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("|")]
     return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
 
@@ -273,6 +275,33 @@ PLAN_SECTIONS = {
 @pytest.mark.parametrize("heading", PLAN_SECTIONS)
 def test_the_page_of_files_lists_the_keys_of_a_plan_file(heading):
     assert first_column("docs/reference/files.md", heading) == PLAN_SECTIONS[heading]
+
+
+SCENARIO_TABLES = {
+    "imu": scenario.ImuConfig,
+    "imu.noise": scenario.NoiseConfig,
+    "imu.errors": scenario.ErrorSizes,
+    "fixture": scenario.FixtureConfig,
+    "site": scenario.SiteConfig,
+    "errors": scenario.ErrorsConfig,
+    "schedule": scenario.ScheduleConfig,
+    "free": scenario.FreeConfig,
+    "protocol": scenario.ProtocolConfig,
+    "recording": scenario.RecordingConfig,
+}
+
+
+def test_the_page_of_files_has_all_tables_of_a_scenario():
+    tables = {name for name in scenario.Scenario.model_fields if name not in {"description", "seed"}}
+    assert tables == {name.partition(".")[0] for name in SCENARIO_TABLES}
+
+
+@pytest.mark.parametrize("table", SCENARIO_TABLES)
+def test_the_page_of_files_lists_the_keys_of_a_scenario(table):
+    model = SCENARIO_TABLES[table]
+    keys = {"from" if key == "source" else key for key in model.model_fields}
+    keys |= {"from"} if issubclass(model, LibraryTable) else set()
+    assert first_column("docs/reference/files.md", f"`[{table}]`", "Scenario") == keys
 
 
 # --- equations -----------------------------------------------------------------------------------------------------

@@ -310,7 +310,8 @@ def _require_all(path: Path, names: Sequence[str], width: int, columns: Mapping[
         if not names:
             raise InputError(
                 f"{path} has no column names: list its {width} columns in their order, such as "
-                f"{option('columns')} time,gyro,accel (- for a column that is not read)."
+                f"{option('columns')} time,gyro,accel (- for a column that is not read); or give {option('format')} "
+                "psins or kf-gins for a file of those."
             )
         example = f"{missing[0]}=NAME" if len(missing) < 3 or not arrays else f"{sensor}=NAME"
         raise InputError(

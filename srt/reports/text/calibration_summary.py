@@ -102,6 +102,8 @@ def _advice(calibration: Calibration, source: str) -> Iterator[str]:
         yield f"To do: state {', '.join(estimated)} in [imu] of recording.toml; now the windows at rest give them."
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
+    if moves := calibration.diagnostics.get("unused_moves"):
+        yield f"To do: {moves} recorded moves are not used by the closed form: '--estimator graph' uses them."
 
 
 def _shortened(lines: list[str], most: int) -> list[str]:

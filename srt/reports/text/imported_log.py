@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _FASTEST_RAD_S: Final = 100.0
 """Rate beyond that of any gyro sold (4000 °/s), rad/s: a larger one means a wrong unit."""
+_SAMPLE_RATES_HZ: Final = (5.0, 50e3)
+"""Sample rates of IMUs: stamps that give another one are probably in another unit."""
 
 
 def import_text(recording: Recording, imported: ImportedSamples, importer: Importer, source: Path) -> str:
@@ -57,6 +59,8 @@ def import_text(recording: Recording, imported: ImportedSamples, importer: Impor
     notes = list(imported.notes)
     if rate.max() > _FASTEST_RAD_S:
         notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than IMUs can: check --gyro-unit.")
+    if imported.sample_rate_hz is None and not _SAMPLE_RATES_HZ[0] <= 1.0 / interval <= _SAMPLE_RATES_HZ[1]:
+        notes.append(f"The stamps give a rate of {1.0 / interval:.4g} Hz, which no IMU has: check --time-unit.")
     for note in notes:
         lines += wrap(f"Note: {note}")
     return "\n".join(lines)
