@@ -227,8 +227,8 @@ def write_phyphox(path: Path, stamps: np.ndarray, values: np.ndarray, mark: str 
 
 
 def microstrain_text(stamps: np.ndarray, values: np.ndarray) -> str:
-    """Table of SensorConnect: rad/s and g, with the unit before the names, other columns between."""
-    unit = "inertial:6254.12345"
+    """Table of SensorConnect: rad/s and g, the names as public programs quote them, other columns between."""
+    unit = "inertial-6253.76535"
     names = [
         "Time",
         *(f"{unit}:scaledAccel{a}" for a in "XYZ"),

@@ -31,7 +31,7 @@ def table(names, rows, mark=","):
 def test_microstrain_increments(tmp_path):
     """Delta thetas in rad, delta velocities in g·s; a table that has both holds rates unless increments are wanted."""
     path = tmp_path / "a.csv"
-    unit, rates, steps = "inertial:6254.12345", VALUES.tolist(), (0.005 * VALUES).tolist()
+    unit, rates, steps = "inertial-6253.76535", VALUES.tolist(), (0.005 * VALUES).tolist()
     delta = [f"{unit}:delta{part}{a}" for part in ("Theta", "Vel") for a in "XYZ"]
     rows = [(t, *s[:3], *(v / G for v in s[3:])) for t, s in zip(STAMPS.tolist(), steps, strict=True)]
     path.write_text(table(["Time", *delta], rows))
@@ -74,11 +74,21 @@ def test_microstrain_increments(tmp_path):
             (-936077, -257329, 321199),
             (4481425, 2396829, 329394068),
         ),
+        (
+            "%RAWIMUSA,1815,407772.000;1815,407771.985103333,00000077,63811,-6290,6253,7,-31,14*2d2a4cff",
+            (14, 31, 7),
+            (6253, 6290, 63811),
+        ),
+        (
+            "%RAWIMUSA,1537,361705.645;1537,361705.644826900,00000000,30387,415,-5398,-23039,-18100736,-5117*c01b540c",
+            (-5117, 18100736, -23039),
+            (-5398, -415, 30387),
+        ),
     ],
-    ids=["RAWIMUSA", "RAWIMUSXA", "RAWIMUXA"],
+    ids=["RAWIMUSA", "RAWIMUSXA", "RAWIMUXA", "CNS5000", "SPAN"],
 )
-def test_the_examples_of_the_novatel_manual(tmp_path, line, gyro, accel):
-    """One message each of the OEM7 manual: its CRC holds, and the fields are z, −y, x of the accelerometers first."""
+def test_published_messages_of_novatel_units(tmp_path, line, gyro, accel):
+    """Three of the OEM7 manual, two that public programs quote: CRC, and the order z, −y, x, accelerometers first."""
     path = tmp_path / "a.asc"
     path.write_text(line + "\n")
     assert find_importer(path).name == "novatel"
@@ -220,6 +230,82 @@ def test_xsens_by_its_stamps(tmp_path):
     write(5000)
     with pytest.raises(InputError, match="steps of 5000, but 50 ticks"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "// Start Time: Unknown\n// Update Rate: 100.0Hz\n// Filter Profile: human (46.1)\n"
+        "// Option Flags: AHS Disabled ICC Disabled \n// Firmware Version: 4.3.1\n",
+        "// General information:\n//  MT Manager version: 2022.2.0\n//  XDA version: 2022.2.0 build 7381\n"
+        "// Device information:\n//  DeviceId: 00B4D6D1\n//  ProductCode: MTW2-3A7G6\n//  Firmware Version: 4.6.0\n"
+        "//  Hardware Version: 2.0.0\n// Device settings:\n//  Filter Profile: human(46.1)\n//  Update Rate: 100.0Hz\n"
+        "// Coordinate system: ENU\n",
+    ],
+    ids=["4.3", "2022.2"],
+)
+def test_published_rows_of_an_awinda_unit(tmp_path, head):
+    """Heads that public programs quote, and a row of a public data set: SampleTimeFine is empty there."""
+    path = tmp_path / "MT_0.txt"
+    names = ["SampleTimeFine", *XSENS_NAMES, *(f"Mag_{a}" for a in "XYZ"), *(f"Quat_q{i}" for i in range(4))]
+    row = (
+        "\t8.696773\t0.341363\t4.715198\t0.015417\t0.009366\t-0.011596\t0.886719\t0.420898\t0.468506\t0.651925"
+        "\t-0.318177\t-0.399341\t-0.560611\n"
+    )
+
+    def write(counts):
+        text = "".join(f"{count}\t{row}" for count in counts)
+        path.write_text(head + "\t".join(["PacketCounter", *names]) + "\n" + text)
+
+    write(range(27626, 27630))
+    assert find_importer(path).name == "xsens"
+    imported = read(path)
+    assert (imported.time, imported.sample_rate_hz) == (None, 100.0)
+    assert note(imported, "the column of time is empty")
+    np.testing.assert_array_equal(imported.gyro[0], [0.015417, 0.009366, -0.011596])
+    np.testing.assert_array_equal(imported.accel[0], [8.696773, 0.341363, 4.715198])
+    # Radio loses packets: the counter of 16 bits shows which.
+    write([65534, 65535, 0, 3])
+    imported = read(path)
+    np.testing.assert_allclose(imported.time, [0.0, 0.01, 0.02, 0.05], rtol=1e-15)
+    path.write_text(path.read_text().replace("// Update Rate", "// Rate").replace("//  Update Rate", "// Rate"))
+    with pytest.raises(InputError, match="the column of time is empty"):
+        read(path)
+
+
+def test_published_rows_of_telephone_apps(tmp_path):
+    """Rows of Sensor Logger and phyphox as the pages of public programs show them."""
+    stamps, count = ("1718030736872695300,0.0706953125", "1718030736882695300,0.0806953125"), 2
+    folder = tmp_path / "logger"
+    folder.mkdir()
+    for name, values in (
+        ("Gyroscope", "-0.32157647609710693,0.15512901544570923,0.6729803085327148"),
+        ("TotalAcceleration", "9.851848602294922,1.407876968383789,-0.008374879136681557"),
+    ):
+        rows = "".join(f"{stamp},{values}\n" for stamp in stamps)
+        (folder / f"{name}.csv").write_text("time,seconds_elapsed,z,y,x\n" + rows)
+    assert find_importer(folder).name == "sensor-logger"
+    imported = read(folder)
+    np.testing.assert_array_equal(
+        imported.gyro, [[0.6729803085327148, 0.15512901544570923, -0.32157647609710693]] * count
+    )
+    np.testing.assert_array_equal(
+        imported.accel, [[-0.008374879136681557, 1.407876968383789, 9.851848602294922]] * count
+    )
+    folder = tmp_path / "phyphox"
+    folder.mkdir()
+    rows = (
+        "9.364549000E-3,1.003170490E0,3.543418407E0,7.366958618E0\n"
+        "1.136538300E-2,9.696516991E-1,3.600879431E0,7.357381821E0\n"
+    )
+    for name, quantity, unit in (("Accelerometer", "Acceleration", "m/s^2"), ("Gyroscope", "Gyroscope", "rad/s")):
+        head = ",".join(['"Time (s)"', *(f'"{quantity} {a} ({unit})"' for a in "xyz")])
+        (folder / f"{name}.csv").write_text(f"{head}\n{rows}")
+    assert find_importer(folder).name == "phyphox"
+    imported = read(folder)
+    np.testing.assert_array_equal(imported.accel[0], [1.003170490, 3.543418407, 7.366958618])
+    np.testing.assert_array_equal(imported.gyro, imported.accel)
+    np.testing.assert_array_equal(imported.time, [9.364549e-3, 1.1365383e-2])
 
 
 def test_adis_tables_by_their_names(tmp_path):

@@ -73,14 +73,8 @@ def read_csv_table(
         stated = published.get(kind)
     if options.sample_rate_hz is not None and TIME in found.columns and TIME not in options.columns:
         found = _without_doubtful_time(found, options, stated)
-    if TIME in found.columns and _ROUNDED.fullmatch(layout.cells[found.columns[TIME]].strip()):
-        if options.sample_rate_hz is None:
-            raise InputError(
-                f"{path}: the time stamps were rounded by a spreadsheet ({layout.cells[found.columns[TIME]]}): export "
-                f"the log again, or state the rate with {option('sample_rate_hz')}."
-            )
-        columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
-        found = replace(found, columns=columns, notes=(*found.notes, "The rounded time stamps are not used."))
+    if TIME in found.columns:
+        found = _without_unusable_time(path, layout, found, options.sample_rate_hz or sample_rate_hz)
     table = read_table(path, layout, found.columns, integers=TIME)
     commas = ("Decimal commas were found, and read as points.",) if layout.decimal_comma > options.decimal_comma else ()
     return samples_in_si(
@@ -164,6 +158,23 @@ def _without_doubtful_time(
     columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
     note = f"The time stamps are not used: their unit is not stated, and {option('sample_rate_hz')} is."
     return replace(found, columns=columns, notes=(*found.notes, note))
+
+
+def _without_unusable_time(
+    path: Path, layout: TableLayout, found: ColumnAssignment, rate: float | None
+) -> ColumnAssignment:
+    """Ignore a column of time that a spreadsheet rounded or a program left empty, if a rate is known."""
+    cell = layout.cells[found.columns[TIME]].strip()
+    if not cell:
+        reason = "the column of time is empty"
+    elif _ROUNDED.fullmatch(cell):
+        reason = f"the time stamps were rounded by a spreadsheet ({cell})"
+    else:
+        return found
+    if rate is None:
+        raise InputError(f"{path}: {reason}: export the log again, or state the rate with {option('sample_rate_hz')}.")
+    columns = {channel: i for channel, i in found.columns.items() if channel != TIME}
+    return replace(found, columns=columns, notes=(*found.notes, f"Not used: {reason}."))
 
 
 def _accel_and_gyro(first: Path, second: Path) -> tuple[Path, Path, str]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from srt.recording.recording import Kind
+    from srt.types import Array
 
 _MICROSTRAIN_UNITS: Final[Mapping[Kind, StatedUnits]] = {
     "rate": StatedUnits("rad/s", "g", None),
@@ -33,17 +34,21 @@ _XSENS_UNITS: Final[Mapping[Kind, StatedUnits]] = {"rate": StatedUnits("rad/s", 
 _XSENS_RATE: Final = re.compile(r"//\s*Update Rate:\s*([0-9.]+)\s*Hz")
 _WRAP_S: Final = 2**32 * 1e-4
 """Period of SampleTimeFine, an unsigned integer of 32 bits."""
+_XSENS_COUNTER: Final = "PacketCounter"
+_XSENS_COUNTS: Final = 2**16
+"""Period of the packet counter, an unsigned integer of 16 bits."""
 _RATE_TOLERANCE: Final = 0.1
 """Share by which stamps and stated rate may differ; the next unit of time is a factor of 10 away."""
 
 
 def _read_xsens(path: Path, options: ImportOptions) -> ImportedSamples:
-    """Read an export of MT Manager: rates where it has them, its own stamps, else its update rate."""
+    """Read an export of MT Manager: rates where it has them, its own stamps, else its update rate and counter."""
     stated = _XSENS_RATE.search(head(path).decode("latin-1"))
     rate = float(stated.group(1)) if stated else None
     result = read_csv_table(path, options, _XSENS_UNITS, rate)
     if result.time is None:
-        return result
+        counted = _time_by_packets(path, options, rate)
+        return result if counted is None else replace(result, time=counted, sample_rate_hz=None)
     time = result.time
     if options.time_unit is None:
         time = time + _WRAP_S * np.cumsum(np.diff(time, prepend=time[0]) < -0.5 * _WRAP_S)
@@ -55,6 +60,16 @@ def _read_xsens(path: Path, options: ImportOptions) -> ImportedSamples:
                 f"{option('sample_rate_hz')}."
             )
     return replace(result, time=time)
+
+
+def _time_by_packets(path: Path, options: ImportOptions, rate: float | None) -> Array | None:
+    """Time by packet counter and stated rate, s from the first; None if none is missing or the rate is given."""
+    layout = find_layout(path, options)
+    if rate is None or options.sample_rate_hz is not None or _XSENS_COUNTER not in layout.header:
+        return None
+    counter = read_table(path, layout, {_XSENS_COUNTER: layout.header.index(_XSENS_COUNTER)})[_XSENS_COUNTER]
+    steps = np.diff(counter, prepend=counter[0]) % _XSENS_COUNTS
+    return np.cumsum(steps) / rate if np.any(steps[1:] != 1.0) else None
 
 
 def _read_kf_gins(path: Path, options: ImportOptions) -> ImportedSamples:
