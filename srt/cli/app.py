@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -114,7 +115,8 @@ def app(context: click.Context) -> None:
     Exit codes: 0 success, 1 the data cannot support a result, 2 wrong usage or unreadable input.
     """
     if context.invoked_subcommand is None:
-        click.echo(context.get_help(), err=True)
+        with suppress(OSError):
+            click.echo(context.get_help(), err=True)
         context.exit(2)
 
 
@@ -135,10 +137,23 @@ def run(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="replace")
     completion = os.environ.get("_SRT_COMPLETE")
     if completion:
-        from click.shell_completion import shell_complete
-
-        return shell_complete(app, {}, "srt", "_SRT_COMPLETE", completion)
+        return guarded(lambda: _complete(completion))
     return guarded(lambda: _invoke(arguments))
+
+
+def _complete(instruction: str) -> int:
+    """Answer the shell's request to complete a command line."""
+    from click.shell_completion import shell_complete
+
+    from srt.exceptions import InputError
+
+    try:
+        return shell_complete(app, {}, "srt", "_SRT_COMPLETE", instruction)
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"The completion of command lines lacks what the shell sets ({error}): unset _SRT_COMPLETE, or read the "
+            "page on the command line."
+        ) from None
 
 
 def _invoke(arguments: Sequence[str]) -> int:

@@ -24,6 +24,9 @@ INTERRUPTED: Final = 128 + 2
 BROKEN_PIPE: Final = 128 + 13
 """Exit code after SIGPIPE, as a shell reports it."""
 
+_BLAS_MEMORY_BYTES: Final = 160 << 20
+"""Memory of the linear algebra, bytes: numpy and scipy have an OpenBLAS each, with a buffer of 32 MiB; and imports."""
+
 _NO_DIRECTORY: Final = "The working directory does not exist any more: change to another one."
 
 
@@ -48,7 +51,7 @@ def guarded(work: Callable[[], int]) -> int:
     """
     with _signals(), _without_display():
         try:
-            code = _sentences(work)
+            code = _sentences(lambda: (_reserve_memory(), work())[1])
             if sys.stdout is not None:  # None where a shell closed it
                 sys.stdout.flush()
         except BrokenPipeError:
@@ -61,13 +64,39 @@ def guarded(work: Callable[[], int]) -> int:
         return code
 
 
+def _reserve_memory() -> None:
+    """Let OpenBLAS take its buffers where a limit of memory is set: it waits for ever for those that are refused later.
+
+    Raises
+    ------
+    MemoryError
+        If the limit leaves too little for them.
+    """
+    try:
+        import resource
+    except ModuleNotFoundError:  # no such limits on this system
+        return
+    if all(
+        resource.getrlimit(kind)[0] == resource.RLIM_INFINITY for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS)
+    ):
+        return
+    bytearray(_BLAS_MEMORY_BYTES)
+    import numpy as np
+    import scipy.linalg.blas
+
+    square = np.ones((128, 128))
+    square @ square
+    scipy.linalg.blas.dgemm(1.0, square, square)
+
+
 def _sentences(work: Callable[[], int]) -> int:
     try:
         return work()
     except click.exceptions.Exit as error:
         return error.exit_code
     except (click.Abort, KeyboardInterrupt) as error:
-        click.echo(err=True)  # ends the line on which the terminal shows ^C
+        with suppress(OSError):
+            click.echo(err=True)  # ends the line on which the terminal shows ^C
         return error.exit_code if isinstance(error, TerminatedError) else INTERRUPTED
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx is not None else "srt"

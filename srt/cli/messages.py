@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -32,8 +33,9 @@ def show(text: str = "") -> None:
 
 
 def progress_line(text: str) -> None:
-    """Print a line of progress on standard error."""
-    click.echo(printable(text).replace("\n", " "), err=True)
+    """Print a line of progress on standard error; where it cannot be written, nobody is to be told."""
+    with suppress(OSError):
+        click.echo(printable(text).replace("\n", " "), err=True)
 
 
 def say(sentence: str) -> None:

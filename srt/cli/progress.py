@@ -22,7 +22,7 @@ _LINE_EVERY_S: Final = 30.0
 
 def _console() -> Console | None:
     """Console of the terminal on standard error; None if there is no terminal, or no rich."""
-    if not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty():
         return None
     try:
         from rich.console import Console
@@ -53,7 +53,7 @@ def status_line(first: str) -> Iterator[Callable[[str], None] | None]:
 @contextmanager
 def live_text(*, quiet: bool) -> Iterator[Callable[[str], None] | None]:
     """Yield a function that replaces a text of several lines; None if quiet, without a terminal or without rich."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
         return
     try:

@@ -77,12 +77,14 @@ def write_simulation(simulation: Simulation, folder: Path, *, samples_format: st
     import srt
     from srt.cli.truth import NAME, write_truth
 
-    if overwrite:
-        # Interrupted writing must not leave an old truth beside new samples.
+    srt.write_recording(simulation.recording, folder, samples_format=samples_format, overwrite=overwrite)
+    try:
+        write_truth(simulation.truth_dict(), folder / NAME)
+    except BaseException:
+        # An old truth must not stay beside new samples.
         with suppress(OSError):
             (folder / NAME).unlink(missing_ok=True)
-    srt.write_recording(simulation.recording, folder, samples_format=samples_format, overwrite=overwrite)
-    write_truth(simulation.truth_dict(), folder / NAME)
+        raise
 
 
 def summary(simulation: Simulation, folder: Path, samples_format: str) -> str:

@@ -200,3 +200,21 @@ def test_everything_that_is_shipped_is_listed(capfd):
     assert max(map(len, out.splitlines())) <= 80
     assert main(["list", "plans"]) == 0
     assert capfd.readouterr().out.startswith("Plans\n")
+
+
+@POSIX
+@pytest.mark.parametrize(("left_mib", "code"), [(1000, 0), (20, 2)])
+def test_too_little_memory_for_the_linear_algebra_is_a_sentence(left_mib, code):
+    """OpenBLAS asks for its buffers again and again, for ever, where a limit refuses them."""
+    script = (
+        "import resource, sys, numpy as np, scipy.linalg.blas as blas\n"
+        "from srt.cli.border import guarded\n"
+        "used = int(open('/proc/self/status').read().split('VmData:')[1].split()[0]) << 10\n"
+        f"resource.setrlimit(resource.RLIMIT_DATA, (used + ({left_mib} << 20),) * 2)\n"
+        "sys.exit(guarded(lambda: int(blas.dgemm(1.0, np.eye(200), np.eye(200))[0, 0]) - 1))"
+    )
+    if not os.path.exists("/proc/self/status"):  # noqa: PTH110
+        pytest.skip("the memory of a process is read from /proc")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == code, done.stderr
+    assert (done.stderr == "") if code == 0 else ("There is not enough memory" in done.stderr)

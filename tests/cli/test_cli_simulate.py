@@ -88,17 +88,20 @@ def test_files_are_not_written_over_unless_asked(scenario, tmp_path, capfd):
     assert (folder / "truth.json").exists()
 
 
-def test_a_failure_on_overwriting_leaves_no_old_truth(scenario, tmp_path, capfd, monkeypatch):
+@pytest.mark.parametrize(("writer", "kept"), [("srt.write_recording", True), ("srt.cli.truth.write_truth", False)])
+def test_a_failure_on_overwriting_keeps_the_old_pair_or_leaves_no_old_truth(
+    scenario, tmp_path, capfd, monkeypatch, writer, kept
+):
     folder = tmp_path / "out"
     assert main(["simulate", str(scenario), "-o", str(folder), "-q"]) == 0
 
     def fail(*args, **options):
         raise srt.InputError("The disk is full.")
 
-    monkeypatch.setattr(srt, "write_recording", fail)
+    monkeypatch.setattr(writer, fail)
     assert main(["simulate", str(scenario), "-o", str(folder), "--overwrite"]) == 2
     assert capfd.readouterr().err == "srt: The disk is full.\n"
-    assert not (folder / "truth.json").exists()
+    assert (folder / "truth.json").exists() == kept
 
 
 @pytest.mark.parametrize("place", ["file", "file/below"])

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import builtins
 import errno
-import io
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from failing_calls import FailingCalls
 
 from srt.exceptions import InputError
 from srt.recording.folder import load_recording
@@ -29,62 +27,6 @@ ZIP_LEFT_OPEN = (
 def recording(n):
     rng = np.random.default_rng(n)
     return Recording(0.01 * np.arange(1, n + 1), rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), Site(9.8))
-
-
-class FailingCalls:
-    """Layer over the calls that change files: the call of the given number fails, as on a full disk."""
-
-    OS_CALLS = ("fsync", "replace", "rename", "unlink", "link")
-
-    def __init__(self, monkeypatch, folder, failing):
-        self.folder, self.failing, self.calls = folder, failing, []
-        for name in self.OS_CALLS:
-            monkeypatch.setattr(os, name, self.wrapped(name, getattr(os, name)))
-        for module in (builtins, io):
-            monkeypatch.setattr(module, "open", self.opened(module.open))
-
-    def count(self, name):
-        self.calls.append(name)
-        if len(self.calls) - 1 == self.failing:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    def wrapped(self, name, call):
-        def layer(*args, **kwargs):
-            self.count(name)
-            return call(*args, **kwargs)
-
-        return layer
-
-    def opened(self, call):
-        def layer(file, mode="r", *args, **kwargs):
-            inside = isinstance(file, str | os.PathLike) and Path(file).is_relative_to(self.folder)
-            if not inside or mode in ("r", "rb"):
-                return call(file, mode, *args, **kwargs)
-            self.count("open")
-            stream = call(file, mode, *args, **kwargs)
-            return Writing(stream, self) if "w" in mode else stream
-
-        return layer
-
-
-class Writing:
-    """Open file whose writes are counted."""
-
-    def __init__(self, stream, calls):
-        self.stream, self.calls = stream, calls
-
-    def write(self, data):
-        self.calls.count("write")
-        return self.stream.write(data)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *args):
-        self.stream.close()
-
-    def __getattr__(self, name):
-        return getattr(self.stream, name)
 
 
 def folder_with_old(path, samples_format):
