@@ -51,7 +51,7 @@ def guarded(work: Callable[[], int]) -> int:
     """
     with _signals(), _without_display():
         try:
-            code = _sentences(lambda: (_reserve_memory(), work())[1])
+            code = _sentences(work)
             if sys.stdout is not None:  # None where a shell closed it
                 sys.stdout.flush()
         except BrokenPipeError:
@@ -91,6 +91,7 @@ def _reserve_memory() -> None:
 
 def _sentences(work: Callable[[], int]) -> int:
     try:
+        _reserve_memory()
         return work()
     except click.exceptions.Exit as error:
         return error.exit_code

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
@@ -148,13 +149,20 @@ def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: in
         parallel = Parallel(
             n_jobs=workers, return_as="generator_unordered", batch_size=1, pre_dispatch=_AHEAD * workers
         )
+        results = parallel(delayed(_of_parent)(os.getpid(), call, task) for task in tasks)
         try:
-            yield from parallel(delayed(_of_parent)(os.getpid(), call, task) for task in tasks)
+            for result in results:  # noqa: UP028 - "yield from" would close it outside the filter below
+                yield result
         except TerminatedWorkerError:
             raise DataError(
                 "A worker process was ended from outside or ran out of memory: what finished before is kept; "
                 "run the same again to go on, with fewer workers."
             ) from None
+        finally:
+            # Who stops before the last result, as on a full disk, says why; joblib adds advice on the input.
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", r"\d+ tasks which were still being processed", UserWarning)
+                results.close()
 
 
 def _on_cluster(call: Callable[[Any], R], tasks: Iterable[Any], address: str) -> Iterator[R]:

@@ -464,6 +464,14 @@ def test_workers_end_with_their_parent(tmp_path):
         time.sleep(0.05)
 
 
+def test_a_run_that_is_given_up_needs_no_advice_of_joblib(recwarn):
+    """As on a full disk, which its own sentence explains."""
+    results = Engine(2).run(abs, range(1000))
+    next(results)
+    results.close()
+    assert [str(each.message) for each in recwarn] == []
+
+
 def _runs(process):
     """A process that has not ended; zombies that wait for init to collect them have."""
     try:
