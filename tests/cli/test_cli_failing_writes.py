@@ -31,8 +31,8 @@ PLAN = """
 imu = { from = "tactical-fog" }
 fixture = { from = "lab-1mrad" }
 site = { from = "latitude-45" }
-targets = { gyro_scale_ppm = 100.0, accel_scale_ppm = 200.0, accel_bias_ug = 200.0 }
-plan = { most_legs = 2, largest_turn_deg = 360, most_sequences = 12, total_time_s = 200.0 }
+targets = { accel_bias_ug = 2000.0 }
+plan = { most_legs = 1, largest_turn_deg = 180, most_sequences = 6, total_time_s = 120.0 }
 recording = { sample_rate_hz = 50.0 }
 """
 CAMPAIGN = """
