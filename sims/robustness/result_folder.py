@@ -43,6 +43,8 @@ _FORMAT: Final = "srt-robustness"
 _VERSION: Final = 2
 _ROWS: Final = 1000
 """Number of rows of a part: about a megabyte, written after some seconds of work."""
+_ROW_GROUP: Final = 100_000
+"""Number of rows that are encoded at a time, in 100 MB."""
 _ORDER: Final = [("replicate", "ascending"), ("point", "ascending"), ("estimator", "ascending")]
 
 
@@ -162,8 +164,19 @@ class ResultFolder:
         """
         tables = [self._read(path) for path in self._parts()]
         tables.append(pa.Table.from_pylist(self._rows, schema=self.schema))
-        table = pa.concat_tables(tables)
-        return table.filter(pc.less(table["replicate"], self.campaign.trials)).sort_by(_ORDER)
+        columns = pa.concat_tables(tables).columns
+        tables.clear()
+        keys = pa.table(
+            [columns[self.schema.get_field_index(name)] for name, _ in _ORDER], [name for name, _ in _ORDER]
+        )
+        order = pc.sort_indices(keys, sort_keys=_ORDER)
+        order = order.filter(pc.less(keys["replicate"].take(order), self.campaign.trials))
+        del keys
+        # One column after the other, each in the place of the unsorted one: a second table takes as much memory again.
+        for number, column in enumerate(columns):
+            columns[number] = column.combine_chunks().take(order)
+            del column
+        return pa.Table.from_arrays(columns, schema=self.schema)
 
     def finish(self) -> pa.Table:
         """Write all rows to results.parquet, and return them."""
@@ -260,7 +273,7 @@ def _key(row: Row) -> tuple[int, int]:
 
 def _write(table: pa.Table, path: Path) -> None:
     with atomic_path(path) as temporary:
-        parquet.write_table(table, temporary, write_page_checksum=True)
+        parquet.write_table(table, temporary, row_group_size=_ROW_GROUP, write_page_checksum=True)
 
 
 def _locked(folder: Path) -> Any:

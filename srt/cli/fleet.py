@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -65,7 +64,6 @@ def run_fleet(
         Workers that cannot start, or tables that cannot be written.
     """
     from srt.comparison.fleet import calibrate_fleet
-    from srt.recording.atomic_file import atomic_write_text
 
     if output is not None:
         make_directory(output)
@@ -88,8 +86,7 @@ def run_fleet(
         )
     if output is not None:
         fleet.save_csv(output / "fleet.csv")
-        document = json.dumps(fleet.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-        atomic_write_text(output / "fleet.json", document + "\n")
+        fleet.save_json(output / "fleet.json")
     if not quiet:
         from srt.reports.text.fleet import fleet_text
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -160,6 +161,12 @@ class Fleet:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows({key: _cell(value) for key, value in row.items()} for row in self.rows())
+
+    def save_json(self, path: str | PathLike[str]) -> None:
+        """Write :meth:`to_dict` as JSON piece by piece, completely or not at all. Raises InputError if it cannot be."""
+        with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+            json.dump(self.to_dict(), file, indent=1, ensure_ascii=False, allow_nan=False)
+            file.write("\n")
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form: units, parameters and the long table, without NaN."""

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -65,7 +66,7 @@ _CHUNK: Final = 2_000_000
 """Numbers in one work array, 16 MB."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class FleetOutliers:
     """Outlier statistics of all units; NaN where unknown or not tested.
 
@@ -89,9 +90,9 @@ class FleetOutliers:
     others_scatter: Array
     z: Array
 
-    @property
+    @cached_property
     def flagged(self) -> Mask:
-        """Mask of the outlying values, shape (n, 27)."""
+        """Mask of the outlying values, shape (n, 27); each unit asks for it."""
         size = np.where(np.isnan(self.z), 0.0, np.abs(self.z))
         out: Mask = size > np.where(np.isnan(self.limit), np.inf, self.limit)
         return out
