@@ -1,7 +1,8 @@
 """Damaged and hostile input to every reader and to recording.toml: nothing but a recording or a clear error.
 
 ``python benchmarks/fuzz.py`` gives 100,000 inputs, shared out evenly; ``--count N`` as many in all, ``--only NAME ...``
-some readers, ``--one NAME:INDEX`` a single input again, with its error in full (``--keep`` leaves its files).
+some readers, ``--first N`` other inputs, ``--one NAME:INDEX`` a single input again, with its error in full (``--keep``
+leaves its files).
 
 Each input is a valid file, made by its format's own library, and damaged: bits turned, bytes cut off, moved, doubled,
 numbers in it replaced by hostile ones. What is checked of every one:
@@ -255,14 +256,14 @@ def worker(name: str, start: int, stop: int, memory_mib: int, scratch: Path) -> 
     print(f"done {outcomes['read']} {outcomes['refused']} {grown}", flush=True)
 
 
-def supervise(name: str, count: int, memory_mib: int) -> tuple[int, int, list[str], int]:
-    """Run the inputs of a reader in own processes; counts of read and refused, failures, peak growth in MiB."""
+def supervise(name: str, first: int, count: int, memory_mib: int) -> tuple[int, int, list[str], int]:
+    """Run inputs of a reader in own processes; counts of read and refused, failures, peak growth in MiB."""
     failures: list[str] = []
-    taken, refused, grown, start = 0, 0, 0, 0
+    taken, refused, grown, start, stop = 0, 0, 0, first, first + count
     with TemporaryDirectory(prefix="fuzz-") as scratch:
         mark = Path(scratch) / "progress"
-        while start < count:
-            command = [sys.executable, __file__, "--worker", name, str(start), str(count), scratch]
+        while start < stop:
+            command = [sys.executable, __file__, "--worker", name, str(start), str(stop), scratch]
             environment = os.environ | {"TMPDIR": scratch}
             done = subprocess.run(
                 [*command, "--memory", str(memory_mib)], capture_output=True, text=True, env=environment, check=False
@@ -312,6 +313,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [*READERS, *RECORDINGS]
     parser.add_argument("--count", type=int, default=TOTAL, help="inputs in all")
+    parser.add_argument("--first", type=int, default=0, help="number of each reader's first input, for a fresh sample")
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="NAME", help=", ".join(names))
     parser.add_argument("--memory", type=int, default=512, help="MiB beyond those at the start (default 512)")
     parser.add_argument("--one", metavar="NAME:INDEX", help="one input again")
@@ -330,7 +332,7 @@ def main() -> int:
     shares[: arguments.count % len(arguments.only)] += 1
     sums, failures = np.zeros(4, dtype=int), []
     for name, share in zip(arguments.only, shares.tolist(), strict=True):
-        taken, refused, wrong, grown = supervise(name, share, arguments.memory)
+        taken, refused, wrong, grown = supervise(name, arguments.first, share, arguments.memory)
         row = (share, taken, refused, len(wrong))
         sums += row
         failures += wrong
