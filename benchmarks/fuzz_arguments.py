@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import importlib
 import io
 import os
 import shutil
@@ -91,8 +92,12 @@ ENVIRONMENT = {
     "COMP_CWORD": ("1", "abc"),
 }
 """Variables with their values; None: absent. Each changes in one run of twenty."""
-STREAMED = ("apply", "watch")
 INTERRUPTED, BROKEN_PIPE = 130, 141
+MODULES = (
+    "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg", "scipy.stats",
+    "matplotlib.backends.backend_pdf", "fpdf", "pandas", "pydantic", "joblib", "scipy.optimize",
+)  # fmt: skip
+"""Imported first: an interrupted import would spoil the later runs of this process."""
 
 
 class FullFile(io.RawIOBase):
@@ -109,7 +114,9 @@ class FullFile(io.RawIOBase):
 
 
 def laboratory(folder: Path) -> None:
-    """Make a recording, its calibration, and what else the commands take."""
+    """Make a recording, its calibration, and what else the commands take; import what is large."""
+    for name in MODULES:
+        importlib.import_module(name)
     (folder / "unit.toml").write_text(SCENARIO)
     assert srt_main(["simulate", str(folder / "unit.toml"), "-o", str(folder / "unit"), "-q"]) == 0
     assert srt_main(["calibrate", str(folder / "unit"), "-o", str(folder / "unit.json"), "-q"]) == 0
