@@ -155,12 +155,18 @@ def _status(
         )
     explained = robust or not evidence or (free and not is_misfit(result.chi_square, result.degrees_of_freedom))
     statistic, freedom = result.sensor_noise_fit
-    if freedom > 0 and statistic > LARGEST_RATIO**2 * freedom and is_misfit(statistic, freedom) and not explained:
+    ratio, grown = np.sqrt(statistic / max(freedom, 1)), evidence.get("sigma_factor", [1.0, 1.0])[1]
+    if is_misfit(statistic, freedom) and max(ratio, grown) > LARGEST_RATIO and not explained:
+        # The noise of the rotations can be exceeded by far where that of the windows, in most residuals, is not.
+        size = (
+            f"The residuals are {ratio:.2g} times as large as the sensors' own noise explains"
+            if ratio > LARGEST_RATIO
+            else f"The noise that the residuals show makes sigmas {grown:.2g} times those of the sensors' own noise"
+        )
         return "inconsistent", (
-            f"The residuals are {np.sqrt(statistic / freedom):.2g} times as large as the sensors' own noise explains "
-            f"(chi-square {statistic:.4g} for {freedom} degrees of freedom): a wrong label, motion in windows, a wrong "
-            f"minimum, {'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or a unit "
-            f"that the sensor model does not describe."
+            f"{size} (chi-square {statistic:.4g} for {freedom} degrees of freedom): a wrong label, motion in windows, "
+            f"a wrong minimum, {'a parameter fixed at a wrong value, ' if fixed else ''}noise stated far too small, or "
+            "a unit that the sensor model does not describe."
         )
     if fixed:
         return "partial", f"{result.message} Fixed, not observed: {', '.join(fixed)}."
