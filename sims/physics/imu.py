@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -280,18 +281,18 @@ def drift(floor: float, motion: TrueMotion, rng: np.random.Generator) -> Array:
     spacing = math.log(CORRELATION_TIMES_S[1] / CORRELATION_TIMES_S[0])
     sigma = floor / ALLAN_FLOOR * math.sqrt(spacing / math.pi)
     total = np.zeros((len(motion.time), 3))
-    pieces = np.split(np.arange(len(motion.time)), motion.piece_starts[1:])
+    edges = [*motion.piece_starts.tolist(), len(motion.time)]
     for tau in CORRELATION_TIMES_S:
         keep = math.exp(-motion.interval / tau)
         fresh = sigma * math.sqrt(-math.expm1(-2.0 * motion.interval / tau))
         last, last_time = np.zeros(3), -math.inf
-        for piece in pieces:
-            age = motion.time[piece[0]] - last_time
+        for first, end in pairwise(edges):
+            age = motion.time[first] - last_time
             begin = math.exp(-age / tau) * last
             begin = begin + sigma * math.sqrt(-math.expm1(-2.0 * age / tau)) * rng.standard_normal(3)
-            shocks = fresh * rng.standard_normal((len(piece), 3))
+            shocks = fresh * rng.standard_normal((end - first, 3))
             shocks[0] = begin
             values = lfilter([1.0], [1.0, -keep], shocks, axis=0)
-            total[piece] += values
-            last, last_time = values[-1], motion.time[piece[-1]]
+            total[first:end] += values
+            last, last_time = values[-1], motion.time[end - 1]
     return total
