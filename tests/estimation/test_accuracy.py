@@ -53,7 +53,7 @@ def test_noise_free_on_a_perfect_fixture_is_exact(case, count):
     assert worst(trials) < 1e-8
 
 
-@sized(5, 200)
+@sized(2, 200)
 def test_one_milliradian_fixture(count):
     """Levelling, north, mounting and every rotation off by 1 mrad: the bar is 2e-6 in every draw."""
     trials = accuracy_trials.run(accuracy_trials.fixture_trial, range(count))
@@ -63,7 +63,7 @@ def test_one_milliradian_fixture(count):
 
 def test_remainder_is_earth_rate_times_alignment():
     """The remainder scales with the alignment error, and vanishes with the Earth's rate."""
-    seeds = range(3)
+    seeds = range(2)
     one, three = (accuracy_trials.run(partial(accuracy_trials.fixture_trial, sigma_rad=s), seeds) for s in (1e-3, 3e-3))
     still = accuracy_trials.run(partial(accuracy_trials.fixture_trial, earth_rate=False), seeds)
     ratio = np.linalg.norm([t.error[ERRORS] for t in three]) / np.linalg.norm([t.error[ERRORS] for t in one])
@@ -73,11 +73,11 @@ def test_remainder_is_earth_rate_times_alignment():
 
 
 def test_ten_milliradian_fixture_leaves_accelerometer_scale_alone():
-    trials = accuracy_trials.run(partial(accuracy_trials.fixture_trial, sigma_rad=1e-2), range(4))
+    trials = accuracy_trials.run(partial(accuracy_trials.fixture_trial, sigma_rad=1e-2), range(2))
     assert worst(trials, GROUP_SLICES["accel_scale"]) < 1e-6
 
 
-@sized(5, 200)
+@sized(2, 200)
 def test_half_turns_off_by_thirty_degrees(count):
     """150° to 210° in place of 180°: the recorded rotation counts, not the nominal one."""
     trials = accuracy_trials.run(partial(accuracy_trials.fixture_trial, stretch_rad=np.radians(30.0)), range(count))
@@ -85,7 +85,7 @@ def test_half_turns_off_by_thirty_degrees(count):
     assert worst(trials) < 2e-6
 
 
-@sized(5, 1000)
+@sized(3, 1000)
 def test_large_errors_converge_to_the_right_fixed_point(count):
     """±50 % scale, ±0.3 rad, ±1 % asymmetry, ±1 °/s, ±1 m/s², fixture 5 mrad: all within 6 iterations."""
     trials = accuracy_trials.run(accuracy_trials.large_trial, range(count))
@@ -101,7 +101,7 @@ def variance_band(n):
     return chi2.ppf(tail, n) / n, chi2.isf(tail, n) / n
 
 
-@sized(15, 300)
+@sized(8, 300)
 @pytest.mark.parametrize("grade", list(accuracy_trials.GRADES))
 def test_sigmas_are_true(grade, count):
     """Random walks, quantization, constant bias, 1 mrad fixture: error over sigma has unit variance, each parameter."""
@@ -116,7 +116,7 @@ def test_sigmas_are_true(grade, count):
     assert abs(nees.mean() - 1.0) < 3.5 * np.sqrt(2.0 / 27.0 / count)
 
 
-@sized(12, 300)
+@sized(6, 300)
 def test_sigmas_are_true_when_the_noise_is_estimated(count):
     """Noise not stated: a navigation unit whose pulses hide its random walk ten times over."""
     trials = accuracy_trials.run(
@@ -134,7 +134,7 @@ def test_large_asymmetry_does_not_rectify_pulses():
 
     Pulses in |ω| of a resting channel would add asymmetry · √(2/π) · noise: 2e-5 rad over a turn, 10 sigma.
     """
-    nees, count = [], 5
+    nees, count = [], 3
     for seed in range(count):
         rng = np.random.default_rng(seed)
         truth = accuracy_trials.normal_errors(rng, 0.05, 1e-3)
@@ -144,7 +144,7 @@ def test_large_asymmetry_does_not_rectify_pulses():
     assert abs(np.mean(nees) - 1.0) < 3.5 * np.sqrt(2.0 / 27.0 / count)
 
 
-@sized(6, 300)
+@sized(4, 300)
 def test_free_recordings_are_consistent(count):
     """Hand-turned MEMS, no fixture, no labels, noise estimated: NEES of all 27 parameters."""
     trials = accuracy_trials.run(accuracy_trials.free_trial, range(3000, 3000 + count))

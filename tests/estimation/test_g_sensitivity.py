@@ -194,13 +194,14 @@ def test_fixture_errors_leave_a_part_of_the_earth_rate():
 # --- with noise ---------------------------------------------------------------------------------------------------
 
 
-def test_units_are_within_their_sigmas():
+@pytest.mark.parametrize("n", [25, pytest.param(60, marks=pytest.mark.slow)])
+def test_units_are_within_their_sigmas(n):
     """MEMS units of 0.5 °/s and 30 °/h/g, each with errors, Γ and noise of its own, on one 1 mrad fixture.
 
     A standard deviation from n draws has a standard error of 1 / √(2n), a mean of chi-squares with 9 degrees of freedom
     over 9 one of √(2 / 9n). Neither gravity nor north is drawn, which count for nothing beside this noise.
     """
-    n, motion = 60, motion_of(fixture=1e-3)
+    motion = motion_of(fixture=1e-3)
     rng = np.random.default_rng(2024)
     errors, variances, nees = [], np.zeros(27), 0.0
     for _ in range(n):

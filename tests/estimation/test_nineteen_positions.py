@@ -22,7 +22,7 @@ def test_noise_free():
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("units", [pytest.param(4, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("units", [pytest.param(2, id="small"), pytest.param(100, id="full", marks=pytest.mark.slow)])
 def test_errors_reach_the_bound(case, units):
     """The rms of a group over the units is that of the bound within 3.5 standard errors."""
     errors, seconds = study(case, ["least-squares"], units)["least-squares"]

@@ -190,7 +190,7 @@ def make(motions, variant, size, noise=NOISE, off=True):
     return Case(joint, state, system, prior, errors)
 
 
-QUICK = {"all": ("zero", "tiny", "large"), "free": ("zero", "tiny", "large"), "drift": ("zero", "large")}
+QUICK = {"all": ("zero", "large"), "free": ("zero", "large")}
 """Sizes of the errors in the quick tests; of the other variants the large ones, where every term counts."""
 CASES = [
     pytest.param(v, s, id=f"{v}-{s}", marks=[pytest.mark.slow] * (s not in QUICK.get(v, ("large",))))

@@ -50,7 +50,7 @@ def rounding(found):
     return EPS / (found.sigma / IN_G)[:24].min()
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_full_model_with_navigation_noise(seed):
     """Fixture, gravity and attitudes estimated; the filter has its weak default prior, a third of full scale."""
     make = navigation_problem(seed)

@@ -157,7 +157,9 @@ def test_priors_have_the_means_and_sigmas_stated(motions):
         np.testing.assert_allclose(np.abs(whitening[kind][0]), np.eye(len(whitening[kind][0])) / sigma, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("variant", "size"), [("all", "zero"), ("all", "large"), ("free", "large")])
+@pytest.mark.parametrize(
+    ("variant", "size"), [pytest.param("all", "zero", marks=pytest.mark.slow), ("all", "large"), ("free", "large")]
+)
 def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
     """A reading of the angle at a window's edge that is off: the sample before has it more, the one after has it less.
 
@@ -199,7 +201,9 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
                 assert kind == "force" or np.abs(J).max() > 20.0 * tolerance
 
 
-@pytest.mark.parametrize(("variant", "size"), [("drift", "zero"), ("drift", "large")])
+@pytest.mark.parametrize(
+    ("variant", "size"), [pytest.param("drift", "zero", marks=pytest.mark.slow), ("drift", "large")]
+)
 def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monkeypatch):
     """Steps of the bias from window to part of a turn to window, of every draw, in the samples: the same covariance.
 

@@ -24,7 +24,7 @@ from srt.planning.planner import make_plan, table_1_plan
 from srt.planning.prediction import predict
 from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 
-QUICK = PlanLimits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=3, most_sequences=16)
+QUICK = PlanLimits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=16)
 FEW = PlanLimits(shortest_window_s=2.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=14)
 ONE = replace(FEW, most_sequences=4)
 """Limits of a fixture with one axis, which shows four parameters."""
@@ -171,7 +171,7 @@ def nees_of_units(file, plan, estimator, units, first):
 
 def test_simulated_units_have_the_predicted_accuracy(white):
     file, plan = white
-    units = 10
+    units = 5
     mean = nees_of_units(file, plan, "least-squares", units, 100)
     # 27 degrees of freedom, 3.5 standard errors; sigmas are predicted to 3 %, squares to 6 %.
     assert abs(mean / 27.0 - 1.0) < 3.5 * math.sqrt(2.0 / 27.0 / units) + 0.06

@@ -35,13 +35,13 @@ def assert_recognised(test):
             assert overlap > 0.5 * (given_[1] - given_[0])
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_any_order_with_repeats_moves_and_joins_of_units_off_by_30_percent(seed):
     assert_recognised(recognition_trials.hard_test(seed))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(5, 16), *range(1000, 1300)])
+@pytest.mark.parametrize("seed", [*range(3, 16), *range(1000, 1300)])
 def test_many_orders_with_repeats_moves_and_joins(seed):
     assert_recognised(recognition_trials.hard_test(seed))
 

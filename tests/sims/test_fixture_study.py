@@ -5,7 +5,13 @@ import pytest
 from fixture_study import EFFICIENT, ESTIMATORS, Cell, CellResult, UnitResult, study
 
 
-@pytest.mark.parametrize("cell", [Cell("navigation", 3.0, 0.05, "skipped"), Cell("tactical", 1.0, 1.0, "recorded")])
+@pytest.mark.parametrize(
+    "cell",
+    [
+        Cell("navigation", 3.0, 0.05, "skipped"),
+        pytest.param(Cell("tactical", 1.0, 1.0, "recorded"), marks=pytest.mark.slow),
+    ],
+)
 def test_the_limits_of_a_cell_are_met(cell):
     pytest.importorskip("gtsam")
     (result,) = study([cell], 6, 4000, 1)

@@ -132,7 +132,12 @@ class Page(HTMLParser):
         self.text += data
 
 
-@pytest.mark.parametrize("case", CASES)
+QUICK = {"one axis, one estimator", "noise-free", "all failed", "no columns", "hostile text"}
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[] if case in QUICK else pytest.mark.slow) for case in CASES]
+)
 def test_reports_of_all_kinds_of_campaigns(case):
     found, source = summary_of(case), page_of(case)
     page = Page(source)
