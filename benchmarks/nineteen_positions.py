@@ -12,7 +12,7 @@ import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from foreign_motion import (
@@ -66,7 +66,7 @@ def bound(fixed: tuple[str, ...]) -> np.ndarray:
 def study(
     case: str, estimators: list[str], units: int, *, noise: bool = True
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Errors (units, 27) and seconds (units,) by estimator."""
+    """Errors (units, 27) and seconds of processor time (units,) by estimator."""
     extras, fixed = CASES[case]
     turns, first_rest_s = nineteen_positions()
     found: dict[str, list[tuple[np.ndarray, float]]] = {estimator: [] for estimator in estimators}
@@ -79,9 +79,9 @@ def study(
         truth = np.array([true.get(name, 0.0) for name in NAMES])
         for estimator, rows in found.items():
             fresh = replace(unlabelled)  # without what an earlier estimator derived
-            started = perf_counter()
+            started = process_time()
             result = srt.calibrate(fresh, estimator, hold=fixed, checks=False)
-            rows.append((result.errors.vector - truth, perf_counter() - started))
+            rows.append((result.errors.vector - truth, process_time() - started))
     return {name: (np.array([e for e, _ in rows]), np.array([t for _, t in rows])) for name, rows in found.items()}
 
 
