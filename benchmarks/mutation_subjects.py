@@ -121,7 +121,6 @@ SUBJECTS = (
             ),
             ("noise.accel_white**2", "0.0 * noise.accel_white**2"),
             ("noise.accel_edge**2", "0.0 * noise.accel_edge**2"),
-            ("integrals.noise @ q**2", "0.9 * integrals.noise @ q**2"),
             ("EARTH_RATE_RAD_S / math.sqrt(3.0)", "EARTH_RATE_RAD_S / math.sqrt(2.0)"),
             ('"rate": 2.0 * outer', '"rate": 1.0 * outer'),
             ("alone * outer", "0.0 * outer"),

@@ -297,6 +297,42 @@ def test_forces_of_the_windows_have_their_own_quantization():
     assert chi2.ppf(5e-4, freedom) < total < chi2.isf(5e-4, freedom), total / freedom
 
 
+def marginal(source, kind):
+    """Covariance of every measurement of a kind by itself, own and shared parts."""
+    total = np.array(source.own[kind])
+    for number, effect in source.shared.get(kind, ()):
+        used = np.asarray(number) >= 0
+        total[used] += np.broadcast_to(effect @ np.swapaxes(effect, 1, 2), total.shape)[used]
+    return total
+
+
+def test_shared_noise_is_a_part_of_that_of_each_measurement():
+    """Whatever window and rotation share, each alone has the covariance of the model without sharing."""
+    data, measurements = quiet()
+    by = measurement_covariance.slopes_of(measurements)
+    alone = error_sources.white_noise(data, by)["gyro_noise"]
+    together = error_sources.white_noise(data, by, np.ones(len(data.windows.duration_s), dtype=bool))["gyro_noise"]
+    edges = error_sources.quantization(data, by)["gyro_quantization"]
+    independent = error_sources.quantization(data, by, shared=False)["gyro_quantization"]
+    for kind in ("rate", "turn"):
+        np.testing.assert_allclose(marginal(together, kind), alone.own[kind], rtol=1e-12, atol=1e-30)
+        np.testing.assert_allclose(marginal(edges, kind), independent.own[kind], rtol=1e-12, atol=1e-30)
+    # The unit has no errors: compensated rates have the noise of the readings.
+    expected = np.einsum("waa->wa", alone.own["rate"] + independent.own["rate"])
+    np.testing.assert_allclose(error_sources.raw_rate_variance(data), expected, rtol=1e-12)
+
+
+def test_earth_rate_of_unknown_direction():
+    """Mean squares of the unknown components add up to the squared length of what has no direction."""
+    recording = quiet()[0].recording
+    nowhere = replace(recording, site=replace(SITE, latitude_rad=None))
+    no_north = replace(recording, fixture=replace(FIXTURE, heading_rad=None))
+    for stated, length in ((nowhere, EARTH_RATE_RAD_S), (no_north, EARTH_RATE_RAD_S * np.cos(SITE.latitude_rad))):
+        sigma = error_sources.unknown_earth_rate(stated, placed=True)
+        np.testing.assert_allclose(np.linalg.norm(sigma), length, rtol=1e-12)
+    assert not error_sources.unknown_earth_rate(recording, placed=True).any()
+
+
 FIXED_SIGMA_OF = {
     "closed-form": "srt.estimation.closed_form_solver",
     "least-squares": "srt.estimation.least_squares_solver",
