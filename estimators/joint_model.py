@@ -467,7 +467,8 @@ class JointModel:
             if left < LEAST_SCATTER:
                 self.bias_scatter = self.bias_step = np.zeros(3)
                 return
-        weights, variance = self.rest_rate_weights, sources.raw_rate_variance(self.data)
+        weights = self.rest_rate_weights
+        variance = sources.raw_rate_variance(self.data.noise, self.data.windows.duration_s)
         doubt = sources.earth_rate_sigma(self.data.recording)
         expected = np.mean(weights[~self.data.is_move] ** 2 @ variance, axis=0) + doubt**2
         own = weights @ rest

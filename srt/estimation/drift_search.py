@@ -88,7 +88,7 @@ def gyro_statistics(
     """
     used = np.flatnonzero(~integrated)
     doubt = earth_rate_sigma(data.recording)
-    noise = np.diag((raw_rate_variance(data) @ (slope**2).T + doubt**2).ravel())
+    noise = np.diag((raw_rate_variance(data.noise, data.windows.duration_s) @ (slope**2).T + doubt**2).ravel())
     if data.noise.gyro_flicker is not None:
         own = data.noise.gyro_flicker * slope
         drift = data.drift.windows @ data.drift.windows.T

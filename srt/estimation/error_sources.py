@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
+    from srt.noise.noise_model import NoiseModel
     from srt.recording.recording import Recording
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
@@ -148,10 +149,16 @@ def shared_edges(data: PreparedRecording) -> Indices:
     return np.where(used, np.cumsum(used.ravel()).reshape(used.shape) - 1, -1)
 
 
-def raw_rate_variance(data: PreparedRecording) -> Array:
-    """Noise variance of the mean gyro reading of every window, white noise and quantization, (W, 3), (rad/s)²."""
-    T = data.windows.duration_s[:, None]
-    return np.asarray(data.noise.gyro_white**2 / T + 2.0 * (data.noise.gyro_edge / T) ** 2)
+def raw_rate_variance(noise: NoiseModel, duration_s: Array) -> Array:
+    """Noise variance of mean gyro readings over windows, white noise and quantization, (..., 3), (rad/s)².
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    duration_s : ndarray, shape (...)
+    """
+    T = duration_s[..., None]
+    return np.asarray(noise.gyro_white**2 / T + 2.0 * (noise.gyro_edge / T) ** 2)
 
 
 def unmodelled(data: PreparedRecording, rotation: float, force: float, rate: float = 0.0) -> dict[str, Source]:

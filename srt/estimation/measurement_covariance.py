@@ -244,10 +244,9 @@ def _own_draw(blocks: Array) -> Array:
 
 def _steady_rate_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """White noise and quantization of the mean rates that compare with a stated rate, shape (K, 2, 2 R)."""
-    stated, noise = measurements.stated, data.noise
-    T = stated.duration_s[:, :, None]
+    stated = measurements.stated
     along = np.einsum("rha,ab->rhb", stated.spin_axes(measurements.gyro), np.linalg.inv(measurements.gyro.matrix))
-    variance = np.sum(along**2 * (noise.gyro_white**2 / T + 2.0 * (noise.gyro_edge / T) ** 2), axis=2)
+    variance = np.sum(along**2 * sources.raw_rate_variance(data.noise, stated.duration_s), axis=2)
     out = np.zeros((data.K, 2, *variance.shape))
     for r, k in enumerate(stated.rated.tolist()):
         out[k, [0, 1], r, [0, 1]] = np.sqrt(variance[r])
@@ -341,6 +340,6 @@ def _attitude_errors(measurements: SrtMeasurements, data: PreparedRecording) -> 
     axes = np.concatenate([common, _own_draw(executed)], axis=2) * data.placed[:, None, None]
     if measurements.nominal_vertical:
         return np.asarray(axes)
-    down = -measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
-    vertical: Array = down[:, :, None] * np.einsum("ka,kas->ks", down, axes)[:, None, :]
+    up = measurements.force[data.start] / np.linalg.norm(measurements.force[data.start], axis=1, keepdims=True)
+    vertical: Array = up[:, :, None] * np.einsum("ka,kas->ks", up, axes)[:, None, :]
     return vertical

@@ -50,7 +50,7 @@ def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str,
 def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Noise variance of the compensated mean rate of every window, shape (W, 3), (rad/s)²."""
     D2 = np.linalg.inv(measurements.gyro.matrix) ** 2
-    return np.asarray(raw_rate_variance(data) @ D2.T)
+    return np.asarray(raw_rate_variance(data.noise, data.windows.duration_s) @ D2.T)
 
 
 def rest_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:

@@ -20,9 +20,11 @@ from sims.physics.table_motion import table1_motion
 from srt.constants import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
 from srt.estimation import error_sources, measurement_covariance
 from srt.estimation.error_sources import shared_edges
+from srt.estimation.measurement_covariance import Disturbance
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model import analytic_platform
+from srt.model.rotations import rotation_matrix
 from srt.recording.recording import Fixture, Site
 from srt.sensor_errors import N_PARAMETERS, NAMES, SensorErrors
 from srt.sequences.checked_preparation import prepare_checked
@@ -167,6 +169,33 @@ def test_edges_of_windows_against_the_samples():
     assert flipped >= 6 * K
 
 
+def test_biases_of_sequences_carry_errors_of_rates_into_rotations():
+    """Rates of single windows changed in the samples; each sequence takes a share of its own rest rate as its bias."""
+    recording, gain, step = noise_free()[0].recording, np.array([0.3, 0.6, 0.9]), 1e-6
+
+    def vector(gyro):
+        data = prepare_checked(replace(recording, gyro=gyro), recording.sequences, "linear")
+        processor = SrtProcessor(data, Options())
+        offset = gain * processor.process(PERFECT).bias_by_sequence
+        return processor.process(PERFECT, bias_offset=offset).z
+
+    data, measurements = noise_free()
+    for w, (a, b) in enumerate(data.windows.samples.tolist()):
+        rate = np.zeros((len(data.windows.samples), 3, 3))
+        rate[w] = np.eye(3)
+        expected = measurement_covariance.project(measurements, data, Disturbance(rate=rate), gain)
+        for axis in range(3):
+            plus, minus = recording.gyro.copy(), recording.gyro.copy()
+            plus[a:b, axis] += step
+            minus[a:b, axis] -= step
+            found = (vector(plus) - vector(minus)) / (2.0 * step)
+            # The Earth's rotation over a sequence, and rounding of attitudes over the step.
+            atol = 2.0 * EARTH_ANGLE * np.abs(expected).max() + 1e-13 / step
+            np.testing.assert_allclose(found, expected[:, axis], rtol=0, atol=atol)
+            rotations = np.abs(expected[: 2 * K, axis]).max()
+            assert rotations > 10.0 * atol or rotations == 0.0
+
+
 @pytest.mark.parametrize("sensor", ["gyro", "accel"])
 def test_drift_against_the_samples(sensor, monkeypatch):
     """Covariance of the drift from steps of the bias in all windows and in three parts of every rotation."""
@@ -297,6 +326,18 @@ def test_forces_of_the_windows_have_their_own_quantization():
     assert chi2.ppf(5e-4, freedom) < total < chi2.isf(5e-4, freedom), total / freedom
 
 
+def test_earth_rate_over_a_sequence_is_integrated_to_the_second_order():
+    """An Earth that turns a hundred times faster: 0.2 rad in a sequence, of which the third power over 24 is left."""
+    _, measurements = noise_free()
+    fast = replace(measurements, earth_rate=100.0 * measurements.earth_rate)
+    found = measurement_covariance._of_earth_rate(fast, np.broadcast_to(np.eye(3), (K, 3, 3))).phi
+    for k, T in enumerate(measurements.integrals.weight_s.tolist()):
+        times = (np.arange(2000) + 0.5) * T / 2000
+        expected = rotation_matrix(-times[:, None] * fast.earth_rate[k]).mean(axis=0) * T
+        angle = np.linalg.norm(fast.earth_rate[k]) * T
+        np.testing.assert_allclose(found[k], expected, rtol=0, atol=1.1 * T * angle**3 / 24.0)
+
+
 def marginal(source, kind):
     """Covariance of every measurement of a kind by itself, own and shared parts."""
     total = np.array(source.own[kind])
@@ -319,7 +360,9 @@ def test_shared_noise_is_a_part_of_that_of_each_measurement():
         np.testing.assert_allclose(marginal(edges, kind), independent.own[kind], rtol=1e-12, atol=1e-30)
     # The unit has no errors: compensated rates have the noise of the readings.
     expected = np.einsum("waa->wa", alone.own["rate"] + independent.own["rate"])
-    np.testing.assert_allclose(error_sources.raw_rate_variance(data), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        error_sources.raw_rate_variance(data.noise, data.windows.duration_s), expected, rtol=1e-12
+    )
 
 
 def test_earth_rate_of_unknown_direction():
