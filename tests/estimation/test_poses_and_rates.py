@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,8 +13,12 @@ from scipy.stats import chi2
 import sims
 import srt
 from sims.scenarios.scenario import scenario_from_dict
+from srt.estimation.measurement_covariance import disturbances, project
+from srt.estimation.options import Options
+from srt.estimation.srt_measurements import SrtProcessor
 from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUP_SLICES, INDEX
+from srt.sequences.checked_preparation import prepare_checked
 
 G = 9.80665
 RATE_HZ = 50.0
@@ -226,3 +231,32 @@ def test_directions_that_a_protocol_hardly_shows_do_not_keep_it_from_converging(
     errors, status = protocols.simulated(protocol, seed)
     assert status == "partial"
     assert np.all(np.isfinite(errors[GROUP_SLICES["gyro_scale"]]))
+
+
+def test_a_bias_acts_on_rotation_rest_and_stated_rate_alike():
+    """A constant bias of one run in the samples: the column of that draw, signs of all its parts included."""
+    recording = sims.simulate(scenario("rate-table", 1)).recording
+    errors, wander, step = srt.SensorErrors(), np.full(3, 1e-4), 1e-6
+    noise = replace(recording.noise, gyro_bias_instability=None)
+
+    def processed(gyro):
+        data = prepare_checked(replace(recording, gyro=gyro, noise=noise), recording.sequences, "linear")
+        return data, SrtProcessor(data, Options()).process(errors, with_noise=True)
+
+    data, measurements = processed(recording.gyro)
+    source = disturbances(measurements, data, wander)["gyro_bias_instability"]
+    columns = project(measurements, data, source, np.zeros(3)).reshape(-1, data.K, 3)
+    k = int(measurements.stated.rated[0])
+    label = data.labels[k]
+    span = slice(*np.searchsorted(recording.time, [label.start_static_s[0], label.end_static_s[1]], side="right"))
+    for axis in range(3):
+        z = []
+        for sign in (1.0, -1.0):
+            gyro = recording.gyro.copy()
+            gyro[span, axis] += sign * step
+            z.append(processed(gyro)[1].z)
+        found, column = (z[0] - z[1]) / (2.0 * step) * wander[axis], columns[:, k, axis]
+        # One sample of a turn of 60 °/s at 20 Hz moves the axes by 0.05 rad.
+        np.testing.assert_allclose(found[:-3], column[:-3], rtol=0, atol=0.05 * np.abs(column).max())
+        # Of the two windows, the next run has one as its own: half of the change of the rest rate is of this draw.
+        np.testing.assert_allclose(found[-3:], 2.0 * column[-3:], rtol=0, atol=0.05 * np.abs(column[-3:]).max())
