@@ -26,7 +26,7 @@ from srt.sensor_errors import GROUP_SLICES, INDEX, NAMES
 
 QUICK = PlanLimits(shortest_window_s=4.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=16)
 FEW = PlanLimits(shortest_window_s=2.0, longest_window_s=30.0, largest_turn_deg=360, most_legs=2, most_sequences=14)
-ONE = replace(FEW, most_sequences=4)
+ONE = replace(FEW, most_legs=1, most_sequences=4)
 """Limits of a fixture with one axis, which shows four parameters."""
 STAND = FixtureKinematics(AxisKinematics(1.0, 10.0), AxisKinematics(1.0, 10.0), settle_s=0.5, pause_s=0.5)
 WHITE = {"gyro_noise_deg_per_sqrt_h": 0.0667, "accel_noise_ug_per_sqrt_hz": 60.0}
@@ -284,7 +284,7 @@ def test_targets_that_are_none(change, said):
 
 def test_a_time_that_is_too_short():
     with pytest.raises(InputError, match="too short"):
-        make_plan(STAND, file_of().conditions(), file_of().targets.sigma(), total_s=5.0, limits=FEW)
+        make_plan(STAND, file_of().conditions(), file_of().targets.sigma(), total_s=5.0, limits=ONE)
     with pytest.raises(InputError, match="too short for 17 sequences"):
         table_1_plan(STAND, file_of().conditions(), file_of().targets.sigma(), 200.0, QUICK)
 

@@ -148,7 +148,7 @@ def test_plan_is_that_of_the_command(tmp_path):
     file.write_text(
         'imu = { from = "navigation-rlg" }\nfixture = { from = "lab-1mrad" }\nsite = { from = "latitude-45" }\n'
         "[targets]\ngyro_scale_ppm = 50.0\n"
-        "[plan]\nlargest_turn_deg = 180\nmost_legs = 1\nmost_sequences = 8\ntotal_time_s = 300.0\n"
+        "[plan]\nlargest_turn_deg = 180\nmost_legs = 1\nmost_sequences = 6\ntotal_time_s = 200.0\n"
     )
     assert main(["plan", str(file), "--json", str(tmp_path / "p.json"), "-q"]) == 0
     task = sims.load_plan_file(file).task()

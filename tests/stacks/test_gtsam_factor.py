@@ -65,7 +65,7 @@ def test_derivatives_of_the_sums(g_sensitive):
             np.testing.assert_allclose(found.jacobian[part, k], value, rtol=0, atol=2e-8 + 5e-5 * np.abs(value).max())
 
 
-@pytest.mark.parametrize("count", [1000, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [500, pytest.param(4000, marks=pytest.mark.slow)])
 def test_covariance_is_that_of_the_noise(count):
     """Draws of the samples' noise: n of them show a variance to √(2/n), 3.5 of these; correlations to √(1/n)."""
     unit = calibrated()
