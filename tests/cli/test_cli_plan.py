@@ -22,25 +22,26 @@ settle_s = 0.5
 [targets]
 {targets}
 [plan]
-most_legs = 2
-largest_turn_deg = 360
-most_sequences = 12
+{limits}
 {plan}
 [recording]
 sample_rate_hz = 50.0
 """
+SEVERAL_ROTATIONS = "most_legs = 2\nlargest_turn_deg = 360\nmost_sequences = 12"
+HALF_TURNS = "most_legs = 1\nlargest_turn_deg = 180\nmost_sequences = 6"
+"""Limits of the plans that stand for any."""
 SCALES = "gyro_scale_ppm = 100.0\naccel_scale_ppm = 200.0\naccel_bias_ug = 200.0"
 
 
-def write(path, *, stand="", targets=SCALES, plan="total_time_s = 200.0"):
-    path.write_text(PLAN.format(stand=stand, targets=targets, plan=plan), encoding="utf-8")
+def write(path, *, stand="", targets=SCALES, plan="total_time_s = 200.0", limits=HALF_TURNS):
+    path.write_text(PLAN.format(stand=stand, targets=targets, plan=plan, limits=limits), encoding="utf-8")
     return str(path)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    file = write(folder / "lab.toml")
+    file = write(folder / "lab.toml", limits=SEVERAL_ROTATIONS)
     names = {"-o": "s.toml", "--sheet": "s.md", "--json": "s.json", "--plot": "s.png"}
     options = [text for option, name in names.items() for text in (option, str(folder / name))]
     assert main(["plan", file, *options, "-q"]) == 0
