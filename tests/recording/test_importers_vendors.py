@@ -268,6 +268,12 @@ def test_published_rows_of_an_awinda_unit(tmp_path, head):
     write([65534, 65535, 0, 3])
     imported = read(path)
     np.testing.assert_allclose(imported.time, [0.0, 0.01, 0.02, 0.05], rtol=1e-15)
+    # With columns of UTC, most cells of a row are empty.
+    dates = [f"UTC_{part}" for part in ("Nano", "Year", "Month", "Day", "Hour", "Minute", "Second", "Valid")]
+    rows = "".join(f"{i}{chr(9) * (len(dates) + 2)}1.5\t2.5\t9.5\t0.1\t0.2\t0.3\n" for i in range(3))
+    path.write_text(head + "\t".join(["PacketCounter", names[0], *dates, *XSENS_NAMES]) + "\n" + rows)
+    imported = read(path)
+    np.testing.assert_array_equal(np.hstack([imported.accel[2], imported.gyro[2]]), [1.5, 2.5, 9.5, 0.1, 0.2, 0.3])
     path.write_text(path.read_text().replace("// Update Rate", "// Rate").replace("//  Update Rate", "// Rate"))
     with pytest.raises(InputError, match="the column of time is empty"):
         read(path)

@@ -100,7 +100,7 @@ def find_layout(path: Path, options: ImportOptions) -> TableLayout:
         counts = [sum(map(is_number, cells)) for _, cells in rows]
         best = counts.index(max(counts))
         delimiter, cells = rows[best]
-        if counts[best] >= _FEWEST_NUMBERS and 2 * counts[best] >= len(cells):
+        if counts[best] >= _FEWEST_NUMBERS and 2 * counts[best] >= sum(map(bool, cells)):
             above = lines[options.skip : number]
             # NumPy takes one character; heads marked by // are skipped with the lines above.
             marks = (text.lstrip()[0] for text in above if text.lstrip().startswith(_COMMENT_MARKS[:2]))
