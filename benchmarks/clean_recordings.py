@@ -80,10 +80,10 @@ def tables(rng: np.random.Generator, number: int) -> tuple[dict[str, Any], str]:
     return values, f"{grade}, {rate:g} Hz, {what}"
 
 
-def narrowed(label: SequenceLabel, recording: Recording) -> SequenceLabel:
-    """Label whose windows end one sample before the rotation that they adjoin: the filter spreads it by as much."""
-    (start, end), (begin, last), one = label.start_static_s, label.end_static_s, recording.nominal_interval_s
-    return replace(label, start_static_s=(start, end - one), end_static_s=(begin + one, last))
+def narrowed(label: SequenceLabel, one: float) -> SequenceLabel:
+    """Label with windows shorter by one sample at both ends: the filter spreads the motion beside them by as much."""
+    (start, end), (begin, last) = label.start_static_s, label.end_static_s
+    return replace(label, start_static_s=(start + one, end - one), end_static_s=(begin + one, last - one))
 
 
 def processed(recording: Recording, form: str, rng: np.random.Generator) -> Recording:
@@ -101,7 +101,9 @@ def processed(recording: Recording, form: str, rng: np.random.Generator) -> Reco
         )
         noise = replace(recording.noise, gyro_noise=None, accel_noise=None)  # the filter changes it
         filtered = replace(recording, gyro=gyro, accel=accel, noise=noise)
-        return filtered.with_sequences(tuple(narrowed(label, recording) for label in recording.sequences))
+        return filtered.with_sequences(
+            tuple(narrowed(label, recording.nominal_interval_s) for label in recording.sequences)
+        )
     if form == "off the grid":
         gyro, accel = (table + rng.normal(0.0, 1e-12, table.shape) for table in (recording.gyro, recording.accel))
         return replace(recording, gyro=gyro, accel=accel)

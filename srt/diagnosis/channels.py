@@ -209,6 +209,14 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
 
 _WRAP_JUMP: Final = 0.9
 """Smallest jump of a wrapping reading between two samples, relative to its range."""
+_WRAP_STEP: Final = 0.6
+"""The same before the slope of a ramp is added to it."""
+_WRAP_SLOPE: Final = 0.35
+"""Largest change of a ramp from sample to sample, relative to the range."""
+_UNSIGNED_EDGE: Final = 0.1
+"""Share of the range, at both of its ends, in which small readings of unsigned words lie."""
+_UNSIGNED_SHARE: Final = 0.01
+"""Share of the readings at either end."""
 _WRAP_SYMMETRY: Final = 0.02
 """Largest distance of the middle of that range from zero, relative to the range: words are signed."""
 _WRAP_SAMPLES: Final = 5
@@ -222,6 +230,8 @@ _DEAD_SHARE: Final = 0.5
 _DEAD_STEPS: Final = 2.5
 """Smallest reading other than zero over the quantization step: one without a dead band."""
 
+_DEAD_PULSES: Final = 1.5
+"""The same for stated pulses, of which single ones are the rule at rest."""
 _SAME_GRID: Final = 1e-3
 """Distance of readings from multiples of a step, in steps, that rounding leaves."""
 _DEAD_EDGE: Final = 0.1
@@ -250,8 +260,10 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
             continue  # the readings reach down to zero: pulses, and noise in some window
         if shown.size and np.all(np.abs(shown / threshold - np.rint(shown / threshold)) < _SAME_GRID):
             continue  # multiples of the smallest reading: pulses
-        step = float(smallest_step(moving[-_SAMPLES:])[axis])
-        if threshold > _DEAD_STEPS * step:
+        # Pulses of several axes, mixed by a correction, differ by less than a pulse.
+        pulse = (evidence.recording.noise.gyro_quantization or 0.0) / evidence.dt
+        step = max(pulse, float(smallest_step(moving[-_SAMPLES:])[axis]))
+        if threshold > (_DEAD_PULSES if pulse else _DEAD_STEPS) * step:
             yield finding(
                 "gyro_dead_band",
                 channel=CHANNELS[axis],
@@ -292,15 +304,28 @@ def _within_sequences(evidence: Evidence, samples: Indices) -> Mask:
 
 
 def _wraps(column: Array, low: float, high: float) -> Indices:
-    """Samples before which a reading jumps from one of its extremes to the other and stays there."""
-    n, size = _WRAP_SAMPLES, high - low
-    if not low < 0.0 < high or abs(high + low) > _WRAP_SYMMETRY * size:
+    """Samples before which a reading jumps from one of its extremes to the other, and goes on as before or stays."""
+    n, size, step = _WRAP_SAMPLES, high - low, np.diff(column)
+    large = np.abs(step) > _WRAP_STEP * size
+    if low >= 0.0:  # signed words read as unsigned ones: small negative values are the largest readings
+        edge = _UNSIGNED_EDGE * size
+        at_ends = min(np.count_nonzero(column < low + edge), np.count_nonzero(column > high - edge))
+        jumps = np.flatnonzero(np.abs(step) > _WRAP_JUMP * size) + 1
+        return jumps if at_ends > _UNSIGNED_SHARE * len(column) and len(jumps) >= _MANY else jumps[:0]
+    if not high > 0.0 or abs(high + low) > _WRAP_SYMMETRY * size:
         return np.zeros(0, dtype=np.intp)
-    jumps = np.flatnonzero(np.abs(np.diff(column)) > _WRAP_JUMP * size) + 1
+    jumps = np.flatnonzero(large) + 1
     jumps = jumps[(jumps >= n) & (jumps <= len(column) - n)]
     before, after = (np.median(column[jumps[:, None] + np.arange(a, a + n)], axis=1) for a in (-n, 0))
     stays = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > 0.25 * size)
-    return np.asarray(jumps[stays], dtype=np.intp)
+    stays &= np.abs(step[jumps - 1]) > _WRAP_JUMP * size
+    # A ramp goes on at its slope: the jump is the whole range against it.
+    jump, slopes = step[jumps - 1], np.stack([step[jumps - 2], step[jumps]])
+    slope = slopes.mean(axis=0)
+    ramp = (np.abs(jump - slope) > _WRAP_JUMP * size) & (jump * slope < 0.0)
+    ramp &= np.all((np.abs(slopes) < _WRAP_SLOPE * size) & (slopes * slope > 0.0), axis=0)
+    ramp &= np.abs(jump - slope) < size / _WRAP_JUMP
+    return np.asarray(jumps[stays | ramp], dtype=np.intp)
 
 
 @check("spikes")

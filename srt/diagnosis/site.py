@@ -16,7 +16,7 @@ the least squares. Residuals above this noise inflate all sigmas.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from srt.diagnosis.evidence import Evidence
+    from srt.recording.recording import Fixture
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices
 
@@ -76,9 +77,7 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
     if fit is None or fit.horizontal is None:
         return
     limit = float(fdtri(1, fit.freedom, 1.0 - FALSE_ALARM))
-    align = EARTH_RATE_RAD_S * fixture.alignment_sigma_rad
-    vertical_sigma = float(np.hypot(_vertical_sigma(fit), align))
-    horizontal_sigma = float(np.hypot(fit.horizontal_sigma, align))
+    vertical_sigma, horizontal_sigma = _component_sigmas(fit, fixture)
     x, y = fit.horizontal.tolist()
     size = float(np.hypot(x, y))
 
@@ -100,7 +99,9 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
             expected=float(EARTH_RATE_RAD_S / DEG_PER_H),
         )
         return
-    if float(misfit(np.array([latitude]))[0] - by_latitude[best]) > limit:
+    factor = earth_rate_factor(evidence)
+    by_clock = factor is not None and factor.misfit < by_latitude[best] - limit
+    if not by_clock and float(misfit(np.array([latitude]))[0] - by_latitude[best]) > limit:
         near = latitudes[by_latitude <= by_latitude[best] + 1.0]
         yield finding(
             "latitude",
@@ -122,6 +123,38 @@ def earth_rate(evidence: Evidence) -> Iterator[Finding]:
             sigma=float(min(horizontal_sigma / size, np.pi) / DEG),
             stated=float(fixture.heading_rad / DEG),
         )
+
+
+class EarthRateFactor(NamedTuple):
+    """Measured Earth rate over the true one at the stated latitude, its standard deviation, and chi-square left."""
+
+    value: float
+    sigma: float
+    misfit: float
+
+
+@computed_once
+def earth_rate_factor(evidence: Evidence) -> EarthRateFactor | None:
+    """Factor of the Earth rate that explains the stationary rates at the stated latitude; None if it is not measured.
+
+    A wrong sample rate changes both components by the same factor, a wrong latitude leaves their sum of squares.
+    """
+    site, fixture, fit = evidence.recording.site, evidence.recording.fixture, stationary_rate_fit(evidence)
+    if site.latitude_rad is None or fixture is None or fit is None or fit.horizontal is None:
+        return None
+    sigma = np.array(_component_sigmas(fit, fixture))
+    true = EARTH_RATE_RAD_S * np.array([-np.sin(site.latitude_rad), np.cos(site.latitude_rad)]) / sigma
+    found = np.array([fit.vertical, float(np.hypot(*fit.horizontal))]) / sigma
+    information = float(true @ true)
+    value = float(true @ found) / information
+    left = found - value * true
+    return EarthRateFactor(value, information**-0.5, float(left @ left))
+
+
+def _component_sigmas(fit: StationaryRateFit, fixture: Fixture) -> tuple[float, float]:
+    """Standard deviations of the vertical and of the horizontal Earth rate, alignment included."""
+    align = EARTH_RATE_RAD_S * fixture.alignment_sigma_rad
+    return float(np.hypot(_vertical_sigma(fit), align)), float(np.hypot(fit.horizontal_sigma, align))
 
 
 def _vertical_sigma(fit: StationaryRateFit) -> float:

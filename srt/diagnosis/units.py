@@ -9,7 +9,7 @@ windows are wrong, and nothing is said about factors.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,7 +19,9 @@ from srt.diagnosis.axes import gravity_relation, manoeuvre_readings
 from srt.diagnosis.clipping import clipped_parts
 from srt.diagnosis.findings import check, finding
 from srt.diagnosis.rotation_readings import rotation_angles
+from srt.diagnosis.site import earth_rate_factor
 from srt.diagnosis.triad_fits import accel_fit
+from srt.model.table1 import AXES
 from srt.sequences.plausibility import LEGAL_RATIO
 from srt.sequences.wrong_units import WRONG_UNITS
 
@@ -57,6 +59,10 @@ _COMMON: Final = 0.05
 _COMMON_SIGMAS_ALONE: Final = 57.7
 """Common factor over the scatter that is significant alone, p = 1e-4: Student's t with two degrees of freedom exceeds
 100, over √3."""
+_EARTH_LEAST: Final = 0.005
+"""Smallest common scale error that the Earth rate confirms."""
+_EARTH_SIGMAS: Final = 5.0
+"""Deviation of the Earth rate that is no chance, p = 6e-7."""
 _GRAVITY_VARIATION: Final = 0.01
 """Largest relative difference of gravity on the Earth's surface (9.76 to 9.84 m/s²) from 9.80 m/s²."""
 _WHOLE: Final = 1e-6
@@ -103,7 +109,9 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
         if not scales.known or LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
             power = _power_of_two(scales)
             if power is not None and not (power < 1.0 and _mostly_clipped(evidence, sensor)):
-                yield finding(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
+                yield _wrong_count(sensor, math.exp(scales.common), power)
+            elif power is None and scales.known:
+                yield from _one_axis(evidence, sensor, scales)
             continue
         off = math.log(scales.typical)
         units = (u for u in WRONG_UNITS[sensor] if u.fault and (rates or not u.rates_only))
@@ -115,9 +123,36 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
             continue
         power = _power_of_two(scales)
         if power is not None and abs(scales.common - math.log(power)) < distance:
-            yield finding(f"{sensor}_lsb", ratio=math.exp(scales.common), power=power)
+            yield _wrong_count(sensor, math.exp(scales.common), power)
         elif distance < _MATCH:
             yield finding(nearest.fault, **_fields(evidence, sensor, scales, nearest))
+
+
+def _wrong_count(sensor: str, ratio: float, power: float, axis: int | None = None) -> Finding:
+    """Finding of a wrong count value, of all axes or of one."""
+    name = {"gyro": "gyro", "accel": "accelerometer"}[sensor]
+    who = f"All {name} axes read" if axis is None else f"{name.capitalize()} {AXES[axis]} reads"
+    return finding(f"{sensor}_lsb", who=who, ratio=ratio, power=power)
+
+
+def _one_axis(evidence: Evidence, sensor: str, scales: ScaleRatios) -> Iterator[Finding]:
+    """Find one axis in another unit or range than the other two, which are right."""
+    if not scales.by_axis or scales.axis_scatter > _POWER_SCATTER:
+        return
+    logarithm = np.log(scales.axes)
+    for axis in range(3):
+        off, ratio = float(logarithm[axis]), float(scales.axes[axis])
+        if np.abs(np.delete(logarithm, axis)).max() > _POWER_SCATTER or abs(off) < 0.5 * math.log(2.0):
+            continue
+        power = min(_POWERS, key=lambda k: abs(off - k * math.log(2.0)))
+        units = (u for u in WRONG_UNITS[sensor] if u.fault and not u.rates_only)
+        nearest = min(units, key=lambda u: abs(off - math.log(u.factor)))
+        if abs(off - power * math.log(2.0)) < _POWER_DISTANCE:
+            yield _wrong_count(sensor, ratio, 2.0**power, axis)
+        elif abs(off - math.log(nearest.factor)) < _POWER_SCATTER:
+            one = replace(scales, typical=ratio)
+            fields = _fields(evidence, sensor, one, nearest)
+            yield finding(nearest.fault, **{**fields, **({"title": f"gyro {AXES[axis]}"} if sensor == "gyro" else {})})
 
 
 def _mostly_clipped(evidence: Evidence, sensor: str) -> bool:
@@ -194,6 +229,14 @@ def sample_rate(evidence: Evidence) -> Iterator[Finding]:
     significant = abs(common) > _COMMON_SIGMAS_ALONE * scatter or (
         abs(common) > _COMMON and abs(common) > _COMMON_SIGMAS * scatter
     )
+    # The Earth rate, if the gyros measure it, is off by the same factor: no error of a unit does that.
+    earth = earth_rate_factor(evidence)
+    if earth is not None and abs(scales.common) > _EARTH_LEAST:
+        expected = math.exp(-scales.common if rates else scales.common)
+        doubt = math.hypot(earth.sigma, scatter * expected)
+        significant |= (
+            abs(earth.value - 1.0) > _EARTH_SIGMAS * earth.sigma and abs(earth.value - expected) < 3.0 * doubt
+        )
     if not significant or _power_of_two(scales) is not None:
         return
     if rates and any(part.channel.startswith("gyro") for _, parts in clipped_parts(evidence) for part in parts):

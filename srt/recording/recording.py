@@ -274,7 +274,8 @@ class Recording(Presented):
             if a < low or b > high:
                 raise InputError(
                     f"{label.title}: {name} is [{a:g}, {b:g}], but the samples run from "
-                    f"{round(first - interval, 9):g} to {last:g} s: correct the window, or the time unit."
+                    f"{round(first - interval, 9):g} to {last:g} s: correct the window, or the time unit.",
+                    fault="labels_shifted",
                 )
             window = self.window_indices(a, b)
             if window.stop <= window.start:

@@ -44,6 +44,13 @@ the Earth rate in a rotation of 1 rad/s makes 1e-8 at 100 Hz, the noise of a nav
 _HELD: Final = 50
 """Number of equal readings of a pulse output in a row from which an extreme is held: by chance at 4 % of the rates."""
 
+_WANDERS: Final = 0.6
+"""Wander of running sums over so many samples, in pulses, above which noise moves a reading: a quarter of a pulse for
+each sample leaves so many equal ones the probability 1e-7; without noise the pulses alone wander by 0.3."""
+
+_WANDER_PIECES: Final = 200
+"""Number of pieces of a recording that show this wander."""
+
 _MOSTLY_NOISY: Final = 0.5
 """Share of repeated extreme readings with noise in another channel of the triad, above which they are clipped."""
 
@@ -288,7 +295,7 @@ def _clipping_levels(recording: Recording) -> ClippingLevels:
         bottom, top = _limits_seen(values, least * per_sample)
         low[triad], high[triad] = np.maximum(low[triad], bottom), np.minimum(high[triad], top)
         if pulse is not None:
-            held = _held_pulses(values, least * per_sample)
+            held = _held_pulses(values, least * per_sample, pulse * per_sample / dt)
             low[triad], high[triad] = np.maximum(low[triad], held[0]), np.minimum(high[triad], held[1])
     return ClippingLevels(low, high)
 
@@ -317,19 +324,35 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
     return low, high
 
 
-def _held_pulses(triad: Array, least: float) -> tuple[Array, Array]:
+def _held_pulses(triad: Array, least: float, pulse: float) -> tuple[Array, Array]:
     """Lowest and highest readings of channels with pulses if they are range limits; otherwise infinite.
 
     The remainder of a pulse is carried to the next sample, so that readings stay equal only where a sample has a whole
     number of pulses: for n samples, within 1/n of it. Two axes, or senses of one, do so at the largest reading of the
-    triad only if it is clipped there.
+    triad only if it is clipped there; a channel whose noise adds up to pulses does so at its largest reading.
     """
     peak = float(np.abs(triad).max())
-    held = np.array(
-        [[_longest_run(triad[:, axis] == sign * peak) >= _HELD for axis in range(3)] for sign in (-1.0, 1.0)]
-    )
+    held = np.array([[_longest_run(triad[:, axis] == sign * peak) >= _HELD for axis in range(3)] for sign in (-1, 1)])
     seen = held & (peak > least) & (held.sum() > 1)
-    return np.where(seen[0], -peak, -np.inf), np.where(seen[1], peak, np.inf)
+    low, high = np.where(seen[0], -peak, -np.inf), np.where(seen[1], peak, np.inf)
+    for axis in np.flatnonzero(_wander_of_sums(triad) > _WANDERS * pulse).tolist():
+        channel = triad[:, axis]
+        smallest, largest = float(channel.min()), float(channel.max())
+        if smallest < -least and _longest_run(channel == smallest) >= _HELD:
+            low[axis] = smallest
+        if largest > least and _longest_run(channel == largest) >= _HELD:
+            high[axis] = largest
+    return low, high
+
+
+def _wander_of_sums(triad: Array) -> Array:
+    """Standard deviation of running sums about a line, over as many samples as count as held, by channel; typical."""
+    starts = np.linspace(0, len(triad) - _HELD, _WANDER_PIECES).astype(int) if len(triad) > _HELD else np.zeros(0, int)
+    if not starts.size:
+        return np.zeros(3)
+    pieces = triad[starts[:, None] + np.arange(_HELD)]
+    sums = np.cumsum(pieces - pieces.mean(axis=1, keepdims=True), axis=1)
+    return np.asarray(np.median(sums.std(axis=1), axis=0))
 
 
 def _longest_run(at: Mask) -> int:

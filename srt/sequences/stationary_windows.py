@@ -30,6 +30,9 @@ _DOUBTFUL: Final = 2.5
 _CORE_BLOCKS: Final = 20
 """Length, in blocks (2 s), of the core: the quietest part near either end of a run of still blocks."""
 
+_LEAST_CORE_BLOCKS: Final = 4
+"""Length up to which a core keeps the outermost blocks of its run."""
+
 _SEARCH_BLOCKS: Final = 60
 """Distance, in blocks (6 s), from the end of a run within which the core lies: slow rotations start almost still."""
 
@@ -111,7 +114,11 @@ def _cores(blocks: Blocks, rest: Rest, first: int, last: int) -> tuple[tuple[int
         sums, squares = (np.cumsum(np.pad(x, ((1, 0), (0, 0))), axis=0) for x in (mean, mean**2))
         scatter = (squares[length:] - squares[:-length]) - (sums[length:] - sums[:-length]) ** 2 / length
         best = begin + int(np.argmin(scatter.sum(axis=1)))
-        cores.append((int(blocks.first[best]), int(blocks.first[best + length - 1]) + blocks.size))
+        # The outermost blocks of the run may hold the last of the motion: their samples are compared one by one.
+        inner, beyond = best, best + length
+        if length > _LEAST_CORE_BLOCKS:
+            inner, beyond = max(inner, first + 1), min(beyond, last - 1)
+        cores.append((int(blocks.first[inner]), int(blocks.first[beyond - 1]) + blocks.size))
     return cores[0], cores[1]
 
 

@@ -1,0 +1,57 @@
+"""Faults as foreign loggers make them are named first, at the severities that once had another cause or none."""
+
+import functools
+
+import pytest
+from fault_outcomes import OUTCOMES, Units, all_kinds, outcome_of, severities
+
+from sims.faults.injection import Case
+from srt.diagnosis.staged_diagnosis import diagnose
+
+SEED = 20261410
+
+
+@functools.cache
+def units():
+    return Units(SEED)
+
+
+def case(kind, grade, rung=0, *, slow=True):
+    return pytest.param(kind, grade, rung, marks=[pytest.mark.slow] if slow else [])
+
+
+@pytest.mark.parametrize(
+    ("kind", "grade", "rung"),
+    [
+        case("one accelerometer limited", "navigation-rlg", 1, slow=False),  # pulses held at one limit of one axis
+        case("one accelerometer limited", "navigation-rlg", 0),
+        case("gyro_wrapped", "industrial-mems", 1, slow=False),  # ramps wrap within their slope
+        case("gyro_wrapped", "navigation-rlg", 1),
+        case("unsigned words", "consumer-mems", 0),
+        case("unsigned words", "tactical-fog", 1),
+        case("one axis of another range", "industrial-mems", 0, slow=False),
+        case("one axis in degrees", "navigation-rlg", 0),
+        case("gyro_dead_band", "navigation-rlg", 1),  # two pulses
+        case("sample_rate", "navigation-rlg", 2, slow=False),  # 2.4 %: the Earth rate is off by the same factor
+        case("clock fast", "navigation-rlg", 2),
+        case("latitude", "navigation-rlg", 0),
+        case("time of the labels from the start", "consumer-mems", 0),
+    ],
+)
+def test_named_first(kind, grade, rung):
+    injection = all_kinds()[kind]
+    severity = dict(severities(injection, grade))[rung]
+    assert outcome_of(injection, units(), grade, rung, severity).outcome == OUTCOMES[0]
+
+
+@pytest.mark.parametrize("kind", ["sensors askew in their housing", "gyro scale drifts"])
+def test_mixed_pulses_are_no_dead_band(kind):
+    recording = all_kinds()[kind].recording(units().case("navigation-rlg", 1))
+    assert "gyro_dead_band" not in {f.fault for f in diagnose(recording, calibrating=False).findings}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grade", ["navigation-rlg", "tactical-fog"])
+def test_earth_rate_of_sound_units_confirms_no_sample_rate(grade):
+    for seed in range(SEED, SEED + 8):
+        assert diagnose(Case(grade, seed).recording, calibrating=False).findings == ()
