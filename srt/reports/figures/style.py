@@ -5,11 +5,13 @@ Modules that draw import the classes of matplotlib from here. Its global state (
 
 from __future__ import annotations
 
+import io
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from srt.estimation.registry import ESTIMATORS
 from srt.exceptions import MissingExtraError
-from srt.recording.atomic_file import atomic_path
+from srt.recording.atomic_file import atomic_write_bytes
 
 try:
     from matplotlib.axes import Axes
@@ -133,7 +135,9 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
     InputError
         If it cannot be written.
     """
-    with atomic_path(path) as temporary:
-        # Without a date, the same result makes the same file.
-        undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-        figure.savefig(temporary, metadata=undated.get(temporary.suffix.lower()))
+    suffix, drawn = Path(path).suffix.lower(), io.BytesIO()
+    # Without a date, the same result makes the same file.
+    undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    # In memory first: matplotlib leaves the file of a PDF open that cannot be written.
+    figure.savefig(drawn, format=suffix.lstrip("."), metadata=undated.get(suffix))
+    atomic_write_bytes(path, drawn.getvalue())
