@@ -29,15 +29,6 @@ with contextlib.suppress(ModuleNotFoundError):
     # Test workers are processes already: run without the Makefile, their threads would only wait for one another.
     threadpool_limits(limits=1)
 
-# Importing the tests makes many objects that stay: looking for garbage among them took a quarter of the collection.
-gc.disable()
-
-
-def pytest_collection_finish():
-    gc.freeze()
-    gc.enable()
-
-
 DERIVATIONS = Path(__file__).parents[1] / "docs" / "derivations"
 
 G = 9.80665
@@ -51,6 +42,17 @@ STEPS = np.full(N_PARAMETERS, 1e-6)
 STEPS[GROUP_SLICES["accel_bias"]] = 1e-5
 """Half the central difference, SI: small beside what the third derivative would need to show (about 1e-10 of a
 coefficient), large beside rounding (1e-16 · g / 1e-6 = 1e-10 of g)."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session):
+    """Importing the tests makes objects that stay: the search for garbage among them took a quarter of the time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")
