@@ -66,7 +66,8 @@ def time_unit(evidence: Evidence) -> Iterator[Finding]:
     turned, rest = gyro_scale_ratios(evidence).typical, accel_scale_ratios(evidence).typical
     rates = evidence.recording.kind == "rate"
     off, other = (1.0 / turned if rates else rest, rest if rates else turned) if turned > 0.0 else (math.nan, math.nan)
-    if off > 0.0 and LEGAL_RATIO[0] < other < LEGAL_RATIO[1] and abs(math.log(off / factor)) < _SAME_FACTOR:
+    low, high = LEGAL_RATIO["accel" if rates else "gyro"]
+    if off > 0.0 and low < other < high and abs(math.log(off / factor)) < _SAME_FACTOR:
         what = "rotations read" if rates else "gravity reads"
         why = f"and {what} {(turned if rates else rest):.3g} times the expected value"
         yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)

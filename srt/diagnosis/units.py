@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
     from srt.sequences.wrong_units import WrongUnit
-    from srt.types import Array
+    from srt.types import Array, Sensor
 
 
 _G: Final = STANDARD_GRAVITY_M_S2
@@ -102,11 +102,13 @@ def wrong_units(evidence: Evidence) -> Iterator[Finding]:
         yield kind
         return
     rates = evidence.recording.kind == "rate"
-    for sensor, scales, wholes in (
+    sensors: tuple[tuple[Sensor, ScaleRatios, tuple[float, ...]], ...] = (
         ("gyro", gyro, (1.0, DEG, DEG_PER_H)[: 3 if rates else 2]),
         ("accel", accel, (1.0, _G, 1e-3 * _G)[: 3 if rates else 1]),
-    ):
-        if not scales.known or LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
+    )
+    for sensor, scales, wholes in sensors:
+        low, high = LEGAL_RATIO[sensor]
+        if not scales.known or low < scales.typical < high:
             power = _power_of_two(scales)
             if power is not None and not (power < 1.0 and _mostly_clipped(evidence, sensor)):
                 yield _wrong_count(sensor, math.exp(scales.common), power)
@@ -168,7 +170,8 @@ def _wrong_kind(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Fi
     rates = evidence.recording.kind == "rate"
     factor = math.log(evidence.dt) if rates else -math.log(evidence.dt)
     turned, rest = math.log(gyro.typical), math.log(accel.typical)
-    illegal = not LEGAL_RATIO[0] < gyro.typical < LEGAL_RATIO[1]
+    low, high = LEGAL_RATIO["gyro"]
+    illegal = not low < gyro.typical < high
     if not illegal or abs(turned - rest) > _BOTH or max(abs(turned - factor), abs(rest - factor)) > _MATCH:
         return None
     return finding(
@@ -220,7 +223,8 @@ def sample_rate(evidence: Evidence) -> Iterator[Finding]:
     """Test the triad that scales with the interval: all axes are off by one factor, which is no power of two."""
     rates = evidence.recording.kind == "rate"
     scales = gyro_scale_ratios(evidence) if rates else accel_scale_ratios(evidence)
-    if not scales.by_axis or not LEGAL_RATIO[0] < scales.typical < LEGAL_RATIO[1]:
+    low, high = LEGAL_RATIO["gyro" if rates else "accel"]
+    if not scales.by_axis or not low < scales.typical < high:
         return
     common, scatter = scales.common, scales.scatter
     if not rates:

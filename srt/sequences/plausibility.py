@@ -1,6 +1,6 @@
 """Plausibility of readings: wrong units, clipped readings and interruptions, from means and extremes.
 
-An uncalibrated IMU may have errors of 50 %. Therefore a specific force at rest of 0.35 to 1.8 g, and rotations of 0.35
+An uncalibrated IMU may have errors of 80 %. Therefore a specific force at rest of 0.185 to 2.1 g, and rotations of 0.35
 to 1.8 times the label, are accepted. A wrong unit changes all windows by the same factor, mostly a much larger one. A
 deviation in one window only is a wrong label or a disturbance.
 """
@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from srt.recording.recording import Recording
     from srt.types import Array, Indices, Mask, Sensor
 
-LEGAL_RATIO: Final = (0.35, 1.8)
-"""Accepted ratio of reading to truth for an uncalibrated IMU: 50 % scale-factor error, and a bias of about 0.1 g."""
+LEGAL_RATIO: Final[dict[Sensor, tuple[float, float]]] = {"gyro": (0.35, 1.8), "accel": (0.185, 2.1)}
+"""Accepted ratio of reading to truth for an uncalibrated IMU. Accelerometers: scale-factor errors of 80 % with
+misalignments and biases; the nearest wrong units have 0.102 (g; 1.8 times that is 0.184) and 3.28 (ft/s²). Gyros: 50 %
+and a bias; a time base that is off by a factor of two has 2.0."""
 
 _MATCH = math.log(1.8)  # largest distance of a ratio from a cause: the errors of an uncalibrated sensor
 _COUNTS_ABOVE = 60.0  # above it (degrees declared as radians: 57), raw counts are possible too
@@ -175,15 +177,15 @@ def check_rest(
     Raises
     ------
     DataError
-        A magnitude outside 0.35 to 1.8 g, with its likely cause.
+        A magnitude outside 0.185 to 2.1 g, with its likely cause.
     """
     magnitude = np.linalg.norm(np.asarray(mean_accel, dtype=np.float64).reshape(-1, 3), axis=1)
     ratio = magnitude / gravity
-    bad = _illegal(ratio)
+    bad = _illegal(ratio, "accel")
     if bad.size == 0:
         return
     typical = float(np.median(ratio))
-    if _is_legal(typical):
+    if _is_legal(typical, "accel"):
         k = int(bad[0])
         raise DataError(
             f"{labels[k]}: the accelerometers read {magnitude[k]:.4g} m/s² in the mean, but about "
@@ -210,7 +212,7 @@ def size_cause(force: float, gravity: float, interval_s: float | None = None) ->
         Sampling interval, with which increments taken for rates (or back) are recognised.
     """
     ratio = force / gravity
-    if _is_legal(ratio):
+    if _is_legal(ratio, "accel"):
         return None
     return _likely_cause(ratio, "accel", interval_s) or _unknown_cause(ratio, "accelerometer")
 
@@ -239,15 +241,15 @@ def check_turns(
     angle = np.atleast_1d(np.asarray(angle_rad, dtype=np.float64))
     nominal = np.atleast_1d(np.asarray(nominal_rad, dtype=np.float64))
     ratio = angle / nominal
-    bad = _illegal(ratio)
+    bad = _illegal(ratio, "gyro")
     if bad.size == 0:
         return
     k = int(bad[0])
     found = f"the gyros turned by {angle[k] / DEG:.4g}°, but {nominal[k] / DEG:.4g}° is stated"
     typical = float(np.median(np.abs(ratio)))
-    if _is_legal(typical):
+    if _is_legal(typical, "gyro"):
         cause = "correct its id, its windows, or the order and sign of the gyro axes"
-        if ratio[k] < 0.0 and _is_legal(-float(ratio[k])):
+        if ratio[k] < 0.0 and _is_legal(-float(ratio[k]), "gyro"):
             cause = "it turned the other way, or an axis of the gyros is reversed; correct its id, or the sign"
         raise DataError(f"{labels[k]}: {found} ({bad.size} of {ratio.size} turns): {cause}.")
     cause = _likely_cause(typical, "gyro", interval_s) or _unknown_cause(typical, "gyro")
@@ -445,12 +447,14 @@ def gap_inside(recording: Recording, part: slice) -> Indices:
     return inside
 
 
-def _is_legal(ratio: float) -> bool:
-    return LEGAL_RATIO[0] <= ratio <= LEGAL_RATIO[1]
+def _is_legal(ratio: float, sensor: Sensor) -> bool:
+    low, high = LEGAL_RATIO[sensor]
+    return low <= ratio <= high
 
 
-def _illegal(ratio: Array) -> Indices:
-    return np.flatnonzero(~((ratio >= LEGAL_RATIO[0]) & (ratio <= LEGAL_RATIO[1])))
+def _illegal(ratio: Array, sensor: Sensor) -> Indices:
+    low, high = LEGAL_RATIO[sensor]
+    return np.flatnonzero(~((ratio >= low) & (ratio <= high)))
 
 
 def _likely_cause(ratio: float, sensor: Sensor, interval_s: float | None) -> str | None:

@@ -40,6 +40,18 @@ def test_half_of_scale_and_a_metre_of_bias_are_legal(seed):
     check_turns(2 * math.pi * scale * [1, -1, 1], 2 * math.pi * np.array([1, -1, 1]), LABELS, interval_s=DT)
 
 
+@pytest.mark.parametrize("ratio", [0.19, 0.3, 1.89, 2.05])
+def test_accelerometers_with_errors_of_80_percent_are_legal(ratio):
+    check_rest(POSES * ratio, G, LABELS, interval_s=DT)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 2.0])
+def test_rotations_of_a_third_or_twice_the_label_are_refused(ratio):
+    turns = 2 * math.pi * np.array([1, -1, 1])
+    with pytest.raises(DataError):
+        check_turns(ratio * turns, turns, LABELS, interval_s=DT)
+
+
 @pytest.mark.parametrize(
     ("factor", "kwargs", "fragment"),
     [
