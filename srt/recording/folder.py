@@ -348,7 +348,8 @@ def _apply(values: Array, conversion: tuple[Array, Array]) -> None:
     if offset.any():
         values -= offset
     if (factor != 1.0).any():
-        values *= factor
+        with np.errstate(over="ignore"):  # an infinite reading is refused with its row
+            values *= factor
 
 
 def sha256_of(path: Path) -> str:
