@@ -15,6 +15,7 @@ from srt.model.sensor_model import accel_triad, outside_model
 from srt.model.table1 import SEQUENCES
 from srt.mount.alignment import MountAlignment, align_mount
 from srt.mount.pose_kinds import pose_kinds, require_both
+from srt.noise.bias_instability import window_draws
 from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture
 from srt.result.calibration import software
@@ -166,15 +167,13 @@ def find_poses(recording: Recording, calibration: Calibration, *, level_sigma_ra
         )
     noise = noise_model(recording, samples)
     _check_stationary(windows, accel, noise, used, names, level_sigma_rad)
-    variance = (
-        noise.accel_white**2 * windows.white_factor[:, None]
-        + noise.accel_edge**2 * windows.edge_factor[:, None]
-        + noise.accel_wander**2
-    )
+    variance = noise.accel_white**2 * windows.white_factor[:, None] + noise.accel_edge**2 * windows.edge_factor[:, None]
     D = accel.sensitivity(force[used])
-    own = np.zeros((len(used), 3, len(used), 3))
-    rows = np.arange(len(used))
-    own[rows, :, rows] = np.einsum("sab,sb,scb->sac", D, variance[used], D)
+    # Bias instability is one drift over all poses, about the bias that the calibration states.
+    draws = window_draws(samples[used], recording.time)
+    drift = (draws @ draws.T)[:, :, None] * (noise.accel_flicker**2 + noise.accel_unseen**2)
+    drift[np.diag_indices(len(used))] += variance[used]
+    own = np.einsum("sab,stb,tcb->satc", D, drift, D)
     J = force_error_jacobian(force[used], accel).reshape(3 * len(used), -1)
     covariance = {
         "accel_noise": own.reshape(3 * len(used), -1),
