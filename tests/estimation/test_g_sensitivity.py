@@ -478,7 +478,10 @@ def test_covariance_of_corrected_samples_has_it():
 
 
 def test_budget_command(tmp_path, capsys):
-    """Estimating g-sensitivity leaves less than 1e-3 of its effect in the error budget."""
+    """Estimating g-sensitivity leaves less than 1e-3 of its effect in the error budget.
+
+    Without it, the residuals contradict the result; the budget shows by how much it is off.
+    """
     plan, rows = tmp_path / "short.toml", {}
     plan.write_text(PLAN)
     for mode in ("pooled", "g-sensitive"):
