@@ -10,8 +10,8 @@ from __future__ import annotations
 import os
 import threading
 import time
-import warnings
-from contextlib import contextmanager
+from collections import deque
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -145,24 +145,28 @@ def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: in
         from joblib.externals.loky.process_executor import TerminatedWorkerError
     except ModuleNotFoundError as error:
         raise MissingExtraError("joblib", "campaign", "Running in several processes") from error
+    given_up = threading.Event()
+    wanted = (task for task in tasks if not given_up.is_set())
     with parallel_config(backend="loky", inner_max_num_threads=1):
         parallel = Parallel(
             n_jobs=workers, return_as="generator_unordered", batch_size=1, pre_dispatch=_AHEAD * workers
         )
-        results = parallel(delayed(_of_parent)(os.getpid(), call, task) for task in tasks)
+        results = parallel(delayed(_of_parent)(os.getpid(), call, task) for task in wanted)
         try:
-            for result in results:  # noqa: UP028 - "yield from" would close it outside the filter below
+            for result in results:  # noqa: UP028 - "yield from" would close it before the tasks ahead have ended
                 yield result
         except TerminatedWorkerError:
             raise DataError(
                 "A worker process was ended from outside or ran out of memory: what finished before is kept; "
                 "run the same again to go on, with fewer workers."
             ) from None
-        finally:
-            # Who stops before the last result, as on a full disk, says why; joblib adds advice on the input.
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", r"\d+ tasks which were still being processed", UserWarning)
-                results.close()
+        except GeneratorExit:
+            # Closing joblib in the middle kills its workers while a thread still hands tasks to them, and warns of
+            # the results not used. The few tasks ahead end by themselves, and what they raise has no reader.
+            given_up.set()
+            with suppress(Exception):
+                deque(results, maxlen=0)
+            raise
 
 
 def _on_cluster(call: Callable[[Any], R], tasks: Iterable[Any], address: str) -> Iterator[R]:
