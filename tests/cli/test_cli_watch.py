@@ -69,7 +69,7 @@ def test_a_growing_recording_is_followed_and_its_result_is_that_of_calibrate(fin
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        ("reversed", "Sequence 2, wrong direction: it was turned as sequence 2a"),
+        pytest.param("reversed", "Sequence 2, wrong direction: it was turned as sequence 2a", marks=pytest.mark.slow),
         ("skipped", "Sequence 3, skipped: the unit is at the start of sequence 1a"),
     ],
 )

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosing import every_second_grade
+from diagnosing import every_second_grade, grades_and_faults
 from scipy.ndimage import uniform_filter1d
 
 import sims.faults.execution
@@ -176,8 +176,7 @@ def test_the_clean_twin_is_sound(grade):
 NEW = ("gyro_axis_delayed", "accel_axis_delayed", "accel_settling", "samples_duplicated", "units_joined")
 
 
-@pytest.mark.parametrize("fault", NEW)
-@pytest.mark.parametrize("grade", GRADES)
+@grades_and_faults(NEW)
 def test_each_injection_is_named_first(grade, fault):
     """One unit; ``benchmarks/faults.py`` runs several severities. Times, places and sizes come from the seed."""
     if grade not in INJECTIONS[fault].severity:

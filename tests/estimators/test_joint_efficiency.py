@@ -1,6 +1,6 @@
 """Factor graph and Kalman filter against the Cramér-Rao bound: nearly efficient, with honest sigmas and innovations.
 
-24 units over the three grades here, 2,000 with ``-m slow``; ``benchmarks/efficiency.py`` runs 2,000 of each grade.
+16 units of two grades here, 2,000 of three with ``-m slow``; ``benchmarks/efficiency.py`` runs 2,000 of each grade.
 Claims and their statistical bounds are those of :mod:`efficiency`: limit plus 3.5 standard errors at this
 size.
 """
@@ -29,8 +29,10 @@ def missed(claims):
     return [c for c in claims if not c.holds]
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(667, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize(
+    ("grade", "count"),
+    [(g, 8) for g in ("navigation", "tactical")] + [pytest.param(g, 667, marks=pytest.mark.slow) for g in GRADES],
+)
 def test_graph_and_filter_are_nearly_efficient(grade, count):
     """All criteria in one test, or each worker would simulate the units anew; 50 Hz shows the same as 100 Hz."""
     trial = partial(

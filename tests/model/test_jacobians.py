@@ -118,7 +118,7 @@ def turning(data):
 
 
 @pytest.mark.parametrize("window_attitude", ["held", "integrated"])
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", ["none", pytest.param("tiny", marks=pytest.mark.slow), "large"])
 def test_playback_jacobian_without_earth_rate(motions, size, window_attitude):
     errors = draw(size)
     data, player = play_back(motions[False], errors, window_attitude)

@@ -210,7 +210,7 @@ def statistics(case, count, rng):
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("count", [60, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [30, pytest.param(500, marks=pytest.mark.slow)])
 def test_the_sigmas_are_true(case, count):
     nees, normal, errors = statistics(case, count, np.random.default_rng([17, count, list(CASES).index(case)]))
     # The mean of chi-squares of 3 (of 1) degrees of freedom has the standard error sqrt(6/N) (sqrt(2/N)): 3.5 of it.

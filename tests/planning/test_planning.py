@@ -248,6 +248,7 @@ def test_the_shortest_test_meets_all_targets_and_hardly_more(axes):
     assert shortest.bound < shortest.ratio
 
 
+@pytest.mark.slow
 def test_targets_that_one_short_sequence_each_would_meet():
     file = file_of(WHITE)
     wanted = np.full(27, math.nan)

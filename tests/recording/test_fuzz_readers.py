@@ -119,7 +119,7 @@ def test_undamaged_files_are_read(name, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_damaged_files_give_samples_or_one_clear_sentence(name, tmp_path):
-    run(name, tmp_path / "input", 20, derandomize=True)
+    run(name, tmp_path / "input", 10, derandomize=True)
 
 
 @pytest.mark.slow

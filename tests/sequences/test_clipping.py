@@ -64,9 +64,10 @@ def test_rails_that_a_shake_reaches_for_single_samples(hand):
     assert channels(replace(hand, gyro=np.round(hand.gyro / lsb) * lsb)) == set()
 
 
+@pytest.mark.parametrize("units", [1, pytest.param(20, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("grade", GRADES)
-def test_nothing_is_found_in_sound_fixture_recordings(grade):
-    for seed in range(3):
+def test_nothing_is_found_in_sound_fixture_recordings(grade, units):
+    for seed in range(units):
         levels = clipping_levels(Case(grade, seed).recording)
         stated = Case(grade, seed).recording.noise
         if stated.gyro_range is None:

@@ -39,7 +39,7 @@ def content(label):
     return label.pose, label.id, label.down, label.along_outer, len(label.rotations), label.rate
 
 
-@pytest.mark.parametrize("grade", ["tactical-fog", "consumer-mems"])
+@pytest.mark.parametrize("grade", [pytest.param("tactical-fog", marks=pytest.mark.slow), "consumer-mems"])
 @pytest.mark.parametrize(
     ("name", "fixture"), [*((n, False) for n in protocol_names()), *((n, True) for n in ON_FIXTURE)]
 )
