@@ -2,7 +2,7 @@
 
 Tables of a campaign::
 
-    [campaign]   name, description, seed, trials (of every point of the grid), fixed_point
+    [campaign]   name, description, seed, trials (of every point of the grid), fixed_point, trials_per_motion
     [scenario]   as for ``srt simulate``; from = "name" takes one of the library, with these keys laid over it
     [grid]       key = [values]: every combination of the lists is a point
     [random]     key = {low, high, log} or {choices}: drawn anew for every trial
@@ -115,7 +115,10 @@ class CampaignTable(TomlTable):
     trials: Annotated[int, Field(strict=True, ge=1)]
     """Trials of every point of the grid."""
     fixed_point: Flag = True
-    """True: also iterate from the true errors, to detect wrong minima; False: the status is not verified."""
+    """True: where a result is not close to the truth, also iterate from the true errors, to detect wrong minima; False:
+    the status is not verified."""
+    trials_per_motion: Annotated[int, Field(strict=True, ge=1)] = 1
+    """Number of successive trials of all points that run through one motion, with one draw of the fixture's errors."""
 
 
 class RandomTable(TomlTable):
@@ -195,6 +198,7 @@ class Campaign:
     name, description : str
     seed, trials : int
     fixed_point : bool
+    trials_per_motion : int
     scenario : dict
         Tables of the scenario common to all trials, ``from`` resolved.
     grid : dict of str to tuple
@@ -209,6 +213,7 @@ class Campaign:
     seed: int
     trials: int
     fixed_point: bool
+    trials_per_motion: int
     scenario: dict[str, Any]
     grid: dict[str, tuple[Value, ...]]
     random: dict[str, RandomTable]
@@ -227,8 +232,13 @@ class Campaign:
 
     @property
     def tasks(self) -> Iterator[tuple[int, int]]:
-        """Point and number of every trial; all points once before any twice, so that a partial run covers the grid."""
-        return ((point, k) for k in range(self.trials) for point in range(len(self.points)))
+        """Point and number of every trial: all trials of a motion, point by point, before those of the next.
+
+        So a partial run covers the grid, and a motion that the point does not change is computed once.
+        """
+        trials, size = range(self.trials), self.trials_per_motion
+        blocks = (trials[first : first + size] for first in trials[::size])
+        return ((point, k) for block in blocks for point in range(len(self.points)) for k in block)
 
     @property
     def size(self) -> int:
@@ -255,6 +265,8 @@ class Campaign:
                 (e.label, e.name, e.options.as_dict(), e.from_truth, e.drawn_prior) for e in self.estimators
             ],
         }
+        if self.trials_per_motion > 1:
+            parts["trials_per_motion"] = self.trials_per_motion
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def unit(self, point: int, trial: int) -> tuple[Scenario, dict[str, Value]]:
@@ -277,9 +289,16 @@ class Campaign:
         for key, value in values.items():
             tables = library.overlay(tables, _set(key, value, tables))
         tables = _with_sequences(tables, values, rng)
-        # 63 bits: what TOML can hold, so that a trial's scenario can be written down.
-        tables = {**tables, "seed": int(seeds.generate_state(1, np.uint64)[0] >> np.uint64(1))}
+        tables = {**tables, "seed": _number(seeds)}
+        if self.trials_per_motion > 1:
+            of_motion = np.random.SeedSequence(self.seed, spawn_key=(trial // self.trials_per_motion,))
+            tables = {**tables, "motion_seed": _number(of_motion)}
         return scenario_from_dict(tables, name=f"{self.name}, point {point}"), values
+
+
+def _number(seeds: np.random.SeedSequence) -> int:
+    """Seed of 63 bits: what TOML can hold, so that a trial's scenario can be written down."""
+    return int(seeds.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def load_campaign(path: str | Path) -> Campaign:

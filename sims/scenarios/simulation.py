@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 TRUTH_FORMAT = "srt-truth"
 TRUTH_VERSION = 1
+_KEPT: Final = 4
+"""Number of motions that are kept: those of some points of a grid, at 100 bytes a sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,23 +142,18 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
     scenario : Scenario
     rng : numpy.random.Generator, optional
         Default: a generator of the scenario's seed. Sensor errors, unit, fixture, motion and noise each
-        draw from a child of their own, so that a change in one leaves the others' numbers alone.
+        draw from a child of their own, so that a change in one leaves the others' numbers alone. With a seed of its
+        own, the motion does not draw from it.
     """
     generator = np.random.default_rng(scenario.seed) if rng is None else rng
     for_errors, for_unit, for_fixture, for_motion, for_noise = generator.spawn(5)
     sizes = {name: size * scenario.errors.factor for name, size in scenario.imu.errors.si().items()}
     truth = draw_errors(for_errors, sizes, distribution=scenario.errors.draw, values=scenario.errors.values)
     model = imu_model(scenario, for_unit)
-    turn = np.array(scenario.imu.frame_turn_mrad) * MRAD
-    turn = turn + for_unit.standard_normal(3) * scenario.imu.frame_turn_sigma_mrad * MRAD
-    U = rotation(turn).T
-    if scenario.protocol is not None:
-        motion = protocol_run(scenario, U, for_fixture, for_motion)
-    elif scenario.free is not None:
-        motion = _free_run(scenario, for_motion)
+    if scenario.motion_seed is None:
+        motion = _motion(scenario, for_unit, for_fixture, for_motion)
     else:
-        assert scenario.schedule is not None
-        motion = table_run(scenario, schedule_of(scenario.schedule), U, for_fixture)
+        motion = _kept_motion(_MotionKey.of(scenario))
     stated = scenario.recording
     recording = read_out(
         motion,
@@ -171,6 +169,47 @@ def simulate(scenario: Scenario, rng: np.random.Generator | None = None) -> Simu
     if not scenario.site.state_latitude:
         recording = replace(recording, site=replace(recording.site, latitude_rad=None))
     return Simulation(recording, truth, motion.U, motion.draw, model, motion.windows, motion, scenario)
+
+
+def _motion(
+    scenario: Scenario, for_unit: np.random.Generator, for_fixture: np.random.Generator, for_motion: np.random.Generator
+) -> TrueMotion:
+    """Protocol, free recording or schedule of a scenario, executed; the unit's orientation on the table is drawn."""
+    turn = np.array(scenario.imu.frame_turn_mrad) * MRAD
+    turn = turn + for_unit.standard_normal(3) * scenario.imu.frame_turn_sigma_mrad * MRAD
+    U = rotation(turn).T
+    if scenario.protocol is not None:
+        return protocol_run(scenario, U, for_fixture, for_motion)
+    if scenario.free is not None:
+        return _free_run(scenario, for_motion)
+    assert scenario.schedule is not None
+    return table_run(scenario, schedule_of(scenario.schedule), U, for_fixture)
+
+
+@dataclass(frozen=True, slots=True)
+class _MotionKey:
+    """All that a motion with a seed of its own depends on."""
+
+    seed: int
+    tables: str
+    scenario: Scenario = field(compare=False)
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> _MotionKey:
+        assert scenario.motion_seed is not None
+        tables: dict[str, Any] = dict.fromkeys(("site", "fixture", "schedule", "free", "protocol"), True)
+        tables["recording"] = {"sample_rate_hz", "start_time_s"}
+        tables["imu"] = {"frame_turn_mrad", "frame_turn_sigma_mrad"}
+        return cls(scenario.motion_seed, scenario.model_dump_json(include=tables), scenario)
+
+
+@lru_cache(maxsize=_KEPT)
+def _kept_motion(key: _MotionKey) -> TrueMotion:
+    """Motion with a seed of its own; the last ones are kept, as a campaign reads them out for many units."""
+    motion = _motion(key.scenario, *np.random.default_rng(key.seed).spawn(3))
+    for values in (motion.time, motion.angle, motion.angle_abs, motion.velocity, motion.velocity_abs):
+        values.flags.writeable = False  # all recordings of the motion have them in common
+    return motion
 
 
 def imu_model(scenario: Scenario, rng: np.random.Generator) -> ImuModel:

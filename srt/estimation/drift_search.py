@@ -51,7 +51,7 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     white = solve_triangular(L, np.concatenate(columns, axis=1) * scale[:, None], lower=True)
     z, H, *effects = np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
     found = {key: residual_statistics(z[:, 0], H, Z) for key, Z in zip(forms, effects, strict=True)}
-    slope = np.asarray(np.linalg.inv(measurements.gyro.matrix), dtype=np.float64)
+    slope = measurements.gyro.inverse
     found |= gyro_statistics(data, slope, measurements.rest_rate, measurements.integrated, solution.excess.drift)
     return most_significant(found, len(keys))
 
@@ -91,8 +91,7 @@ def gyro_statistics(
     noise = np.diag((raw_rate_variance(data.noise, data.windows.duration_s) @ (slope**2).T + doubt**2).ravel())
     if data.noise.gyro_flicker is not None:
         own = data.noise.gyro_flicker * slope
-        drift = data.drift.windows @ data.drift.windows.T
-        noise = noise + np.kron(drift, own @ own.T)
+        noise = noise + np.kron(data.drift.window_covariance, own @ own.T)
     rows = (3 * used[:, None] + np.arange(3)).ravel()
     L = np.linalg.cholesky(noise[np.ix_(rows, rows)])
 
@@ -155,7 +154,7 @@ def used_bias_gain(data: PreparedRecording, options: Options, solution: Solution
     """Weight of a sequence's own rest rate in its bias, per axis, shape (3,); see ``bias_gain``."""
     if solution.excess.drifting("gyro"):
         return np.ones(3)
-    compensated = np.sqrt(np.linalg.inv(solution.measurements.gyro.matrix) ** 2 @ solution.wander**2)
+    compensated = np.sqrt(solution.measurements.gyro.inverse**2 @ solution.wander**2)
     return bias_gain(solution.measurements, data, options.gyro_bias, compensated)
 
 

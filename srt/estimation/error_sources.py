@@ -53,7 +53,7 @@ class Slopes(NamedTuple):
 
 def slopes(gyro: Triad, accel: Triad, rate: Array, force: Array, integrals: RotationIntegrals) -> Slopes:
     """Derivatives at compensated mean rates and specific forces of the windows, shape (W, 3)."""
-    angle = np.asarray(np.linalg.inv(gyro.matrix), dtype=np.float64)
+    angle = gyro.inverse
     return Slopes(accel.sensitivity(force), gyro.sensitivity(rate), angle, integrals)
 
 

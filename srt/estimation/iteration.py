@@ -314,7 +314,7 @@ class Iteration:
         return bias_gain(measurements, self.data, self.options.gyro_bias, self._compensated(measurements))
 
     def _compensated(self, measurements: SrtMeasurements) -> Array:
-        return np.asarray(np.sqrt(np.linalg.inv(measurements.gyro.matrix) ** 2 @ self.wander**2))
+        return np.asarray(np.sqrt(measurements.gyro.inverse**2 @ self.wander**2))
 
     def _scatter(self, measurements: SrtMeasurements) -> Array:
         """1-sigma of the bias between sequences, from the variation of their rest rates beyond noise (sensor axes)."""

@@ -245,7 +245,7 @@ def _own_draw(blocks: Array) -> Array:
 def _steady_rate_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """White noise and quantization of the mean rates that compare with a stated rate, shape (K, 2, 2 R)."""
     stated = measurements.stated
-    along = np.einsum("rha,ab->rhb", stated.spin_axes(measurements.gyro), np.linalg.inv(measurements.gyro.matrix))
+    along = np.einsum("rha,ab->rhb", stated.spin_axes(measurements.gyro), measurements.gyro.inverse)
     variance = np.sum(along**2 * sources.raw_rate_variance(data.noise, stated.duration_s), axis=2)
     out = np.zeros((data.K, 2, *variance.shape))
     for r, k in enumerate(stated.rated.tolist()):

@@ -37,19 +37,18 @@ def bias_gain(measurements: SrtMeasurements, data: PreparedRecording, mode: str,
         return np.zeros(3)
     own = rest_rate_variance(measurements, data)
     if data.noise.gyro_flicker is not None:
-        rest = data.drift.windows
-        pooled = measurements.pool @ rest
-        deviation = measurements.share @ rest - pooled
-        shared = float(np.mean(np.sum((data.drift.turns - pooled) * deviation, axis=1)))
-        size = np.linalg.inv(measurements.gyro.matrix) ** 2 @ data.noise.gyro_flicker**2
-        variance = size * float(np.mean(np.sum(deviation**2, axis=1))) + own
+        of_windows, of_turns = data.drift.window_covariance, data.drift.turn_covariance
+        deviation = measurements.share - measurements.pool
+        shared = float(np.mean(np.sum((of_turns - measurements.pool @ of_windows) * deviation, axis=1)))
+        size = measurements.gyro.inverse**2 @ data.noise.gyro_flicker**2
+        variance = size * float(np.mean(np.sum(deviation @ of_windows * deviation, axis=1))) + own
         return np.clip(size * shared / np.maximum(variance, 1e-300), 0.0, 1.0)
     return np.asarray(wander**2 / np.maximum(wander**2 + own, 1e-300))
 
 
 def window_rate_variance(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """Noise variance of the compensated mean rate of every window, shape (W, 3), (rad/s)²."""
-    D2 = np.linalg.inv(measurements.gyro.matrix) ** 2
+    D2 = measurements.gyro.inverse**2
     return np.asarray(raw_rate_variance(data.noise, data.windows.duration_s) @ D2.T)
 
 

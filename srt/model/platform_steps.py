@@ -87,7 +87,7 @@ class Steps:
         self._stream, self._gyro, self._offset, self._sample_noise_rad = stream, gyro, offset, sample_noise_rad
         self.sequence_of = np.repeat(np.arange(len(stream.starts) - 1), np.diff(stream.starts))
         self.chain = AttitudeChain(np.concatenate([stream.starts, stream.rotation[:, 1]]))
-        self._inverses: Array = gyro.inverses if gyro.asymmetry.any() else np.asarray(np.linalg.inv(gyro.matrix))[None]
+        self._inverses: Array = gyro.inverses if gyro.asymmetry.any() else gyro.inverse[None]
 
     def block(self, a: int, b: int) -> tuple[Array, Array, Array]:
         """Compensated increments Δθ, (3, m), Ĉ D and Ĉ at mid-interval, (3, 3, m), of the samples a to b."""
@@ -109,7 +109,7 @@ class CompiledSteps(Steps):
 
     def __init__(self, stream: GyroStream, gyro: Triad, offset: Array, sample_noise_rad: Array | None) -> None:
         super().__init__(stream, gyro, offset, sample_noise_rad)
-        mean_inverse = np.linalg.inv(gyro.matrix)
+        mean_inverse = gyro.inverse
         noise = np.zeros(3) if sample_noise_rad is None else sample_noise_rad
         # Copies, because numba compiles anew for another layout of an array, and for one that is read-only.
         self._corrections = (
@@ -226,7 +226,7 @@ def _compensate(
     y = stream.increments[:, block] - gyro.bias[:, None] * dt
     if len(inverses) == 1:
         return inverses[0] @ y, inverses[0]
-    mean_inverse = np.linalg.inv(gyro.matrix)
+    mean_inverse = gyro.inverse
     table = np.ascontiguousarray(np.moveaxis(inverses, 0, 2))
     smooth = sigma = None
     reference = mean_inverse @ y

@@ -17,6 +17,7 @@ decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -72,7 +73,7 @@ _CONTRACTION_ITERATIONS: Final = 100
 """Iterations on the border between octants; a contraction by 0.5 reaches double precision in 53."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Triad:
     """Sensor model of a triad, ``y = M v + s ∘ |v| + b``.
 
@@ -90,7 +91,12 @@ class Triad:
     asymmetry: Array
     bias: Array
 
-    @property
+    @cached_property
+    def inverse(self) -> Array:
+        """``M⁻¹``, shape (3, 3)."""
+        return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
+
+    @cached_property
     def inverses(self) -> Array:
         """``(M + diag(s ∘ sign))⁻¹`` by octant, shape (8, 3, 3)."""
         return np.linalg.inv(self.matrix + SIGNS[:, :, None] * np.diag(self.asymmetry))
@@ -109,10 +115,10 @@ class Triad:
         """
         y = np.asarray(reading, dtype=np.float64) - self.bias
         if not self.asymmetry.any():
-            return np.asarray(y @ np.linalg.inv(self.matrix).T)
+            return np.asarray(y @ self.inverse.T)
         flat = y.reshape(-1, 3)
         inverses = self.inverses
-        octant = octants(flat @ np.linalg.inv(self.matrix).T)
+        octant = octants(flat @ self.inverse.T)
         solution = np.einsum("nij,nj->ni", inverses[octant], flat)
         # The solution in a wrong octant points to another octant; few samples need a second iteration.
         for _ in range(OCTANT_ITERATIONS):
@@ -124,18 +130,18 @@ class Triad:
         else:
             # On the border between octants, rounding can make the search alternate. The contraction
             # v <- M⁻¹(y - s ∘ |v|) converges there for either sign.
-            inverse = np.linalg.inv(self.matrix).T
             v = solution[wrong]
             for _ in range(_CONTRACTION_ITERATIONS):
-                v = (flat[wrong] - self.asymmetry * np.abs(v)) @ inverse
+                v = (flat[wrong] - self.asymmetry * np.abs(v)) @ self.inverse.T
             solution[wrong] = v
         out: Array = solution.reshape(y.shape)
         return out
 
     def sensitivity(self, value: Array) -> Array:
         """Derivative of the compensated value to the reading, ``(M + diag(s ∘ sign v))⁻¹``, shape (..., 3, 3)."""
-        signs = np.where(value < 0.0, -1.0, 1.0)
-        return np.linalg.inv(self.matrix + signs[..., :, None] * np.diag(self.asymmetry))
+        if not self.asymmetry.any():
+            return np.broadcast_to(self.inverse, (*value.shape, 3))
+        return np.asarray(self.inverses[octants(value.reshape(-1, 3)).reshape(value.shape[:-1])])
 
 
 def octants(v: Array) -> Indices:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -88,7 +89,7 @@ def _twice_integrated(t: Array, tau: float) -> Array:
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class DriftDraws:
     """Unit draws of the bias instability of one sensor with an Allan floor of one.
 
@@ -106,11 +107,21 @@ class DriftDraws:
     parts: Array
     part_s: Array
 
-    @property
+    @cached_property
     def turns(self) -> Array:
         """Mean bias of every rotation, shape (K, n)."""
         share = self.part_s / self.part_s.sum(axis=1, keepdims=True)
         return np.asarray(np.einsum("kp,kpn->kn", share, self.parts))
+
+    @cached_property
+    def window_covariance(self) -> Array:
+        """Covariance of the mean biases of the windows, shape (W, W)."""
+        return np.asarray(self.windows @ self.windows.T)
+
+    @cached_property
+    def turn_covariance(self) -> Array:
+        """Covariance of the mean biases of rotations and windows, shape (K, W)."""
+        return np.asarray(self.turns @ self.windows.T)
 
 
 def drift_draws(windows: Indices, rotation: Indices, time_s: Array) -> DriftDraws:
@@ -140,11 +151,17 @@ def window_draws(windows: Indices, time_s: Array) -> Array:
 def _root(spans: Indices, time_s: Array) -> tuple[Array, Array]:
     """Lower triangular root of the covariance of the means over sample spans (n, 2), and the lengths of these, s."""
     start, end = interval_times(spans, time_s)
+    return _root_between(start.tobytes(), end.tobytes()), end - start
+
+
+@lru_cache(maxsize=2)
+def _root_between(starts: bytes, ends: bytes) -> Array:
+    """Root for intervals given as bytes: units that run through one test in turn have the same."""
+    start, end = np.frombuffer(starts), np.frombuffer(ends)
     covariance = flicker_covariance(start, end, correlation_times(float(end.max() - start.min())))
-    root: Array = np.asarray(
-        np.linalg.cholesky(covariance + _ROUNDING * np.diag(np.diag(covariance))), dtype=np.float64
-    )
-    return root, end - start
+    root = np.asarray(np.linalg.cholesky(covariance + _ROUNDING * np.diag(np.diag(covariance))), dtype=np.float64)
+    root.flags.writeable = False
+    return root
 
 
 def interval_times(spans: Indices, time_s: Array) -> tuple[Array, Array]:

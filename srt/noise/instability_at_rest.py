@@ -36,6 +36,8 @@ _SIGNIFICANT: Final = 3.09
 """B² over its 1-sigma from which B counts as shown: p = 1e-3."""
 _PARTS: Final = 64
 """Parts of a window whose means give the first cosine coefficients: an eighth, of which averages lose below 2 %."""
+_PIECE: Final = 1 << 13
+"""Samples of windows that are transformed together: they fit into a processor's cache."""
 _PASSES: Final = 3
 """Fits with the weights of the fit before."""
 
@@ -86,21 +88,21 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
     design = np.zeros((len(windows), octaves, 4))
     from scipy.fft import dct  # on use: labelled recordings with stated noise do without
 
-    for w in np.flatnonzero(lengths >= _FEWEST_SAMPLES).tolist():
-        n = int(lengths[w])
-        square = dct(readings[windows[w, 0] : windows[w, 1]], axis=0, norm="ortho")[1:] ** 2
+    for n in np.unique(lengths[lengths >= _FEWEST_SAMPLES]).tolist():
         f_dt = np.arange(1, n) / (2.0 * n)
         octave = np.minimum(np.log2(2.0 * longest * f_dt).astype(np.intp), octaves - 1)
         terms = np.stack([np.full(n - 1, 1.0 / dt_s), 4.0 * np.sin(math.pi * f_dt) ** 2 / dt_s**2], axis=1)
         terms = np.concatenate([terms, _drift_variances(n, dt_s)], axis=1)
-        number = np.bincount(octave, minlength=octaves)
-        there = number > 0
-        for target, values in ((power, square), (design, terms)):
-            sums = np.stack([np.bincount(octave, column, octaves) for column in values.T], axis=1)
-            target[w, there] = sums[there] / number[there, None]
-        # The median of a mean of k squares is smaller than its expected value.
-        power[w, there] /= (chdtri(number[there], 0.5) / number[there])[:, None]
-        count[w] = number
+        first, number = np.unique(octave, return_index=True, return_counts=True)[1:]
+        there = octave[first]
+        own, together = np.flatnonzero(lengths == n), max(1, _PIECE // n)
+        design[own[:, None], there] = np.add.reduceat(terms, first) / number[:, None]
+        count[own[:, None], there] = number
+        # The median of a sum of k squares is smaller than its expected value.
+        median = chdtri(number, 0.5)[:, None]
+        for some in (own[i : i + together] for i in range(0, len(own), together)):
+            square = dct(np.stack([readings[a : a + n] for a in windows[some, 0]]), axis=1, norm="ortho")[:, 1:] ** 2
+            power[some[:, None], there] = np.add.reduceat(square, first, axis=1) / median
     used = count.sum(axis=0) > 0
     freedom = count.sum(axis=0)[used]
     observed = np.nanmedian(power[:, used], axis=0)

@@ -307,10 +307,11 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     starts = np.linspace(0, max(len(triad) - _STRETCH, 0), _STRETCHES).astype(int)
     some = np.concatenate([triad[a : a + _STRETCH] for a in starts.tolist()])
-    smallest, largest = triad.min(axis=0), triad.max(axis=0)
+    # Channel by channel: a reduction over the rows of three readings takes ten times as long.
+    smallest, largest = np.array([(channel.min(), channel.max()) for channel in triad.T]).T
     smooth = _NO_NOISE * float(max(largest.max(), -smallest.min()))
     for axis in range(3):
-        channel = triad[:, axis]
+        channel = np.ascontiguousarray(triad[:, axis])
         inner = (some[:, axis] > smallest[axis]) & (some[:, axis] < largest[axis])
         differences = np.abs(np.diff(some[:, axis]))[inner[1:] & inner[:-1]]
         if not differences.size or np.mean(differences == 0.0) > _REPEATS:

@@ -79,14 +79,14 @@ def _fails(
     """Both tests, the stated noise of gyros and accelerometers multiplied by ``ratio``, shape (2, W, 3)."""
     noise = data.noise
     T = 0.5 * data.windows.duration_s[:, None]
-    D2 = np.linalg.inv(gyro.matrix) ** 2
+    D2 = gyro.inverse**2
     halves = gyro.compensate(data.windows.gyro_halves)
     angle = (halves[:, 1] - halves[:, 0]) * T
     # Three readings of the angle make the difference of two adjoining halves: 1, -2, 1.
     variance = ((2.0 * noise.gyro_white**2 * T + 6.0 * noise.gyro_edge**2) * ratio[0] ** 2) @ D2.T
     variance = variance + 2.0 * (wander * T) ** 2
     turned = np.sum(angle**2 / variance, axis=1)
-    A2 = np.linalg.inv(accel.matrix) ** 2
+    A2 = accel.inverse**2
     force = accel.compensate(data.windows.accel_halves)
     mean = accel.compensate(data.windows.accel_mean)
     up = mean / np.linalg.norm(mean, axis=1, keepdims=True)

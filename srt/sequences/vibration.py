@@ -49,6 +49,8 @@ _REFINED_BINS: Final = 2.0
 _DITHERED: Final = 2.0
 """Random walk over a window, in quantization steps, from which pulses have no line: it would be 20 bins wide. Pulses of
 a quieter unit at rest are periodic, with an amplitude of less than one step."""
+_PIECE: Final = 1 << 13
+"""Samples of windows whose spectra are computed together: they fit into a processor's cache."""
 _STEP_SAMPLES: Final = 4000
 """Samples from which the quantization step is taken where it is not stated."""
 
@@ -80,7 +82,7 @@ class Vibration:
         """Amplitude of the compensated channels, not attenuated by the sampling, shape (W, 3), rad/s or m/s²."""
         raw = self.gyro if sensor == "gyro" else self.accel
         attenuation = np.sinc(self._half_step / np.pi)
-        return np.asarray(np.abs(raw @ np.linalg.inv(triad.matrix).T) / attenuation)
+        return np.asarray(np.abs(raw @ triad.inverse.T) / attenuation)
 
     def angles(self, samples: Indices) -> Array:
         """Raw angle at the first and last edge of every window less its mean over the window, shape (W, 2, 3), rad."""
@@ -132,9 +134,11 @@ def vibration(recording: Recording, samples: Indices, noise: NoiseModel) -> Vibr
     found = []
     for sensor in ("gyro", "accel"):
         table = getattr(recording, sensor) if recording.kind == "rate" else getattr(recording, sensor) / dt
-        # One window after the other: spectra of all at once would take more memory than the recording.
-        each = [_spectra(table[b - n : b]) for _, b in chosen.tolist()]
-        power, ratio = (np.stack(spectra) for spectra in zip(*each, strict=True))
+        # Some windows after the others: spectra of all at once would take more memory than the recording.
+        ends, together = chosen[:, 1].tolist(), max(1, _PIECE // n)
+        groups = (ends[i : i + together] for i in range(0, len(ends), together))
+        each = [_spectra(np.stack([table[b - n : b] for b in group])) for group in groups]
+        power, ratio = (np.concatenate(spectra) for spectra in zip(*each, strict=True))
         tests = 2 * (ratio.shape[1] - _LOWEST)
         more_than_half = len(chosen) // 2 + 1
         stands_out = np.sort(ratio, axis=0)[-more_than_half] > _limit(len(chosen), tests)
@@ -177,24 +181,26 @@ def _limit(windows: int, tests: int) -> float:
 
 
 def _spectra(x: Array) -> tuple[Array, Array]:
-    """Power of a detrended window (n, 3), all channels together, and its largest ratio to neighbours, (F,) each."""
-    n = len(x)
+    """Power of detrended windows (..., n, 3), all channels together, and its largest ratio to neighbours, (..., F)."""
+    x = np.ascontiguousarray(np.swapaxes(x, -1, -2))
+    n = x.shape[-1]
     time = np.arange(n) - 0.5 * (n - 1)
-    x = x - x.mean(axis=0)
-    x = x - time[:, None] * (time / (time @ time) @ x)
-    power = np.abs(np.fft.rfft(x, axis=0)) ** 2
+    x -= x.mean(axis=-1, keepdims=True)
+    x -= (x @ (time / (time @ time)))[..., None] * time
+    spectrum = np.fft.rfft(x)
+    power = spectrum.real**2 + spectrum.imag**2
     # The spectrum of sampled readings is even about its end; bins 0 and 1 lost their power with the trend.
-    mirrored = np.concatenate([power, power[-2 : -2 - _NEIGHBOURS - 1 : -1]])
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(mirrored, axis=0)])
-    k = np.arange(len(power))
+    mirrored = np.concatenate([power, power[..., -2 : -2 - _NEIGHBOURS - 1 : -1]], axis=-1)
+    total = np.zeros((*mirrored.shape[:-1], mirrored.shape[-1] + 1))
+    np.cumsum(mirrored, axis=-1, out=total[..., 1:])
+    k = np.arange(power.shape[-1])
     sides = []
     # The line itself reaches into the next bins.
     for first, last in ((np.maximum(k - 1 - _NEIGHBOURS, 2), k - 1), (k + 2, k + 2 + _NEIGHBOURS)):
-        count = np.maximum(last - first, 1)[:, None]
-        sides.append((total[np.maximum(last, first)] - total[first]) / count)
+        sides.append((total[..., np.maximum(last, first)] - total[..., first]) / np.maximum(last - first, 1))
     level = np.maximum(*sides)
     ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0.0)
-    return power.sum(axis=1), ratio.max(axis=1)
+    return power.sum(axis=-2), ratio.max(axis=-2)
 
 
 def _refined(recording: Recording, windows: Indices, n: int, k: int) -> float:

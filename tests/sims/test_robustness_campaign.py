@@ -1,16 +1,17 @@
 """Campaigns: the same numbers whoever computes them, nothing lost whatever happens, and mistakes said in a sentence."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from small_campaign import SMALL, TIMES, numbers, same, small_campaign
 
 import srt
 from sims.physics.imu import accel_matrix, gyro_matrix, is_imu
@@ -26,56 +27,10 @@ from srt.constants import DEG
 from srt.exceptions import DataError, InputError
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
 
-TIMES = ("simulate_s", "calibrate_s")
-SMALL = """
-[campaign]
-name = "small"
-seed = 7
-trials = {trials}
-
-[scenario]
-from = "robustness"
-{scenario}
-[scenario.errors]
-draw = "uniform"
-factor = 1.0
-
-[scenario.schedule]
-dwell_s = 2.0
-rate_rad_s = 2.0
-
-[scenario.recording]
-sample_rate_hz = 50.0
-
-[grid]
-scale_percent = [5, 50]
-misalignment_mrad = [30]
-
-[random]
-gyro_bias_deg_s = {{ low = 0.0, high = 1.0 }}
-{extra}
-[[estimator]]
-name = "closed-form"
-"""
-
 
 @pytest.fixture
 def small(tmp_path):
-    def make(trials=2, extra="", scenario="", text=SMALL):
-        path = tmp_path / "small.toml"
-        path.write_text(text.format(trials=trials, extra=extra, scenario=scenario))
-        return load_campaign(path)
-
-    return make
-
-
-def numbers(table):
-    return table.drop_columns(TIMES).to_pylist()
-
-
-def same(a, b):
-    """Equal to the last bit, NaN to NaN."""
-    return json.dumps(numbers(a)) == json.dumps(numbers(b))
+    return partial(small_campaign, tmp_path)
 
 
 # The same numbers
