@@ -207,10 +207,10 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
 def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monkeypatch):
     """Steps of the bias from window to part of a turn to window, of every draw, in the samples: the same covariance.
 
-    With three parts of each turn, which is as good a test as twelve and faster. Away from the data it was taken from,
+    With two parts of each turn, which is as good a test as twelve and faster. Away from the data it was taken from,
     the problem's residual is minus what its unknown takes off.
     """
-    monkeypatch.setattr(analytic_platform, "_PARTS", (2, 3))
+    monkeypatch.setattr(analytic_platform, "_PARTS", (2, 2))
     monkeypatch.setattr(markov_drift, "CARRIED_S", 0.0)  # every process has a state: no approximation is left
     case = make(motions, VARIANTS[variant], size)
     joint, system = case.joint, case.system

@@ -64,7 +64,7 @@ def test_errors_of_hand_turned_units_match_their_sigmas(units):
     z = np.array(
         [
             normalised(1000 * grades.index(grade) + 100 * profiles.index(profile) + number, grade, profile)
-            for grade, profile in half_of_the_grid(units > 1)
+            for grade, profile in half_of_the_grid(units > 1)[:: 1 if units > 1 else 2]
             for number in range(units)
         ]
     )
