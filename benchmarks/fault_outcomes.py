@@ -48,6 +48,8 @@ HEADINGS: Final = ("named first", "another first", "refused", "only doubtful", "
 MOVES_TRUTH: Final[dict[str, tuple[str, ...]]] = {
     "gyro_lsb": ("gyro",),
     "accel_lsb": ("accel",),
+    "gyro_factor": ("gyro",),
+    "accel_factor": ("accel",),
     "one axis of another range": ("gyro", "accel"),
     "gyro_bias_drift": ("gyro_bias",),
     "gyro bias steps": ("gyro_bias",),

@@ -123,7 +123,7 @@ def counter_overflow(case: Case, severity: float, rng: np.random.Generator) -> R
     return replace(case.recording, time=(case.recording.time + start) % severity)
 
 
-@variant("stamps in minutes", 60.0, "times", "time_unit")
+@variant("stamps in minutes", 60.0, "times", "time_unit", "sample_rate")
 def stamps_in_minutes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Stamps and labels in minutes, or in sixtieths of a second."""
     factor = severity ** _sign(rng)
@@ -238,7 +238,7 @@ def neighbours_exchanged(case: Case, severity: float, rng: np.random.Generator) 
     return replace(case.recording, gyro=case.recording.gyro[order], accel=case.recording.accel[order])
 
 
-@variant("every second increment dropped", 2.0, "times", "sample_rate", "samples_lost")
+@variant("every second increment dropped", 2.0, "times", "increments_thinned", "samples_lost")
 def increments_decimated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Increments are thinned out in place of being summed: angles and velocities are too small by the factor."""
     recording = case.recording

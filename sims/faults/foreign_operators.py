@@ -218,7 +218,9 @@ PAIRS: Final = (
 
 
 def _pair(first: str, second: str) -> None:
-    @variant(f"{first} and {second}", 1.0, "times the stated ones", first, second)
+    @variant(
+        f"{first} and {second}", 1.0, "times the stated ones", *INJECTIONS[first].causes, *INJECTIONS[second].causes
+    )
     def pair(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         """Put two faults into one recording; what is refused at construction is refused here."""
         one, other = INJECTIONS[first], INJECTIONS[second]

@@ -145,8 +145,12 @@ def injection(
     *,
     options: Options | None = None,
     unseen: Mapping[str, str] | None = None,
+    also: tuple[str, ...] = (),
 ) -> Callable[[Apply], Apply]:
-    """Register the injection of a fault; a single severity applies to all grades in which it is detectable."""
+    """Register the injection of a fault; a single severity applies to all grades in which it is detectable.
+
+    ``also`` are other names of the catalogue that describe smaller severities: half a wrong unit is no unit.
+    """
     missing = dict(unseen or {})
     by_grade = severity if isinstance(severity, Mapping) else dict.fromkeys(GRADES, severity)
     by_grade = {grade: by_grade[grade] for grade in GRADES if grade in by_grade and grade not in missing}
@@ -154,7 +158,7 @@ def injection(
     def register(apply: Apply) -> Apply:
         if fault in INJECTIONS:
             raise InputError(f"The fault {fault!r} is injected in two ways: keep one.")
-        INJECTIONS[fault] = Injection(fault, apply, by_grade, unit, options, missing, (fault,))
+        INJECTIONS[fault] = Injection(fault, apply, by_grade, unit, options, missing, (fault, *also))
         return apply
 
     return register

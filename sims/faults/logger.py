@@ -96,7 +96,7 @@ def time_repeats(case: Case, severity: float, rng: np.random.Generator) -> Recor
     return replace(recording, time=time)
 
 
-@injection("rate_contradicts_stamps", 2.0, "times")
+@injection("rate_contradicts_stamps", 2.0, "times", also=("sample_rate",))
 def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The stated sample rate is wrong by the factor ``severity`` or its inverse."""
     recording = case.recording
@@ -106,7 +106,7 @@ def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generato
 # --- time stamps -----------------------------------------------------------------------------------------------------
 
 
-@injection("time_unit", 1e3, "times")
+@injection("time_unit", 1e3, "times", also=("sample_rate",))
 def time_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit of the time stamps is ``severity`` times smaller or larger than declared; labels have the same clock."""
     factor = severity ** float(rng.choice([-1.0, 1.0]))

@@ -102,7 +102,7 @@ _counts(
 def _wrong_count(fault: str, sensor: str) -> None:
     """Declare the count value of another measuring range."""
 
-    @injection(fault, 2.0, "times")
+    @injection(fault, 2.0, "times", also=(f"{sensor}_factor",))
     def wrong_count(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         factor = severity ** float(rng.choice([-1.0, 1.0]))
         return _with(case.recording, sensor, getattr(case.recording, sensor) * factor)
@@ -110,6 +110,37 @@ def _wrong_count(fault: str, sensor: str) -> None:
 
 _wrong_count("gyro_lsb", "gyro")
 _wrong_count("accel_lsb", "accel")
+
+
+_AS_SAMPLE_RATE: Final = "Without the Earth rate, one factor on all gyros is that of a wrong sample rate."
+
+
+def _one_factor(fault: str, sensor: str, unseen: Mapping[str, str]) -> None:
+    """Multiply all axes of a triad by one factor, as of a count value that is not that of the unit."""
+
+    @injection(fault, 1.25, "times", unseen=unseen)
+    def one_factor(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+        factor = severity ** float(rng.choice([-1.0, 1.0]))
+        return _with(case.recording, sensor, getattr(case.recording, sensor) * factor)
+
+
+_one_factor("gyro_factor", "gyro", {"consumer-mems": _AS_SAMPLE_RATE})
+_one_factor("accel_factor", "accel", {})
+
+
+@injection("increments_thinned", 1.0, "")
+def increments_thinned(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    """One increment of two to four is kept, and the others are dropped, not summed."""
+    recording, step = case.recording, int(rng.integers(2, 5))
+    per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
+    rows = np.arange(int(rng.integers(step)), len(recording.time), step)
+    return replace(
+        recording,
+        kind="increment",
+        time=recording.time[rows],
+        gyro=recording.gyro[rows] * per_sample,
+        accel=recording.accel[rows] * per_sample,
+    )
 
 
 @injection("sample_rate", dict(zip(GRADES, (1.1, 1.1, 1.1, 1.4), strict=True)), "times")

@@ -34,6 +34,8 @@ _ROTATING: Final = 0.05
 """Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: half a turn in a minute."""
+_OTHER_UNIT: Final = 8.0
+"""Largest rate of one axis over that of the others, from which its readings have another unit."""
 _MANY_WINDOWS: Final = 12
 """Windows, fewer of which do not give a g-sensitivity: three times the unknowns, one bias and three slopes."""
 
@@ -234,14 +236,18 @@ def rotation_angles(evidence: Evidence) -> tuple[Indices, Array, Array]:
     """
     data, path = evidence.data, block_averages(evidence)
     numbers, nominal, turned = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 3))], [np.zeros((0, 3))]
-    if data is None or path is None:
+    if data is None or path is None or len(path.rate) == 0:
         return numbers[0], nominal[0], turned[0]
+    largest = np.abs(path.rate).max(axis=0)
+    typical = float(np.median(largest))
+    # One axis in a smaller unit than the others would hold their rotations by its misalignment.
+    unit = np.where(largest > _OTHER_UNIT * typical, largest / max(typical, 1e-300), 1.0)
     for s, e in pairwise(path.starts.tolist()):
         k = int(path.sequence[s])
         sequence = data.catalogue[k]
         if sequence is None:
             continue
-        size = np.abs(path.rate[s:e])
+        size = np.abs(path.rate[s:e]) / unit
         speed = size.max(axis=1)
         mark = np.where(speed > MOVING * speed.max(), np.argmax(size, axis=1), -1)
         cuts = leg_borders(mark, through_stops=False)[:-1]

@@ -134,17 +134,29 @@ class EarthRateFactor(NamedTuple):
 
 
 @computed_once
+def earth_rate_components(evidence: Evidence) -> tuple[Array, Array, Array] | None:
+    """Vertical and horizontal Earth rate measured, their standard deviations, and those at the stated latitude.
+
+    Each of shape (2,), rad/s; None if they are not measured.
+    """
+    site, fixture, fit = evidence.recording.site, evidence.recording.fixture, stationary_rate_fit(evidence)
+    if site.latitude_rad is None or fixture is None or fit is None or fit.horizontal is None:
+        return None
+    true = EARTH_RATE_RAD_S * np.array([-np.sin(site.latitude_rad), np.cos(site.latitude_rad)])
+    found = np.array([fit.vertical, float(np.hypot(*fit.horizontal))])
+    return found, np.array(_component_sigmas(fit, fixture)), true
+
+
 def earth_rate_factor(evidence: Evidence) -> EarthRateFactor | None:
     """Factor of the Earth rate that explains the stationary rates at the stated latitude; None if it is not measured.
 
     A wrong sample rate changes both components by the same factor, a wrong latitude leaves their sum of squares.
     """
-    site, fixture, fit = evidence.recording.site, evidence.recording.fixture, stationary_rate_fit(evidence)
-    if site.latitude_rad is None or fixture is None or fit is None or fit.horizontal is None:
+    components = earth_rate_components(evidence)
+    if components is None:
         return None
-    sigma = np.array(_component_sigmas(fit, fixture))
-    true = EARTH_RATE_RAD_S * np.array([-np.sin(site.latitude_rad), np.cos(site.latitude_rad)]) / sigma
-    found = np.array([fit.vertical, float(np.hypot(*fit.horizontal))]) / sigma
+    measured, sigma, expected = components
+    found, true = measured / sigma, expected / sigma
     information = float(true @ true)
     value = float(true @ found) / information
     left = found - value * true

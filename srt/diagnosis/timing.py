@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.diagnosis.findings import check, finding
-from srt.diagnosis.units import accel_scale_ratios, gyro_scale_ratios
+from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
+from srt.diagnosis.units import TIME_UNITS, USUAL_S, scale_findings
 from srt.recording.timing import ROUNDING_FRACTION
-from srt.sequences.plausibility import LEGAL_RATIO, LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
+from srt.sequences.plausibility import LONGEST_INTERVAL_S, SHORTEST_INTERVAL_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,19 +20,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.findings import Finding
     from srt.types import Indices
 
-_UNITS: Final = (
-    (1e-3, "milliseconds", "seconds"),
-    (1e-6, "microseconds", "seconds"),
-    (1e-9, "nanoseconds", "seconds"),
-    (1e3, "seconds", "milliseconds"),
-    (1e6, "seconds", "microseconds"),
-    (1e9, "seconds", "nanoseconds"),
-)
-"""Factor that corrects the time stamps, their true unit, and the declared one."""
-_USUAL_S: Final = (1e-4, 0.11)
-"""Usual sampling intervals, s: 10 kHz to a little less than 10 Hz."""
-_SAME_FACTOR: Final = math.log(1.8)
-"""Logarithm of the ratio of two factors that count as one, through the errors of an uncalibrated IMU."""
 _FEW_STEPS: Final = 100
 """Samples, fewer of which do not tell the jitter."""
 _BURSTS: Final = 0.05
@@ -44,33 +32,30 @@ _NO_GAP: Final = 8.0
 """Jitter of a step in sigma that does not occur by chance: p = 1e-15 each."""
 
 
-def _unit(interval: float) -> tuple[float, str, str]:
-    """Time unit that makes an interval a usual one, else the nearest to that."""
-    middle = math.sqrt(_USUAL_S[0] * _USUAL_S[1])
-    usual = [row for row in _UNITS if _USUAL_S[0] <= interval * row[0] <= _USUAL_S[1]]
-    return usual[0] if usual else min(_UNITS, key=lambda row: abs(math.log(interval * row[0] / middle)))
-
-
 @check("time_unit")
 def time_unit(evidence: Evidence) -> Iterator[Finding]:
     """Test the time unit: the interval is impossible, or all integrals over time are off by the same factor."""
     interval = evidence.dt
-    factor, unit, declared = _unit(interval)
-    if not SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
-        why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"
-        yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
+    if SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
+        yield from (found for found in scale_findings(evidence) if found.fault == "time_unit")
         return
-    if _USUAL_S[0] <= interval <= _USUAL_S[1] or not _USUAL_S[0] <= interval * factor <= _USUAL_S[1]:
-        return
-    # Integrated rates scale with the interval, and increments divided by it inversely.
-    turned, rest = gyro_scale_ratios(evidence).typical, accel_scale_ratios(evidence).typical
+    _, unit, declared = _unit(evidence, interval)
+    why = f"but {SHORTEST_INTERVAL_S:g} to {LONGEST_INTERVAL_S:g} s is expected"
+    yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
+
+
+def _unit(evidence: Evidence, interval: float) -> tuple[float, str, str]:
+    """Time unit that makes an interval a usual one, by the integrals over time if several do, else the nearest."""
+    middle = math.sqrt(USUAL_S[0] * USUAL_S[1])
+    usual = [row for row in TIME_UNITS if USUAL_S[0] <= interval * row[0] <= USUAL_S[1]]
+    if not usual:
+        return min(TIME_UNITS, key=lambda row: abs(math.log(interval * row[0] / middle)))
     rates = evidence.recording.kind == "rate"
-    off, other = (1.0 / turned if rates else rest, rest if rates else turned) if turned > 0.0 else (math.nan, math.nan)
-    low, high = LEGAL_RATIO["accel" if rates else "gyro"]
-    if off > 0.0 and low < other < high and abs(math.log(off / factor)) < _SAME_FACTOR:
-        what = "rotations read" if rates else "gravity reads"
-        why = f"and {what} {(turned if rates else rest):.3g} times the expected value"
-        yield finding("time_unit", interval=interval, why=why, unit=unit, declared=declared)
+    ratio = (gyro_scale_ratios if rates else accel_scale_ratios)(evidence).typical
+    if len(usual) == 1 or not ratio > 0.0:
+        return usual[0]
+    factor = math.log(ratio) * (-1.0 if rates else 1.0)
+    return min(usual, key=lambda row: abs(math.log(row[0]) - factor))
 
 
 def _jitter(evidence: Evidence) -> tuple[float, float]:

@@ -1,26 +1,26 @@
-"""Units, count values and sample rate: factors of the readings against labels and gravity.
+"""Units, count values, sample rate and time unit: factors of the readings against labels and gravity.
 
-Most wrong units are factors far beyond the scale errors of an uncalibrated IMU (50 %), so the nearest one is named.
-Wrong ranges (powers of two) and sample rates lie within these errors. The axes tell them apart: scale errors differ
-from axis to axis, a wrong factor does not. If one axis disagrees with itself over the rotations and poses, labels or
-windows are wrong, and nothing is said about factors.
+A ratio is examined where it is impossible for a unit (its errors may be tens of per cent), or where the axes of a triad
+share a factor that independent scale errors do not have. All causes that this admits are compared by likelihood
+(:mod:`srt.diagnosis.scale_causes`). If one axis disagrees with itself over the rotations and poses, labels or windows
+are wrong, and nothing is said about factors.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.constants import DEG, DEG_PER_H, STANDARD_GRAVITY_M_S2
-from srt.diagnosis.axes import gravity_relation, manoeuvre_readings
 from srt.diagnosis.clipping import clipped_parts
 from srt.diagnosis.findings import check, finding
-from srt.diagnosis.rotation_readings import rotation_angles
+from srt.diagnosis.rotation_readings import computed_once, rotation_angles
+from srt.diagnosis.scale_causes import ScaleCause, most_likely
+from srt.diagnosis.scale_ratios import UNKNOWN, accel_scale_ratios, gyro_scale_ratios, stationary_force_scatter
 from srt.diagnosis.site import earth_rate_factor
-from srt.diagnosis.triad_fits import accel_fit
 from srt.model.table1 import AXES
 from srt.sequences.plausibility import LEGAL_RATIO
 from srt.sequences.wrong_units import WRONG_UNITS
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
+    from srt.diagnosis.scale_ratios import ScaleRatios
     from srt.sequences.wrong_units import WrongUnit
     from srt.types import Array, Sensor
 
@@ -44,6 +45,38 @@ _BOTH: Final = math.log(1.7)
 _TIGHT: Final = 0.07
 """Logarithm of the distance within which whole numbers are a unit and not counts: mg are often logged without decimals,
 and pulses of a fraction of an arc second are whole numbers of deg/h (but not all of them)."""
+_PRIORS: Final = {
+    "unit": 1e-2,
+    "kind": 1e-2,
+    "counts": 1e-2,
+    "range": 1e-2,
+    "clock": 1e-2,
+    "thinned": 1e-3,
+    "time": 1e-3,
+    "factor": 1e-3,
+}
+"""Probabilities of kinds of causes relative to none. Only their ratios count, and little against a scale of 1 %."""
+_CLOCKS: Final = 2.0 * math.log(1e3)
+_FACTORS: Final = 2.0 * math.log(16.0)
+_COUNTS: Final = math.log(1e9)
+"""Ranges of the logarithms of unknown factors: of a clock, of the full scale of a unit, of counts per unit."""
+TIME_UNITS: Final = (
+    (1e-3, "milliseconds", "seconds"),
+    (1e-6, "microseconds", "seconds"),
+    (1e-9, "nanoseconds", "seconds"),
+    (1e3, "seconds", "milliseconds"),
+    (1e6, "seconds", "microseconds"),
+    (1e9, "seconds", "nanoseconds"),
+    (60.0, "minutes", "seconds"),
+    (1.0 / 60.0, "sixtieths of a second", "seconds"),
+)
+"""Factor that corrects the time stamps, their true unit, and the declared one."""
+USUAL_S: Final = (1e-4, 0.11)
+"""Usual sampling intervals, s: 10 kHz to a little less than 10 Hz."""
+_UNUSUAL: Final = 1e-3
+"""Probability of other intervals."""
+_MOST_THINNED: Final = 16
+"""Largest number of increments of which one is kept."""
 _POWERS: Final = tuple(k for k in range(-4, 5) if k)
 """Exponents of two between the ranges of one IMU: a factor of 16 at most (125 to 2000 °/s, 2 to 32 g)."""
 _POWER_DISTANCE: Final = 0.04
@@ -80,6 +113,7 @@ _MOST_COUNTS: Final = 2.0**52
 @check(
     "increments_as_rates",
     "rates_as_increments",
+    "increments_thinned",
     "gyro_degrees",
     "gyro_radians",
     "gyro_per_hour",
@@ -91,95 +125,228 @@ _MOST_COUNTS: Final = 2.0**52
     "accel_counts",
     "gyro_lsb",
     "accel_lsb",
+    "sample_rate",
+    "gyro_factor",
+    "accel_factor",
 )
-def wrong_units(evidence: Evidence) -> Iterator[Finding]:
-    """Test for one factor on all readings of a triad: of both triads together, then of each."""
+def wrong_scales(evidence: Evidence) -> Iterator[Finding]:
+    """Name the most likely cause of wrong scales, unless it is the time unit."""
+    yield from (found for found in scale_findings(evidence) if found.fault != "time_unit")
+
+
+@computed_once
+def scale_findings(evidence: Evidence) -> list[Finding]:
+    """Faults that explain the ratios of both triads best; none for those of a sound unit."""
     gyro, accel = gyro_scale_ratios(evidence), accel_scale_ratios(evidence)
-    if stationary_force_scatter(evidence) > _MATCH:
-        accel = ScaleRatios(math.nan, np.full(3, np.nan), math.nan)  # the windows are not stationary
-    kind = _wrong_kind(evidence, gyro, accel)
-    if kind is not None:
-        yield kind
-        return
+    if stationary_force_scatter(evidence) > _MATCH and not accel.axis_scatter < _POWER_SCATTER:
+        accel = UNKNOWN  # the windows are not stationary
+    odd = {"gyro": _is_odd(evidence, "gyro", gyro, accel), "accel": _is_odd(evidence, "accel", accel, gyro)}
+    if not any(odd.values()):
+        return []
+    sound = [ScaleCause()]
+    by_gyro = (list(_of_one_triad(evidence, "gyro", gyro)) or sound) if odd["gyro"] else sound
+    by_accel = (list(_of_one_triad(evidence, "accel", accel)) or sound) if odd["accel"] else sound
+    causes = [*_of_both(evidence, gyro, accel), *(one & other for one in by_gyro for other in by_accel)]
+    timed: Sensor = "gyro" if evidence.recording.kind == "rate" else "accel"
+    if odd[timed]:
+        clock = list(_of_clock(evidence, gyro if timed == "gyro" else accel))
+        beside = by_accel if timed == "gyro" else by_gyro
+        causes += [one & other for one in clock for other in beside]
+    best, runner_up = most_likely(causes, evidence, gyro, accel)
+    found = [finding(fault, **best.details[fault]) for fault in best.faults]
+    return [replace(one, runner_up=runner_up) if k == 0 else one for k, one in enumerate(found)]
+
+
+def _is_legal(sensor: Sensor, scales: ScaleRatios) -> bool:
+    low, high = LEGAL_RATIO[sensor]
+    return low < scales.typical < high
+
+
+def _is_odd(evidence: Evidence, sensor: Sensor, scales: ScaleRatios, other: ScaleRatios) -> bool:
+    """True if a triad has a ratio, or the axes have one in common, that no unit has."""
+    if not scales.known or not scales.by_axis:
+        return scales.known and not _is_legal(sensor, scales)
+    if not _is_legal(sensor, scales) or _one_axis(sensor, scales) is not None or _power_of_two(scales) is not None:
+        return True
+    # Stated gravity may be wrong, within the variation of gravity.
+    shift = abs(scales.common) - (_GRAVITY_VARIATION if sensor == "accel" else 0.0)
+    if shift > _COMMON_SIGMAS_ALONE * scales.scatter or (shift > _COMMON and shift > _COMMON_SIGMAS * scales.scatter):
+        return True
+    return (sensor == "gyro") == (evidence.recording.kind == "rate") and _confirmed_by_earth(evidence, scales, other)
+
+
+def _confirmed_by_earth(evidence: Evidence, scales: ScaleRatios, other: ScaleRatios) -> bool:
+    """True if the Earth rate is off by the factor of the triad that scales with the clock: no error of a unit is."""
+    earth = earth_rate_factor(evidence)
+    if earth is None or abs(scales.common) < _EARTH_LEAST or not other.known:
+        return False
+    expected = math.exp(-scales.common if evidence.recording.kind == "rate" else scales.common)
+    doubt = math.hypot(earth.sigma, scales.scatter * expected)
+    return abs(earth.value - 1.0) > _EARTH_SIGMAS * earth.sigma and abs(earth.value - expected) < 3.0 * doubt
+
+
+# --- admitted causes -------------------------------------------------------------------------------------------------
+
+
+def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> Iterator[ScaleCause]:
+    """Causes of the ratio of one triad alone: units, counts, ranges, one axis, any factor."""
     rates = evidence.recording.kind == "rate"
-    sensors: tuple[tuple[Sensor, ScaleRatios, tuple[float, ...]], ...] = (
-        ("gyro", gyro, (1.0, DEG, DEG_PER_H)[: 3 if rates else 2]),
-        ("accel", accel, (1.0, _G, 1e-3 * _G)[: 3 if rates else 1]),
-    )
-    for sensor, scales, wholes in sensors:
-        low, high = LEGAL_RATIO[sensor]
-        if not scales.known or low < scales.typical < high:
-            power = _power_of_two(scales)
-            if power is not None and not (power < 1.0 and _mostly_clipped(evidence, sensor)):
-                yield _wrong_count(sensor, math.exp(scales.common), power)
-            elif power is None and scales.known:
-                yield from _one_axis(evidence, sensor, scales)
-            continue
+
+    def cause(kind: str, fault: str, shift: float | Array, details: dict[str, Any], **more: Any) -> ScaleCause:
+        prior = _PRIORS[kind] * _usual(evidence.dt)
+        return ScaleCause((fault,), *_shifts(sensor, shift), prior=prior, details={fault: details}, **more)
+
+    if not _is_legal(sensor, scales):
         off = math.log(scales.typical)
-        units = (u for u in WRONG_UNITS[sensor] if u.fault and (rates or not u.rates_only))
-        nearest = min(units, key=lambda u: abs(off - math.log(u.factor)))
-        distance = abs(off - math.log(nearest.factor))
-        step = _common_step(getattr(evidence.recording, sensor), wholes)
+        near = [
+            (abs(off - math.log(unit.factor)), unit)
+            for unit in WRONG_UNITS[sensor]
+            if unit.fault and (rates or not unit.rates_only)
+        ]
+        distance = min(d for d, _ in near)
+        wholes = (1.0, *((DEG, DEG_PER_H) if sensor == "gyro" else (_G, 1e-3 * _G)))
+        step = _common_step(getattr(evidence.recording, sensor), wholes[: 3 if rates else 2 if sensor == "gyro" else 1])
         if (0 < step <= _COARSEST_COUNT and distance > _TIGHT) or (step == 1 and sensor == "gyro"):
-            yield finding(f"{sensor}_counts", **_fields(evidence, sensor, scales, None))
+            # Whole numbers are no chance: other units are out of the question.
+            fields = _fields(evidence, sensor, scales, None)
+            yield cause("counts", f"{sensor}_counts", 0.0, fields, unknown={sensor: (_COUNTS, 0.0)})
+            return
+        for d, unit in near:
+            if d < _MATCH:
+                yield cause("unit", unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales, unit))
+    power = _power_of_two(scales)
+    clipped = _clipped(evidence, sensor)
+    if power is not None and not (power < 1.0 and _mostly_clipped(evidence, clipped)):
+        yield cause("range", f"{sensor}_lsb", math.log(power), _wrong_count(sensor, math.exp(scales.common), power))
+    elif power is None and (one := _one_axis(sensor, scales)) is not None:
+        axis, factor, other = one
+        fault, details = f"{sensor}_lsb", _wrong_count(sensor, float(scales.axes[axis]), factor, axis)
+        if other is not None:
+            fault = other.fault
+            details = _fields(evidence, sensor, replace(scales, typical=float(scales.axes[axis])), other)
+            details |= {"title": f"gyro {AXES[axis]}"} if sensor == "gyro" else {}
+        yield cause("range", fault, math.log(factor) * np.eye(3)[axis], details)
+    elif scales.by_axis and scales.scatter < _POWER_SCATTER and not clipped:
+        details = {"ratio": math.exp(scales.common), "spread": _spread(scales)}
+        yield cause("factor", f"{sensor}_factor", 0.0, details, unknown={sensor: (_FACTORS, 0.0)})
+
+
+def _of_both(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Iterator[ScaleCause]:
+    """Causes that change both triads: increments taken for rates, or the reverse, or thinned out."""
+    rates, dt = evidence.recording.kind == "rate", evidence.dt
+    if not (gyro.known and accel.known):
+        return
+    if not _is_legal("gyro", gyro):
+        factor = math.log(dt) if rates else -math.log(dt)
+        turned, rest = math.log(gyro.typical), math.log(accel.typical)
+        if abs(turned - rest) <= _BOTH and max(abs(turned - factor), abs(rest - factor)) <= _MATCH:
+            fault = "increments_as_rates" if rates else "rates_as_increments"
+            gravity = evidence.recording.site.gravity_m_s2
+            details = {"accel": accel.typical * gravity, "turn": gyro.typical, "interval": dt}
+            yield ScaleCause((fault,), factor, factor, prior=_PRIORS["kind"], details={fault: details})
+    if not rates and gyro.by_axis and accel.by_axis and max(gyro.scatter, accel.scatter) < _POWER_SCATTER:
+        count = max(1, round(math.exp(-0.5 * (gyro.common + accel.common))))
+        off = max(abs(triad.common + math.log(count)) for triad in (gyro, accel))
+        if 2 <= count <= _MOST_THINNED and off < _POWER_DISTANCE:
+            fault, shift = "increments_thinned", -math.log(count)
+            details = {"count": count, "ratio": math.exp(gyro.common)}
+            yield ScaleCause((fault,), shift, shift, prior=_PRIORS["thinned"], details={fault: details})
+
+
+def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
+    """Causes in the clock, by the triad that scales with it: gyros of rates, accelerometers of increments."""
+    rates, dt = evidence.recording.kind == "rate", evidence.dt
+    timed: Sensor = "gyro" if rates else "accel"
+    if not scales.known:
+        return
+    off = math.log(scales.typical)
+    for factor, unit, declared in TIME_UNITS:
+        shift = -math.log(factor) if rates else math.log(factor)
+        if not USUAL_S[0] <= dt * factor <= USUAL_S[1]:
             continue
-        power = _power_of_two(scales)
-        if power is not None and abs(scales.common - math.log(power)) < distance:
-            yield _wrong_count(sensor, math.exp(scales.common), power)
-        elif distance < _MATCH:
-            yield finding(nearest.fault, **_fields(evidence, sensor, scales, nearest))
+        why = f"and {'rotations read' if rates else 'gravity reads'} {scales.typical:.3g} times the expected value"
+        details: dict[str, Any] = {"interval": dt, "why": why, "unit": unit, "declared": declared}
+        for power in (0, *_POWERS):
+            also = power * math.log(2.0)
+            if abs(off - shift - also) > (_POWER_DISTANCE if power else _MATCH):
+                continue
+            yield ScaleCause(
+                ("time_unit", f"{timed}_lsb")[: 2 if power else 1],
+                *_shifts(timed, shift + also),
+                clock=-math.log(factor),
+                prior=_PRIORS["time"] * (_PRIORS["range"] if power else 1.0),
+                details={
+                    "time_unit": details,
+                    f"{timed}_lsb": _wrong_count(timed, math.exp(off - shift), 2.0**power),
+                },
+            )
+    if not (scales.by_axis and scales.scatter < _POWER_SCATTER) or (rates and _clipped(evidence, "gyro")):
+        return
+    stated, ratio = 1.0 / dt, math.exp(scales.common)
+    rate = stated * ratio if rates else stated / ratio
+    details = {
+        "sensor": "gyros" if rates else "accelerometers",
+        "ratio": ratio,
+        "spread": _spread(scales),
+        "rate": rate,
+        "stated": stated,
+    }
+    yield ScaleCause(
+        ("sample_rate",),
+        unknown={timed: (_CLOCKS, 1.0 if rates else -1.0)},
+        prior=_PRIORS["clock"] * _usual(1.0 / rate),
+        details={"sample_rate": details},
+    )
 
 
-def _wrong_count(sensor: str, ratio: float, power: float, axis: int | None = None) -> Finding:
-    """Finding of a wrong count value, of all axes or of one."""
+def _shifts(sensor: Sensor, shift: float | Array) -> tuple[float | Array, float | Array]:
+    """Shift of gyros and of accelerometers, of which one is zero."""
+    return (shift, 0.0) if sensor == "gyro" else (0.0, shift)
+
+
+def _usual(interval_s: float) -> float:
+    """Probability of a sampling interval, relative to a usual one."""
+    return 1.0 if USUAL_S[0] <= interval_s <= USUAL_S[1] else _UNUSUAL
+
+
+def _clipped(evidence: Evidence, sensor: Sensor) -> set[int | None]:
+    """Sequences in which a triad saturates; None for the whole recording."""
+    return {k for k, parts in clipped_parts(evidence) for part in parts if part.channel.startswith(sensor)}
+
+
+def _spread(scales: ScaleRatios) -> float:
+    return float(np.std(np.log(scales.axes), ddof=1))
+
+
+def _wrong_count(sensor: str, ratio: float, power: float, axis: int | None = None) -> dict[str, Any]:
+    """Fields of the message on a wrong count value, of all axes or of one."""
     name = {"gyro": "gyro", "accel": "accelerometer"}[sensor]
     who = f"All {name} axes read" if axis is None else f"{name.capitalize()} {AXES[axis]} reads"
-    return finding(f"{sensor}_lsb", who=who, ratio=ratio, power=power)
+    return {"who": who, "ratio": ratio, "power": power}
 
 
-def _one_axis(evidence: Evidence, sensor: str, scales: ScaleRatios) -> Iterator[Finding]:
-    """Find one axis in another unit or range than the other two, which are right."""
+def _one_axis(sensor: Sensor, scales: ScaleRatios) -> tuple[int, float, WrongUnit | None] | None:
+    """Axis in another unit or range than the other two, which are right; the factor, and its unit if it is one."""
     if not scales.by_axis or scales.axis_scatter > _POWER_SCATTER:
-        return
+        return None
     logarithm = np.log(scales.axes)
     for axis in range(3):
-        off, ratio = float(logarithm[axis]), float(scales.axes[axis])
+        off = float(logarithm[axis])
         if np.abs(np.delete(logarithm, axis)).max() > _POWER_SCATTER or abs(off) < 0.5 * math.log(2.0):
             continue
         power = min(_POWERS, key=lambda k: abs(off - k * math.log(2.0)))
         units = (u for u in WRONG_UNITS[sensor] if u.fault and not u.rates_only)
         nearest = min(units, key=lambda u: abs(off - math.log(u.factor)))
         if abs(off - power * math.log(2.0)) < _POWER_DISTANCE:
-            yield _wrong_count(sensor, ratio, 2.0**power, axis)
-        elif abs(off - math.log(nearest.factor)) < _POWER_SCATTER:
-            one = replace(scales, typical=ratio)
-            fields = _fields(evidence, sensor, one, nearest)
-            yield finding(nearest.fault, **{**fields, **({"title": f"gyro {AXES[axis]}"} if sensor == "gyro" else {})})
+            return axis, 2.0**power, None
+        if abs(off - math.log(nearest.factor)) < _POWER_SCATTER:
+            return axis, nearest.factor, nearest
+    return None
 
 
-def _mostly_clipped(evidence: Evidence, sensor: str) -> bool:
+def _mostly_clipped(evidence: Evidence, clipped: set[int | None]) -> bool:
     """True if a triad saturates in most sequences, which makes all its readings too small."""
-    clipped = {k for k, parts in clipped_parts(evidence) for part in parts if part.channel.startswith(sensor)}
     return evidence.data is not None and (None in clipped or len(clipped) > 0.5 * evidence.data.K)
-
-
-def _wrong_kind(evidence: Evidence, gyro: ScaleRatios, accel: ScaleRatios) -> Finding | None:
-    """Fault of increments declared as rates, or the reverse: both triads are off by the sampling interval."""
-    if not (gyro.known and accel.known):
-        return None
-    rates = evidence.recording.kind == "rate"
-    factor = math.log(evidence.dt) if rates else -math.log(evidence.dt)
-    turned, rest = math.log(gyro.typical), math.log(accel.typical)
-    low, high = LEGAL_RATIO["gyro"]
-    illegal = not low < gyro.typical < high
-    if not illegal or abs(turned - rest) > _BOTH or max(abs(turned - factor), abs(rest - factor)) > _MATCH:
-        return None
-    return finding(
-        "increments_as_rates" if rates else "rates_as_increments",
-        accel=accel.typical * evidence.recording.site.gravity_m_s2,
-        turn=gyro.typical,
-        interval=evidence.dt,
-    )
 
 
 def _fields(evidence: Evidence, sensor: str, scales: ScaleRatios, unit: WrongUnit | None) -> dict[str, object]:
@@ -216,156 +383,3 @@ def _power_of_two(scales: ScaleRatios) -> float | None:
     nearest = min(_POWERS, key=lambda k: abs(scales.common - k * math.log(2.0)))
     off = abs(scales.common - nearest * math.log(2.0))
     return 2.0**nearest if off < _POWER_DISTANCE and scales.scatter < _POWER_SCATTER else None
-
-
-@check("sample_rate")
-def sample_rate(evidence: Evidence) -> Iterator[Finding]:
-    """Test the triad that scales with the interval: all axes are off by one factor, which is no power of two."""
-    rates = evidence.recording.kind == "rate"
-    scales = gyro_scale_ratios(evidence) if rates else accel_scale_ratios(evidence)
-    low, high = LEGAL_RATIO["gyro" if rates else "accel"]
-    if not scales.by_axis or not low < scales.typical < high:
-        return
-    common, scatter = scales.common, scales.scatter
-    if not rates:
-        # Stated gravity may be wrong, within the variation of gravity.
-        common = math.copysign(max(abs(common) - _GRAVITY_VARIATION, 0.0), common)
-    significant = abs(common) > _COMMON_SIGMAS_ALONE * scatter or (
-        abs(common) > _COMMON and abs(common) > _COMMON_SIGMAS * scatter
-    )
-    # The Earth rate, if the gyros measure it, is off by the same factor: no error of a unit does that.
-    earth = earth_rate_factor(evidence)
-    if earth is not None and abs(scales.common) > _EARTH_LEAST:
-        expected = math.exp(-scales.common if rates else scales.common)
-        doubt = math.hypot(earth.sigma, scatter * expected)
-        significant |= (
-            abs(earth.value - 1.0) > _EARTH_SIGMAS * earth.sigma and abs(earth.value - expected) < 3.0 * doubt
-        )
-    if not significant or _power_of_two(scales) is not None:
-        return
-    if rates and any(part.channel.startswith("gyro") for _, parts in clipped_parts(evidence) for part in parts):
-        return
-    stated, ratio = 1.0 / evidence.dt, math.exp(scales.common)
-    yield finding(
-        "sample_rate",
-        sensor="gyros" if rates else "accelerometers",
-        ratio=ratio,
-        spread=float(np.std(np.log(scales.axes), ddof=1)),
-        rate=stated * ratio if rates else stated / ratio,
-        stated=stated,
-    )
-
-
-_MAD: Final = 1.4826
-"""Standard deviation over median absolute deviation of a normal distribution."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScaleRatios:
-    """Ratio of reading and truth of one triad.
-
-    Attributes
-    ----------
-    typical : float
-        Median of the triad; NaN if unknown.
-    axes : ndarray, shape (3,)
-        Ratio of each sensor axis; NaN where unknown.
-    axis_scatter : float
-        Standard deviation of the logarithm of the ratio of one rotation or pose about that of its axis.
-    """
-
-    typical: float
-    axes: Array
-    axis_scatter: float
-
-    @property
-    def known(self) -> bool:
-        """True if the triad has a positive, finite ratio."""
-        return math.isfinite(self.typical) and self.typical > 0.0
-
-    @property
-    def by_axis(self) -> bool:
-        """True if each axis has a positive, finite ratio."""
-        return bool(np.all(np.isfinite(self.axes)) and np.all(self.axes > 0.0))
-
-    @property
-    def common(self) -> float:
-        """Mean logarithm of the three axes."""
-        return float(np.mean(np.log(self.axes)))
-
-    @property
-    def scatter(self) -> float:
-        """Standard deviation of the logarithm of an axis about the others, the scatter within axes included."""
-        return math.hypot(float(np.std(np.log(self.axes), ddof=1)), self.axis_scatter)
-
-
-_RELATION_SIGMA: Final = 0.02
-"""Standard deviation of the logarithm of an axis by the rotation of gravity: motion by hand, and misalignment."""
-_AGREE: Final = 0.2
-"""Logarithm of the ratio within which labels and the rotation of gravity agree; a factor of two is 0.69."""
-_UNSEEN: Final = np.full(3, np.nan)
-UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
-"""Ratios of a triad of which the data tell nothing."""
-
-
-def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of measured and stated angles; for free rotations, of the gyros and the rotation of gravity.
-
-    Medians of magnitudes, each assigned to the gyro that measured most of it: wrong axes, signs, senses and a few wrong
-    labels do not matter.
-    """
-    by_labels = _by_labels(evidence)
-    if evidence.has_labels and by_labels.known:
-        return by_labels
-    relation = gravity_relation(evidence)
-    if relation is None:
-        return by_labels
-    axes = 1.0 / np.linalg.norm(relation, axis=0)
-    by_gravity = ScaleRatios(float(np.median(axes)), axes, _RELATION_SIGMA)
-    # Angles recognised as multiples of 90° may be off by a factor of two.
-    agree = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < _AGREE
-    return by_labels if agree else by_gravity
-
-
-def _by_labels(evidence: Evidence) -> ScaleRatios:
-    if evidence.data is None:
-        return UNKNOWN
-    _, nominal, turned = rotation_angles(evidence)
-    if len(nominal) == 0:
-        return UNKNOWN
-    ratio = np.linalg.norm(turned, axis=1) / np.linalg.norm(nominal, axis=1)
-    most = np.argmax(np.abs(turned), axis=1)
-    axes = np.array([np.median(ratio[most == i]) if np.any(most == i) else np.nan for i in range(3)])
-    if not np.all(ratio > 0.0):
-        return ScaleRatios(float(np.median(ratio)), axes, math.inf)
-    off = np.abs(np.log(ratio / axes[most]))
-    fixture = evidence.recording.fixture
-    fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
-    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(_MAD * float(np.median(off)), fixture_scatter))
-
-
-def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of stationary specific force and gravity; by axis if the stated poses span space."""
-    turns = manoeuvre_readings(evidence)
-    if turns is None or len(turns.force) == 0:
-        return UNKNOWN
-    gravity = evidence.recording.site.gravity_m_s2
-    ratio = np.linalg.norm(turns.force, axis=1) / gravity
-    typical = float(np.median(ratio))
-    if not np.all(ratio > 0.0):
-        return ScaleRatios(typical, _UNSEEN, math.inf)
-    fit = None if evidence.data is None else accel_fit(evidence)
-    if fit is None or fit.rank < 3:
-        return ScaleRatios(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
-    axes = np.linalg.norm(fit.matrix, axis=1)
-    off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
-    return ScaleRatios(typical, axes, _MAD * float(off.max()))
-
-
-def stationary_force_scatter(evidence: Evidence) -> float:
-    """Logarithm of the ratio of the quartiles of the stationary specific force; infinite without stationary windows."""
-    turns = manoeuvre_readings(evidence)
-    if turns is None or len(turns.force) == 0:
-        return math.inf
-    low, high = np.quantile(np.linalg.norm(turns.force, axis=1), (0.25, 0.75))
-    return math.log(high / low) if low > 0.0 else math.inf

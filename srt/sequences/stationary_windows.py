@@ -54,6 +54,8 @@ _ALONE: Final = 6.0
 """Ratio of the gain at a jump to the largest gain elsewhere in the window."""
 _UNUSUAL: Final = 8.0
 """Ratio of the gain at a jump to the median, over all windows, of the gain away from the largest step."""
+_FEWEST_CHUNKS: Final = 4
+"""Half of the smallest number of means of a window in which a jump is searched."""
 _MOST_CHUNKS: Final = 10
 """Largest number of means on either side of a jump that are compared."""
 
@@ -216,14 +218,20 @@ def split_at_jumps(recording: Recording, windows: SequenceOf[tuple[int, int]], f
     -------
     list of (int, int)
     """
-    steps = {window: _largest_step(recording, *window, floor) for window in windows}
+    # The few means of one window may scatter little by chance; the noise of the unit is that of all its windows.
+    changes = [_chunk_changes(recording, *window) for window in windows]
+    usual_variance = [0.5 * np.mean(squares, axis=0) for squares in changes if len(squares)]
+    least = np.maximum(
+        2.0 * floor / _chunk_size(recording) ** 2, np.median(usual_variance, axis=0) if usual_variance else 0.0
+    )
+    steps = {window: _largest_step(recording, *window, least) for window in windows}
     # Bias instability makes small steps in every window; a jump exceeds them in its window and in all others.
     usual = float(np.median([step.elsewhere for step in steps.values()])) if steps else 0.0
     out: list[tuple[int, int]] = []
     waiting = list(reversed(windows))
     while waiting:
         window = waiting.pop()
-        step = steps.get(window) or _largest_step(recording, *window, floor)
+        step = steps.get(window) or _largest_step(recording, *window, least)
         if step.gain > max(_JUMP, _ALONE * step.elsewhere, _UNUSUAL * usual):
             parts = ((step.at, window[1]), (window[0], step.at))
             waiting += [trimmed(recording, part, floor) for part in parts if part[1] - part[0] >= _FEW]
@@ -241,19 +249,30 @@ class _LargestStep:
     at: int = 0
 
 
-def _largest_step(recording: Recording, a: int, b: int, floor: Array) -> _LargestStep:
-    dt = recording.nominal_interval_s
-    size = max(1, round(_CHUNK_S / dt))
+def _chunk_size(recording: Recording) -> int:
+    """Samples of a mean in which attitude jumps are searched."""
+    return max(1, round(_CHUNK_S / recording.nominal_interval_s))
+
+
+def _chunk_changes(recording: Recording, a: int, b: int) -> Array:
+    """Squared differences of the successive means of a window, shape (n, 6); empty for a window of too few."""
+    size = _chunk_size(recording)
     count = (b - a) // size
-    span = min(_MOST_CHUNKS, count // 4)
-    if span < 2:
+    if count < 2 * _FEWEST_CHUNKS:
+        return np.zeros((0, 6))
+    return np.asarray(np.diff(_chunks(recording, a, size, count), axis=0) ** 2)
+
+
+def _largest_step(recording: Recording, a: int, b: int, least: Array) -> _LargestStep:
+    """Largest step in a window whose means have at least the given variance."""
+    squares = _chunk_changes(recording, a, b)
+    if not len(squares):
         return _LargestStep()
+    size, count = _chunk_size(recording), len(squares) + 1
+    span = min(_MOST_CHUNKS, count // 4)
     mean = _chunks(recording, a, size, count)
-    steps = np.diff(mean, axis=0) ** 2
-    # Noise from successive means; the largest difference of a channel is excluded, as it may be the jump.
-    variance = (steps.sum(axis=0) - steps.max(axis=0)) / (2.0 * (count - 2))
-    # The sum of counts over a chunk has an error below one count at either end.
-    variance = np.maximum(variance, 2.0 * floor / size**2)
+    # The largest difference of a channel is excluded, as it may be the jump.
+    variance = np.maximum((squares.sum(axis=0) - squares.max(axis=0)) / (2.0 * (count - 2)), least)
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(mean, axis=0)])
     wander = _wander(recording)
     # Means over `span` chunks on both sides of one chunk, in which the jump may lie.

@@ -24,7 +24,7 @@ from srt.diagnosis.axes import gravity_relation, mapping, nearest_axes
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.faults import FAULTS
 from srt.diagnosis.findings import sort_by_cause, stage_checks
-from srt.diagnosis.units import accel_scale_ratios, gyro_scale_ratios
+from srt.diagnosis.scale_ratios import accel_scale_ratios, gyro_scale_ratios
 from srt.recording.import_options import parse_axis_map
 
 SEED = 330_000
@@ -50,7 +50,8 @@ def test_a_sound_recording_raises_nothing(grade):
 @grades_and_faults(MINE)
 def test_a_fault_is_named_first(fault, grade):
     injection = INJECTIONS[fault]
-    assert grade in injection.severity
+    if grade not in injection.severity:
+        pytest.skip(injection.unseen[grade])
     assert examine(injection.recording(case(grade)))[0].fault == fault
 
 
@@ -97,7 +98,7 @@ def test_whole_numbers_of_mg_are_mg():
 @settings(max_examples=30, deadline=None)
 @given(
     errors=st.lists(st.floats(-0.25, 0.25), min_size=6, max_size=6),
-    fault=st.sampled_from([name for name in MINE[:8] if "counts" not in name]),
+    fault=st.sampled_from([name for name in MINE[:8] if not name.endswith(("counts", "thinned"))]),
 )
 def test_units_are_told_through_the_errors_of_an_uncalibrated_unit(errors, fault):
     """A quarter of scale error, different on every axis, does not hide which unit is wrong."""

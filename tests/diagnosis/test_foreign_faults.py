@@ -35,6 +35,12 @@ def case(kind, grade, rung=0, *, slow=True):
         case("sample_rate", "navigation-rlg", 2, slow=False),  # 2.4 %: the Earth rate is off by the same factor
         case("clock fast", "navigation-rlg", 2),
         case("latitude", "navigation-rlg", 0),
+        case("accel_lsb", "navigation-rlg", 1, slow=False),  # the Earth rate contradicts a wrong sample rate
+        case("time_unit", "tactical-fog", 1),  # 31.6 times: near g, but equal on all axes
+        case("stamps in minutes", "industrial-mems", 0, slow=False),  # 60 times is near 57.3, degrees
+        case("every second increment dropped", "tactical-fog", 0, slow=False),
+        case("time_unit and gyro_lsb", "navigation-rlg", 2),  # an unknown clock and an unknown factor together
+        case("one axis in degrees", "consumer-mems", 0),
         case("time of the labels from the start", "consumer-mems", 0),
     ],
 )

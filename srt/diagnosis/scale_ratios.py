@@ -1,0 +1,153 @@
+"""Ratios of readings and truth of each triad: rotations against labels or gravity, specific force against gravity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from srt.diagnosis.axes import gravity_relation, manoeuvre_readings
+from srt.diagnosis.rotation_readings import computed_once, rotation_angles
+from srt.diagnosis.triad_fits import accel_fit
+
+if TYPE_CHECKING:
+    from srt.diagnosis.evidence import Evidence
+    from srt.types import Array
+
+
+_MAD: Final = 1.4826
+"""Standard deviation over median absolute deviation of a normal distribution."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaleRatios:
+    """Ratio of reading and truth of one triad.
+
+    Attributes
+    ----------
+    typical : float
+        Median of the triad; NaN if unknown.
+    axes : ndarray, shape (3,)
+        Ratio of each sensor axis; NaN where unknown.
+    axis_scatter : float
+        Standard deviation of the logarithm of the ratio of one rotation or pose about that of its axis.
+    """
+
+    typical: float
+    axes: Array
+    axis_scatter: float
+
+    @property
+    def known(self) -> bool:
+        """True if the triad has a positive, finite ratio."""
+        return math.isfinite(self.typical) and self.typical > 0.0
+
+    @property
+    def by_axis(self) -> bool:
+        """True if each axis has a positive, finite ratio."""
+        return bool(np.all(np.isfinite(self.axes)) and np.all(self.axes > 0.0))
+
+    @property
+    def common(self) -> float:
+        """Mean logarithm of the three axes."""
+        return float(np.mean(np.log(self.axes)))
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the logarithm of an axis about the others, the scatter within axes included."""
+        return math.hypot(float(np.std(np.log(self.axes), ddof=1)), self.axis_scatter)
+
+
+_MOST_AGREE: Final = 0.8
+_MOST_AGREE_SIGMA: Final = 1.2816
+"""Share of the rotations that must agree on a factor, and the sigmas within which it lies."""
+_ROUNDS: Final = 3
+"""Rounds in which the ratios of the axes are separated."""
+_LEAST_RATIO: Final = 0.125
+"""Ratio of an axis to the others below which it was not rotated."""
+_RELATION_SIGMA: Final = 0.02
+"""Standard deviation of the logarithm of an axis by the rotation of gravity: motion by hand, and misalignment."""
+_AGREE: Final = 0.2
+"""Logarithm of the ratio within which labels and the rotation of gravity agree; a factor of two is 0.69."""
+_UNSEEN: Final = np.full(3, np.nan)
+UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
+"""Ratios of a triad of which the data tell nothing."""
+
+
+@computed_once
+def gyro_scale_ratios(evidence: Evidence) -> ScaleRatios:
+    """Ratios of measured and stated angles; for free rotations, of the gyros and the rotation of gravity.
+
+    Medians of magnitudes, each assigned to the gyro that measured most of it: wrong axes, signs, senses and a few wrong
+    labels do not matter.
+    """
+    by_labels = _by_labels(evidence)
+    if evidence.has_labels and by_labels.known:
+        return by_labels
+    relation = gravity_relation(evidence)
+    if relation is None:
+        return by_labels
+    axes = 1.0 / np.linalg.norm(relation, axis=0)
+    by_gravity = ScaleRatios(float(np.median(axes)), axes, _RELATION_SIGMA)
+    # Angles recognised as multiples of 90° may be off by a factor of two.
+    agree = by_labels.known and abs(math.log(by_labels.typical / by_gravity.typical)) < _AGREE
+    return by_labels if agree else by_gravity
+
+
+def _by_labels(evidence: Evidence) -> ScaleRatios:
+    if evidence.data is None:
+        return UNKNOWN
+    _, nominal, turned = rotation_angles(evidence)
+    if len(nominal) == 0:
+        return UNKNOWN
+    size = np.linalg.norm(nominal, axis=1)
+    # An axis in a smaller unit than the others holds their rotations by its misalignment: each is measured in its own.
+    axes = np.max(np.abs(turned) / size[:, None], axis=0)
+    axes = np.maximum(axes, max(_LEAST_RATIO * float(np.median(axes)), 1e-300))
+    for _ in range(_ROUNDS):
+        own = turned / axes
+        ratio = np.linalg.norm(own, axis=1) / size
+        most = np.argmax(np.abs(own), axis=1)
+        axes = axes * np.array([np.median(ratio[most == i]) if np.any(most == i) else np.nan for i in range(3)])
+        if not np.all(axes > 0.0):
+            break
+    ratio = np.linalg.norm(turned, axis=1) / size
+    if not np.all(ratio > 0.0):
+        return ScaleRatios(float(np.median(ratio)), axes, math.inf)
+    if np.all(axes > 0.0):
+        ratio = axes[most] * np.linalg.norm(turned / axes, axis=1) / size
+    # A factor that holds for a part of the rotations is none of the triad: a fifth of them tells.
+    off = np.quantile(np.abs(np.log(ratio / axes[most])), _MOST_AGREE)
+    fixture = evidence.recording.fixture
+    fixture_scatter = 0.0 if fixture is None else fixture.rotation_sigma_rad / math.pi
+    return ScaleRatios(float(np.median(ratio)), axes, math.hypot(float(off) / _MOST_AGREE_SIGMA, fixture_scatter))
+
+
+@computed_once
+def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
+    """Ratios of stationary specific force and gravity; by axis if the stated poses span space."""
+    turns = manoeuvre_readings(evidence)
+    if turns is None or len(turns.force) == 0:
+        return UNKNOWN
+    gravity = evidence.recording.site.gravity_m_s2
+    ratio = np.linalg.norm(turns.force, axis=1) / gravity
+    typical = float(np.median(ratio))
+    if not np.all(ratio > 0.0):
+        return ScaleRatios(typical, _UNSEEN, math.inf)
+    fit = None if evidence.data is None else accel_fit(evidence)
+    if fit is None or fit.rank < 3:
+        return ScaleRatios(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
+    axes = np.linalg.norm(fit.matrix, axis=1)
+    off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
+    return ScaleRatios(typical, axes, _MAD * float(off.max()))
+
+
+def stationary_force_scatter(evidence: Evidence) -> float:
+    """Logarithm of the ratio of the quartiles of the stationary specific force; infinite without stationary windows."""
+    turns = manoeuvre_readings(evidence)
+    if turns is None or len(turns.force) == 0:
+        return math.inf
+    low, high = np.quantile(np.linalg.norm(turns.force, axis=1), (0.25, 0.75))
+    return math.log(high / low) if low > 0.0 else math.inf

@@ -1,0 +1,106 @@
+"""Causes of wrong scales by likelihood: probabilities against direct integration, and which evidence decides."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal, norm
+
+from srt.constants import EARTH_RATE_RAD_S
+from srt.diagnosis import scale_causes
+from srt.diagnosis.scale_causes import ScaleCause, score
+from srt.diagnosis.scale_ratios import UNKNOWN, ScaleRatios
+
+SOUND = ScaleRatios(1.0, np.array([1.0, 1.0005, 0.9995]), 3e-4)
+TRUE = EARTH_RATE_RAD_S * np.array([-1.0, 1.0]) / math.sqrt(2.0)
+SIGMA = 0.02 * EARTH_RATE_RAD_S * np.ones(2)
+CLOCK = ScaleCause(("sample_rate",), clock=0.0, unknown={"accel": (4.0, -1.0)}, prior=1e-2)
+FACTOR = ScaleCause(("accel_factor",), unknown={"accel": (4.0, 0.0)}, prior=1e-3)
+
+
+def by_integration(ratios, common, *, width=None):
+    """Log-likelihood of one triad, by the covariance of its errors and numerical integration over an unknown mean."""
+    grid = np.geomspace(1e-4, 1.0, 25)
+    weight = 1.0 / (1.0 + (grid / 0.02) ** 2)
+    y, total = np.log(ratios.axes), 0.0
+    for share, sigma in zip(weight / weight.sum(), grid, strict=True):
+        V = (sigma**2 + ratios.axis_scatter**2 + 1e-8) * np.eye(3) + common**2 * np.ones((3, 3))
+        if width is None:
+            total += share * multivariate_normal(np.zeros(3), V).pdf(y)
+            continue
+        reach = 12.0 * math.sqrt(V.sum() / 9.0)
+        flat = quad(lambda x, V=V: multivariate_normal(np.full(3, x), V).pdf(y), y.mean() - reach, y.mean() + reach)
+        total += share * flat[0] / width
+    return math.log(total)
+
+
+@pytest.mark.parametrize("width", [None, 4.0])
+def test_probability_of_a_triad(width):
+    """Constants common to all causes are the same with and without an unknown mean: only differences count."""
+    wrong = ScaleRatios(1.19, np.array([1.18, 1.19, 1.20]), 1e-3)
+    cause = ScaleCause() if width is None else ScaleCause(("accel_factor",), unknown={"accel": (width, 0.0)})
+    reference = score(ScaleCause(accel=math.log(1.19)), UNKNOWN, wrong, None)
+    moved = ScaleRatios(1.0, wrong.axes / 1.19, 1e-3)
+    expected = by_integration(wrong, 0.0035, width=width) - by_integration(moved, 0.0035)
+    assert score(cause, UNKNOWN, wrong, None) - reference == pytest.approx(expected, abs=1e-6)
+
+
+def test_likelihood_of_the_earth_rate():
+    """Both components, off by a clock that is known with an error of its own, against the two-dimensional normal."""
+    clock, doubt, found = 0.3, 0.01, math.exp(-0.3) * 1.02 * TRUE
+    expected = math.exp(-clock) * TRUE
+    V = np.diag(SIGMA**2) + doubt * np.outer(expected, expected)
+    direct = multivariate_normal(expected, V).logpdf(found)
+    term = scale_causes._earth_term(np.array(clock), np.array(doubt), found, SIGMA, TRUE)
+    # The alternative of a wrong latitude adds little where the clock explains the rate.
+    assert 0.0 < float(term) - direct < 0.01
+    far = scale_causes._earth_term(np.array(clock), np.array(0.0), -TRUE, SIGMA, TRUE)
+    assert float(far) == pytest.approx(math.log(1e-2 / (4.0 * math.pi * EARTH_RATE_RAD_S**2)), abs=1e-6)
+
+
+@pytest.mark.parametrize("factor", [1.05, 1.19, 1.41])
+def test_the_earth_rate_tells_a_clock_from_a_factor(factor):
+    """Velocity increments off by one factor: the clock, if the Earth rate is off by it, too; else the count value."""
+    accel = ScaleRatios(factor, factor * SOUND.axes, 1e-3)
+    for earth, better, worse in ((TRUE, FACTOR, CLOCK), (TRUE * factor, CLOCK, FACTOR)):
+        measured = earth, SIGMA, TRUE
+        first, second = (score(cause, SOUND, accel, measured) for cause in (better, worse))
+        assert first > second
+    # Without it, the more frequent cause is the likelier one, by the ratio of the priors.
+    apart = score(CLOCK, SOUND, accel, None) - score(FACTOR, SOUND, accel, None)
+    assert apart == pytest.approx(math.log(10.0))
+
+
+def test_equal_axes_tell_a_unit_from_a_near_clock():
+    """Stamps in minutes make 1/60, degrees taken for radians 1/57.3: scale errors of 0.1 % tell them, of 5 % do not."""
+    minutes = ScaleCause(("time_unit",), gyro=-math.log(60.0), clock=-math.log(60.0), prior=1e-3)
+    degrees = ScaleCause(("gyro_radians",), gyro=-math.log(57.29578), prior=1e-2)
+
+    def lead(errors):
+        ratios = (1.0 + np.array(errors)) / 60.0
+        gyro = ScaleRatios(float(np.median(ratios)), ratios, 3e-4)
+        return score(minutes, gyro, SOUND, None) - score(degrees, gyro, SOUND, None)
+
+    assert lead([1e-3, -1e-3, 5e-4]) > math.log(20.0)
+    assert lead([0.05, 0.09, -0.02]) < 0.0
+
+
+def test_two_causes_together():
+    """Shifts and unknowns of both are those of the pair, and the probabilities multiply."""
+    both = CLOCK & ScaleCause(("gyro_factor",), unknown={"gyro": (2.0, 0.0)}, prior=1e-3)
+    assert both.faults == ("sample_rate", "gyro_factor")
+    assert both.prior == pytest.approx(1e-5)
+    assert set(both.unknown) == {"gyro", "accel"}
+    gyro = ScaleRatios(1.19, 1.19 * SOUND.axes, 3e-4)
+    accel = ScaleRatios(0.2, 0.2 * SOUND.axes, 1e-3)
+    assert score(both, gyro, accel, None) > score(CLOCK, gyro, accel, None)
+
+
+def test_weights_of_scale_errors():
+    """Half of all units are within 2 %, by the weights of the standard deviations; tens of per cent are rare."""
+    share = np.exp(scale_causes._LOG_WEIGHT)
+    assert share.sum() == pytest.approx(1.0)
+    within = float(share @ (1.0 - 2.0 * norm.sf(0.02 / scale_causes._GRID)))
+    assert within > 0.5
+    assert float(share[scale_causes._GRID > 0.2].sum()) < 0.01
