@@ -56,7 +56,7 @@ _PRIORS: Final = {
     "factor": 1e-3,
 }
 """Probabilities of kinds of causes relative to none. Only their ratios count, and little against a scale of 1 %."""
-_CLOCKS: Final = 2.0 * math.log(1e3)
+_CLOCKS: Final = 2.0 * math.log(100.0)
 _FACTORS: Final = 2.0 * math.log(16.0)
 _COUNTS: Final = math.log(1e9)
 """Ranges of the logarithms of unknown factors: of a clock, of the full scale of a unit, of counts per unit."""
@@ -226,7 +226,7 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
             details = _fields(evidence, sensor, replace(scales, typical=float(scales.axes[axis])), other)
             details |= {"title": f"gyro {AXES[axis]}"} if sensor == "gyro" else {}
         yield cause("range", fault, math.log(factor) * np.eye(3)[axis], details)
-    elif scales.by_axis and scales.scatter < _POWER_SCATTER and not clipped:
+    elif _has_common_factor(scales, _FACTORS) and not clipped:
         details = {"ratio": math.exp(scales.common), "spread": _spread(scales)}
         yield cause("factor", f"{sensor}_factor", 0.0, details, unknown={sensor: (_FACTORS, 0.0)})
 
@@ -280,10 +280,12 @@ def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
                     f"{timed}_lsb": _wrong_count(timed, math.exp(off - shift), 2.0**power),
                 },
             )
-    if not (scales.by_axis and scales.scatter < _POWER_SCATTER) or (rates and _clipped(evidence, "gyro")):
+    if not _has_common_factor(scales, _CLOCKS) or (rates and _clipped(evidence, "gyro")):
         return
     stated, ratio = 1.0 / dt, math.exp(scales.common)
     rate = stated * ratio if rates else stated / ratio
+    if not USUAL_S[0] <= 1.0 / rate <= USUAL_S[1]:
+        return
     details = {
         "sensor": "gyros" if rates else "accelerometers",
         "ratio": ratio,
@@ -294,7 +296,7 @@ def _of_clock(evidence: Evidence, scales: ScaleRatios) -> Iterator[ScaleCause]:
     yield ScaleCause(
         ("sample_rate",),
         unknown={timed: (_CLOCKS, 1.0 if rates else -1.0)},
-        prior=_PRIORS["clock"] * _usual(1.0 / rate),
+        prior=_PRIORS["clock"],
         details={"sample_rate": details},
     )
 
@@ -312,6 +314,11 @@ def _usual(interval_s: float) -> float:
 def _clipped(evidence: Evidence, sensor: Sensor) -> set[int | None]:
     """Sequences in which a triad saturates; None for the whole recording."""
     return {k for k, parts in clipped_parts(evidence) for part in parts if part.channel.startswith(sensor)}
+
+
+def _has_common_factor(scales: ScaleRatios, width: float) -> bool:
+    """True if the axes of a triad agree on one factor within a range."""
+    return scales.by_axis and scales.scatter < _POWER_SCATTER and abs(scales.common) < 0.5 * width
 
 
 def _spread(scales: ScaleRatios) -> float:
