@@ -165,33 +165,38 @@ def accuracy(trials: TrialTable) -> tuple[Accuracy, ...]:
     """
     axes: tuple[AxisLevels | None, ...] = (None, *trials.axes)
     parts: list[list[pd.DataFrame]] = [[] for _ in axes]
+    # One parameter after the other: those of a group together are gigabytes in a large campaign.
     for number, group in enumerate(GROUPS):
-        found = pd.concat([trials.errors(f"{group.name}_{suffix}") for suffix in group.suffixes])
-        scaled = (found["error"] / found["sigma"]).where(found["sigma"] > 0.0, 0.0).abs()
-        size = (found["error"] * group.display_factor).abs()
-        found = pd.DataFrame({"group": number, "size": size, "square": size**2, "scaled": scaled,
-                              "scaled_square": scaled**2, "estimator": found["estimator"]})  # fmt: skip
-        for axis, part in zip(axes, parts, strict=True):
-            level = 0 if axis is None else axis.codes[found.index]
-            part.append(
-                found.assign(level=level)
-                .groupby(["estimator", "level", "group"])
-                .agg(
-                    count=("size", "size"),
-                    rms=("square", "mean"),
-                    largest=("size", "max"),
-                    rms_in_sigma=("scaled_square", "mean"),
-                    largest_in_sigma=("scaled", "max"),
+        for suffix in group.suffixes:
+            found = trials.errors(f"{group.name}_{suffix}")
+            scaled = (found["error"] / found["sigma"]).where(found["sigma"] > 0.0, 0.0).abs()
+            size = (found["error"] * group.display_factor).abs()
+            found = pd.DataFrame({"group": number, "size": size, "square": size**2, "scaled": scaled,
+                                  "scaled_square": scaled**2, "estimator": found["estimator"]})  # fmt: skip
+            for axis, part in zip(axes, parts, strict=True):
+                level = 0 if axis is None else axis.codes[found.index]
+                part.append(
+                    found.assign(level=level)
+                    .groupby(["estimator", "level", "group"])
+                    .agg(
+                        count=("size", "size"),
+                        rms=("square", "sum"),
+                        largest=("size", "max"),
+                        rms_in_sigma=("scaled_square", "sum"),
+                        largest_in_sigma=("scaled", "max"),
+                    )
                 )
-            )
     return tuple(_accuracy(trials, axis, pd.concat(part)) for axis, part in zip(axes, parts, strict=True))
 
 
 def _accuracy(trials: TrialTable, axis: AxisLevels | None, found: pd.DataFrame) -> Accuracy:
+    """Accuracy by level from counts, sums of squares and largest values of every parameter."""
     shape = (len(trials.header.estimators), 1 if axis is None else len(axis.labels), len(GROUPS))
     cells = pd.MultiIndex.from_product([range(n) for n in shape], names=found.index.names)
-    table = found.reindex(cells)
-    roots = {name: np.sqrt(table[name]) for name in ("rms", "rms_in_sigma")}
+    sums = dict.fromkeys(("count", "rms", "rms_in_sigma"), "sum")
+    together = found.groupby(level=found.index.names).agg(sums | {"largest": "max", "largest_in_sigma": "max"})
+    table = together.reindex(cells)[list(found.columns)]
+    roots = {name: np.sqrt(table[name] / table["count"]) for name in ("rms", "rms_in_sigma")}
     return Accuracy(axis, table.assign(count=table["count"].fillna(0).astype(np.int64), **roots), shape)
 
 
@@ -217,7 +222,8 @@ def sigma_consistency(trials: TrialTable) -> SigmaConsistency:
     found = pd.concat(parts).swaplevel().reindex(cells)
     found[["count", "covered"]] = found[["count", "covered"]].fillna(0).astype(np.int64)
     found["rms"] = np.sqrt(found["rms"])
-    rows = trials.frame[trials.converged & trials.frame["nees"].notna() & (trials.frame["observed"] > 0)]
+    seen = trials.converged & trials.frame["nees"].notna() & (trials.frame["observed"] > 0)
+    rows = trials.frame.loc[seen, ["estimator", "nees", "observed"]]
     sums = rows.groupby("estimator", observed=False).agg(
         units=("nees", "size"), freedom=("observed", "sum"), square=("nees", "sum")
     )

@@ -141,7 +141,7 @@ def summarise(table: pa.Table, header: Header) -> CampaignSummary:
     units, frame = trials.units, trials.frame
     counts = frame.groupby(["point", "estimator", "outcome"], observed=False).size().unstack("outcome")
     counts = counts.set_axis(counts.columns.astype(object), axis=1).reindex(columns=list(OUTCOMES), fill_value=0)
-    first = frame.drop_duplicates("point").sort_values("point")
+    first = frame.loc[~frame.duplicated("point"), ["point"]].sort_values("point")
     grid = {a.name: np.array(a.labels, dtype=object)[a.codes[first.index]] for a in trials.axes if a.on_grid}
     distances = frame.loc[trials.converged, "distance"]
     return CampaignSummary(
@@ -180,7 +180,8 @@ def effort(trials: TrialTable) -> Effort:
     ----------
     trials : TrialTable
     """
-    converged, judged = trials.frame[trials.converged], trials.frame[trials.judged]
+    converged = trials.frame.loc[trials.converged, ["estimator", "playbacks"]]
+    judged = trials.frame.loc[trials.judged, ["estimator", "calibrate_s"]]
     played = converged.groupby("estimator", observed=False)["playbacks"]
     seconds = judged.groupby("estimator", observed=False)["calibrate_s"]
     table = pd.DataFrame(

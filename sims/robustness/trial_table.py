@@ -151,8 +151,8 @@ class TrialTable:
 
     @property
     def units(self) -> pd.DataFrame:
-        """One row per simulated unit; the table has one per unit and estimator."""
-        return self.frame.drop_duplicates(["point", "replicate"])
+        """Outcome and time of simulation of every unit; the table has one row per unit and estimator."""
+        return self.frame.loc[~self.frame.duplicated(["point", "replicate"]), ["outcome", "simulate_s"]]
 
     def errors(self, name: str) -> pd.DataFrame:
         """Error and sigma of one parameter in the converged rows that estimate it, SI; the index is the row.
@@ -215,10 +215,11 @@ def read_trials(table: pa.Table, header: Header) -> TrialTable:
                 f"{', '.join(known)}."
             )
         frame[name] = pd.Categorical(frame[name].astype(object), categories=list(known))
-    frame = frame.astype(dict.fromkeys(_NUMBERS, np.float64))
-    twice = frame[frame.duplicated(["point", "replicate", "estimator"])]
+    for name in _NUMBERS:
+        frame[name] = frame[name].astype(np.float64)
+    twice = np.flatnonzero(frame.duplicated(["point", "replicate", "estimator"]))
     if len(twice):
-        row = twice.iloc[0]
+        row = frame.iloc[twice[0]]
         raise DataError(
             f"The table of the campaign {header.name} has trial {row['point']}:{row['replicate']} of "
             f"{row['estimator']} twice: keep one row of every trial and estimator."

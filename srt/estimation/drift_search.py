@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -46,11 +46,11 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     except np.linalg.LinAlgError:  # far outside the model the covariance is not positive definite
         return ()
     forms = [key for key in keys if key[0] == "accel"]
-    effects = [_effect(data, options, solution, *key) for key in forms]
+    effects = _effects(data, options, solution, forms)
     columns = [measurements.z[:, None], measurements.H[:, ~fixed], *effects]
     white = solve_triangular(L, np.concatenate(columns, axis=1) * scale[:, None], lower=True)
     z, H, *effects = np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
-    found = {key: residual_statistics(z[:, 0], H, Z) for key, Z in zip(forms, effects, strict=True)}
+    found = dict(zip(forms, residual_statistics(z[:, 0], H, *effects), strict=True))
     slope = measurements.gyro.inverse
     found |= gyro_statistics(data, slope, measurements.rest_rate, measurements.integrated, solution.excess.drift)
     return most_significant(found, len(keys))
@@ -62,9 +62,8 @@ def explaining_drift(
     """Smooth drift of the accelerometers that is significant and explains the residuals; else empty."""
     terms = tuple(t for t in search(data, options, solution, fixed) if t.sensor == "accel" and t.form != WALK)
     R = solution.measurement_covariance
-    for term in terms:
-        effect = term.sigma * _effect(data, options, solution, term.sensor, term.form)
-        R = R + effect @ effect.T
+    for term, effect in zip(terms, _effects(data, options, solution, terms), strict=True):
+        R = R + term.sigma**2 * effect @ effect.T
     statistic, freedom = chi_square(solution, fixed, R)
     return () if is_misfit(statistic, freedom - 3 * len(terms)) else terms
 
@@ -94,16 +93,15 @@ def gyro_statistics(
         noise = noise + np.kron(data.drift.window_covariance, own @ own.T)
     rows = (3 * used[:, None] + np.arange(3)).ravel()
     L = np.linalg.cholesky(noise[np.ix_(rows, rows)])
-
-    def white(shape: Array) -> Array:
-        return np.asarray(solve_triangular(L, np.kron(shape[used], np.eye(3)), lower=True))
-
     shapes = data.drift_shapes
     taken = [shapes[term.form].windows for term in present if term.sensor == "gyro"]
-    H = white(np.concatenate([np.ones((len(rest), 1)), *taken], axis=1))
-    z = solve_triangular(L, rest[used].ravel(), lower=True)
     forms = [key for key in candidates(data, present) if key[0] == "gyro"]
-    return {key: residual_statistics(z, H, white(shapes[key[1]].windows)) for key in forms}
+    tested = [shapes[form].windows for _, form in forms]
+    courses = [np.concatenate([np.ones((len(rest), 1)), *taken], axis=1), *tested]
+    by_axis = np.kron(np.concatenate(courses, axis=1)[used], np.eye(3))
+    white = solve_triangular(L, np.column_stack([rest[used].ravel(), by_axis]), lower=True)
+    z, H, *effects = np.split(white, np.cumsum([1, *(3 * course.shape[1] for course in courses)])[:-1], axis=1)
+    return dict(zip(forms, residual_statistics(z[:, 0], H, *effects), strict=True))
 
 
 def estimates(
@@ -115,7 +113,7 @@ def estimates(
         return ()
     gyro = _gyro_coefficients(data, solution, [term for term in terms if term.sensor == "gyro"])
     R, z, H = solution.measurement_covariance, solution.measurements.z, solution.measurements.H[:, ~fixed]
-    effects = [_effect(data, options, solution, term.sensor, term.form) for term in terms]
+    effects = _effects(data, options, solution, terms)
     for term, effect in zip(terms, effects, strict=True):
         if term in unmodelled:
             R = R + term.sigma**2 * effect @ effect.T
@@ -158,7 +156,13 @@ def used_bias_gain(data: PreparedRecording, options: Options, solution: Solution
     return bias_gain(solution.measurements, data, options.gyro_bias, compensated)
 
 
-def _effect(data: PreparedRecording, options: Options, solution: Solution, sensor: str, form: str) -> Array:
-    """Effect of a unit value of each coefficient on the measurements, shape (n_z, 3 × functions of the form)."""
-    draws = measurement_covariance.drift_form(solution.measurements, data, sensor, form)
-    return measurement_covariance.project(solution.measurements, data, draws, used_bias_gain(data, options, solution))
+def _effects(
+    data: PreparedRecording, options: Options, solution: Solution, forms: Sequence[tuple[Any, ...]]
+) -> list[Array]:
+    """Effect of a unit value of each coefficient of forms on the measurements, shape (n_z, 3 × functions of the form).
+
+    A form is given by its sensor and its name, which may be followed by others.
+    """
+    gain = used_bias_gain(data, options, solution)
+    draws = (measurement_covariance.drift_form(solution.measurements, data, sensor, form) for sensor, form, *_ in forms)
+    return [measurement_covariance.project(solution.measurements, data, each, gain) for each in draws]

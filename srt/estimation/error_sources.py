@@ -181,8 +181,10 @@ def by_drift(slope: Array, course: Array) -> Array:
     course : ndarray, shape (W, S) or (K, P, S)
         Bias in the same windows or parts.
     """
-    form = "wab,wn->wanb" if slope.ndim == 3 else "kpab,kpn->kanb"
-    return np.asarray(np.einsum(form, slope, course).reshape(len(slope), 3, -1))
+    if slope.ndim == 3:
+        return np.asarray((slope[:, :, None] * course[:, None, :, None]).reshape(len(slope), 3, -1))
+    over_parts = slope.reshape(*slope.shape[:2], 9).swapaxes(1, 2) @ course
+    return np.asarray(over_parts.reshape(len(slope), 3, 3, -1).swapaxes(2, 3).reshape(len(slope), 3, -1))
 
 
 def accel_drift(data: PreparedRecording, by_force: Array, floor: Array) -> Array:

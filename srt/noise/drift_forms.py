@@ -145,22 +145,24 @@ class DriftTest:
     amplitude: Array
 
 
-def residual_statistics(z: Array, H: Array, Z: Array) -> Statistics:
-    """Statistics of measurements with white noise of unit variance.
+def residual_statistics(z: Array, H: Array, *effects: Array) -> list[Statistics]:
+    """Statistics of measurements with white noise of unit variance, for each of several sets of coefficients.
 
     Parameters
     ----------
     z : ndarray, shape (n,)
     H : ndarray, shape (n, p)
         Derivative with respect to the parameters of the model; columns that are zero are ignored.
-    Z : ndarray, shape (n, q)
-        Derivative with respect to the coefficients.
+    *effects : ndarray, shape (n, q)
+        Derivative with respect to the coefficients of a set.
     """
     norm = np.linalg.norm(H, axis=0)
     Q, T = np.linalg.qr(H[:, norm > 0.0] / norm[norm > 0.0])
     Q = Q[:, np.abs(np.diag(T)) > 1e-10]
-    r, left = z - Q @ (Q.T @ z), Z - Q @ (Q.T @ Z)
-    return Statistics(left.T @ r, left.T @ left, float(r @ r), len(z) - Q.shape[1])
+    r = z - Q @ (Q.T @ z)
+    chi_square, freedom = float(r @ r), len(z) - Q.shape[1]
+    left = (Z - Q @ (Q.T @ Z) for Z in effects)
+    return [Statistics(Z.T @ r, Z.T @ Z, chi_square, freedom) for Z in left]
 
 
 def drift_test(found: Statistics) -> DriftTest | None:

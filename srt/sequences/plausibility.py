@@ -369,21 +369,24 @@ def _is_limit(channel: Array, levels: tuple[float, float, float], triad: Array, 
     A noise-free rotation at a constant rate also repeats its extreme, but then the other axes are ``smooth`` too.
     """
     extreme, step, noise = levels
-    at = channel == extreme
-    held = np.flatnonzero(at[2:] & at[1:-1] & at[:-2])
+    # Only readings close to the extreme matter, and there are few.
+    close = np.flatnonzero(channel >= extreme - max(1.5 * step, noise))
+    below = extreme - channel[close]
+    at = close[below == 0.0]
+    held = at[:-2][at[2:] - at[:-2] == 2]
     if held.size:
         roughness = np.abs(triad[held + 2] - 2.0 * triad[held + 1] + triad[held])
         noisy = float(np.mean(np.any(np.delete(roughness, axis, axis=1) > smooth, axis=1))) > _MOSTLY_NOISY
-        if not noisy or _longest_run(at) >= _fewest_in_a_row(channel, extreme):
+        if not noisy or _longest_run(channel == extreme) >= _fewest_in_a_row(channel, extreme):
             return noisy
-    near = (channel > extreme - 1.5 * step) & (channel < extreme - 0.5 * step)
     # Pulses that were corrected repeat a reading with those of the other axes: such rows count once.
-    count, inside = len(np.unique(triad[at], axis=0)), int(near.sum())
+    count = len(np.unique(triad[at], axis=0))
+    inside = int(np.count_nonzero((below < 1.5 * step) & (below > 0.5 * step)))
     # Normal noise has many readings in the sigma below its largest; a shake that reaches the limit has few.
-    tail = np.count_nonzero((channel > extreme - noise) & ~at)
+    tail = int(np.count_nonzero((below < noise) & (below > 0.0)))
     # Two's complement: the negative full scale is one count larger.
     full_scale = step > 0.0 and bool(np.any(np.abs(extreme / step - _LARGEST_COUNT + 0.5) <= 0.51))
-    return (count >= _PILE and count >= _PILE_RATIO * inside) or (full_scale and count > max(1, int(tail)))
+    return (count >= _PILE and count >= _PILE_RATIO * inside) or (full_scale and count > max(1, tail))
 
 
 def _fewest_in_a_row(channel: Array, extreme: float) -> int:

@@ -7,7 +7,7 @@ attitude is constant in the windows, the iterations need no other data of the wi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -77,22 +77,47 @@ def average_windows(recording: Recording, samples: Indices, algorithm: Average) 
     gyro, accel, halves = np.empty((W, 3)), np.empty((W, 3)), np.empty((2, W, 2, 3))
     rates = recording.kind == "rate"
     interval = recording.interval_s
-    cache: dict[int, Array] = {}
+    by_length: dict[int, _Weights] = {}
     for w, (a, b) in enumerate(samples.tolist()):
-        n, middle = b - a, (a + b) // 2
-        steps = np.full(n, interval) if isinstance(interval, float) else interval[a:b]
-        duration[w] = steps.sum()
-        if n not in cache:
-            cache[n] = averaging_weights(n, algorithm)
-        # The mean is the integral of density times reading: weights belong to time, not to samples.
-        density = cache[n] / float(cache[n] @ steps)
-        accel[w] = (density * steps if rates else density) @ recording.accel[a:b]
-        first, second = steps[: middle - a], steps[middle - a :]
-        for h, (lo, hi, s) in enumerate(((a, middle, first), (middle, b, second))):
-            per_sample = (s if rates else np.ones(hi - lo)) / s.sum()
-            halves[0, w, h] = per_sample @ recording.gyro[lo:hi]
-            halves[1, w, h] = per_sample @ recording.accel[lo:hi]
-        gyro[w] = (halves[0, w, 0] * first.sum() + halves[0, w, 1] * second.sum()) / duration[w]
-        white[w] = float(density**2 @ steps)
-        edge[w] = float(np.sum(np.diff(density, prepend=0.0, append=0.0) ** 2))
+        n = b - a
+        if not isinstance(interval, float):
+            own = _weights(interval[a:b], algorithm, rates=rates)
+        else:
+            if n not in by_length:
+                by_length[n] = _weights(np.full(n, interval), algorithm, rates=rates)
+            own = by_length[n]
+        duration[w], white[w], edge[w] = own.duration, own.white, own.edge
+        accel[w] = own.mean @ recording.accel[a:b]
+        for h, (lo, hi) in enumerate(((a, a + n // 2), (a + n // 2, b))):
+            halves[0, w, h] = own.halves[h] @ recording.gyro[lo:hi]
+            halves[1, w, h] = own.halves[h] @ recording.accel[lo:hi]
+        gyro[w] = own.shares @ halves[0, w]
     return Windows(samples, duration, gyro, halves[0], halves[1], accel, white, edge)
+
+
+class _Weights(NamedTuple):
+    """Weights of the samples of a window in its mean and in the means of its halves, and figures of the window."""
+
+    mean: Array
+    halves: tuple[Array, Array]
+    shares: Array
+    duration: float
+    white: float
+    edge: float
+
+
+def _weights(steps: Array, algorithm: Average, *, rates: bool) -> _Weights:
+    average = averaging_weights(len(steps), algorithm)
+    # The mean is the integral of density times reading: weights belong to time, not to samples.
+    density = average / float(average @ steps)
+    parts = steps[: len(steps) // 2], steps[len(steps) // 2 :]
+    first, second = ((s if rates else np.ones(len(s))) / s.sum() for s in parts)
+    duration = float(steps.sum())
+    return _Weights(
+        density * steps if rates else density,
+        (first, second),
+        np.array([s.sum() for s in parts]) / duration,
+        duration,
+        float(density**2 @ steps),
+        float(np.sum(np.diff(density, prepend=0.0, append=0.0) ** 2)),
+    )

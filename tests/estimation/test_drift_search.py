@@ -63,16 +63,16 @@ def test_p_values_are_uniform_without_drift():
     rng = np.random.default_rng(20261123)
     H, Z = rng.standard_normal((40, 10)), rng.standard_normal((40, 3))
     for scale in (1.0, 5.0):  # the F-test does not depend on the scale of the noise
-        found = [drift_test(residual_statistics(scale * rng.standard_normal(40), H, Z)).p_value for _ in range(2000)]
+        found = [drift_test(*residual_statistics(scale * rng.standard_normal(40), H, Z)).p_value for _ in range(2000)]
         assert kstest(found, "uniform", alternative="greater").pvalue > 1e-3
     # At the stated noise the two tests nearly agree, so that little power is lost.
-    found = [drift_test(residual_statistics(rng.standard_normal(40), H, Z)).p_value for _ in range(2000)]
+    found = [drift_test(*residual_statistics(rng.standard_normal(40), H, Z)).p_value for _ in range(2000)]
     assert np.mean(np.array(found) < 0.05) > 0.02
 
 
 def test_residuals_far_below_the_noise_are_no_drift():
     Z = np.arange(30.0)[:, None]
-    assert drift_test(residual_statistics(1e-6 * Z[:, 0], np.ones((30, 1)), Z)).p_value > 0.99
+    assert drift_test(*residual_statistics(1e-6 * Z[:, 0], np.ones((30, 1)), Z)).p_value > 0.99
 
 
 def test_sigma_of_a_random_walk_is_its_restricted_likelihood():
@@ -82,7 +82,7 @@ def test_sigma_of_a_random_walk_is_its_restricted_likelihood():
     variances = []
     for _ in range(50):
         z = rng.standard_normal(60) + Z @ rng.normal(0.0, 3.0, 12)
-        variances.append(walk_sigma(residual_statistics(z, H, Z)) ** 2)
+        variances.append(walk_sigma(*residual_statistics(z, H, Z)) ** 2)
         (expected,) = restricted_likelihood(z, H, np.eye(60), (Z @ Z.T,))
         assert variances[-1] == pytest.approx(expected, rel=2e-2)
     # A variance from 12 coefficients has a relative standard error of √(2 / 12) at least.
