@@ -106,21 +106,25 @@ def integrate(episodes: Sequence[Episode], interval_s: float) -> Integrals:
     """
     cut = [_intervals(episode, interval_s) for episode in episodes]
     ends = np.cumsum([len(c.left) for c in cut])
-    values = np.empty((int(ends[-1]), 12))
     # Episodes of one motion and bandwidth share a quadrature call, as its cost is mainly per call.
     groups: dict[tuple[object, float], list[int]] = {}
     for k, episode in enumerate(episodes):
         groups.setdefault((episode.evaluate, episode.bandwidth_rad_s), []).append(k)
-    for members in groups.values():
-        rows = np.concatenate([np.arange(ends[k] - len(cut[k].left), ends[k]) for k in members])
-        values[rows] = _integrated([episodes[k] for k in members], [cut[k] for k in members])
+    parts = [_integrated([episodes[k] for k in members], [cut[k] for k in members]) for members in groups.values()]
+    values = parts[0]
+    if len(parts) > 1:
+        order = [np.arange(ends[k] - len(cut[k].left), ends[k]) for members in groups.values() for k in members]
+        values = np.concatenate(parts)[np.argsort(np.concatenate(order))]
     starts = [c.first + end - len(c.left) for c, end in zip(cut, ends.tolist(), strict=True)]
     first = np.concatenate(starts)
     total = values[first]
     # Only a few samples are divided; their parts follow in order.
-    rest = np.setdiff1d(np.arange(len(values)), first, assume_unique=True)
+    is_rest = np.ones(len(values), dtype=np.bool_)
+    is_rest[first] = False
+    rest = np.flatnonzero(is_rest)
     np.add.at(total, np.searchsorted(first, rest, side="right") - 1, values[rest])
-    return Integrals(total[:, 0:3], total[:, 6:9], total[:, 3:6], total[:, 9:12])
+    angle, velocity, angle_abs, velocity_abs = (np.ascontiguousarray(total[:, a : a + 3]) for a in (0, 3, 6, 9))
+    return Integrals(angle, angle_abs, velocity, velocity_abs)
 
 
 def _intervals(episode: Episode, interval_s: float) -> _Intervals:
@@ -149,7 +153,10 @@ def _integrated(episodes: Sequence[Episode], cut: Sequence[_Intervals]) -> Array
     still_pieces, where, row = np.unique(piece[~moving], return_index=True, return_inverse=True)
     if len(still_pieces):
         constant = evaluate(still_pieces[:, np.newaxis], begin[~moving][where][:, np.newaxis])[:, 0]
-        values[~moving] = np.hstack([constant, np.abs(constant)])[row] * width[~moving, np.newaxis]
+        still = np.flatnonzero(~moving)
+        rates = np.hstack([constant, np.abs(constant)])[row]
+        rates *= width[still, np.newaxis]
+        values[still] = rates
     turning = np.flatnonzero(moving)
     for rows in np.split(turning, range(_BLOCK, len(turning), _BLOCK)) if len(turning) else ():
         values[rows] = _quadrature(episodes[0], piece[rows], left[rows], width[rows])
@@ -174,7 +181,8 @@ def _quadrature(episode: Episode, piece: Indices, left: Array, width: Array) -> 
     integral = np.einsum("knc,n->kc", samples, basis.weights)
     absolute = np.abs(integral)
 
-    low, high = samples.min(axis=1), samples.max(axis=1)
+    by_node = np.ascontiguousarray(np.swapaxes(samples, 0, 1))  # reductions over the first axis are ten times as fast
+    low, high = by_node.min(axis=0), by_node.max(axis=0)
     spread = high - low
     # One spread beyond the nodes covers the ends of the interval and an extremum between two nodes.
     rows, columns = np.nonzero((low - spread < 0.0) & (high + spread > 0.0))

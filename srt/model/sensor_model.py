@@ -17,7 +17,7 @@ decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -150,11 +150,13 @@ def octants(v: Array) -> Indices:
     return negative[:, 0] + 2 * negative[:, 1].astype(np.intp) + 4 * negative[:, 2]
 
 
+@lru_cache(maxsize=8)
 def gyro_triad(errors: SensorErrors) -> Triad:
     """Sensor model of the gyros: Mg, κ_Asym, κ_Bias."""
     return _triad(errors, "gyro", "orthogonality", GYRO_BASIS)
 
 
+@lru_cache(maxsize=8)
 def accel_triad(errors: SensorErrors) -> Triad:
     """Sensor model of the accelerometers: Ma, λ_Asym, λ_Bias."""
     return _triad(errors, "accel", "misalignment", ACCEL_BASIS)

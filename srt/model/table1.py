@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -60,13 +61,23 @@ class RotationSequence:
 
     @property
     def axes(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-        """Unit vectors of the rotation axes in IMU axes, shape (m, 3)."""
-        return np.eye(3)[[AXES.index(axis) for axis, _ in self.rotations]]
+        """Unit vectors of the rotation axes in IMU axes, shape (m, 3), read-only."""
+        return _axes_and_angles(self.rotations)[0]
 
     @property
     def angles_rad(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """Signed rotation angles, shape (m,), rad."""
-        return np.array([angle for _, angle in self.rotations])
+        """Signed rotation angles, shape (m,), rad, read-only."""
+        return _axes_and_angles(self.rotations)[1]
+
+
+@lru_cache
+def _axes_and_angles(
+    rotations: tuple[tuple[str, float], ...],
+) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.float64]], np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    axes = np.eye(3)[[AXES.index(axis) for axis, _ in rotations]]
+    angles = np.array([angle for _, angle in rotations], dtype=np.float64)
+    axes.flags.writeable = angles.flags.writeable = False
+    return axes, angles
 
 
 _START_DEG = {  # (down, along outer) -> initial (inner, outer)
