@@ -237,7 +237,9 @@ def _site(data: PreparedRecording) -> dict[str, Any]:
 
 def _noise(data: PreparedRecording, result: SolverResult, inflation: float) -> dict[str, Any]:
     noise = data.noise
+    filters = zip(("gyro_filter_s", "accel_filter_s"), noise.filter_s.tolist(), strict=True)
     return {
+        **{key: filter_s for key, filter_s in filters if filter_s > 0.0},
         "gyro_noise_rad_per_sqrt_s": noise.gyro_white.tolist(),
         "accel_noise_m_s2_sqrt_s": noise.accel_white.tolist(),
         "gyro_reading_error_rad": noise.gyro_edge.tolist(),

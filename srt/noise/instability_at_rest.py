@@ -10,6 +10,7 @@ Gauss-Markov processes of :mod:`srt.noise.bias_instability`: near 1/(4 ln 2 f dt
 slower processes leak. In octaves of f, the median over the windows is robust against single windows with motion. The
 terms are fitted to it by least squares, N and q for each channel, B for the three channels of a sensor together. The
 fastest process has a size of its own: at its frequencies, a sensor may have less noise or more than flicker noise.
+Behind a low-pass filter only frequencies far below its corner are used, where the errors of readings do not show.
 """
 
 from __future__ import annotations
@@ -40,6 +41,11 @@ _PIECE: Final = 1 << 13
 """Samples of windows that are transformed together: they fit into a processor's cache."""
 _PASSES: Final = 3
 """Fits with the weights of the fit before."""
+_PASSED: Final = 0.125
+"""Highest frequency used behind a filter, times the averaging time from which the filter does not show. At it, the
+memory of the filter is a radian at most."""
+_FEWEST_OCTAVES: Final = 3
+"""Octaves of frequency that are used behind a filter at least."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +72,9 @@ class InstabilityAtRest:
     white: Array
 
 
-def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> InstabilityAtRest | None:
+def instability_at_rest(
+    readings: Array, windows: Indices, dt_s: float, filter_s: float = 0.0
+) -> InstabilityAtRest | None:
     """Bias instability of a sensor from its stationary windows; None if these are too short.
 
     Parameters
@@ -77,12 +85,16 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
         First sample and one past the last.
     dt_s : float
         Sampling interval, s.
+    filter_s : float
+        Averaging time beyond which a low-pass filter of the sensor does not show, s; zero without a filter.
     """
     lengths = np.diff(windows, axis=1)[:, 0]
     longest = int(lengths.max(initial=0))
     if longest < _FEWEST_SAMPLES:
         return None
     octaves = int(math.log2(longest))
+    if filter_s > 0.0:
+        octaves = min(octaves, max(int(math.log2(2.0 * longest * dt_s * _PASSED / filter_s)), _FEWEST_OCTAVES))
     power = np.full((len(windows), octaves, 3), np.nan)
     count = np.zeros((len(windows), octaves))
     design = np.zeros((len(windows), octaves, 4))
@@ -90,9 +102,13 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
 
     for n in np.unique(lengths[lengths >= _FEWEST_SAMPLES]).tolist():
         f_dt = np.arange(1, n) / (2.0 * n)
-        octave = np.minimum(np.log2(2.0 * longest * f_dt).astype(np.intp), octaves - 1)
+        octave = np.log2(2.0 * longest * f_dt).astype(np.intp)
+        # The highest octave contains all that is above it, unless a filter hides that.
+        octave = octave[octave < octaves] if filter_s > 0.0 else np.minimum(octave, octaves - 1)
+        if not octave.size:
+            continue
         terms = np.stack([np.full(n - 1, 1.0 / dt_s), 4.0 * np.sin(math.pi * f_dt) ** 2 / dt_s**2], axis=1)
-        terms = np.concatenate([terms, _drift_variances(n, dt_s)], axis=1)
+        terms = np.concatenate([terms, _drift_variances(n, dt_s)], axis=1)[: len(octave)]
         first, number = np.unique(octave, return_index=True, return_counts=True)[1:]
         there = octave[first]
         own, together = np.flatnonzero(lengths == n), max(1, _PIECE // n)
@@ -101,13 +117,14 @@ def instability_at_rest(readings: Array, windows: Indices, dt_s: float) -> Insta
         # The median of a sum of k squares is smaller than its expected value.
         median = chdtri(number, 0.5)[:, None]
         for some in (own[i : i + together] for i in range(0, len(own), together)):
-            square = dct(np.stack([readings[a : a + n] for a in windows[some, 0]]), axis=1, norm="ortho")[:, 1:] ** 2
+            part = dct(np.stack([readings[a : a + n] for a in windows[some, 0]]), axis=1, norm="ortho")
+            square = part[:, 1 : len(octave) + 1] ** 2
             power[some[:, None], there] = np.add.reduceat(square, first, axis=1) / median
     used = count.sum(axis=0) > 0
     freedom = count.sum(axis=0)[used]
     observed = np.nanmedian(power[:, used], axis=0)
     mean = np.stack([np.sum(design[:, used, i] * count[:, used], axis=0) / freedom for i in range(4)], axis=1)
-    return _fitted(observed, mean, freedom)
+    return _fitted(observed, mean, freedom, filtered=filter_s > 0.0)
 
 
 @lru_cache(maxsize=8)
@@ -131,8 +148,8 @@ def _drift_variances(n: int, dt_s: float) -> Array:
     return out
 
 
-def _fitted(observed: Array, design: Array, freedom: Array) -> InstabilityAtRest | None:
-    """Fit of N² and q² of each channel and the common B² to medians of shape (octaves, 3)."""
+def _fitted(observed: Array, design: Array, freedom: Array, *, filtered: bool) -> InstabilityAtRest | None:
+    """Fit of N² and, unless filtered, q² of each channel, and the common B², to medians of shape (octaves, 3)."""
     if not np.all(observed.max(axis=0) > 0.0):
         return None  # a constant channel
     rows = len(observed)
@@ -140,11 +157,13 @@ def _fitted(observed: Array, design: Array, freedom: Array) -> InstabilityAtRest
     for axis in range(3):
         by_axis[axis][:, [axis, 3 + axis, 6, 7]] = design
     A = by_axis.reshape(-1, 8)
+    if filtered:
+        A = np.delete(A, slice(3, 6), axis=1)
     y = observed.T.ravel()
     relative = np.tile(np.sqrt(2.0 * _MEDIAN / freedom), 3)
     square, doubt, white = _least_squares(A, y, relative)
     # Without instability, both processes vanish: their sum has more power in a test of that.
-    tied, tied_doubt, _ = _least_squares(np.column_stack([A[:, :6], A[:, 6] + A[:, 7]]), y, relative)
+    tied, tied_doubt, _ = _least_squares(np.column_stack([A[:, :-2], A[:, -2] + A[:, -1]]), y, relative)
     shown = tied > _SIGNIFICANT * tied_doubt
     return InstabilityAtRest(
         shown=shown,

@@ -1,14 +1,13 @@
 """Noise model of an IMU: stated figures, completed by estimates from the stationary windows, with lower limits.
 
-Within a window the Allan variance of averages over τ is ``N²/τ + 3 q²/τ²`` for white noise N (random walk of the
-integral) and an error q of every reading of the integral (quantization ε has q = ε/√12). Both are fitted to the octaves
-of τ. Bias instability of the accelerometers is taken from all windows together (:mod:`srt.noise.instability_at_rest`).
+White noise and errors of the readings are taken from averages within the windows (:mod:`srt.noise.random_walk`), bias
+instability of the accelerometers from all windows together (:mod:`srt.noise.instability_at_rest`). Both leave out the
+short times in which a low-pass filter of the sensor hides noise.
 """
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.noise.instability_at_rest import instability_at_rest
-from srt.noise.nonnegative import nonnegative_least_squares
+from srt.noise.random_walk import random_walk
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording
@@ -29,18 +28,6 @@ ACCEL_FLOOR: Final = 1e-9 * STANDARD_GRAVITY_M_S2
 """Lower limit of an estimated velocity random walk, m/s²·√s (1e-9 g·√s)."""
 _MAX_SAMPLES_FOR_RESOLUTION: Final = 4000
 """Number of samples from which the resolution of a column is estimated."""
-_QUANTIZATION_DOUBT: Final = 0.5
-"""Relative 1-sigma of the quantization term: the quantization error of a slow input is not white."""
-_FIT_PASSES: Final = 40
-"""Largest number of passes of the fit of random walk and reading error, each weighted by the fit before it."""
-_SETTLED: Final = 1e-3
-"""Relative change of the fitted variances below which another pass is not needed."""
-_POOL_ABOVE: Final = 0.2
-"""Relative 1-sigma of N² above which the three axes of a triad are fitted together."""
-_PIECE: Final = 1 << 13
-"""Samples averaged together, a power of two: six columns and their halves fit into a processor's cache of 1 MiB."""
-_LEAST_SHARE: Final = 1e-12
-"""Lower limit of N² over its 1-sigma, so that the relative 1-sigma of a vanishing N² is finite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +54,9 @@ class NoiseModel:
         it, the sigmas do.
     accel_limit : ndarray, shape (3,), m/s²
         Largest bias instability that the windows cannot exclude, at least ``accel_flicker``.
+    filter_s : ndarray, shape (2,), s
+        Averaging time beyond which a low-pass filter of the gyros and of the accelerometers, found in the noise at
+        rest, does not show; zero without a filter.
     estimated, floored : tuple of str
         Figures estimated from the windows, and figures raised to the lower limit.
     """
@@ -81,6 +71,7 @@ class NoiseModel:
     accel_flicker: Array
     accel_unseen: Array
     accel_limit: Array
+    filter_s: Array
     estimated: tuple[str, ...] = ()
     floored: tuple[str, ...] = ()
 
@@ -106,9 +97,9 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
     """
     stated = recording.noise
     dt = recording.nominal_interval_s
-    white, edge = _fit(recording, windows)
-    if recording.kind == "increment":
-        white, edge = white / dt, edge / dt
+    found = random_walk(recording, windows)
+    unit = 1.0 if recording.kind == "rate" else dt
+    white, edge = found.white / unit, found.edge / unit
     estimated, floored = [], []
     figures = {}
     for sensor, columns, floor in (("gyro", slice(0, 3), GYRO_FLOOR), ("accel", slice(3, 6), ACCEL_FLOOR)):
@@ -134,7 +125,7 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
     spread = flicker_spread(windows)
     accel = (stated.accel_bias_instability or 0.0, 0.0, stated.accel_bias_instability or 0.0)
     if stated.accel_bias_instability is None:
-        accel = _accel_instability(recording, windows)
+        accel = _accel_instability(recording, windows, float(found.filter_s[1]))
         estimated.append("accel_bias_instability")
     if instability is None:
         estimated.append("gyro_bias_instability")
@@ -146,12 +137,13 @@ def noise_model(recording: Recording, windows: Indices) -> NoiseModel:
         accel_flicker=np.full(3, accel[0]),
         accel_unseen=np.full(3, accel[1]),
         accel_limit=np.full(3, accel[2]),
+        filter_s=found.filter_s,
         estimated=tuple(estimated),
         floored=tuple(floored),
     )
 
 
-def _accel_instability(recording: Recording, windows: Indices) -> tuple[float, float, float]:
+def _accel_instability(recording: Recording, windows: Indices, filter_s: float) -> tuple[float, float, float]:
     """Bias instability of the accelerometers that the windows show, that beyond it to 1 sigma, and the largest, m/s².
 
     If the noise is stated, an instability that the windows do not show counts as none, unless residuals ask for it.
@@ -161,7 +153,7 @@ def _accel_instability(recording: Recording, windows: Indices) -> tuple[float, f
     """
     dt = recording.nominal_interval_s
     force = recording.accel if recording.kind == "rate" else recording.accel / dt
-    found = instability_at_rest(force, windows, dt)
+    found = instability_at_rest(force, windows, dt, filter_s)
     if found is None:
         return 0.0, 0.0, 0.0
     if recording.noise.accel_noise is not None:
@@ -179,95 +171,6 @@ def flicker_spread(windows: Indices) -> float:
     lengths = windows[:, 1] - windows[:, 0]
     ratio = (int(windows[:, 1].max()) - int(windows[:, 0].min())) / float(np.median(lengths))
     return math.sqrt(max(1.0, math.log(ratio) / (2.0 * math.log(2.0))))
-
-
-def _fit(recording: Recording, windows: Indices) -> tuple[Array, Array]:
-    """Random walk and reading error of the six columns from the octaves of the Allan variance."""
-    tau, count, variance = _allan_octaves(recording, windows)
-    fits = [_fit_one(tau, count, v) for v in variance]
-    for columns in (slice(0, 3), slice(3, 6)):
-        # Where quantization hides the white noise of an axis, the three axes of a triad are fitted together.
-        if any(doubt > _POOL_ABOVE for _, doubt in fits[columns]):
-            pooled = _fit_one(tau, 3.0 * count, variance[columns].mean(axis=0))
-            fits[columns] = [pooled] * 3
-    fitted = np.array([solution for solution, _ in fits])
-    return np.sqrt(fitted[:, 0]), np.sqrt(fitted[:, 1])
-
-
-def _allan_octaves(recording: Recording, windows: Indices) -> tuple[Array, Array, Array]:
-    """Averaging times, s, numbers of differences and Allan variances (6, m) of non-overlapping averages by octave.
-
-    The averages are formed in one pass, octave from octave, over pieces that fit into a processor's cache. A piece of
-    2^k samples gives k octaves and one average; the averages of a window's pieces give the higher octaves.
-    """
-    power: defaultdict[int, Array] = defaultdict(lambda: np.zeros(6))
-    number: defaultdict[int, int] = defaultdict(int)
-
-    def add(x: Array, octave: int) -> Array:
-        """Add the octaves of averages (w, 6, n), from the given octave on; return the last averages, (w, 6)."""
-        while x.shape[2] >= 2:
-            m = x.shape[2] // 2
-            even, odd = x[:, :, 0 : 2 * m : 2], x[:, :, 1 : 2 * m : 2]
-            difference = odd - even
-            power[octave] += 0.5 * np.einsum("wcn,wcn->c", difference, difference)
-            number[octave] += m * len(x)
-            x = 0.5 * (even + odd)
-            octave += 1
-        return x[:, :, 0]
-
-    by_length: defaultdict[int, list[int]] = defaultdict(list)
-    for a, b in windows.tolist():
-        whole = a + (b - a) // _PIECE * _PIECE
-        if whole > a:
-            pieces = [add(_columns(recording, [lo], _PIECE), 0) for lo in range(a, whole, _PIECE)]
-            add(np.stack(pieces, axis=2), _PIECE.bit_length() - 1)
-        if b > whole:
-            by_length[b - whole].append(whole)
-    for n, begins in by_length.items():
-        together = max(1, _PIECE // n)
-        for i in range(0, len(begins), together):
-            add(_columns(recording, begins[i : i + together], n), 0)
-    octaves = sorted(power)
-    return (
-        recording.nominal_interval_s * 2.0 ** np.array(octaves),
-        np.array([number[o] for o in octaves], dtype=np.float64),
-        np.stack([power[o] / number[o] for o in octaves], axis=1),
-    )
-
-
-def _columns(recording: Recording, begins: list[int], n: int) -> Array:
-    """Readings of pieces of n samples, shape (pieces, 6, n)."""
-    out = np.empty((len(begins), 6, n))
-    for piece, a in zip(out, begins, strict=True):
-        piece[:3], piece[3:] = recording.gyro[a : a + n].T, recording.accel[a : a + n].T
-    return out
-
-
-def _fit_one(tau: Array, count: Array, variance: Array) -> tuple[Array, float]:
-    """Fit of (N², q²) to one Allan variance, and the relative 1-sigma of N²."""
-    if variance.max() == 0.0:
-        return np.zeros(2), 0.0
-    if len(tau) < 2:  # windows of a few samples: one octave does not separate quantization from white noise
-        return np.array([variance[0] * tau[0], 0.0]), 1.0
-    design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1)
-    solution, expected = np.zeros(2), variance
-    for _ in range(_FIT_PASSES):
-        # A variance from m differences has the relative 1-sigma √(3/m) of its expected value: the last octaves have few
-        # differences, and a variance that is small by chance would dominate the fit. The quantization error of a slow
-        # input is no white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
-        sigma = np.hypot(
-            np.maximum(variance, expected) * np.sqrt(3.0 / count) + 1e-9 * variance.max(),
-            _QUANTIZATION_DOUBT * design[:, 1] * solution[1],
-        )
-        weighted = design / sigma[:, None]
-        scale = np.linalg.norm(weighted, axis=0)
-        solution = nonnegative_least_squares(weighted / scale, variance / sigma) / scale
-        before, expected = expected, design @ solution
-        if np.all(np.abs(expected - before) <= _SETTLED * expected):
-            break
-    doubt = np.sqrt(np.linalg.inv((weighted / scale).T @ (weighted / scale))[0, 0]) / scale[0]
-    # Without white noise the relative 1-sigma is infinite; the limit makes it a large finite number.
-    return solution, float(doubt / max(solution[0], _LEAST_SHARE * doubt))
 
 
 def _resolution(recording: Recording, windows: Indices, sensor: str) -> Array:

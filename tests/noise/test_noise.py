@@ -5,15 +5,8 @@ import numpy as np
 import pytest
 
 import srt
-from srt.noise.noise_model import (
-    _PIECE,
-    ACCEL_FLOOR,
-    GYRO_FLOOR,
-    _allan_octaves,
-    _fit_one,
-    flicker_spread,
-    noise_model,
-)
+from srt.noise.noise_model import ACCEL_FLOOR, GYRO_FLOOR, flicker_spread, noise_model
+from srt.noise.random_walk import _PIECE, _allan_octaves, _fit_one
 from srt.noise.variance_components import restricted_likelihood
 
 N, RATE = 2000, 200.0
@@ -132,7 +125,7 @@ def test_pulses_alone_leave_no_white_noise_and_all_doubt(size):
     """The result does not depend on the units: readings of a million times full scale must not overflow."""
     tau = np.array([0.02, 0.04, 0.08, 0.16])
     # Falls faster than even pulses do, so that nothing is left for white noise.
-    (white, pulses), doubt = _fit_one(tau, np.array([1000.0, 500.0, 250.0, 125.0]), size / tau**3)
+    (white, pulses), doubt, _ = _fit_one(tau, np.array([1000.0, 500.0, 250.0, 125.0]), size / tau**3)
     assert white == 0.0
     assert pulses > 0.0
     assert 1.0 < doubt < np.inf
@@ -148,7 +141,7 @@ def test_a_variance_of_few_differences_does_not_lead_the_fit():
     tau = 0.01 * 2.0 ** np.arange(len(count))
     expected = 1.0 / tau + 3.0 * 0.01**2 / tau**2
     found = np.array(
-        [_fit_one(tau, count, expected * rng.gamma(count / 3.0, 3.0 / count))[0][0] ** 0.5 for _ in range(400)]
+        [_fit_one(tau, count, expected * rng.gamma(count / 3.0, 3.0 / count)).squares[0] ** 0.5 for _ in range(400)]
     )
     design = np.stack([1.0 / tau, 3.0 / tau**2], axis=1) / (expected * np.sqrt(3.0 / count))[:, None]
     bound = 0.5 * np.sqrt(np.linalg.inv(design.T @ design)[0, 0])
