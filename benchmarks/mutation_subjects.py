@@ -41,7 +41,12 @@ SUBJECTS = (
     Subject(
         "eq. 1",
         "srt/estimation/srt_measurements.py",
-        ("tests/estimation/test_srt_measurements.py", "tests/model/test_jacobians.py", EXACT),
+        (
+            "tests/estimation/test_srt_measurements.py",
+            "tests/model/test_jacobians.py",
+            "tests/estimation/test_g_sensitivity.py::test_noise_free_g_sensitivity_is_removed_entirely",
+            EXACT,
+        ),
         ("after_g_sensitivity", "process", "_without_g_sensitivity", "_down", "_carried_force"),
         (("g - np.linalg.norm(force, axis=1)", "g - 1.000001 * np.linalg.norm(force, axis=1)"),),
     ),

@@ -52,6 +52,20 @@ def one_by_one(increments):
     return C.as_matrix()
 
 
+def test_integral_of_a_turn_about_the_earths_axis_points_to_its_middle():
+    """Rates of turn and Earth add up: ∫ Ĉ dt turns by half the angle on the Earth, ∫ exp(iωt) dt = T e^(iωT/2) sinc.
+
+    The Earth's mean turn is that at the middle of the sequence; any other share of it would turn the integral.
+    """
+    n, dt, rate, earth = 1000, 0.01, 0.3, 1e-3
+    found, _ = integrate_attitude(
+        one_stream(np.tile([0.0, 0.0, (rate + earth) * dt], (n, 1)), dt), PERFECT, np.array([[0.0, 0.0, earth]])
+    )
+    C = found.time[0]
+    np.testing.assert_allclose(np.arctan2(C[1, 0], C[0, 0]), 0.5 * rate * n * dt, rtol=n * EPS)
+    np.testing.assert_allclose(Rotation.from_matrix(found.C_end[0]).as_rotvec()[2], rate * n * dt, rtol=n * EPS)
+
+
 def test_earth_rate_in_a_turning_body_at_50_hz():
     """The coning that the Earth's rate makes in a turning body: 1.5e-8 rad without its term, below 1e-11 with it.
 
