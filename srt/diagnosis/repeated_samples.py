@@ -43,6 +43,10 @@ _CHUNK: Final = 50
 """Rows over which a share of repeats is taken: a pause between rotations is as short."""
 _SHORT: Final = 3
 """Longest run of repeats that is a sample written twice, or a few times."""
+_MOVED: Final = 0.5
+"""Noise of a sample in pulses, above which a steady input does not repeat."""
+_BESIDE_PULSES: Final = 10
+"""Samples on either side of a run that tell the rate before and after it."""
 _GOES_ON: Final = 0.9
 """Share of the other sensor's rows that repeat, above which that sensor is frozen, too."""
 
@@ -91,6 +95,7 @@ def repeated_runs(evidence: Evidence) -> list[list[RepeatRun]]:
             if run.count > like
             and run.count > _by_chance(evidence, which, run, total)
             and not _at_extreme(evidence, which, run)
+            and not _goes_on(evidence, which, run)
         )
     return found
 
@@ -102,6 +107,29 @@ def _at_extreme(evidence: Evidence, which: int, run: RepeatRun) -> bool:
         return False
     column = (evidence.recording.gyro, evidence.recording.accel)[channel // 3][:, channel % 3]
     return bool(column[run.first] in (column.min(), column.max()))
+
+
+def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
+    """True for pulses of one channel that are as many before and after a run as in it.
+
+    A steady input near a whole number of pulses for each sample repeats for any time, unless noise moves it: no length
+    tells a freeze from it.
+    """
+    channel, data = which - _FIRST_CHANNEL, evidence.data
+    noise = evidence.recording.noise
+    pulse = (noise.gyro_quantization, noise.accel_quantization)[channel // 3] if channel >= 0 else None
+    if pulse is None or data is None:
+        return False
+    white = (data.noise.gyro_white, data.noise.accel_white)[channel // 3]
+    if float(white[channel % 3]) * math.sqrt(evidence.dt) > _MOVED * pulse:
+        return False
+    recording = evidence.recording
+    column = (recording.gyro, recording.accel)[channel // 3][:, channel % 3]
+    step = pulse if recording.kind == "increment" else pulse / evidence.dt
+    last = run.first + run.count + 1
+    beside = column[max(0, run.first - _BESIDE_PULSES) : run.first], column[last : last + _BESIDE_PULSES]
+    value = float(column[run.first])
+    return all(abs(float(part.mean()) - value) < step for part in beside if len(part))
 
 
 def _ordinary(longest: Indices) -> float:

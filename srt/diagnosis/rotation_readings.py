@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
+from scipy.special import ndtri
 
 from srt.sequences.manoeuvres import MOVING, end_attitude, leg_borders
 from srt.sequences.preparation import nominal_attitude
@@ -32,6 +33,10 @@ _ROUNDS: Final = 12
 """Reweightings of a robust fit."""
 _ROTATING: Final = 0.05
 """Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
+_BY_NOISE: Final = 1e-5
+"""Probability that noise alone rotates some window of a recording."""
+_MAD: Final = 1.4826
+"""Standard deviation over median absolute deviation of a normal distribution."""
 _SLOWEST_RAD_S: Final = 0.05
 """Slowest rotation of a manoeuvre, rad/s: half a turn in a minute."""
 _OTHER_UNIT: Final = 8.0
@@ -202,23 +207,29 @@ def turning_windows(evidence: Evidence) -> Mask:
     assert data is not None
     size = max(1, round(BLOCK_S / evidence.dt))
     samples = data.windows.samples
-    in_turns, in_windows = np.empty(data.K), np.zeros(len(samples))
+    in_turns, in_windows = np.empty(data.K), np.zeros((len(samples), 3))
+    scatter, blocks_in_windows = np.zeros((len(samples), 3)), 0
     for k, (s, e) in enumerate(zip(data.start.tolist(), data.end.tolist(), strict=True)):
         first, last = int(samples[s, 0]), int(samples[e, 1])
         count = (last - first) // size
         blocks = evidence.recording.gyro[first : first + count * size].reshape(count, size, 3)
         means = np.median(blocks, axis=1)  # a spike is no rotation
-        in_turns[k] = _rate_range(means)
+        in_turns[k] = _rate_range(means).max()
         for w in (s, e):
             inside = slice(-(-(int(samples[w, 0]) - first) // size), (int(samples[w, 1]) - first) // size)
             in_windows[w] = _rate_range(means[inside])
+            if len(means[inside]):
+                scatter[w] = _MAD * np.median(np.abs(means[inside] - np.median(means[inside], axis=0)), axis=0)
+            blocks_in_windows += len(means[inside])
     # Poses placed one by one have no rotation to compare with: their noise is none either.
     slowest = _SLOWEST_RAD_S * (1.0 if evidence.per_rate == 1.0 else evidence.dt)
-    return np.asarray(in_windows > _ROTATING * max(float(np.median(in_turns)), slowest))
+    slowest = _ROTATING * max(float(np.median(in_turns)), slowest)
+    noise = -2.0 * float(ndtri(_BY_NOISE / max(1, 6 * blocks_in_windows))) * np.median(scatter, axis=0)
+    return np.asarray(np.any(in_windows > np.maximum(slowest, noise), axis=1))
 
 
-def _rate_range(means: Array) -> float:
-    return float((means.max(axis=0) - means.min(axis=0)).max()) if len(means) else 0.0
+def _rate_range(means: Array) -> Array:
+    return np.asarray(means.max(axis=0) - means.min(axis=0)) if len(means) else np.zeros(3)
 
 
 @computed_once

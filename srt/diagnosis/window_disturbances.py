@@ -44,6 +44,9 @@ _NOISE_SIGMAS: Final = 6.0
 """Deviation of the logarithm of a window's noise in sigma of that of all windows: windows held by hand differ more."""
 _EDGE_BLOCKS: Final = 2
 """Blocks at both ends of a window in which a step cannot be told, because one side of it is missing."""
+_WIDE: Final = 0.95
+_WIDE_SIGMAS: Final = 1.96
+"""Share of the means that gives their scatter, and the sigmas within which it lies."""
 _SPANS: Final = (1, 2, 3)
 """Blocks over which a bump rotates the unit; a longer motion is no bump."""
 _AGREE: Final = 0.35
@@ -210,15 +213,16 @@ def _span_means(blocks: Array, span: int) -> Array:
 def _span_spread(averages: WindowAverages, sigma: Array) -> Array:
     """Scatter of gyro means over spans of blocks over that of independent blocks, at least 1, (spans, 3).
 
-    A filter correlates blocks of few samples: their sums scatter more, and their differences less.
+    A filter correlates blocks of few samples: their sums scatter more, and their differences less. One quantile of all
+    windows: a bump takes few blocks, and the middle of the distribution alone would not tell its width well.
     """
-    spread = np.empty((len(_SPANS), len(sigma), 3))
+    parts: list[list[Array]] = [[] for _ in _SPANS]
     for v, means in averages.groups:
         rate = means[:, :, GYRO] - np.median(means[:, :, GYRO], axis=1, keepdims=True)
-        for s, span in enumerate(_SPANS):
-            scatter = MAD * np.median(np.abs(_span_means(rate, span)), axis=1)
-            spread[s, v] = scatter * np.sqrt(span) / sigma[v, GYRO]
-    return np.maximum(1.0, np.median(spread, axis=1))
+        for part, span in zip(parts, _SPANS, strict=True):
+            part.append((np.abs(_span_means(rate, span)) * np.sqrt(span) / sigma[v, None, GYRO]).reshape(-1, 3))
+    wide = [np.quantile(np.concatenate(part), _WIDE, axis=0) / _WIDE_SIGMAS for part in parts]
+    return np.maximum(1.0, np.array(wide))
 
 
 def _turning_span(power: list[Array], limit: float) -> tuple[int, int] | None:

@@ -134,10 +134,16 @@ def blocks_of(recording: Recording) -> Blocks:
 
 
 def resolution_floor(recording: Recording) -> Array:
-    """Variance of a sample, as a rate, due to the resolution of the readings, shape (6,); never zero."""
-    factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
+    """Variance of a sample, as a rate, due to the resolution of the readings, shape (6,); never zero.
+
+    Pulses that were corrected hold those of the other axes, far below a pulse: the stated pulse counts.
+    """
+    dt = recording.nominal_interval_s
+    factor = 1.0 if recording.kind == "rate" else 1.0 / dt
     stride = max(1, len(recording.time) // _MAX_SAMPLES_FOR_RESOLUTION)
     step = np.concatenate([smallest_step(table[::stride]) for table in (recording.gyro, recording.accel)]) * factor
+    stated = recording.noise.gyro_quantization, recording.noise.accel_quantization
+    step = np.maximum(step, np.repeat([(pulse or 0.0) / dt for pulse in stated], 3))
     return np.asarray(step**2 / 12.0 + 1e-300)
 
 
