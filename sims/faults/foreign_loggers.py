@@ -349,7 +349,7 @@ def one_accelerometer_limited(case: Case, severity: float, rng: np.random.Genera
     return replace(case.recording, accel=accel)
 
 
-@variant("negative readings cut off", 1.0, "", "gyro_clipped", "accel_clipped")
+@variant("negative readings cut off", 1.0, "", "gyro_one_polarity", "accel_one_polarity")
 def negative_cut_off(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
     """A converter of one polarity reads zero for all negative values of an axis."""
     sensor = _sensor(rng)
@@ -368,7 +368,7 @@ def gyros_held(case: Case, severity: float, rng: np.random.Generator) -> Recordi
 # --- firmware --------------------------------------------------------------------------------------------------------
 
 
-@variant("gyros high-passed", 30.0, "s", "earth_rate_absent", "gyro_bias_drift")
+@variant("gyros high-passed", 30.0, "s", "gyro_high_passed")
 def gyros_high_passed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The firmware tracks the offset of the gyros with a time constant, rotations included."""
     recording = case.recording
@@ -393,7 +393,7 @@ def earth_rate_removed(case: Case, severity: float, rng: np.random.Generator) ->
     return replace(recording, gyro=gyro)
 
 
-@variant("gravity removed", 1.0, "", "accel_g", "accel_channel_dead", "accel_counts")
+@variant("gravity removed", 1.0, "", "gravity_removed")
 def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
     """The unit outputs linear acceleration: what its filter takes for gravity is subtracted."""
     recording = case.recording

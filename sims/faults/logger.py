@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-import sims.faults.units_and_axes  # noqa: F401 - registers its injections
+import sims.faults.firmware
+import sims.faults.units_and_axes  # noqa: F401 - register their injections
 from sims.faults.injection import GRADES, injection
 from sims.physics.imu import read_out
 

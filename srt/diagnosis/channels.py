@@ -14,6 +14,7 @@ from srt.diagnosis.findings import check, finding
 from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
 from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
 from srt.diagnosis.spikes import find_spikes
+from srt.diagnosis.words import wrapped_readings
 from srt.model.table1 import AXES
 from srt.noise.noise_model import smallest_step
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array, Indices, Mask
+    from srt.types import Array, Mask
 
 
 CHANNELS: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in AXES)
@@ -207,24 +208,6 @@ def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
         return
 
 
-_WRAP_JUMP: Final = 0.9
-"""Smallest jump of a wrapping reading between two samples, relative to its range."""
-_WRAP_STEP: Final = 0.6
-"""The same before the slope of a ramp is added to it."""
-_WRAP_SLOPE: Final = 0.35
-"""Largest change of a ramp from sample to sample, relative to the range."""
-_UNSIGNED_EDGE: Final = 0.1
-"""Share of the range, at both of its ends, in which small readings of unsigned words lie."""
-_UNSIGNED_SHARE: Final = 0.01
-"""Share of the readings at either end."""
-_WRAP_SYMMETRY: Final = 0.02
-"""Largest distance of the middle of that range from zero, relative to the range: words are signed."""
-_WRAP_SAMPLES: Final = 5
-"""Samples on both sides of a jump, whose medians must lie on both sides of zero: a shock swings back at once."""
-_WRAP_MOTION: Final = {"gyro": 50.0, "accel": 500.0}
-"""Rate of change, rad/s² and m/s³, above which a jump is no motion on a fixture or in a hand."""
-
-
 _DEAD_SHARE: Final = 0.5
 """Share of stationary readings at zero, from which a channel may have a dead band."""
 _DEAD_STEPS: Final = 2.5
@@ -243,7 +226,7 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
     """Find gyros that read zero when stationary, and never between zero and a threshold."""
     if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
         return
-    if any(found.fault == "gyro_wrapped" for found in wrapped_readings(evidence)):
+    if "gyro" in wrapped_readings(evidence):
         return  # readings that overflow lie on several grids, which hides their step
     windows = evidence.data.windows.samples.tolist()
     stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
@@ -272,60 +255,6 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
                 step=step,
             )
             return
-
-
-@check("gyro_wrapped", "accel_wrapped")
-def wrapped_readings(evidence: Evidence) -> Iterator[Finding]:
-    """Find channels that jump between their two extremes and stay there; the message gives the first."""
-    for sensor, table in (("gyro", evidence.rate), ("accel", evidence.force)):
-        for axis in range(3):
-            low, high = float(table[:, axis].min()), float(table[:, axis].max())
-            jumps = _wraps(table[:, axis], low, high)
-            jumps = jumps[_within_sequences(evidence, jumps)]
-            if len(jumps) >= 2 and (high - low) / evidence.dt > _WRAP_MOTION[sensor]:
-                yield finding(
-                    f"{sensor}_wrapped",
-                    channel=f"{sensor}_{AXES[axis]}",
-                    low=low,
-                    high=high,
-                    count=len(jumps),
-                    time=float(evidence.recording.time[jumps[0]]),
-                )
-                break
-
-
-def _within_sequences(evidence: Evidence, samples: Indices) -> Mask:
-    """True for samples after neither a gap nor a change of sequence, where the unit may have moved unrecorded."""
-    inside = ~np.isin(samples, evidence.recording.gaps)
-    if evidence.data is not None:
-        sequences = [(evidence.sequence_at(i - 1), evidence.sequence_at(i)) for i in samples.tolist()]
-        inside &= np.array([before is not None and before == after for before, after in sequences], dtype=np.bool_)
-    return np.asarray(inside)
-
-
-def _wraps(column: Array, low: float, high: float) -> Indices:
-    """Samples before which a reading jumps from one of its extremes to the other, and goes on as before or stays."""
-    n, size, step = _WRAP_SAMPLES, high - low, np.diff(column)
-    large = np.abs(step) > _WRAP_STEP * size
-    if low >= 0.0:  # signed words read as unsigned ones: small negative values are the largest readings
-        edge = _UNSIGNED_EDGE * size
-        at_ends = min(np.count_nonzero(column < low + edge), np.count_nonzero(column > high - edge))
-        jumps = np.flatnonzero(np.abs(step) > _WRAP_JUMP * size) + 1
-        return jumps if at_ends > _UNSIGNED_SHARE * len(column) and len(jumps) >= _MANY else jumps[:0]
-    if not high > 0.0 or abs(high + low) > _WRAP_SYMMETRY * size:
-        return np.zeros(0, dtype=np.intp)
-    jumps = np.flatnonzero(large) + 1
-    jumps = jumps[(jumps >= n) & (jumps <= len(column) - n)]
-    before, after = (np.median(column[jumps[:, None] + np.arange(a, a + n)], axis=1) for a in (-n, 0))
-    stays = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > 0.25 * size)
-    stays &= np.abs(step[jumps - 1]) > _WRAP_JUMP * size
-    # A ramp goes on at its slope: the jump is the whole range against it.
-    jump, slopes = step[jumps - 1], np.stack([step[jumps - 2], step[jumps]])
-    slope = slopes.mean(axis=0)
-    ramp = (np.abs(jump - slope) > _WRAP_JUMP * size) & (jump * slope < 0.0)
-    ramp &= np.all((np.abs(slopes) < _WRAP_SLOPE * size) & (slopes * slope > 0.0), axis=0)
-    ramp &= np.abs(jump - slope) < size / _WRAP_JUMP
-    return np.asarray(jumps[stays | ramp], dtype=np.intp)
 
 
 @check("spikes")

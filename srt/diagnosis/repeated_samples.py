@@ -43,8 +43,8 @@ _CHUNK: Final = 50
 """Rows over which a share of repeats is taken: a pause between rotations is as short."""
 _SHORT: Final = 3
 """Longest run of repeats that is a sample written twice, or a few times."""
-_MOVED: Final = 0.5
-"""Noise of a sample in pulses, above which a steady input does not repeat."""
+_MOVED: Final = 0.25
+"""Noise of a sample in pulses, above which a steady input does not repeat: 50 equal readings have p = 1e-7."""
 _BESIDE_PULSES: Final = 10
 """Samples on either side of a run that tell the rate before and after it."""
 _GOES_ON: Final = 0.9

@@ -44,26 +44,48 @@ ANOMALY_M_S2: Final = 1e-3
 """Largest gravity anomaly, m/s²: 100 mGal, exceeded on very little land."""
 FALSE_ALARM: Final = 2e-5
 """False-alarm probability of each of some twenty such tests: one in 100 sound recordings may raise one."""
+_LATITUDE_SIGMAS: Final = 3.0
+"""Distance in sigma of the latitude that the gyros see within which stated gravity may fit it."""
 _GRID_DEG: Final = 0.01
 """Step of the latitudes tried, °: far below what gyros resolve."""
 
 
 @check("gravity")
 def gravity(evidence: Evidence) -> Iterator[Finding]:
-    """Test stated gravity against normal gravity at all heights."""
+    """Test stated gravity against normal gravity at all heights; a wrong latitude explains it, if the gyros see one."""
     site = evidence.recording.site
     if site.latitude_rad is None:
         return
-    low, high = (normal_gravity_m_s2(site.latitude_rad, height) for height in HEIGHTS_M)
-    low, high = low - ANOMALY_M_S2, high + ANOMALY_M_S2
-    if not low <= site.gravity_m_s2 <= high:
-        yield finding(
-            "gravity", stated=site.gravity_m_s2, latitude=site.latitude_rad / DEG, low=float(low), high=float(high)
-        )
+    low, high = _gravity_range(site.latitude_rad)
+    if low <= site.gravity_m_s2 <= high:
+        return
+    wrong = next((found for found in _earth_rate(evidence) if found.fault == "latitude"), None)
+    if wrong is not None:
+        seen, sigma = wrong.details["found"] * DEG, _LATITUDE_SIGMAS * wrong.details["sigma"] * DEG
+        ranges = [_gravity_range(latitude) for latitude in np.linspace(seen - sigma, seen + sigma, 9).tolist()]
+        if any(bottom <= site.gravity_m_s2 <= top for bottom, top in ranges):
+            return
+    yield finding("gravity", stated=site.gravity_m_s2, latitude=site.latitude_rad / DEG, low=low, high=high)
+
+
+def _gravity_range(latitude_rad: float) -> tuple[float, float]:
+    """Least and largest gravity at a latitude, m/s²."""
+    low, high = (float(normal_gravity_m_s2(latitude_rad, height)) for height in HEIGHTS_M)
+    return low - ANOMALY_M_S2, high + ANOMALY_M_S2
 
 
 @check("earth_rate_absent", "latitude", "north")
 def earth_rate(evidence: Evidence) -> Iterator[Finding]:
+    """Test the stated latitude and heading against the Earth rate in the stationary windows."""
+    yield from _earth_rate(evidence)
+
+
+@computed_once
+def _earth_rate(evidence: Evidence) -> list[Finding]:
+    return list(_wrong_earth_rate(evidence))
+
+
+def _wrong_earth_rate(evidence: Evidence) -> Iterator[Finding]:
     """Test the stated latitude and heading against the Earth rate in the stationary windows.
 
     Likelihood ratio: the latitude is wrong if the best one explains the vertical component and the horizontal magnitude

@@ -9,6 +9,7 @@ from srt.diagnosis import (
     axes,
     channels,
     clipping,
+    high_passes,
     imu_properties,
     joined_units,
     sensor_synchronisation,
@@ -19,6 +20,7 @@ from srt.diagnosis import (
     units,
     vibration,
     window_disturbances,
+    words,
 )
 from srt.diagnosis.evidence import Evidence, plain
 from srt.diagnosis.faults import STAGES
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 _MODULES: Final = (
     timing,
     channels,
+    words,
+    high_passes,
     units,
     clipping,
     axes,

@@ -55,6 +55,8 @@ _PLAUSIBLE: Final = 1e-3
 """p-value above which the accelerometers alone show no creep."""
 _CONTRARY: Final = 1e-4
 """p-value below which gyros and accelerometers contradict each other on a creep."""
+_UNKNOWNS: Final = 4
+"""Bias and g-sensitivity of an axis, fitted to the stationary rates."""
 _MAD_EFFICIENCY: Final = 0.37
 """Degrees of freedom of a median absolute deviation per value."""
 
@@ -274,10 +276,14 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     plane = _horizontal(up / np.sqrt(square))
     by_accel = np.einsum("vjc,vc->vj", plane, across)
     by_gyro = np.einsum("vjc,vc->vj", plane, stationary_rate_residual(evidence)[averages.window])
-    freedom = max(4.0, _MAD_EFFICIENCY * by_accel.size)
+    # A fit of least absolute deviations passes through as many windows as it has unknowns: they tell no scatter.
+    tell = np.argsort(np.einsum("vj,vj->v", by_gyro, by_gyro))[_UNKNOWNS:]
+    if len(tell) < _UNKNOWNS:
+        return None
+    freedom = max(4.0, _MAD_EFFICIENCY * by_gyro[tell].size)
     sigma = block_sigma(averages)
     noisier = np.maximum(1.0, (sigma / np.median(sigma, axis=0)).max(axis=1))
-    a, g = (np.maximum(MAD * float(np.median(np.abs(x))), 1e-12) ** 2 * noisier**2 for x in (by_accel, by_gyro))
+    a, g = (np.maximum(MAD * float(np.median(np.abs(x))), 1e-12) ** 2 * noisier**2 for x in (by_accel, by_gyro[tell]))
     both = (by_accel / a[:, None] + by_gyro / g[:, None]) / (1.0 / a + 1.0 / g)[:, None]
     size2 = np.sum(both**2, axis=1)
 

@@ -29,6 +29,13 @@ def case(seed, number, *, slow=True):
         case(2026, 299),  # noise of a window: the filter moves the rotation into it
         case(2026, 948),
         case(20261201, 397),
+        case(20261203, 385),  # short window: few means that scatter little by chance
+        case(20261301, 157, slow=False),  # labels shifted: noise of filtered poses
+        case(20261301, 324),  # count value: rest not found, as corrected pulses have a quieter tenth
+        case(20261301, 456),  # axis stuck: a steady rate of a whole number of pulses
+        case(20261301, 619, slow=False),
+        case(20261301, 945),  # bump: correlated blocks, whose scatter the median under-states
+        case(20261302, 555, slow=False),  # creep: residuals that a robust fit passes through
     ],
 )
 def test_recordings_that_raised_a_finding(seed, number):

@@ -41,6 +41,15 @@ def case(kind, grade, rung=0, *, slow=True):
         case("every second increment dropped", "tactical-fog", 0, slow=False),
         case("time_unit and gyro_lsb", "navigation-rlg", 2),  # an unknown clock and an unknown factor together
         case("one axis in degrees", "consumer-mems", 0),
+        case("gyros high-passed", "consumer-mems", 2, slow=False),  # decays that look like shifted labels
+        case("gyros high-passed", "navigation-rlg", 0),
+        case("gravity removed", "tactical-fog", 0, slow=False),
+        case("negative readings cut off", "industrial-mems", 0, slow=False),
+        case("sign bit and magnitude", "navigation-rlg", 0, slow=False),
+        case("sign bit and magnitude", "tactical-fog", 1),
+        case("gyro_wrapped", "tactical-fog", 2, slow=False),  # three times in a ramp
+        case("accel_wrapped", "industrial-mems", 2),
+        case("longitude for latitude", "tactical-fog", 0),
         case("time of the labels from the start", "consumer-mems", 0),
     ],
 )
