@@ -31,6 +31,10 @@ CAUSES: Final = 3
 """Number of causes of failure listed for each estimator."""
 POINTS: Final = 400
 """Largest number of rows of the table of grid points."""
+NOISE_FREE: Final = (
+    "The recordings have no noise (noise = false in [recording]): the sigmas are floors, and their consistency with "
+    "the errors cannot be tested."
+)
 _NOTHING: Final = "–"
 _FAILURES: Final = tuple(name for name in OUTCOMES if name not in ("converged", "no_imu"))
 _OTHERS: Final = (*_FAILURES, "no_imu")
@@ -144,10 +148,7 @@ def _limit(limit: AxisLimit) -> str:
 
 def _consistency_sentences(found: CampaignSummary) -> Iterator[str]:
     if found.consistency is None:
-        yield (
-            "The recordings have no noise: the sigmas are floors, and their consistency with the errors cannot be "
-            "tested."
-        )
+        yield NOISE_FREE
         return
     for name in found.header.estimators:
         own = found.consistency.parameters.loc[name]

@@ -53,8 +53,8 @@ def align_mount(
     """Find the three angles between the sensor axes and the mount.
 
     RECORDING holds raw readings in static poses: the mount levelled (z down), and pitched by about 90 degrees (x down
-    or up). Labels are not needed, and poses may repeat. Without RECORDING the angles are those of the two-axis test of
-    the calibration, to the accuracy of its fixture.
+    or up). Labels are not needed, and poses may repeat. Without RECORDING, the angles follow from the test on
+    the two-axis fixture that gave the calibration, to the accuracy of that fixture.
 
     Exit codes: 0 success; 1 the recording cannot support a result; 2 wrong usage, unreadable input, or a calibration
     that does not fit the recording.

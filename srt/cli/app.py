@@ -36,7 +36,7 @@ SECTIONS: Final = {
         "compare": ("srt.cli.compare:compare", "Compare the estimators on one recording."),
         "robustness": ("srt.cli.robustness:robustness", "Run a campaign on simulated units."),
         "simulate": ("srt.cli.simulate:simulate", "Simulate a recording, with its truth, from a scenario."),
-        "list": ("srt.cli.catalogue:catalogue", "List scenarios, protocols, plans, estimators and formats."),
+        "list": ("srt.cli.catalogue:catalogue", "List scenarios, protocols, plans, campaigns, formats and so on."),
     },
 }
 """Sections of the help: for every command its function (module:attribute) and its line of help."""

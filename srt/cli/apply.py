@@ -100,7 +100,7 @@ def apply(
     if calibration.held:
         from srt.reports.text.calibration import held_summary
 
-        warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
+        warn(f"{calibration_file}: fixed, not observed: {held_summary(calibration)}.")
     if not quiet:
         if corrected is not None:
             axes = "MARS axes" if frame == "mars" else "axes of the table-mounted frame"

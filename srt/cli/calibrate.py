@@ -361,7 +361,7 @@ def report_problems(job: Job, calibration: Calibration) -> int:
     voided = calibration.provenance.get("voided", {})
     clauses = [f"{title} is void ({reason})" for title, reason in voided.items()]
     if calibration.held:
-        clauses.append(f"held, not observed: {held_summary(calibration)}")
+        clauses.append(f"fixed, not observed: {held_summary(calibration)}")
     if clauses:
         warn(f"{job.recording}: {'; '.join(clauses)}.")
     return 0

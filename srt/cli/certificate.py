@@ -55,6 +55,7 @@ def certificate(
     certificate is written and says so), or the verdict is failed; 2 wrong usage, unreadable or edited input, or a
     recording or an earlier calibration of another unit.
     """
+    from srt.reports.text.tables import wrap
     from srt.result.verdict import DOUBTFUL
 
     page, document = check_places(calibration_file, output)
@@ -74,8 +75,7 @@ def certificate(
     if made.change is not None and made.change.names:
         warn(f"{calibration_file}: changed significantly: {', '.join(made.change.names)}.")
     if not quiet:
-        for sentence in made.summary:
-            show(sentence)
+        show("\n".join(line for sentence in made.summary for line in wrap(sentence)))
         show(f"Written: {page}, {document}")
     if made.failed:
         from srt.sensor_errors import INDEX, SYMBOLS

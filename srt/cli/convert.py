@@ -68,9 +68,13 @@ _READ = [
     click.option(
         "--gyro-lsb",
         metavar="LSB",
-        help="Value of one count: 1.5e-4 or '1/131 deg/s'; three for x,y,z.",
+        help="Value of one count: '1/131 deg/s', or a number in rad/s (rad); three for x,y,z.",
     ),
-    click.option("--accel-lsb", metavar="LSB", help="Value of one count: 1e-3 or '1/16384 g'; three for x,y,z."),
+    click.option(
+        "--accel-lsb",
+        metavar="LSB",
+        help="Value of one count: '1/16384 g', or a number in m/s^2 (m/s); three for x,y,z.",
+    ),
     click.option("--gyro-offset", metavar="COUNTS", help="Gyro counts at zero rate; one number or three."),
     click.option("--accel-offset", metavar="COUNTS", help="Accelerometer counts at zero force; one number or three."),
     click.option("--map-gyro", metavar="AXES", help="Gyro axes of the file that become x, y, z, as x,-y,z."),

@@ -51,7 +51,7 @@ def _list(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option(
     "--applied",
     metavar="FORMAT:FILE",
-    help="Correction that the log was made under, or none; default: that of the recording.",
+    help="Correction that the readings had before they were logged, or none; default: that in the recording.",
 )
 @click.option("--force", is_flag=True, help="Accept any status of the calibration and any serial.")
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
@@ -75,9 +75,9 @@ def export(
     The file is read back and applied by the formula of the tool to the recording (or to 1 rad/s and 1 g in all
     directions); the difference from 'srt apply' is shown.
 
-    Parameters of an autopilot and registers of a unit replace those that the log was made under, and are composed with
-    them. Where the recording does not hold these, --applied names their file (px4:vehicle.params), or none if the log
-    holds the readings of the sensors.
+    An autopilot or a unit may have corrected the readings before they were logged. The parameters or registers that
+    are written replace its own and include their correction. Where the recording does not state that correction,
+    --applied names its file (px4:vehicle.params); 'none' says that the log holds uncorrected readings.
 
     Exit codes: 0 success; 1 a file that does not reproduce the calibration; 2 wrong usage, unreadable input, or a
     calibration that the format cannot represent.
@@ -112,9 +112,9 @@ def export(
     if calibration.held:
         from srt.reports.text.calibration import held_summary
 
-        warn(f"{calibration_file}: held, not observed: {held_summary(calibration)}.")
+        warn(f"{calibration_file}: fixed, not observed: {held_summary(calibration)}.")
     if made.unknown:
-        warn(f"{chosen.title} asks for what is not known, and it is not in the file: {'; '.join(made.unknown)}.")
+        warn(f"{chosen.title}: left out of the file, as they are not known: {'; '.join(made.unknown)}.")
     if not quiet:
         from srt.reports.text.exported_calibration import export_text
 

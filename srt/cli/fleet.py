@@ -130,7 +130,7 @@ def _tell(fleet: Fleet, jobs: Mapping[str, Job]) -> int:
 
     partial = [unit.name for unit in fleet.units if unit.status == "partial"]
     if partial:
-        warn(f"some parameters are held, not observed, in {len(partial)} of {len(fleet.units)}: {', '.join(partial)}.")
+        warn(f"some parameters are fixed, not observed, in {len(partial)} of {len(fleet.units)}: {', '.join(partial)}.")
     doubtful = [u.name for u in fleet.units if u.calibration is not None and u.calibration.judgement.word == DOUBTFUL]
     if doubtful:
         warn(f"{len(doubtful)} of {len(fleet.units)} are doubtful (each alone says why): {', '.join(doubtful)}.")

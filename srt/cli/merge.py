@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _DIFFERENT_UNITS: Final = 10.0
 """RMS of difference over sigma above which recordings are taken for those of different units.
 
-The biases of one unit may change by more from recording to recording, but not all of its 27 parameters."""
+Single biases of one unit may change by more from recording to recording, but not the mean over its 27 parameters."""
 
 
 def run_merging(
@@ -91,7 +91,7 @@ def run_merging(
     if merged.judgement.word == DOUBTFUL:
         warn(str(merged.judgement))
     if merged.held:
-        warn(f"held, not observed: {held_summary(merged)}.")
+        warn(f"fixed, not observed: {held_summary(merged)}.")
     repeated = merged.diagnostics["repeatability"]
     ratio = math.sqrt(repeated["chi_square"] / max(repeated["degrees_of_freedom"], 1))
     if ratio > _DIFFERENT_UNITS and not display.force:

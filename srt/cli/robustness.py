@@ -58,7 +58,8 @@ def robustness(
 
     Many units are simulated and calibrated by the estimators of the campaign. Each result is compared with the truth:
     converged, wrong minimum, not converged, outside the model. The folder then holds report.html, with maps and the
-    first failures, and results.parquet, one row for each trial and estimator.
+    first failures, and results.parquet, one row for each trial and estimator. docs/robustness.md has the keys of
+    CONFIG; 'srt list campaigns' shows the shipped ones.
 
     The same command resumes an interrupted campaign. The numbers depend on the seed alone, not on the workers.
 
@@ -81,12 +82,13 @@ def robustness(
     from sims.robustness.tables import sentences
     from srt.comparison.parallel import Engine
     from srt.recording.atomic_file import atomic_write_text
+    from srt.reports.text.tables import wrap
 
     with count_progress(campaign.name, quiet=quiet) as progress:
         try:
             table = run_campaign(campaign, folder, engine=Engine(workers, scheduler), fresh=fresh, progress=progress)
         except KeyboardInterrupt:
-            say(f"Interrupted: finished trials are kept in {folder}, and the same command goes on with the rest.")
+            say(f"Interrupted: finished trials are kept in {folder}, and the same command resumes the campaign.")
             raise
     found = summarise(table, header_of(campaign, config))
     atomic_write_text(folder / "report.html", html_report(found))
@@ -94,7 +96,7 @@ def robustness(
         atomic_write_text(markdown, markdown_tables(found))
     if not quiet:
         show(rendered(_narrow(text_summary(found))))
-        show("\n".join(sentences(found)))
+        show("\n".join(line for sentence in sentences(found) for line in wrap(sentence)))
         show(f"\nWritten: {folder / 'report.html'}, {folder / 'results.parquet'}")
     return 0
 
@@ -141,7 +143,9 @@ def parse_trial(text: str, campaign: Campaign) -> tuple[int, int]:
 
 def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -> int:
     """Repeat one trial; write its recording if asked to, and print its results."""
+    from sims.robustness.tables import NOISE_FREE
     from sims.robustness.trial import run_trial
+    from srt.reports.text.tables import wrap
 
     scenario, values = campaign.unit(*task)
     show("\n".join(f"{key} = {value}" for key, value in values.items()))
@@ -161,6 +165,8 @@ def show_trial(campaign: Campaign, task: tuple[int, int], output: Path | None) -
     for label, *_, message in rows[1:]:
         if message:
             show(f"{label}: {message}")
+    if not campaign.noisy:
+        show("\n".join(wrap(NOISE_FREE)))
     return 0
 
 

@@ -42,11 +42,11 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0.0),
     default=60.0,
     show_default=True,
-    help="End when the recording has not grown for so long, s; 0: look once.",
+    help="Time without new samples after which the test ends, s; 0: look once.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result at the end: FILE.json.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Figure of sigma against sequence: FILE.png, .pdf, .svg.")
-@click.option("-q", "--quiet", is_flag=True, help="Errors of the test and the end result's warnings only.")
+@click.option("-q", "--quiet", is_flag=True, help="Only errors of the test, and warnings of the final result.")
 def watch(
     recording: Path,
     estimator: str,
@@ -60,10 +60,10 @@ def watch(
 ) -> int:
     """Follow a rotation test while its recording grows, and calibrate at the end.
 
-    RECORDING is a folder with recording.toml; the logger appends lines to the samples file that it names, moves between
-    the sequences included. The test begins in the start attitude of its first sequence. After each sequence the sigmas
-    so far are shown, and the next sequence. An error is named at once: a sequence skipped, turned by another angle or
-    in the other direction, a motion when the unit should stand still.
+    RECORDING is a folder with recording.toml, which names the samples file. The logger appends lines to that file
+    without a break, also during the moves between the sequences. The test begins in the start attitude of its first
+    sequence. After each sequence, the sigmas so far and the next sequence are shown. An error is reported as soon as it
+    is seen: a skipped sequence, a wrong angle or direction, or motion in a stationary window.
 
     The result at the end is that of 'srt calibrate' on the whole recording, with the same estimator. Ctrl-C ends the
     test, too.
@@ -102,7 +102,7 @@ def watch(
 
 
 def follow(grown: Callable[[], bool], look: Callable[[], None], every_s: float, idle_s: float) -> None:
-    """Look whenever the recording has grown, until it has not for some time or the user interrupts."""
+    """Call ``look`` after each growth of the recording; end after ``idle_s`` without growth, or on Ctrl-C."""
     last = time.monotonic()
     try:
         while True:
@@ -117,7 +117,7 @@ def follow(grown: Callable[[], bool], look: Callable[[], None], every_s: float, 
 
 
 def _look(growing: object, followed: FollowedTest, update: Callable[[str], None] | None, *, quiet: bool) -> None:
-    """Take in what the recording has gained; show it."""
+    """Process the new samples of the recording, and show the state of the test."""
     recording = growing.read()  # type: ignore[attr-defined]
     if recording is None:
         return

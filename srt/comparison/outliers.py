@@ -6,9 +6,10 @@ compared with all others, so that an outlier does not widen the scatter that ent
 
 *Scatter*, independent of the median: ``S = d / (√2 q)``, where d is the K-th smallest difference between two of the
 others, ``K = h (h − 1) / 2`` counts the pairs among h good units, and q is the quantile of ``|N(0, 1)|`` that belongs
-to K (with h half of the units this is Qn of Rousseeuw and Croux, 1993). h excludes a quarter of the others, at least
-one: so many outlying units have no influence. With half of the units, as in Qn, the test would have no power in small
-fleets. S includes the measurement errors; its lower limit is the smallest σ of all units, ``σ_0``.
+to K (with h half of the units this is Qn of Rousseeuw and Croux, 1993). h leaves out a quarter of the others (rounded
+down, at least one), so that as many outliers have no influence on S. With half of the units, as in Qn, the test would
+have no power in small fleets. S includes the measurement errors; its lower limit is the smallest σ of all units,
+``σ_0``.
 
 *Centre*: the median, of variance ``v = (π / 2) S² / (n − 1)``.
 
@@ -16,12 +17,14 @@ fleets. S includes the measurement errors; its lower limit is the smallest σ of
 
 The limit keeps the expected number of false flags in a table of 27 parameters at 0.01, so the probability of any flag
 is at most 1 %, for any correlation of the parameters (Bonferroni). It is the solution c of ``27 n T(n, c) =
-0.01``, with T the probability that the z of one sound unit exceeds c in size where all σ are equal,
-:func:`tail_probability`: a common σ acts as scatter between the units, and T does not depend on it. For unequal σ,
-``s² + σ_0²`` replaces s², and ``σ_i² − σ_0²`` replaces σ_i²: measurement errors above σ_0 increase S for all units, and
-those of the tested unit are counted in full in the denominator. The false-alarm rate is then below the stated one,
-never above (tests/comparison/test_fleet.py). Subtracting the σ of each pair from its difference would estimate s
-itself, but with unequal σ a few accidental agreements make that estimate vanish: it flagged good units in most fleets.
+0.01``, with T the probability that |z| of one sound unit exceeds c where all σ are equal (:func:`tail_probability`). A
+common σ acts like scatter between the units, so T does not depend on it. For unequal σ, the common part σ_0 counts as
+scatter, and each unit keeps a variance ``σ_i² − σ_0²`` of its own. These variances increase S for all units, and that
+of the tested unit is also in the denominator. The false-alarm rate is then below the stated one
+(tests/comparison/test_fleet.py).
+
+S is not corrected for the σ of the units. An estimate of s from pair differences less their σ vanishes if a few pairs
+agree by chance; it flagged good units in most fleets.
 """
 
 from __future__ import annotations
@@ -61,7 +64,7 @@ _LIMITS: Final = (
 _SCATTER_FROM: Final = 3
 """Smallest number of units for which a scatter is defined."""
 _FEW_UNITS: Final = 200
-"""Number of units up to which all pairs are listed, about where both ways take the same time."""
+"""Number of units up to which all pairs are listed; beyond, counting the pairs by bisection is faster."""
 _CHUNK: Final = 2_000_000
 """Numbers in one work array, 16 MB."""
 
@@ -92,7 +95,7 @@ class FleetOutliers:
 
     @cached_property
     def flagged(self) -> Mask:
-        """Mask of the outlying values, shape (n, 27); each unit asks for it."""
+        """Mask of the outlying values, shape (n, 27); cached, as it is read once for each unit."""
         size = np.where(np.isnan(self.z), 0.0, np.abs(self.z))
         out: Mask = size > np.where(np.isnan(self.limit), np.inf, self.limit)
         return out
@@ -246,8 +249,9 @@ def _without_each(y: Array) -> tuple[Array, Array]:
     by_size = np.argsort(pairs, axis=1)
     place = np.empty_like(by_size)
     np.put_along_axis(place, by_size, np.broadcast_to(np.arange(pairs.shape[1]), pairs.shape), axis=1)
-    # Without the pairs of a unit, the pair of that rank is farther up by the number of removed pairs before it: the
-    # j-th pair of the unit (from 0) has "place − j" pairs of others before it.
+    # Removing the pairs of a unit moves the pair of that rank up by the number of removed pairs before it. The j-th
+    # pair of the unit (from 0) has "place − j" pairs of others before it, and is removed before the rank if these are
+    # at most "rank".
     i, j = np.triu_indices(n, 1)
     own = np.array([np.flatnonzero((i == unit) | (j == unit)) for unit in range(n)])
     before = np.sort(place[:, own], axis=2) - np.arange(n - 1) <= rank
@@ -313,9 +317,9 @@ def _kth_difference(y: Array, rank: int) -> float:
 def _without_each_of_many(values: Array) -> tuple[Array, Array]:
     """Median and scatter of all but each of n values, shape (n,), in time n log n and memory n.
 
-    Without a unit, the difference of a rank moves up by the number of the unit's own pairs before it, at most n − 1.
-    So it lies between the pair of that rank among all pairs and the pair n − 1 ranks above, both included, which leaves
-    at most n − 2 pairs to sort.
+    Removing a unit removes its n − 1 pairs, so the pair of a given rank moves up by at most n − 1 ranks. Among all
+    pairs in order of size, it lies from that rank to n − 1 ranks above. Only the n − 2 pairs between these two are
+    sorted.
     """
     n = len(values)
     order = np.argsort(values)
@@ -331,8 +335,8 @@ def _without_each_of_many(values: Array) -> tuple[Array, Array]:
     i, j = np.repeat(np.arange(n), count), _spans(first, count)
     size = y[j] - y[i]
     by_size = np.argsort(size, kind="stable")
-    # Number of these pairs, of all units, that must come before: the k-th pair of the unit itself (from 0) at place p
-    # counts if p − k of others before it do not suffice.
+    # Number of pairs of others that are still to be counted from here on, for each unit. The k-th pair of the unit
+    # itself (from 0), at place p, is skipped if the p − k pairs of others before it are fewer than that.
     missing = rank + 1 - (within.sum() - within - as_later)
     unit = np.concatenate([i[by_size], j[by_size]])
     place = np.tile(np.arange(len(size)), 2)

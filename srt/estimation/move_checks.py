@@ -1,6 +1,6 @@
 """Checks of the recorded moves between sequences: a move that contradicts the other measurements is left out.
 
-The unit may have been lifted off the fixture, or the gyros have saturated. Such a move must not spoil the sequences.
+Such moves occur where the unit was lifted off the fixture, or where the gyros saturated.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ if TYPE_CHECKING:
 
 
 _GROSS_RAD: Final = 0.1
-"""Largest error of a move by the initial estimate, rad: errors of the fixture and of the estimate, over one turn."""
+"""Largest difference between the measured and the nominal rotation of a move, rad; it allows for the errors of the
+fixture and of the initial estimate over one full turn."""
 
 
 def without_gross_moves(
     data: PreparedRecording, options: Options, first: tuple[SensorErrors, Array]
 ) -> PreparedRecording:
-    """Recording without the moves that end elsewhere than the fixture's angles say.
+    """Recording without the moves whose measured end differs from the nominal attitude on the fixture.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ OBSERVED_BELOW: Final = 1.0 / 3.0
 
 
 def admission_sigma() -> Array:
-    """Prior 1-sigma for the decision on observability: the general prior, 1 % for asymmetries."""
+    """Prior 1-sigma that decides on observability: that of :func:`prior_sigma`, but 0.01 for the asymmetries."""
     sigma = prior_sigma()
     for group in ("gyro_asymmetry", "accel_asymmetry"):
         sigma[GROUP_SLICES[group]] = 0.01

@@ -1,12 +1,13 @@
 """Formats that state the sensor model: ``measured = M true + b``.
 
-Kalibr (model scale-misalignment; the flat file beside it, NAME-imu.yaml, is the input of ``--imu``)::
+Kalibr writes two files: the result of its model scale-misalignment, and NAME-imu.yaml, a flat list of noise terms that
+its option ``--imu`` reads::
 
     a_m = M_a a_I + b_a        w_m = M_g C_gyro_i w_I + A C_gyro_i a_I + b_g
 
 with M_a, M_g lower-triangular. That defines the axes I: ``Ma = M_a C_IB``, ``Mg C_IBᵀ = M_g C_gyro_i``. A is the gyro
-g-sensitivity Γ in these axes, ``A = Γ C_IBᵀ C_gyro_iᵀ``; there is no field for biases, which Kalibr's users estimate as
-they go.
+g-sensitivity Γ in these axes, ``A = Γ C_IBᵀ C_gyro_iᵀ``. There is no field for biases: the programs that read the file
+estimate them.
 
 pyins: ``x_out = T x + b``, in any axes.
 """
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
 _KALIBR_MODEL: Final = "scale-misalignment"
 _KALIBR_INPUT: Final = "-imu"
-"""Part of the file with noise densities, random walks, topic and rate alone."""
+"""Suffix of the second file, which holds only noise densities, random walks, topic and rate."""
 
 NOISE_NAMES: Final = {
     "accel_noise": "accelerometer_noise_density",
@@ -70,7 +71,7 @@ def _write_kalibr(model: ExportModel) -> dict[str, str]:
         "imu0": {
             **chain_fields(model),
             "model": _KALIBR_MODEL,
-            # Lower-triangular but for rounding, as the axes were chosen so.
+            # The axes make it lower-triangular; tril removes what rounding leaves above the diagonal.
             "accelerometers": {"M": np.tril(model.accel.matrix).tolist()},
             "gyroscopes": {
                 "M": M_g.tolist(),
@@ -114,7 +115,7 @@ KALIBR: Final = Exporter(
     title="Kalibr IMU file (scale-misalignment)",
     suffixes=(".yaml", ".yml"),
     formula="a_m = M_a a + b_a; w_m = M_g C_gyro_i w + A C_gyro_i a + b_g",
-    losses=("biases: the file has no field for them, and what reads it estimates them itself",),
+    losses=("biases: the file has no field for them; programs that read it estimate them",),
     advice=(
         "Give NAME-imu.yaml to the option --imu; the other file has the form of Kalibr's result.",
         "Extrinsics change with the axes: T_cam_imu becomes T_cam_imu [C' 0; 0 1], C' the transpose of C.",

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from srt.model.gyro_stream import GyroStream
     from srt.model.sensor_model import Triad
     from srt.types import Array, Indices
+
 BLOCK: Final = 16384
 """Samples per block: the 3x3 matrices of a block fit into a processor's cache."""
 
@@ -131,7 +132,8 @@ class _ErrorSums:
         Parameters
         ----------
         edges : ndarray of complex, shape (2, 2 K + 1)
-            Edges of the :class:`_AttitudeChain`: start of each sequence, end of the stream, end of each rotation.
+            Edges of the :class:`~srt.model.platform_steps.AttitudeChain`: start of each sequence, end of the stream,
+            end of each rotation.
         to_start : ndarray, shape (K, 3, 3)
             From the stream's frame to B_Strt.
         earth_rate : ndarray, shape (K, 3), rad/s

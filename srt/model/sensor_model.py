@@ -6,8 +6,9 @@ the errors in Mg and Ma are in :mod:`srt.sensor_errors`. The model is piecewise 
 errors of 50 % are allowed. The solution is unique if ``M + diag(s ∘ σ)`` has the same sign of its determinant for every
 sign vector σ.
 
-The inverse exists three times: :meth:`Triad.compensate`, for arrays of samples in
-:mod:`srt.model.analytic_platform` (``_compensate``), and for applied calibrations in :mod:`srt.result.triad_inverse`.
+The inverse exists in three forms: :meth:`Triad.compensate`; for gyro streams in :mod:`srt.model.platform_steps`
+(``_compensate``, compiled in :mod:`srt.model.compiled_platform`); for applied calibrations in
+:mod:`srt.result.triad_inverse`.
 
 Gauge. A gyro matrix ``Mg`` in any frame T is ``Mg = P U`` with P symmetric positive definite and U a rotation (polar
 decomposition). MARS is the frame ``ω_MARS = U ω_T`` in which the gyro matrix is P; the accelerometer matrix becomes
@@ -109,7 +110,7 @@ class Triad:
     def compensate(self, reading: ArrayLike) -> Array:
         """Invert :meth:`read` exactly, for readings of shape (..., 3).
 
-        Two faster inverses give the same values: of gyro streams (:mod:`srt.model.analytic_platform`; compared in
+        Two faster inverses give the same values: of gyro streams (:mod:`srt.model.platform_steps`; compared in
         tests/model/test_sensor_model.py) and of applied calibrations (:mod:`srt.result.triad_inverse`; compared in
         tests/result/test_apply.py).
         """

@@ -1,7 +1,9 @@
 """Accuracy analysis of Savage 2020 [P], §9: errors of the measured quantities by source, as in the paper.
 
 Each sequence measures one combination of errors ``x`` in one component of Δa_H, which is ``±H x`` ([P] eq. 15, Table
-2). A disturbance e of that component gives the error ``e / H`` (eq. 16). As in the paper the attitude is integrated
+2). A disturbance e of that component gives the error ``e / H`` (eq. 16). The attitude error by gyro bias (eqs. 20-21)
+comes from :mod:`srt.model.rotation_integrals`, its effect on the result (eq. 22) from :func:`bias_effects`. As in the
+paper the attitude is integrated
 over the windows, averages are linear, and all sequences have one duration. The estimators of this package are better
 (``srt budget`` without ``--paper``).
 """
@@ -168,10 +170,7 @@ def paper_budget(setting: PaperSetting) -> dict[str, Array]:
 
 
 def bias_effects(setting: PaperSetting) -> Array:
-    """Errors of the quantities by a gyro bias of 1 rad/s about each axis ([P] eq. 22), shape (18, 3), s.
-
-    The attitude error that the bias causes (eqs. 20-21) is in :mod:`srt.model.rotation_integrals`.
-    """
+    """Errors of the quantities by a gyro bias of 1 rad/s about each axis ([P] eq. 22), shape (18, 3), s."""
     integrals = _integrals(setting)
     number = {name: k for k, name in enumerate(SEQUENCES)}
     rows = []

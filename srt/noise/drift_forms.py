@@ -110,12 +110,12 @@ def _centred(values: Array, intervals: Intervals, *, scaled: bool) -> DriftShape
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
-    """Information of a model's white residuals on coefficients that it does not have.
+    """Information that the whitened residuals of a model contain on additional coefficients, which it lacks.
 
     Attributes
     ----------
     gradient : ndarray, shape (q,)
-        Zᵀ r: residuals r, effects Z of the coefficients.
+        Zᵀ r, with the residuals r and their derivative Z with respect to the coefficients.
     information : ndarray, shape (q, q)
         Zᵀ M Z with the projection M onto the residuals.
     chi_square : float
@@ -168,9 +168,9 @@ def residual_statistics(z: Array, H: Array, *effects: Array) -> list[Statistics]
 def drift_test(found: Statistics) -> DriftTest | None:
     """Test of a form against the model without it; None if the residuals do not depend on it.
 
-    The ratio of the decrease of chi-square per coefficient to the remaining chi-square per degree of freedom has
-    Fisher's distribution, whatever the common scale of the noise is. The decrease itself must be significant, too:
-    residuals far below the noise, as those of a noise-free recording, have systematic parts.
+    F test: the decrease of chi-square per coefficient, over the remaining chi-square per degree of freedom. The ratio
+    does not depend on the scale of the noise. The decrease must also be significant by itself: residuals far below the
+    stated noise, as in a noise-free recording, are systematic and would pass the F test alone.
     """
     tested = slice(3 * TESTED_TERMS)
     information, gradient = found.information[tested, tested], found.gradient[tested]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from srt.constants import DEG
 from srt.exceptions import InputError, NotStatedError
 from srt.recording.import_options import SENSOR_UNITS, ImportOptions, option, parse_axis_map
 from srt.recording.recording import Fixture, ImuNoise, Kind, Recording, SequenceLabel, Site, require_bounded
@@ -150,7 +151,7 @@ def samples_in_si(
         unit, units[sensor] = _unit(options, f"{sensor}_unit", own, changes)
         arrays[sensor] = _to_si(options, sensor, unit, chosen, raw)
         if unit == COUNTS:
-            units[sensor] += f", of {_scale_text(getattr(options, f'{sensor}_lsb'))} {_SI[chosen][sensor]} each"
+            units[sensor] += _counts_text(options, sensor, _SI[chosen][sensor])
     seconds = None
     if time is not None:
         if time.shape != (len(gyro),):
@@ -433,8 +434,17 @@ def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str
     return given, f"{given} (as given)"
 
 
-def _scale_text(lsb: tuple[float, ...]) -> str:
-    return " ".join(f"{value:.6g}" for value in (lsb if len(set(lsb)) > 1 else lsb[:1]))
+def _counts_text(options: ImportOptions, sensor: str, unit: str) -> str:
+    """Value of a count, and the counts at zero input; for gyros in degrees, too, as data sheets state it."""
+    lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
+    text = f" of {_triple_text(lsb)} {unit}"
+    if sensor == "gyro" and len(set(lsb)) == 1:
+        text += f" ({_triple_text(tuple(value / DEG for value in lsb))} {unit.replace('rad', '°')})"
+    return text if offset is None else f"{text}, zero at {_triple_text(offset)}"
+
+
+def _triple_text(values: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.6g}" for value in (values if len(set(values)) > 1 else values[:1]))
 
 
 def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDArray[Any]) -> Array:

@@ -175,7 +175,7 @@ def test_held_parameters_are_a_warning(recording, tmp_path, capfd):
     partial.save(tmp_path / "partial.json")
     assert main(["apply", str(tmp_path / "partial.json"), str(recording), "-o", str(tmp_path / "out"), "-q"]) == 0
     err = capfd.readouterr().err
-    assert err.endswith("held, not observed: gyro_bias_x: held on request.\n")
+    assert err.endswith("fixed, not observed: gyro_bias_x: held on request.\n")
     assert err.count("\n") == 1
 
 

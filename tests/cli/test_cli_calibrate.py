@@ -103,7 +103,9 @@ def test_summary_says_what_to_do(calibration):
         warnings=("The residuals are larger than the noise explains. " * 8, "Another one. " * 20),
         noise={**calibration.noise, "estimated": ["gyro_noise", "gyro_quantization"]},
     )
-    lines = calibration_summary(found, title="x", source="unit-7").splitlines()
+    lines = calibration_summary(found, title="x", source="unit-7", truth=calibration.errors).splitlines()
+    assert len(lines) + 4 <= 45  # the command adds four: files written, and the hint at --details
+    assert list(rows_of("\n".join(lines))) == list(NAMES)
     assert lines.index("") <= 10
     head = " ".join(" ".join(lines[: lines.index("")]).split())
     assert "To do: state gyro_noise_deg_per_sqrt_h in [imu] of recording.toml" in head
@@ -198,7 +200,7 @@ def test_held_parameters_are_marked_with_the_reason(recording, capfd):
     assert "accel_bias_y: fixed on request" in out
     assert "Status partial" in out
     assert err.splitlines()[-1].startswith("srt: warning: ")
-    assert err.splitlines()[-1].endswith("held, not observed: accel_bias_y: fixed on request.")
+    assert err.splitlines()[-1].endswith("fixed, not observed: accel_bias_y: fixed on request.")
 
 
 @pytest.mark.parametrize("status", ["not_converged", "outside_model"])

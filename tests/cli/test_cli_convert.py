@@ -167,7 +167,25 @@ def test_gyros_faster_than_any(log, tmp_path, capsys):
     """rad/s taken for deg/s the other way round: said, not refused, as nothing rules it out."""
     np.savetxt(log, np.column_stack([TIME, GYRO / DEG, ACCEL]), header=HEADER, delimiter=",", comments="")
     assert convert(log, "-o", tmp_path / "rec", *SI, *SITE) == 0
-    assert "more than IMUs can" in " ".join(capsys.readouterr().out.split())
+    assert "more than IMUs can: check --gyro-unit" in " ".join(capsys.readouterr().out.split())
+
+
+def test_counts_are_told_with_their_value_and_zero(log, tmp_path, capsys):
+    """Readings of 0.25 °/s and 1 mm/s² a count, with offsets, after a gap of 2 s; then the same in rad/s by mistake."""
+    counts = np.column_stack([np.round(GYRO / (0.25 * DEG)) + 12, np.round(ACCEL / 1e-3) - 30])
+    time = TIME + np.where(np.arange(TIME.size) < TIME.size // 2, 0.0, 2.0)
+    np.savetxt(log, np.column_stack([time, counts]), header=HEADER, delimiter=",", comments="")
+    given = ["--time-unit", "s", "--gyro-offset", "12", "--accel-lsb", "1e-3", "--accel-offset", "-30", *SITE]
+    assert convert(log, "-o", tmp_path / "rec", "--gyro-lsb", "1/4 deg/s", *given) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "counts (as given) of 0.00436332 rad/s (0.25 °/s), zero at 12" in out
+    assert "counts (as given) of 0.001 m/s², zero at -30" in out
+    assert "s of samples, 2.0 s of gaps" in out
+    assert "Note: The gyros" not in out
+    gyro = srt.load_recording(tmp_path / "rec").gyro
+    np.testing.assert_allclose(gyro, GYRO, atol=0.125 * DEG * (1.0 + 1e-9))  # rounding to a count
+    assert convert(log, "-o", tmp_path / "other", "--gyro-lsb", "250", *given) == 0
+    assert "more than IMUs can: check --gyro-lsb" in " ".join(capsys.readouterr().out.split())
 
 
 def test_places(log, tmp_path, capsys):

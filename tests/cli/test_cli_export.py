@@ -232,7 +232,7 @@ def test_held_parameters_are_a_warning(tmp_path, capfd):
     partial.covariance[24] = partial.covariance[:, 24] = 0.0
     partial.save(tmp_path / "partial.json")
     _, err = run(capfd, tmp_path / "partial.json", "--to", "pyins", "-q")
-    assert "held, not observed: gyro_bias_x" in err
+    assert "fixed, not observed: gyro_bias_x" in err
 
 
 def test_value_beyond_the_limits_of_the_target_is_refused(tmp_path, capfd):

@@ -239,7 +239,7 @@ def test_statuses_count_and_are_said(lot, quick, tmp_path, capfd):
     quick |= {"status": "partial", "held": {"gyro_bias_x": "not shown"}}
     assert main(["calibrate", str(lot / "unit-[1-7]"), "-q"]) == 0
     err = capfd.readouterr().err
-    assert err.startswith("srt: warning: some parameters are held, not observed, in 7 of 7: unit-1, unit-2, ")
+    assert err.startswith("srt: warning: some parameters are fixed, not observed, in 7 of 7: unit-1, unit-2, ")
     assert err.count("\n") == 1
 
 

@@ -213,7 +213,7 @@ def test_too_few_sequences_through_the_command_line(folder, tmp_path, capfd, est
     (recording / "recording.toml").write_text("\n[[sequence]]\n".join([head, *kept]))
     output = tmp_path / "calibration.json"
     assert main(["calibrate", str(recording), "--estimator", estimator, "-q", "-o", str(output)]) == 0
-    assert "held, not observed" in capfd.readouterr().err
+    assert "fixed, not observed" in capfd.readouterr().err
     assert "NaN" not in output.read_text()
     assert srt.load_calibration(output).status == "partial"
 

@@ -90,15 +90,19 @@ def report(
     return "\n\n".join(part for part in parts if part)
 
 
-def parameter_table(calibration: Calibration, truth: SensorErrors | None = None) -> str:
+def parameter_table(calibration: Calibration, truth: SensorErrors | None = None, *, grouped: bool = True) -> str:
     """Table of the 27 values, each rounded to two digits of its sigma.
 
     Parameters
     ----------
     calibration : Calibration
     truth : SensorErrors, optional
+    grouped : bool
+        Empty lines between the groups.
     """
     headers, rows, alignment = parameter_rows(calibration, truth)
+    if not grouped:
+        rows = [row for row in rows if row is not None]
     return text_table(headers, rows, alignment, gap=1 if truth is not None else 2)
 
 

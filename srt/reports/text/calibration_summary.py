@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
-_MOST_LINES: Final = 10
-"""Lines before the table: with it, the summary fits a terminal of 50 lines."""
+_MOST_LINES: Final = 41
+"""Lines of the summary: the four that the command adds make 45, which a terminal of 50 lines shows with the prompt."""
+_MOST_BEFORE_TABLE: Final = 10
+"""Lines before the table of the parameters."""
 _NOTE_LINES: Final = 2
 """Lines of one note; --details shows it whole."""
 _MORE: Final = " ..."
@@ -53,8 +55,11 @@ def calibration_summary(
     head = [line for text in verdict_lines(calibration, title) for line in wrap(text)]
     advice = [line for text in _advice(calibration, source) for line in wrap(text)]
     notes = [line for text in _notes(calibration) for line in _shortened(wrap(text), _NOTE_LINES)]
-    lines = [*head, *_shortened(notes, _MOST_LINES - len(head) - len(advice)), *advice]
-    tables = (live_table(calibration), parameter_table(calibration, truth))
+    lines = [*head, *_shortened(notes, _MOST_BEFORE_TABLE - len(head) - len(advice)), *advice]
+    parameters = parameter_table(calibration, truth)
+    if len(lines) + 1 + len(parameters.splitlines()) > _MOST_LINES:
+        parameters = parameter_table(calibration, truth, grouped=False)
+    tables = (live_table(calibration), parameters)
     return "\n".join([*lines, *(f"\n{table}" for table in tables if table)])
 
 
@@ -99,7 +104,10 @@ def _advice(calibration: Calibration, source: str) -> Iterator[str]:
     if any(key.startswith(("gyro_noise", "accel_noise")) for key in estimated) or (
         estimated and calibration.judgement.word != SOUND
     ):
-        yield f"To do: state {', '.join(estimated)} in [imu] of recording.toml; now the windows at rest give them."
+        yield (
+            f"To do: state {', '.join(estimated)} in [imu] of recording.toml; without, they are estimated from the "
+            "stationary windows."
+        )
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
     if moves := calibration.diagnostics.get("unused_moves"):

@@ -50,7 +50,7 @@ def comparison_text(comparison: Comparison, *, title: str = "Comparison") -> str
 def estimator_table(comparison: Comparison) -> str:
     """Table of the estimators: status, time, and comparison with the reference."""
     truth = ["error/\nsigma"] if comparison.truth is not None else []
-    headers = ["estimator", "status", "verdict", "play-\nbacks", "seconds", "ob-\nserved", *truth]
+    headers = ["estimator", "status", "verdict", "itera-\ntions", "seconds", "ob-\nserved", *truth]
     headers += ["sigma\nratio", "largest\ndiff.", "chi-\nsquare", "proba-\nbility", "agree-\nment"]
     rows = []
     for name, calibration in comparison.calibrations.items():
@@ -137,7 +137,7 @@ def _legend(comparison: Comparison) -> Iterable[str]:
 def _estimate(value: float, sigma: float) -> str:
     """Format value±sigma in display units, with two digits of sigma."""
     if math.isnan(sigma):
-        return f"{fixed(value, 2)} held"
+        return f"{fixed(value, 2)} fixed"
     decimals = decimals_for(sigma)
     return f"{fixed(value, decimals)}±{fixed(sigma, decimals)}"
 

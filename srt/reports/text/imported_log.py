@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import DEG
+from srt.recording.schema import COUNTS
 from srt.reports.text.tables import text_table, wrap
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def import_text(recording: Recording, imported: ImportedSamples, importer: Impor
         ["format", f"{importer.title} ({importer.name})"],
         ["samples", f"{recording.time.size} ({recording.kind})"],
         ["rate", f"{1.0 / interval:.6g} Hz ({stamps}), {recording.gaps.size} gaps"],
-        ["duration", f"{recording.time.size * interval:.1f} s"],
+        ["duration", f"{recording.time.size * interval:.1f} s{_missing(recording)}"],
         ["time", imported.units.get("time", "no stamps, counted from 0")],
         ["gyros", imported.units.get("gyro", "")],
         ["", f"median {np.median(rate) / DEG:.4g} °/s, largest {rate.max() / DEG:.4g} °/s"],
@@ -58,9 +59,18 @@ def import_text(recording: Recording, imported: ImportedSamples, importer: Impor
     lines = [*wrap(str(source)), text_table(["", "as read"], rows, "ll")]
     notes = list(imported.notes)
     if rate.max() > _FASTEST_RAD_S:
-        notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than IMUs can: check --gyro-unit.")
+        option = "--gyro-lsb" if imported.units.get("gyro", "").startswith(COUNTS) else "--gyro-unit"
+        notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than IMUs can: check {option}.")
     if imported.sample_rate_hz is None and not _SAMPLE_RATES_HZ[0] <= 1.0 / interval <= _SAMPLE_RATES_HZ[1]:
         notes.append(f"The stamps give a rate of {1.0 / interval:.4g} Hz, which no IMU has: check --time-unit.")
     for note in notes:
         lines += wrap(f"Note: {note}")
     return "\n".join(lines)
+
+
+def _missing(recording: Recording) -> str:
+    """Time that the gaps leave out, as a clause; empty without gaps."""
+    if not recording.gaps.size:
+        return ""
+    span = float(recording.time[-1] - recording.time[0]) + recording.nominal_interval_s
+    return f" of samples, {span - recording.time.size * recording.nominal_interval_s:.1f} s of gaps"

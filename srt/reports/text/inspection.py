@@ -68,7 +68,8 @@ def _line(label: str, text: str) -> Iterable[str]:
 def _overview(inspection: Inspection) -> Iterable[str]:
     stamps, still = inspection.stamps, inspection.stillness
     covers = "means over each interval" if inspection.kind == "rate" else "integrals over each interval"
-    yield from _line("Samples", f"{stamps.samples}, kind {inspection.kind} ({covers}), {_duration(stamps.duration_s)}")
+    length = _duration(stamps.duration_s) + (" with the gaps" if stamps.gaps else "")
+    yield from _line("Samples", f"{stamps.samples}, kind {inspection.kind} ({covers}), {length}")
     even = "evenly spaced" if stamps.even else f"unevenly spaced, by {stamps.jitter:.2%} of an interval (rms)"
     yield from _line("Rate", f"{stamps.rate_hz:.6g} Hz, {even}")
     yield from _line("Gaps", _gaps(inspection))
