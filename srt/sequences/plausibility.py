@@ -312,6 +312,11 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
     smooth = _NO_NOISE * float(max(largest.max(), -smallest.min()))
     for axis in range(3):
         channel = np.ascontiguousarray(triad[:, axis])
+        ends = ((-1.0, low, smallest[axis]), (1.0, high, largest[axis]))
+        # A channel is not clipped at an extreme that it reads once.
+        repeated = [(sign, limits) for sign, limits, end in ends if np.count_nonzero(channel == end) > 1]
+        if not repeated:
+            continue
         inner = (some[:, axis] > smallest[axis]) & (some[:, axis] < largest[axis])
         differences = np.abs(np.diff(some[:, axis]))[inner[1:] & inner[:-1]]
         if not differences.size or np.mean(differences == 0.0) > _REPEATS:
@@ -320,7 +325,7 @@ def _limits_seen(triad: Array, least: float) -> tuple[Array, Array]:
         noise = float(np.median(differences)) / _MEDIAN_OF_DIFFERENCES
         if step > _NOISY * noise:
             continue
-        for sign, limits in ((-1.0, low), (1.0, high)):
+        for sign, limits in repeated:
             extreme = float(largest[axis] if sign > 0.0 else -smallest[axis])
             if extreme > least and _is_limit(sign * channel, (extreme, step, noise), triad, axis, smooth):
                 limits[axis] = sign * extreme
