@@ -26,6 +26,9 @@ def nonnegative_least_squares(A: Array, b: Array) -> Array:
     -------
     ndarray, shape (n,)
     """
+    unbounded = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], dtype=np.float64)
+    if np.all(unbounded > 0.0):
+        return unbounded
     x = np.zeros(A.shape[1])
     free = np.zeros(A.shape[1], dtype=bool)
     # Rounding of a gradient that is zero: |a||b| times the unit roundoff and the number of terms of the sums.
