@@ -27,7 +27,7 @@ from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, S, U, X
 
 from estimators import factors
 from estimators.linear_system import N_ERRORS, total
-from estimators.linearisation import fixed_headings, fixture_attitudes
+from estimators.linearisation import fixed_headings, fixture_attitudes, start_covariances
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ class FactorGraph:
         if not joint.fixture_states:
             return
         for name, poses, components in fixture_attitudes(joint):
-            variance = np.tile(np.diag(joint.start_sigma[components] ** 2), (len(poses), 1, 1))
+            variance = np.tile(total(start_covariances(joint, components)), (len(poses), 1, 1))
             noises = self._noise(variance, [owner for owner, _, _ in poses])
             kind = factors.FixtureAttitudeFactors(
                 np.stack([nominal for _, _, nominal in poses]),

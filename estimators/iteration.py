@@ -22,6 +22,7 @@ from estimators.block_solution import BlockSolution, eliminate
 from estimators.drift_terms import DriftTerms, search
 from estimators.elimination_steps import global_columns
 from estimators.initial_attitudes import initial_attitudes
+from estimators.joint_state import NO_ERRORS
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import contradictions, unmodelled_noise
@@ -433,5 +434,5 @@ def _add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState
     if not terms:
         return False
     joint.drift, iteration.state = _with_drift(joint, iteration.state, terms)
-    joint.unmodelled_sigma = (0.0, 0.0, 0.0)
+    joint.unmodelled_sigma = NO_ERRORS
     return True

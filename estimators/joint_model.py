@@ -21,7 +21,7 @@ from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.drift_states import drift_chain, drift_states
 from estimators.drift_terms import DriftTerms
 from estimators.initial_attitudes import initial_attitudes
-from estimators.joint_state import CompensatedData, JointState, LevelFrame
+from estimators.joint_state import NO_ERRORS, CompensatedData, JointState, LevelFrame
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
 from srt.estimation.g_sensitivity import LEAST_SCATTER, pose_regression
@@ -88,8 +88,8 @@ class JointModel:
         self.nominal = [_nominal_start(s) if data.recording.fixture is not None else None for s in data.catalogue]
         self.ends_tied = False
         """True if the angle between the fixture's axes is a measurement in end attitudes, too; see :meth:`tie_ends`."""
-        self.unmodelled_sigma = (0.0, 0.0, 0.0)
-        """Unmodelled error, 1-sigma: rotation, rad; specific force, m/s²; rate, rad/s."""
+        self.unmodelled_sigma = NO_ERRORS
+        """Unmodelled errors that are added to the noise."""
         stated = np.zeros(3) if data.noise.gyro_wander is None else data.noise.gyro_wander
         fixed = {"pooled": np.zeros(3), "per-sequence": np.full(3, _UNCONSTRAINED_BIAS)}
         self.bias_scatter = fixed.get(options.gyro_bias, stated)
@@ -404,7 +404,7 @@ class JointModel:
         if self.integrated.any():
             # In a window with integrated attitude the gyros measure motion: 1 rad/s gives the rate no weight.
             out["gyro_noise"].own["rate"][self.integrated] = np.eye(3)
-        return out | sources.unmodelled(self.data, *self.unmodelled_sigma)
+        return out | sources.unmodelled(self.data, *self.unmodelled_sigma[:3])
 
     def placed(self, state: JointState) -> tuple[JointState, CompensatedData]:
         """State with attitudes from the data, and the data compensated with it."""

@@ -110,6 +110,13 @@ def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int,
     return [(kind, poses, components) for kind, poses, components in kinds if poses]
 
 
+def start_covariances(joint: JointModel, components: slice) -> dict[str, Array]:
+    """Covariance of components of a start by source of error: as stated, and wobble that the residuals show."""
+    wobble = np.array([0.0, 0.0, joint.unmodelled_sigma.wobble])
+    sigmas = {"earth_rate_alignment": joint.start_sigma, "wobble_excess": wobble}
+    return {source: np.diag(sigma[components] ** 2) for source, sigma in sigmas.items()}
+
+
 def _columns(joint: JointModel, compensated: CompensatedData) -> dict[str, slice]:
     """Columns of the system by name."""
     sizes = {
@@ -284,12 +291,11 @@ class _Builder:
                 joint.heading_rad,
                 state.non_orthogonality,
             )
-            variance = np.diag(joint.start_sigma[components] ** 2)
             self.add(
                 kind,
                 owner,
                 residual[:, components],
-                {"earth_rate_alignment": np.broadcast_to(variance, (len(owner), *variance.shape))},
+                {s: np.tile(R, (len(owner), 1, 1)) for s, R in start_covariances(joint, components).items()},
                 [
                     ("attitude", windows, (by_attitude @ np.swapaxes(A, 1, 2))[:, components]),
                     ("base", 0, by_base[:, components]),

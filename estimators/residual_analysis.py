@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import splu
 from scipy.special import chdtrc
 
+from estimators.joint_state import UnmodelledErrors
 from srt.estimation.leave_one_out import (
     LEAST_PREDICTED_SHARE,
     ConsistencyTest,
@@ -30,6 +31,13 @@ if TYPE_CHECKING:
 
 
 _KINDS: Final = ("force", "rate", "turn")
+_SOURCES: Final = {
+    "turn_excess": ("turn",),
+    "pose_excess": ("force",),
+    "rest_excess": ("rate",),
+    "wobble_excess": ("start", "end"),
+}
+"""Kinds of rows that each of the unmodelled errors affects, in the order of UnmodelledErrors."""
 _INDEPENDENT: Final = 1e-10
 """Smallest eigenvalue (at most 1) of a residual direction that remains determined without the sequence."""
 _SMALLEST_LEVERAGE: Final = 0.05
@@ -164,14 +172,8 @@ def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
     return np.concatenate([system.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")])
 
 
-def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, float, float]:
-    """Standard deviations of unmodelled errors of rotations, forces and rates by restricted maximum likelihood.
-
-    Returns
-    -------
-    tuple of float
-        rad, m/s², rad/s.
-    """
+def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledErrors:
+    """Standard deviations of unmodelled errors by restricted maximum likelihood."""
     # The states of the bias instability are part of the known covariance, not unknowns.
     drift = np.concatenate([np.arange(c.start, c.stop) for n, c in system.columns.items() if "_drift" in n])
     priors = [rows.index.ravel() for rows in system.rows if "_drift" in rows.kind]
@@ -182,23 +184,17 @@ def unmodelled_noise(joint: JointModel, system: LinearSystem) -> tuple[float, fl
         root = splu(system.A[np.concatenate(priors)][:, drift].tocsc()).solve(np.eye(len(drift)))
         effect = system.A[kept][:, drift] @ root
         known += effect @ effect.T
-    parts = []
-    for kind, present, source in (
-        ("turn", joint.unmodelled_sigma[0], "turn_excess"),
-        ("force", joint.unmodelled_sigma[1], "pose_excess"),
-        ("rate", joint.unmodelled_sigma[2], "rest_excess"),
-    ):
-        rows = system.rows_of(kind)
-        W = system.whitening[kind]
-        unit = W @ np.swapaxes(W, 1, 2)
-        part = np.zeros((m, m))
-        for index, block in zip(np.searchsorted(kept, rows.index), unit, strict=True):
-            part[np.ix_(index, index)] = block
-        if source in rows.sources:
-            known = known - present**2 * part
-        parts.append(part)
+    parts = [np.zeros((m, m)) for _ in _SOURCES]
+    for rows in system.rows:
+        for part, (source, kinds) in zip(parts, _SOURCES.items(), strict=True):
+            if rows.kind in kinds:
+                # The last component of an attitude is the wobble of its axis.
+                W = system.whitening[rows.kind][:, :, -1 if source == "wobble_excess" else slice(None)]
+                W = W.reshape(len(W), rows.size, -1)
+                for index, block in zip(np.searchsorted(kept, rows.index), W @ np.swapaxes(W, 1, 2), strict=True):
+                    part[np.ix_(index, index)] = block
+    known = known - sum(size**2 * part for size, part in zip(joint.unmodelled_sigma, parts, strict=True))
     others = system.active.copy()
     others[drift] = False
     H = system.A[kept][:, np.flatnonzero(others)].toarray()
-    rotation, force, rate = np.sqrt(restricted_likelihood(system.b[kept], H, known, tuple(parts)))
-    return float(rotation), float(force), float(rate)
+    return UnmodelledErrors(*np.sqrt(restricted_likelihood(system.b[kept], H, known, tuple(parts))).tolist())

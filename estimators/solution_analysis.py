@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from estimators.block_solution import BlockSolution, apply_weights, covariance_by_source
+from estimators.joint_state import NO_ERRORS
 from estimators.linear_system import N_ERRORS
 from estimators.linearisation import linearise
 from estimators.residual_analysis import (
@@ -242,7 +244,9 @@ def _fit_to_sensor_noise(joint: JointModel, solver: JointSolver, iteration: Iter
         for noise in (whole.force_noise, whole.rate_noise, whole.rotation_noise)
     )
     compensated = replace(whole, force_noise=force, rate_noise=rate, rotation_noise=rotation)
-    system = linearise(joint, iteration.linearisation_point, compensated, iteration.free, solver.prior)
+    own = copy(joint)
+    own.unmodelled_sigma = NO_ERRORS
+    system = linearise(own, iteration.linearisation_point, compensated, iteration.free, solver.prior)
     try:
         return goodness_of_fit(joint, solver, BlockSolution(system), system)
     except np.linalg.LinAlgError:

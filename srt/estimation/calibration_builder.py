@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srt.estimation.asymmetry_choice import asymmetry_choice
+from srt.estimation.error_sources import start_sigma
 from srt.estimation.goodness_of_fit import is_misfit
 from srt.estimation.leave_one_out import chi_square_probability, verdict
 from srt.estimation.unseen_errors import unseen_errors
@@ -188,7 +189,9 @@ def _agreement(
     if any(result.unmodelled):
         own = _sensor_noise(data)
         out["added_noise"] = {
-            kind: {"added": size, "own": own[kind]} for kind, size in zip(own, result.unmodelled, strict=True)
+            kind: {"added": size, "own": own[kind]}
+            for kind, size in zip(own, result.unmodelled, strict=True)
+            if size > 0.0 or kind != "wobble_rad"
         }
     added = sum((P for source, P in result.covariance.items() if source.endswith("excess")), np.zeros_like(covariance))
     variance = np.diag(covariance)[observed]
@@ -201,7 +204,7 @@ def _agreement(
 
 
 def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
-    """1-sigma noise of the sensors in a rotation (rad), and in the mean force and rate of a window (m/s², rad/s)."""
+    """1-sigma noise in a rotation (rad), in the mean force and rate of a window (m/s², rad/s); stated wobble (rad)."""
     noise, windows = data.noise, data.windows.duration_s
     turning = np.diff(data.rotation, axis=1) * data.recording.nominal_interval_s
     window = float(np.median(windows))
@@ -209,6 +212,7 @@ def _sensor_noise(data: PreparedRecording) -> dict[str, float]:
         "rotation_rad": float(noise.gyro_white.max() * np.sqrt(np.median(turning))),
         "force_m_s2": float(np.hypot(noise.accel_white / np.sqrt(window), noise.accel_flicker).max()),
         "rate_rad_s": float(noise.gyro_white.max() / np.sqrt(window)),
+        "wobble_rad": float(start_sigma(data.recording)[2]),
     }
 
 

@@ -54,7 +54,7 @@ class SolverResult:
         Chi-square and degrees of freedom with the noise of the sensors alone.
     unmodelled : tuple of float
         1-sigma of the unmodelled errors that were added to the noise: of a rotation, rad, of a window's specific force,
-        m/s², and of its rate, rad/s.
+        m/s², of its rate, rad/s, and of the axis wobble of a pose, rad.
     integrated : tuple of int
         Windows whose attitude was integrated.
     wander : ndarray, shape (3,), rad/s
@@ -84,7 +84,7 @@ class SolverResult:
     chi_square: float
     degrees_of_freedom: int
     sensor_noise_fit: tuple[float, int]
-    unmodelled: tuple[float, float, float]
+    unmodelled: tuple[float, float, float, float]
     integrated: tuple[int, ...]
     wander: Array
     bias_by_sequence: Array
@@ -151,7 +151,7 @@ def solver_result(
         sensor_noise_fit=fit_to_sensor_noise(solution, data, fixed, unmodelled)
         if any(unmodelled.sizes)
         else (statistic, freedom),
-        unmodelled=(*unmodelled.sizes, 0.0),
+        unmodelled=(*unmodelled.sizes, 0.0, 0.0),
         integrated=solution.integrated,
         wander=solution.wander,
         bias_by_sequence=solution.bias_by_sequence,

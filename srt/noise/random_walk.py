@@ -231,6 +231,7 @@ def _fit_one(tau: Array, count: Array, variance: Array, first: int = 0, *, drift
         return _Fit(np.zeros(2), 0.0, 0.0)
     if len(tau) < 2:  # windows of a few samples: one octave does not separate quantization from white noise
         return _Fit(np.array([variance[0] * tau[0], 0.0]), 1.0, 0.0)
+    least = 1e-9 * variance.max()  # long averages of readings that hardly change may be equal
     tau, count, variance = tau[first:], count[first:], variance[first:]
     columns = [1.0 / tau, 3.0 / tau**2, -3.0 / tau**2, np.ones_like(tau)]
     design = np.stack([columns[i] for i in (0, 1, *((2,) if first else ()), *((3,) if drifting else ()))], axis=1)
@@ -240,7 +241,7 @@ def _fit_one(tau: Array, count: Array, variance: Array, first: int = 0, *, drift
         # differences, and a variance that is small by chance would dominate the fit. The quantization error of a slow
         # input is no white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
         pulses = _QUANTIZATION_DOUBT * design[:, 1] * solution[1]
-        sigma = np.hypot(np.maximum(variance, expected) * np.sqrt(3.0 / count) + 1e-9 * variance.max(), pulses)
+        sigma = np.hypot(np.maximum(variance, expected) * np.sqrt(3.0 / count) + least, pulses)
         weighted = design / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)
         solution = nonnegative_least_squares(weighted / scale, variance / sigma) / scale
@@ -252,12 +253,11 @@ def _fit_one(tau: Array, count: Array, variance: Array, first: int = 0, *, drift
     doubt = 1.0 / (scale[0] * max(float(np.linalg.norm(own)), np.finfo(np.float64).eps))
     # Without white noise the relative 1-sigma is infinite; the limit makes it a large finite number.
     relative = float(doubt / max(solution[0], _LEAST_SHARE * doubt))
-    return _Fit(solution[:2], relative, _deviance(count, variance, expected, pulses))
+    return _Fit(solution[:2], relative, _deviance(count, variance, np.maximum(expected, least), pulses))
 
 
 def _deviance(count: Array, variance: Array, expected: Array, pulses: Array) -> float:
     """−2 ln(likelihood ratio) of Allan variances of m differences, which are gamma variates, against their model."""
-    expected = np.maximum(expected, 1e-9 * variance.max())
     freedom = 2.0 / (2.0 / count + _MODEL_DOUBT**2 + (pulses / expected) ** 2)
     ratio = np.maximum(variance / expected, np.finfo(np.float64).eps)
     return float(np.sum(freedom * (ratio - 1.0 - np.log(ratio))))

@@ -156,6 +156,7 @@ _UNITS: Final = {
     "rotation_rad": (math.degrees(1.0), "° per rotation"),
     "force_m_s2": (1.0, " m/s² per window"),
     "rate_rad_s": (math.degrees(1.0) * 3600.0, " °/h per window"),
+    "wobble_rad": (1e6, " µrad of axis wobble per pose"),
 }
 """Factor and unit of the kinds of added noise."""
 

@@ -166,3 +166,12 @@ def test_octaves_of_pieces_are_those_of_the_definition():
         assert (tau[k], count[k]) == (pytest.approx(m / RATE), len(steps))
         # Rounding: pairwise averages of k octaves.
         np.testing.assert_allclose(variance[:, k], 0.5 * (steps**2).mean(axis=0), rtol=1e-13)
+
+
+def test_equal_long_averages_leave_finite_figures():
+    """Readings that hardly change: short averages differ, long ones are equal."""
+    tau, count = np.array([0.01, 0.02, 0.04, 0.08, 0.16]), np.array([400.0, 200.0, 100.0, 50.0, 25.0])
+    with np.errstate(all="raise"):
+        fit = _fit_one(tau, count, np.array([1e-20, 1e-21, 0.0, 0.0, 0.0]), first=2, drifting=True)
+    assert np.all(fit.squares == 0.0)
+    assert np.isfinite([fit.doubt, fit.deviance]).all()

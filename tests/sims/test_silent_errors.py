@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from silent_errors import ESTIMATORS, ROWS, trial
+from silent_errors import ESTIMATORS, GRADE, ROWS, SEED, trial
+
+import srt
+from sims.faults.injection import Case
+from srt.result.verdict import verdict_on
 
 UNITS = 2
 
@@ -27,3 +31,18 @@ def test_a_wrong_clock_and_gravity_are_told():
         assert all(named for _, named, _ in trial(name, 40))
     assert all(nees < chi2.isf(1e-4, 27) / 27.0 for nees, _, _ in trial("clock off by 1e-4, sigma stated", 40))
     assert "none" in ROWS
+
+
+def test_wobble_stated_as_zero_is_found_with_its_size():
+    """10 µrad per pose, from 17 starts and as many ends; no sigma of the filter is far above that of least squares."""
+    case = Case(GRADE, SEED + 40)
+    recording = ROWS["wobble of 10 µrad, stated as 0"].change(case, np.random.default_rng((SEED, 40)))
+    found, least = (srt.calibrate(recording, estimator, checks=False) for estimator in ("ekf", "least-squares"))
+    added = found.verdict["added_noise"]["wobble_rad"]
+    assert added["own"] == 0.0
+    assert added["added"] == pytest.approx(1e-5, rel=3.5 / np.sqrt(2.0 * 34.0))
+    assert "µrad of axis wobble per pose" in verdict_on(found).reason
+    error = found.errors.vector - case.simulation.truth.vector
+    assert error @ np.linalg.solve(found.covariance, error) < chi2.isf(1e-4, 27)
+    # Least squares does not use the angle between the axes in the ends, so that wobble is no error of it.
+    assert np.all(found.sigma < 1.5 * least.sigma)
