@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from srt.result.calibration import Calibration
+    from srt.stacks.stream_correction import Counts, StreamCorrector
+    from srt.stacks.text_lines import LineCorrector
 
 STANDARD: Final = "-"
 _LARGEST_DATAGRAM: Final = 65536
@@ -29,8 +31,10 @@ OPTIONS: Final = (
     click.option("--gyro-unit", type=click.Choice(_UNITS), help="Stream: unit of the gyros.  [default: rad/s]"),
     click.option("--accel-unit", type=click.Choice(_FORCE_UNITS), help="Stream: unit.  [default: m/s^2]"),
     click.option("--increments-s", type=float, metavar="SECONDS", help="Stream: increments of this duration."),
-    click.option("--gyro-lsb", metavar="LSB", help="RAW_IMU: value of one count, as '1/131 deg/s'."),
-    click.option("--accel-lsb", metavar="LSB", help="RAW_IMU: value of one count, as '1/16384 g'."),
+    click.option("--gyro-lsb", metavar="LSB", help="Lines of counts, RAW_IMU: value of one count, as '1/131 deg/s'."),
+    click.option("--accel-lsb", metavar="LSB", help="Lines of counts, RAW_IMU: value of one, as '1/16384 g'."),
+    click.option("--gyro-offset", metavar="COUNTS", help="Gyro counts at zero rate; one number or three."),
+    click.option("--accel-offset", metavar="COUNTS", help="Accelerometer counts at zero force, likewise."),
     click.option("--gyro-range-deg-s", type=float, help="Stream: range of the gyros; samples at its end are told."),
     click.option("--accel-range-g", type=float, help="Stream: range of the accelerometers, likewise."),
     click.option("--timeout-s", type=float, help="End after this time without datagrams.  [default: never]"),
@@ -47,7 +51,7 @@ def stream_options(command: Any) -> Any:
 
 NAMES: Final = (
     "source", "target", "covariance", "gyro_unit", "accel_unit", "increments_s", "gyro_lsb", "accel_lsb",
-    "gyro_range_deg_s", "accel_range_g", "timeout_s",
+    "gyro_offset", "accel_offset", "gyro_range_deg_s", "accel_range_g", "timeout_s",
 )  # fmt: skip
 """Names of :data:`OPTIONS` as arguments of a function."""
 
@@ -93,6 +97,7 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, c
     from srt.constants import DEG, STANDARD_GRAVITY_M_S2
     from srt.recording.schema import ACCEL_UNITS, GYRO_UNITS
     from srt.stacks.stream_correction import StreamCorrector, StreamOptions
+    from srt.stacks.text_lines import LineCorrector
 
     dt = given["increments_s"]
     kind = "rate" if dt is None else "increment"
@@ -113,17 +118,19 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, c
     options = StreamOptions(
         units[0], units[1], dt, ranges[0], ranges[1], gravity=gravity, covariance=given["covariance"]
     )
-    if given["source"] is None and (given["gyro_lsb"] or given["accel_lsb"]):
-        raise InputError(
-            "--gyro-lsb and --accel-lsb hold for RAW_IMU messages, but lines of text are corrected: send readings in "
-            "the units that --gyro-unit and --accel-unit state."
-        )
+    raw = stated_counts(given)
     corrector = StreamCorrector(calibration, frame, options, warn)
+    counts = None
+    if raw is not None:
+        # The corrector takes and gives values in the units of the answer.
+        answer = (*units[0], *units[1])
+        counts = raw._replace(unit=tuple(one / unit for one, unit in zip(raw.unit, answer, strict=True)))
+    lines = LineCorrector(corrector, covariance=given["covariance"], counts=counts)
     try:
         if given["source"] is None:
-            _lines(corrector, covariance=given["covariance"])
+            _standard(lines)
         else:
-            _datagrams(corrector, given)
+            _datagrams(corrector, lines, raw, given)
     except KeyboardInterrupt:
         # A stream has no other end.
         pass
@@ -132,10 +139,28 @@ def run_stream(calibration: Calibration, frame: Any, given: dict[str, Any], *, c
     return 0
 
 
-def _lines(corrector: Any, *, covariance: bool) -> None:
-    from srt.stacks.text_lines import LineCorrector
+def stated_counts(given: dict[str, Any]) -> Counts | None:
+    """Scale of counts in SI units by the options; None without them.
 
-    lines = LineCorrector(corrector, covariance=covariance)
+    Raises
+    ------
+    InputError
+        The value of a count for one sensor alone, an offset without it, or a text that is no number.
+    """
+    from srt.recording.import_options import parse_lsb, parse_offset
+    from srt.stacks.stream_correction import Counts
+
+    stated = [name for name in ("gyro_lsb", "accel_lsb", "gyro_offset", "accel_offset") if given[name] is not None]
+    if not stated:
+        return None
+    if not {"gyro_lsb", "accel_lsb"} <= set(stated):
+        raise InputError("Counts need the value of one for both sensors: give --gyro-lsb and --accel-lsb.")
+    unit = [*parse_lsb(given["gyro_lsb"], "gyro"), *parse_lsb(given["accel_lsb"], "accel")]
+    zero = [*parse_offset(given["gyro_offset"] or "0", "gyro"), *parse_offset(given["accel_offset"] or "0", "accel")]
+    return Counts(tuple(unit), tuple(zero))
+
+
+def _standard(lines: LineCorrector) -> None:
     if isinstance(sys.stdin, io.TextIOWrapper):
         # Bytes that are no text spoil their line alone.
         sys.stdin.reconfigure(errors="replace")
@@ -147,7 +172,7 @@ def _lines(corrector: Any, *, covariance: bool) -> None:
             flush()
 
 
-def _datagrams(corrector: Any, given: dict[str, Any]) -> None:
+def _datagrams(corrector: StreamCorrector, lines: LineCorrector, raw: Counts | None, given: dict[str, Any]) -> None:
     source, target = parse_address(given["source"]), given["target"]
     if target is None:
         raise InputError("Corrected datagrams need an address to go to: add --to udp:HOST:PORT.")
@@ -156,7 +181,7 @@ def _datagrams(corrector: Any, given: dict[str, Any]) -> None:
         raise InputError(f"The stream would receive its own datagrams at {target}: use another port.")
     from srt.stacks.stream_correction import NOT_SENT
 
-    correct = _datagram_corrector(corrector, given)
+    correct = _datagram_corrector(corrector, lines, raw)
     try:
         family, *_ = socket.getaddrinfo(source.host, source.port, type=socket.SOCK_DGRAM)[0]
         with socket.socket(family, socket.SOCK_DGRAM) as link:
@@ -187,17 +212,12 @@ def _received(link: socket.socket) -> Iterator[bytes]:
             continue
 
 
-def _datagram_corrector(corrector: Any, given: dict[str, Any]) -> Callable[[bytes], bytes]:
+def _datagram_corrector(
+    corrector: StreamCorrector, lines: LineCorrector, raw: Counts | None
+) -> Callable[[bytes], bytes]:
     """Function of a datagram: MAVLink by its first byte, else lines of text."""
-    from srt.recording.import_options import parse_lsb
     from srt.stacks import mavlink
-    from srt.stacks.text_lines import LineCorrector
 
-    texts = given["gyro_lsb"], given["accel_lsb"]
-    if (texts[0] is None) != (texts[1] is None):
-        raise InputError("RAW_IMU needs the value of a count of both: give --gyro-lsb and --accel-lsb, or neither.")
-    raw = None if texts[0] is None else (parse_lsb(texts[0], "gyro"), parse_lsb(texts[1], "accel"))
-    lines = LineCorrector(corrector, covariance=given["covariance"])
     link: list[mavlink.MavlinkCorrector] = []
 
     def correct(packet: bytes) -> bytes:

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from srt.constants import STANDARD_GRAVITY_M_S2
 from srt.exceptions import InputError, MissingExtraError
-from srt.stacks.stream_correction import LOST, MALFORMED, PASSED_ON
+from srt.stacks.stream_correction import LOST, MALFORMED, PASSED_ON, Counts
 
 if TYPE_CHECKING:
-    from srt.recording.import_options import Triple
     from srt.stacks.stream_correction import StreamCorrector
 
 MARKS: Final = (0xFD, 0xFE)
@@ -22,9 +21,10 @@ MARKS: Final = (0xFD, 0xFE)
 _GYRO: Final = ("xgyro", "ygyro", "zgyro")
 _ACCEL: Final = ("xacc", "yacc", "zacc")
 _MILLI_G: Final = 1e-3 * STANDARD_GRAVITY_M_S2
-_SCALED: Final[tuple[Triple, Triple]] = ((1e-3,) * 3, (_MILLI_G,) * 3)
-_SAMPLES: Final[dict[str, tuple[Triple, Triple]]] = {
-    "HIGHRES_IMU": ((1.0,) * 3, (1.0,) * 3),
+_ZERO: Final = (0.0,) * 6
+_SCALED: Final = Counts((*(1e-3,) * 3, *(_MILLI_G,) * 3), _ZERO)
+_SAMPLES: Final = {
+    "HIGHRES_IMU": Counts((1.0,) * 6, _ZERO),
     "SCALED_IMU": _SCALED,
     "SCALED_IMU2": _SCALED,
     "SCALED_IMU3": _SCALED,
@@ -43,8 +43,8 @@ class MavlinkCorrector:
     ----------
     corrector : StreamCorrector
         In SI units.
-    raw_units : (triple, triple), optional
-        SI units per count of RAW_IMU, gyros and accelerometers; without them RAW_IMU is malformed.
+    raw : Counts, optional
+        Counts of RAW_IMU, in SI units; without them RAW_IMU is malformed.
 
     Raises
     ------
@@ -52,9 +52,9 @@ class MavlinkCorrector:
         Without pymavlink.
     """
 
-    __slots__ = ("_corrector", "_dialect", "_link", "_sequence", "_units")
+    __slots__ = ("_corrector", "_counts", "_dialect", "_link", "_sequence")
 
-    def __init__(self, corrector: StreamCorrector, raw_units: tuple[Triple, Triple] | None = None) -> None:
+    def __init__(self, corrector: StreamCorrector, raw: Counts | None = None) -> None:
         try:
             from pymavlink.dialects.v20 import common
         except ModuleNotFoundError:
@@ -62,7 +62,7 @@ class MavlinkCorrector:
         self._dialect: Any = common
         self._link: Any = self._decoder()
         self._corrector = corrector
-        self._units = dict(_SAMPLES) if raw_units is None else {**_SAMPLES, "RAW_IMU": raw_units}
+        self._counts = dict(_SAMPLES) if raw is None else {**_SAMPLES, "RAW_IMU": raw}
         self._sequence: dict[tuple[int, int], int] = {}
 
     def correct(self, packet: bytes) -> bytes:
@@ -96,22 +96,18 @@ class MavlinkCorrector:
             self._corrector.event(MALFORMED, "a packet is no MAVLink message, or its checksum is wrong")
             return b""
         self._count_lost(message)
-        if name == "RAW_IMU" and name not in self._units:
+        if name == "RAW_IMU" and name not in self._counts:
             self._corrector.event(
                 MALFORMED, "RAW_IMU states no unit: give --gyro-lsb and --accel-lsb, or send HIGHRES_IMU or SCALED_IMU"
             )
             return b""
-        if name not in self._units:
+        if name not in self._counts:
             self._corrector.event(PASSED_ON, f"the message {name} holds no IMU")
             return bytes(message.get_msgbuf())
         return self._sample(message, name)
 
     def _sample(self, message: Any, name: str) -> bytes:
-        gyro_unit, accel_unit = self._units[name]
-        values = (
-            *(getattr(message, field) * unit for field, unit in zip(_GYRO, gyro_unit, strict=True)),
-            *(getattr(message, field) * unit for field, unit in zip(_ACCEL, accel_unit, strict=True)),
-        )
+        values = self._counts[name].readings(getattr(message, field) for field in (*_GYRO, *_ACCEL))
         highres = name == "HIGHRES_IMU"
         temperature = self._temperature(message, highres=highres)
         try:

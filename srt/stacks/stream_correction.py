@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from srt.result.applier import Applier
 from srt.sequences.plausibility import size_cause
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from srt.recording.import_options import Triple
     from srt.result.calibration import Calibration
@@ -36,6 +36,25 @@ _BLOCK: Final = 500
 """Samples whose median size is judged: a few seconds, more than half of which no shock or free fall fills."""
 _TIMES_TOLD: Final = (1, 10, 100, 1000, 10**4, 10**5, 10**6)
 """Counts at which an event is told, so that a broken sensor does not fill the disk with sentences."""
+
+
+class Counts(NamedTuple):
+    """Scale of raw counts: gyro x, y, z, then accelerometer x, y, z.
+
+    Attributes
+    ----------
+    unit : tuple of 6 floats
+        Value of one count.
+    zero : tuple of 6 floats
+        Counts at zero input.
+    """
+
+    unit: tuple[float, ...]
+    zero: tuple[float, ...]
+
+    def readings(self, counts: Iterable[float]) -> tuple[float, ...]:
+        """Readings of six counts, in the unit of ``unit``."""
+        return tuple((n - zero) * unit for n, unit, zero in zip(counts, self.unit, self.zero, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +213,8 @@ class StreamCorrector:
             self.event(
                 IMPLAUSIBLE,
                 f"the accelerometers read {force:.4g} m/s² in the median, but about {gravity:.4g} is expected: {cause}"
-                "; state the units of both sensors (--gyro-unit, --accel-unit) or --increments-s",
+                "; state the units of both sensors (--gyro-unit, --accel-unit), the value of counts (--gyro-lsb, "
+                "--accel-lsb) or --increments-s",
                 len(squares),
             )
         squares.clear()

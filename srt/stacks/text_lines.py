@@ -18,7 +18,7 @@ from srt.recording.importers.channels import assign
 from srt.stacks.stream_correction import LOST, MALFORMED, NOT_ADVANCING
 
 if TYPE_CHECKING:
-    from srt.stacks.stream_correction import StreamCorrector
+    from srt.stacks.stream_correction import Counts, StreamCorrector
 
 _READINGS: Final = tuple(name for name in CHANNELS if name.startswith(("gyro", "accel")))
 _NAMELESS: Final = ("time", *_READINGS, "temperature")
@@ -37,12 +37,15 @@ class LineCorrector:
     corrector : StreamCorrector
     covariance : bool
         True: six 1-sigma are appended to each line.
+    counts : Counts, optional
+        The lines hold counts, of this value in the units of the corrector; None: they are in these units.
     """
 
-    __slots__ = ("_columns", "_corrector", "_covariance", "_first", "_last", "_line", "_step", "_width")
+    __slots__ = ("_columns", "_corrector", "_counts", "_covariance", "_first", "_last", "_line", "_step", "_width")
 
-    def __init__(self, corrector: StreamCorrector, *, covariance: bool = False) -> None:
+    def __init__(self, corrector: StreamCorrector, *, covariance: bool = False, counts: Counts | None = None) -> None:
         self._corrector = corrector
+        self._counts = counts
         self._covariance = covariance
         self._columns: dict[str, int] | None = None
         self._first = True
@@ -87,12 +90,16 @@ class LineCorrector:
         values = tuple(float(cells[columns[name]]) for name in _READINGS)
         time, temperature = columns.get("time"), columns.get("temperature")
         stamp = None if time is None else _finite(float(cells[time]))
-        corrected = self._corrector.correct(values, None if temperature is None else float(cells[temperature]))
+        corrected = self._corrected(values, None if temperature is None else float(cells[temperature]))
         if stamp is not None:
             self._count_lost(stamp)
         for name, value in zip(_READINGS, corrected, strict=False):
             cells[columns[name]] = repr(value)
         return ",".join([*cells, *map(repr, corrected[6:])])
+
+    def _corrected(self, values: tuple[float, ...], temperature: float | None) -> tuple[float, ...]:
+        readings = values if self._counts is None else self._counts.readings(values)
+        return self._corrector.correct(readings, temperature)
 
     def _header(self, cells: list[str]) -> str:
         try:
@@ -122,7 +129,7 @@ class LineCorrector:
             values = tuple(float(document[name]) for name in _READINGS)
         stamp = _finite(float(document["time"])) if "time" in document else None
         temperature = document.get("temperature")
-        corrected = self._corrector.correct(values, None if temperature is None else float(temperature))
+        corrected = self._corrected(values, None if temperature is None else float(temperature))
         if stamp is not None:
             self._count_lost(stamp)
         if arrays:

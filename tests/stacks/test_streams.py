@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import socket
 import subprocess
@@ -275,7 +276,7 @@ def test_mavlink_through_udp(tmp_path):
     common = pytest.importorskip("pymavlink.dialects.v20.common")
     sender = common.MAVLink(None, srcSystem=7, srcComponent=3)
     reader = common.MAVLink(None)
-    link = Link(tmp_path, "--gyro-lsb", "1/131 deg/s", "--accel-lsb", "1/4096 g")
+    link = Link(tmp_path, "--gyro-lsb", "1/131 deg/s", "--gyro-offset", "12", "--accel-lsb", "1/4096 g")
 
     def packed(message):
         data = bytes(message.pack(sender))
@@ -310,7 +311,7 @@ def test_mavlink_through_udp(tmp_path):
     raw = common.MAVLink_raw_imu_message(600, *counts[3:].tolist(), *counts[:3].tolist(), 0, 0, 0)
     link.send(packed(raw))
     message, values = answer()
-    assert_corrected(values, counts[:3] * np.radians(1.0 / 131.0), counts[3:] * 9.80665 / 4096.0)
+    assert_corrected(values, (counts[:3] - 12) * np.radians(1.0 / 131.0), counts[3:] * 9.80665 / 4096.0)
 
     beat = common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
     link.send(packed(beat))
@@ -336,6 +337,22 @@ def re_count(text, kind):
     return int(text.rsplit(f" {kind}", 1)[0].rsplit(" ", 1)[1])
 
 
+def test_the_command_corrects_lines_of_counts(tmp_path, monkeypatch, capfd):
+    """Counts with a zero in, deg/s and m/s² out: the same as the library makes of the readings."""
+    counts = np.column_stack([RNG.integers(-9000, 9000, (5, 3)), RNG.integers(-16384, 16384, (5, 3))])
+    zero = np.array([12, -7, 3, 30, 30, 30])
+    CALIBRATION.save(tmp_path / "unit.json")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(",".join(map(str, row)) for row in counts.tolist())))
+    gyro = ["--gyro-unit", "deg/s", "--gyro-lsb", "1/131 deg/s", "--gyro-offset", "12,-7,3"]
+    accel = ["--accel-lsb", "1/16384 g", "--accel-offset", "30"]
+    assert main(["apply", str(tmp_path / "unit.json"), "-", "--force", *gyro, *accel]) == 0
+    found = numbers(capfd.readouterr().out.splitlines())
+    unit = np.repeat([np.radians(1.0 / 131.0), 9.80665 / 16384.0], 3)
+    rate, force = np.hsplit((counts - zero) * unit, 2)
+    true = np.column_stack([np.degrees(CALIBRATION.apply(rate, force)[0]), CALIBRATION.apply(rate, force)[1]])
+    np.testing.assert_allclose(found, true, rtol=1e-13, atol=1e-13)  # rounding of conversions there and back
+
+
 @pytest.mark.parametrize(
     ("arguments", "fragment"),
     [
@@ -347,7 +364,9 @@ def re_count(text, kind):
         (["-", "--to", "udp:127.0.0.1:14550"], "--from ADDRESS"),
         (["--from", "udp:127.0.0.1:14550", "--to", "udp:127.0.0.1:14550"], "its own datagrams"),
         (["-", "--gyro-unit", "deg"], "does not fit samples of kind rate"),
-        (["-", "--gyro-lsb", "1e-6", "--accel-lsb", "1e-5"], "hold for RAW_IMU messages"),
+        (["-", "--gyro-lsb", "1e-6"], "give --gyro-lsb and --accel-lsb"),
+        (["-", "--accel-offset", "12"], "give --gyro-lsb and --accel-lsb"),
+        (["-", "--gyro-lsb", "1", "--accel-lsb", "1/4 parsec"], "--accel-lsb: the unit 'parsec'"),
         (["-", "--increments-s", "-1"], "dt of the stream is -1"),
         (["--from", "udp:127.0.0.1:14550", "--to", "udp:127.0.0.1:14551", "--gyro-lsb", "1"], "--accel-lsb"),
     ],
@@ -420,8 +439,6 @@ def test_time_that_does_not_advance_is_told_and_losses_after_it_are_seen(told):
 
 @pytest.mark.parametrize(("extra", "said"), [([], True), (["--force"], False), (["--accel-unit", "g"], False)])
 def test_the_command_tells_of_accelerometers_in_g(tmp_path, monkeypatch, capfd, extra, said):
-    import io
-
     CALIBRATION.save(tmp_path / "unit.json")
     monkeypatch.setattr(sys, "stdin", io.StringIO("0.01,1,2,3,0,0,1\n0.02,1,2,3,0,0,1\n"))
     assert main(["apply", str(tmp_path / "unit.json"), "-", *extra]) == 0
