@@ -18,7 +18,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping  # noqa: TC003 - pydantic reads it
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -155,6 +155,8 @@ class PlanOptions(TomlTable):
     most_legs: _Count = 8
     longest_test_h: Positive = 8.0
     most_sequences: _Count = 40
+    moves: Literal["recorded", "skipped"] = "skipped"
+    """Whether the log goes on during the moves between the sequences, for an estimator that uses them."""
 
     def limits(self) -> PlanLimits:
         """Limits as the planner takes them."""
@@ -233,6 +235,7 @@ class PlanFile(TomlTable):
             dwells_s=tuple((round(float(a), 3), round(float(b), 3)) for a, b in plan.windows_s),
             settle_s=self.stand.settle_s,
             pause_s=self.stand.pause_s,
+            moves=self.plan.moves,
             rate_rad_s=self.stand.rate_rad_s,
             acceleration_rad_s2=self.stand.acceleration_rad_s2,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -62,6 +63,12 @@ class PlanFiles(NamedTuple):
     metavar="TEXT",
     help="Instead of a plan, print the signature of a sequence: 'z/y +180y +180z', or an id of Table 1.",
 )
+@click.option(
+    "--moves",
+    type=click.Choice(["recorded", "skipped"]),
+    help="Whether the log goes on during the moves between the sequences, for an estimator that uses them (least "
+    "squares, EKF, graph).",
+)
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def plan(
@@ -75,6 +82,7 @@ def plan(
     compare: tuple[str, ...],
     after: Path | None,
     sequence: str | None,
+    moves: str | None,
     trust: bool,
     quiet: bool,
 ) -> int:
@@ -101,9 +109,9 @@ def plan(
     if total_time is not None and not (math.isfinite(total_time) and total_time > 0.0):
         raise InputError(f"--total-time is {total_time:g}: give a positive number of seconds.")
     chosen = files.load_plan_file(plan_file)
-    if total_time is not None:
-        options = chosen.plan.model_copy(update={"total_time_s": total_time})
-        chosen = chosen.model_copy(update={"plan": options})
+    given = {"total_time_s": total_time, "moves": moves}
+    options = chosen.plan.model_copy(update={name: value for name, value in given.items() if value is not None})
+    chosen = chosen.model_copy(update={"plan": options})
     if sequence is not None:
         print_signature(chosen, sequence)
         return 0
@@ -123,6 +131,7 @@ def make(
 ) -> int:
     """Make a plan, write the files that are asked for, and print it."""
     import srt
+    from sims.accuracy.expected_accuracy import plan_with_moves, sigma_with_moves
     from sims.scenarios.plan_file import scenario_toml
     from srt.planning.plan_document import operator_sheet, plan_document
     from srt.planning.plan_text import plan_text, table_1_text, unmet_targets_text
@@ -131,8 +140,9 @@ def make(
     from srt.reports.text.tables import wrap
 
     task = chosen.task()
+    moves = chosen.plan.moves == "recorded"
     with _progress(quiet=quiet) as progress:
-        found = srt.plan(task, progress=progress)
+        found = plan_with_moves(chosen, progress=progress) if moves else srt.plan(task, progress=progress)
     title = f"Rotation test of {chosen.imu.name} on {chosen.fixture.name}"
     if files.schedule is not None:
         head = f"# {title}: a plan, to be run by 'srt simulate'.\n"
@@ -151,6 +161,8 @@ def make(
         if table_1:
             try:
                 rival = table_1_plan(task.fixture, task.conditions, found.targets, found.total_s, task.limits)
+                if moves:
+                    rival = replace(rival, with_moves=sigma_with_moves(chosen, rival))
                 comparison = table_1_text(found, rival)
             except InputError as error:
                 comparison = "\n".join(wrap(f"Table 1 is no alternative: {error}"))
@@ -166,7 +178,7 @@ def make(
 
 def compare_with(name: str, chosen: PlanFile, found: Plan) -> str:
     """Sentence on a protocol in the time of a plan."""
-    from sims.accuracy.protocol_accuracy import protocol_accuracy
+    from sims.accuracy.expected_accuracy import protocol_accuracy
     from srt.planning.plan_text import protocol_text
 
     rival = protocol_accuracy(name, chosen, found.total_s)

@@ -92,6 +92,9 @@ class Plan(Presented):
         computed.
     limiting_targets : tuple of (str, float)
         Parameters whose targets determine the optimum, and their weights.
+    with_moves : ndarray, shape (27,), SI, optional
+        Expected sigma where the moves between the sequences are recorded, for the estimators that use them. The bound
+        does not hold then.
     """
 
     candidates: tuple[Candidate, ...]
@@ -104,6 +107,12 @@ class Plan(Presented):
     prediction: Prediction
     bound: float = math.nan
     limiting_targets: tuple[tuple[str, float], ...] = ()
+    with_moves: Array | None = None
+
+    @property
+    def sigma(self) -> Array:
+        """Expected sigma that counts for the targets, shape (27,), SI: with the moves where they are recorded."""
+        return self.prediction.sigma if self.with_moves is None else self.with_moves
 
     def timetable(self) -> tuple[ScheduledSequence, ...]:
         """Times of every sequence, if no time is lost."""
@@ -112,7 +121,7 @@ class Plan(Presented):
     @property
     def ratios(self) -> Array:
         """Sigma over target, shape (27,); NaN where there is no target."""
-        return np.asarray(self.prediction.sigma / self.targets)
+        return np.asarray(self.sigma / self.targets)
 
     @property
     def ratio(self) -> float:

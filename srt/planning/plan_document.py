@@ -35,7 +35,8 @@ def operator_sheet(plan: Plan, title: str) -> str:
         f"{len(steps)} sequences, {clock(plan.total_s)} (min:s) from the first window to the last. The unit is mounted "
         "with z along the inner axis; at (0, 0) z is down and y along the outer axis. Angles of the axes are in "
         "degrees; rotations are signed in the sense of the fixture. Do not move the fixture in the stationary windows. "
-        f"After the last rotation of a sequence, and after every move, wait {plan.fixture.settle_s:g} s.",
+        f"After the last rotation of a sequence, and after every move, wait {plan.fixture.settle_s:g} s."
+        + ("" if plan.with_moves is None else " Let the log run on during the moves: the accuracy below counts them."),
         "",
         "| | clock | move to inner, outer | stationary | rotate | wait | stationary | down | needed for |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -52,7 +53,7 @@ def operator_sheet(plan: Plan, title: str) -> str:
         )
     lines += ["", "## Expected accuracy", "", "| parameter | | 1-sigma | target | |", "|---|---|---|---|---|"]
     for k in range(N_PARAMETERS):
-        sigma, target = float(plan.prediction.sigma[k]), float(plan.targets[k])
+        sigma, target = float(plan.sigma[k]), float(plan.targets[k])
         missed = "missed" if sigma > target * MET else ""
         lines.append(
             f"| {NAMES[k]} | {SYMBOLS[k]} | {format_sigma(sigma, k)} | "
@@ -94,6 +95,7 @@ def plan_document(plan: Plan) -> dict[str, Any]:
         "worst_ratio": number(plan.ratio),
         "worst_parameter": plan.worst,
         "ratio_bound": number(plan.bound),
+        "moves": "skipped" if plan.with_moves is None else "recorded",
         "ruling": [{"parameter": name, "weight": weight} for name, weight in plan.limiting_targets],
         "sequences": [
             {
@@ -117,6 +119,7 @@ def plan_document(plan: Plan) -> dict[str, Any]:
             {
                 "name": NAMES[k],
                 "sigma": number(plan.prediction.sigma[k]),
+                "sigma_with_moves": None if plan.with_moves is None else number(plan.with_moves[k]),
                 "target": number(plan.targets[k]),
                 "sources": {name: number(values[k]) for name, values in plan.prediction.sources.items()},
             }
@@ -142,7 +145,7 @@ def plan_frame(plan: Plan) -> Any:
     factors = np.array(DISPLAY_FACTORS)
     return frame_by_parameter(
         symbol=list(SYMBOLS),
-        sigma=plan.prediction.sigma * factors,
+        sigma=plan.sigma * factors,
         target=plan.targets * factors,
         ratio=plan.ratios,
         unit=list(DISPLAY_UNITS),

@@ -38,6 +38,8 @@ def plan_text(plan: Plan, title: str = "Plan") -> str:
     lines.append("\nExpected accuracy, 1-sigma")
     lines.append(_accuracy_table(plan))
     last = f"Worst: {plan.worst} at {plan.ratio:.3f} of its target."
+    if plan.with_moves is not None:
+        last += " Record the moves between the sequences, too, and calibrate by least squares, EKF or graph."
     if math.isfinite(plan.bound):
         last += (
             f" No plan of this length and of such sequences can be below {plan.bound:.3f}, "
@@ -62,7 +64,7 @@ def _sequence_table(plan: Plan) -> str:
 def _accuracy_table(plan: Plan) -> str:
     rows = []
     for k in range(N_PARAMETERS):
-        sigma, target, factor = plan.prediction.sigma[k], plan.targets[k], DISPLAY_FACTORS[k]
+        sigma, target, factor = plan.sigma[k], plan.targets[k], DISPLAY_FACTORS[k]
         if math.isinf(sigma):
             rows.append([SYMBOLS[k], DISPLAY_UNITS[k], "not observed", "", "", ""])
             continue
