@@ -254,7 +254,9 @@ def run_each(jobs: Sequence[Job], estimator: str, options: Options, display: Dis
         more = "" if display.complete else "--details shows more. "
         rest = "Nothing was written: -o FILE.json keeps the result." if output is None else ""
         if more or rest:
-            show(f"\n{more}{rest}".rstrip())
+            # The names of written files follow an empty line already; one more would exceed the 45 lines of a summary.
+            named = jobs[-1].output is not None or jobs[-1].plot is not None
+            show(("" if named else "\n") + f"{more}{rest}".rstrip())
     return max(codes)
 
 

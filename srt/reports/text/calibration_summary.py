@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from srt.result.calibration import Calibration
     from srt.sensor_errors import SensorErrors
 
-_MOST_LINES: Final = 41
-"""Lines of the summary: the four that the command adds make 45, which a terminal of 50 lines shows with the prompt."""
+_MOST_LINES: Final = 42
+"""Lines of the summary: the three that the command adds make 45, which a terminal of 50 lines shows with the prompt."""
 _MOST_BEFORE_TABLE: Final = 10
 """Lines before the table of the parameters."""
 _NOTE_LINES: Final = 2
