@@ -7,6 +7,9 @@ No noise is stated, so that the sigmas include the bias instability that rests o
 these units have none; with ``--stated`` the noise is stated as it is. ``--drift`` adds drifts of the biases, from
 0.1 mg and 10 °/h to 10 mg and 1000 °/h over six minutes, and prints the mean NEES per parameter, its band, how often
 each triad's drift is named, and the largest accelerometer-scale sigma.
+
+``--asymmetry`` compares rules for units of few turns: asymmetries always estimated, as the estimators do, or only where
+a test asks for them. It prints errors over sigma of the parameters that asymmetries resemble, and their rms errors.
 """
 
 from __future__ import annotations
@@ -99,6 +102,59 @@ def drift_table(units: int, estimators: list[str], jobs: int) -> int:
     return int(beyond > 0)
 
 
+ASYMMETRIES = {"none": 0.0, "a tenth of the scale error": 0.1, "three tenths": 0.3, "as large": 1.0}
+"""Asymmetries, 1-sigma, in units of the scale errors."""
+RULES = {"estimated": 1.0, "where p < 0.05": 0.05, "where p < 0.001": 1e-3, "never": 0.0}
+"""Probability of the test below which a group of asymmetries is estimated."""
+
+
+def asymmetric_unit(seed: int, grade: str, share: float, turns: int, estimator: str) -> np.ndarray:
+    """Errors and sigmas under each rule, shape (rules, groups, 2, 3), of gyro scale, accelerometer bias and scale.
+
+    Groups that are not observed are NaN.
+    """
+    rng = np.random.default_rng((SEED, 11, seed))
+    errors = drawn_errors(GRADES[grade], rng)
+    errors |= {name: 10.0 * share * value for name, value in errors.items() if "asymmetry" in name}
+    unit = recording(hand_turns(rng, shortest_s=1.0, count=turns), 5.0, errors, GRADES[grade], rng)
+    found = srt.calibrate(unit, estimator, checks=False)
+    out = np.full((len(RULES), 3, 2, 3), np.nan)
+    if found.status not in ("converged", "partial"):
+        return out
+    for r, limit in enumerate(RULES.values()):
+        for g, group in enumerate(("gyro_scale", "accel_bias", "accel_scale")):
+            test = found.diagnostics["asymmetry"].get("gyro_asymmetry" if group == "gyro_scale" else "accel_asymmetry")
+            for i, name in enumerate(NAMES[GROUP_SLICES[group]]):
+                k = NAMES.index(name)
+                if test is None or not found.observed[k]:
+                    continue
+                other = test["without"][name]
+                chosen = test["probability"] <= limit and limit > 0.0
+                value, sigma = (found.errors[name], found.sigma[k]) if chosen else (other["value"], other["sigma"])
+                out[r, g, :, i] = value - errors[name], sigma
+    return out
+
+
+def asymmetry_table(units: int, estimators: list[str], turns: int, jobs: int) -> None:
+    """Print the table of ``--asymmetry``."""
+    cells = [(e, g, a) for e in estimators for g in ("tactical", "consumer") for a in ASYMMETRIES]
+    tasks = [(u, g, ASYMMETRIES[a], turns, e) for e, g, a in cells for u in range(units)]
+    results = np.array(Parallel(n_jobs=jobs)(delayed(asymmetric_unit)(*task) for task in tasks))
+    print(f"{units} units a cell of {turns} turns, seed {SEED}\n")
+    print(
+        "| estimator | grade | asymmetry | estimated | gyro scale | ppm | acc. bias | µg | acc. scale | ppm | largest |"
+    )
+    print("|---|---|---|---|---:|---:|---:|---:|---:|---:|---:|")
+    for i, (estimator, grade, asymmetry) in enumerate(cells):
+        for r, rule in enumerate(RULES):
+            error, sigma = np.moveaxis(results[i * units : (i + 1) * units, r], 2, 0)
+            z = np.sqrt(np.nanmean((error / sigma) ** 2, axis=(0, 2)))
+            size = np.sqrt(np.nanmean(error**2, axis=(0, 2))) * [1e6, 1e6 / 9.80665, 1e6]
+            columns = " | ".join(f"{a:.2f} | {b:.3g}" for a, b in zip(z, size, strict=True))
+            largest = np.nanmax(np.abs(error / sigma))
+            print(f"| {estimator} | {grade} | {asymmetry} | {rule} | {columns} | {largest:.1f} |")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--units", type=int, default=20, help="of each grade and profile")
@@ -108,7 +164,12 @@ def main() -> int:
     parser.add_argument(
         "--stated", action="store_true", help="white noise and no bias instability are stated, as is true"
     )
+    parser.add_argument("--asymmetry", action="store_true", help="rules for asymmetries of units of few turns")
+    parser.add_argument("--turns", type=int, default=9, help="turns of a unit, with --asymmetry")
     options = parser.parse_args()
+    if options.asymmetry:
+        asymmetry_table(options.units, options.estimators, options.turns, options.jobs)
+        return 0
     if options.drift:
         return drift_table(options.units, options.estimators, options.jobs)
     cells = [(e, g, p) for e in options.estimators for g in GRADES for p in PROFILES]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.constants import EARTH_RATE_RAD_S
+from srt.estimation.observability import admission_sigma
 from srt.model.prior import PRIOR_SIGMA, prior_sigma
 from srt.sensor_errors import GROUP_SLICES, INDEX, N_PARAMETERS, SensorErrors
 
@@ -42,12 +43,12 @@ def fixed_sigma(data: PreparedRecording, options: Options) -> Array:
 
     Values given by the user, and asymmetries fixed on request, count as exact. An initial estimate from the fixture is
     as accurate as the fixture (its accelerometer bias also absorbs the neglected asymmetry). Otherwise the prior sigma
-    applies.
+    applies; without a fixture it is the wide one that also decides which parameters are observed, in all estimators.
     """
     if isinstance(options.start, SensorErrors):
         return np.zeros(N_PARAMETERS)
-    sigma = prior_sigma()
     fixture = data.recording.fixture
+    sigma = admission_sigma() if fixture is None else prior_sigma()
     if options.start == "auto" and fixture is not None and data.nominal is not None:
         accuracy = float(np.hypot(fixture.alignment_sigma_rad, fixture.rotation_sigma_rad))
         for group in ("gyro_scale", "gyro_orthogonality", "accel_scale", "accel_misalignment"):

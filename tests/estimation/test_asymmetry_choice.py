@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from foreign_motion import GRADES, drawn_errors, hand_turns, recording
 
 import srt
 from sims.faults.injection import Case
@@ -38,3 +39,19 @@ def test_a_fixed_group_is_not_tested():
     found = srt.calibrate(recording, "least-squares", checks=False, asymmetry=False).diagnostics["asymmetry"]
     assert set(found) == {"accel_asymmetry"}
     assert np.isfinite(found["accel_asymmetry"]["chi_square"])
+
+
+def test_an_asymmetry_that_few_turns_do_not_show_is_in_the_sigmas():
+    """Consumer unit with asymmetries of 1 %, nine turns by hand: that of gyro z resembles its scale factor."""
+    rng = np.random.default_rng((20261122, 11, 17))
+    errors = drawn_errors(GRADES["consumer"], rng)
+    errors |= {name: 10.0 * value for name, value in errors.items() if "asymmetry" in name}
+    unit = recording(hand_turns(rng, shortest_s=1.0, count=9), 5.0, errors, GRADES["consumer"], rng)
+    found = srt.calibrate(unit, "least-squares", checks=False)
+    assert np.array(NAMES)[~found.observed].tolist() == ["gyro_asymmetry_z"]
+    scale = INDEX["gyro_scale_z"]
+    assert found.sigma[scale] > 3e-3
+    # 26 normalised errors: the largest exceeds 4.2 with a probability of 7e-4.
+    seen = np.flatnonzero(found.observed)
+    error = found.errors.vector - np.array([errors.get(name, 0.0) for name in NAMES])
+    assert np.abs(error[seen] / found.sigma[seen]).max() < 4.2
