@@ -75,7 +75,7 @@ def clock_fast(case: Case, severity: float, rng: np.random.Generator) -> Recordi
     return restamped(case.recording, lambda time: time * factor)
 
 
-@variant("clock warming up", 0.02, "of the rate", "sample_rate")
+@variant("clock warming up", 0.02, "of the rate", "clock_drift")
 def clock_warming_up(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The frequency of the clock changes linearly during the test."""
     recording, sign = case.recording, _sign(rng)
@@ -455,7 +455,7 @@ def accel_scale_drifts(case: Case, severity: float, rng: np.random.Generator) ->
     return _scale_drift(case, "accel", severity, rng)
 
 
-@variant("gyro scale drifts", 2000.0, "ppm", "gyro_bias_drift", "temperature_drift", "units_joined")
+@variant("gyro scale drifts", 2000.0, "ppm", "gyro_scale_drift", "gyro_bias_drift", "temperature_drift", "units_joined")
 def gyro_scale_drifts(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The scale factors of the gyros drift while the unit warms up."""
     return _scale_drift(case, "gyro", severity, rng)

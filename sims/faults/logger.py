@@ -122,6 +122,17 @@ def stamp_jitter(case: Case, severity: float, rng: np.random.Generator) -> Recor
     return replace(recording, time=recording.time + recording.nominal_interval_s * late)
 
 
+@injection("clock_drift", 0.02, "of the interval")
+def clock_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The clock of the logger approaches its final rate after switch-on."""
+    recording, sign = case.recording, float(rng.choice((-1.0, 1.0)))
+    first, span = recording.time[0], recording.time[-1] - recording.time[0]
+    slow = span * float(rng.uniform(0.3, 1.0))
+    # Normalised: the interval changes by the severity from the first sample to the last.
+    size = sign * severity / -math.expm1(-span / slow)
+    return restamped(recording, lambda time: time + size * slow * np.expm1(-(time - first) / slow))
+
+
 @injection("gap_in_sequence", 0.2, "s")
 def gap_in_sequence(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Consecutive samples are missing, including their time stamps."""

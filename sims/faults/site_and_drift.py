@@ -160,6 +160,15 @@ def units_joined(case: Case, severity: float, rng: np.random.Generator) -> Recor
     )
 
 
+@injection("gyro_scale_drift", 3000.0, "ppm")
+def gyro_scale_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The scale factors of all gyros change by the same share, linearly in time."""
+    recording, time = case.recording, case.recording.time
+    share = (time - time[0]) / (time[-1] - time[0])
+    factor = 1.0 + 1e-6 * severity * float(rng.choice((-1.0, 1.0))) * share[:, np.newaxis]
+    return replace(recording, gyro=recording.gyro * factor)
+
+
 @injection(
     "accel_bias_drift",
     {"navigation-rlg": 0.2, "tactical-fog": 4.0, "industrial-mems": 8.0, "consumer-mems": 100.0},

@@ -1,8 +1,8 @@
-"""Recordings of two units, or of one that was restarted, joined into one: steps of bias between two sequences.
+"""Recordings of two units, or of one that was restarted or switched, joined into one: steps between two sequences.
 
-Two sets of residuals show them: the stationary rates, and the magnitudes of the stationary specific force, which the
-attitude of the fixture does not enter. Each is weighted by white noise and the stated bias instability. A step between
-two sequences competes with a drift of the same parameters.
+Three sets of residuals show them: the stationary rates, the magnitudes of the stationary specific force, which the
+attitude of the fixture does not enter, and the angles of the rotations. The first two are weighted by white noise and
+the stated bias instability. A step between two sequences competes with a drift of the same parameters.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.findings import check, finding
-from srt.diagnosis.rotation_readings import raw_integrals
+from srt.diagnosis.rotation_readings import raw_integrals, rotation_angles
 from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.stationary_windows import MIN_TURN_RAD
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
     from srt.diagnosis.site import StationaryRates
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 FALSE_ALARM: Final = 1e-5
 """False-alarm probability in a recording: a tenth of that of all checks."""
@@ -54,7 +54,8 @@ def units_joined(evidence: Evidence) -> Iterator[Finding]:
     cuts = range(_LEAST_SEQUENCES, data.K - _LEAST_SEQUENCES + 1)
     shapes = [("gyro_bias_drift", share, 3), *(("gyro_bias_drift", np.exp(-share / slow), 3) for slow in _SLOWNESS)]
     shapes += [("units_joined", (place >= cut).astype(np.float64), len(cuts)) for cut in cuts]
-    ranked = [found for found in (_gyros(evidence, rates, shapes), _forces(evidence, rates, shapes)) if found]
+    every = (_gyros(evidence, rates, shapes), _forces(evidence, rates, shapes), _angles(evidence, rates.window, shapes))
+    ranked = [found for found in every if found]
     if not ranked or not cuts:
         return
     score = np.sum([[e.score for e in explained[1:]] for explained in ranked], axis=0)
@@ -109,6 +110,46 @@ def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, A
     # The whitened effect of a bias of each window alone: shape (3 W, 3, W).
     own = (columns[:, :, BIAS, None] * np.eye(W)[:, None, None, :]).reshape(W, 3, -1)
     return _explained(whitened(rates.rate), whitened(fixed), shapes, whitened(own).reshape(3 * W, 3, W))
+
+
+def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
+    """Explanations of the measured angles by scale factors that change; empty with too few rotations on a fixture."""
+    data = evidence.data
+    numbers, nominal, turned = rotation_angles(evidence)
+    if data is None or evidence.recording.fixture is None or len(numbers) < _LEAST_FREEDOM:
+        return []
+    size = np.linalg.norm(nominal, axis=1)
+    angle = np.einsum("la,la->l", turned, nominal) / size
+    by_axis = np.abs(nominal)
+    # Scale factor and asymmetry of each axis; all angles have the error of the fixture alone.
+    fixed = np.concatenate([by_axis, nominal], axis=1)
+    at = data.start[numbers][:, None] == windows
+    return _explained(angle, fixed, shapes, by_axis[:, :, None] * at[:, None, :])
+
+
+@check("gyro_scale_drift")
+def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
+    """Test the measured angles of the rotations for scale factors that drift, common to the gyros."""
+    data = evidence.data
+    if data is None or evidence.recording.fixture is None:
+        return
+    numbers, nominal, turned = rotation_angles(evidence)
+    if len(numbers) < _LEAST_FREEDOM:
+        return
+    time = evidence.recording.time[data.rotation[numbers, 0]]
+    share = (time - time.min()) / max(float(np.ptp(time)), 1e-300)
+    size = np.linalg.norm(nominal, axis=1)
+    values = np.einsum("la,la->l", turned, nominal) / size
+    fixed = np.concatenate([np.abs(nominal), nominal], axis=1)
+    shapes = [share, *(1.0 - np.exp(-share / slow) for slow in _SLOWNESS)]
+    nothing = Cause("", np.zeros((len(values), 0)), {})
+    causes = [Cause("gyro_scale_drift", (size * shape)[:, None], {}, len(shapes)) for shape in shapes]
+    ranked = compare(values, [nothing, *causes], fixed)
+    null = next(e for e in ranked if not e.cause.fault)
+    best = next(e for e in ranked if e.cause.fault)
+    if _probability(null, best) < FALSE_ALARM / len(shapes):
+        change, sigma = 1e6 * float(best.value[0]), 1e6 * float(best.sigma[0])
+        yield finding("gyro_scale_drift", change_ppm=change, sigma_ppm=sigma)
 
 
 def _forces(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:

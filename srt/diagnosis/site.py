@@ -44,8 +44,8 @@ ANOMALY_M_S2: Final = 1e-3
 """Largest gravity anomaly, m/s²: 100 mGal, exceeded on very little land."""
 FALSE_ALARM: Final = 2e-5
 """False-alarm probability of each of some twenty such tests: one in 100 sound recordings may raise one."""
-_LATITUDE_SIGMAS: Final = 3.0
-"""Distance in sigma of the latitude that the gyros see within which stated gravity may fit it."""
+_SITE_SIGMAS: Final = 3.0
+"""Distance in sigma within which stated gravity, and the latitude that the gyros see, may lie."""
 _GRID_DEG: Final = 0.01
 """Step of the latitudes tried, °: far below what gyros resolve."""
 
@@ -57,11 +57,12 @@ def gravity(evidence: Evidence) -> Iterator[Finding]:
     if site.latitude_rad is None:
         return
     low, high = _gravity_range(site.latitude_rad)
-    if low <= site.gravity_m_s2 <= high:
+    doubt = _SITE_SIGMAS * site.gravity_sigma_m_s2
+    if low - doubt <= site.gravity_m_s2 <= high + doubt:
         return
     wrong = next((found for found in _earth_rate(evidence) if found.fault == "latitude"), None)
     if wrong is not None:
-        seen, sigma = wrong.details["found"] * DEG, _LATITUDE_SIGMAS * wrong.details["sigma"] * DEG
+        seen, sigma = wrong.details["found"] * DEG, _SITE_SIGMAS * wrong.details["sigma"] * DEG
         ranges = [_gravity_range(latitude) for latitude in np.linspace(seen - sigma, seen + sigma, 9).tolist()]
         if any(bottom <= site.gravity_m_s2 <= top for bottom, top in ranges):
             return

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 _FEW_STEPS: Final = 100
 """Samples, fewer of which do not tell the jitter."""
+_PARTS: Final = 10
+"""Parts of a recording whose mean intervals are compared."""
+_LEAST_DRIFT: Final = 1e-3
+"""Relative change of the interval from which it matters: crystals keep 1e-4 over all temperatures."""
 _BURSTS: Final = 0.05
 """Share of long steps, above which they are not interruptions."""
 _TURNING: Final = 0.2
@@ -84,6 +88,24 @@ def stamp_jitter(evidence: Evidence) -> Iterator[Finding]:
     sigma, interval = _jitter(evidence)
     if sigma > 0.5 * ROUNDING_FRACTION * interval:
         yield finding("stamp_jitter", jitter=sigma / interval, interval=interval)
+
+
+@check("clock_drift")
+def clock_drift(evidence: Evidence) -> Iterator[Finding]:
+    """Find stamps whose mean interval changes steadily from the first part of the recording to the last."""
+    recording = evidence.recording
+    steps = np.delete(np.diff(recording.time), recording.gaps - 1)
+    if recording.sample_rate_hz is not None or len(steps) < _FEW_STEPS * _PARTS:
+        return
+    means = np.array([part.mean() for part in np.array_split(steps, _PARTS)])
+    place = np.arange(_PARTS) - 0.5 * (_PARTS - 1)
+    slope = float(place @ means) / float(place @ place)
+    # Second differences hold the noise of the means; for white noise their variance is six times its own.
+    noise = float(np.diff(means, 2).std()) / math.sqrt(6.0)
+    sigma = noise / math.sqrt(float(place @ place))
+    change = slope * (_PARTS - 1) / float(means.mean())
+    if abs(change) > _LEAST_DRIFT and abs(slope) > _NO_GAP * sigma:
+        yield finding("clock_drift", change=100.0 * change, first=1e3 * float(means[0]), last=1e3 * float(means[-1]))
 
 
 @check("gap_in_sequence")

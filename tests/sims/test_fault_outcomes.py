@@ -47,7 +47,7 @@ def test_outcomes_of_some_kinds():
 def test_a_twentieth_of_the_study():
     rows = list(outcomes(list(all_kinds())[::20], GRADES, SEED))
     assert len(rows) == 12 * len(list(all_kinds())[::20])
-    assert not [row for row in rows if row.outcome == OUTCOMES[5] and not fault_outcomes.unseen(row.kind, row.grade)]
+    assert not [row for row in rows if row.outcome == OUTCOMES[5] and not fault_outcomes.unseen(row)]
 
 
 def test_page(tmp_path):
