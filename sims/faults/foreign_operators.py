@@ -30,11 +30,10 @@ def _sign(rng: np.random.Generator) -> float:
 
 
 def _relabelled(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
-    """Recording with the labels on another clock; windows are cut at the ends of the samples."""
-    low, high = recording.time[0] - recording.nominal_interval_s, recording.time[-1]
+    """Recording with the labels on another clock."""
 
     def moved(label: SequenceLabel) -> SequenceLabel:
-        first, second = (np.clip(clock(np.array(at)), low, high) for at in (label.start_static_s, label.end_static_s))
+        first, second = (clock(np.array(at)) for at in (label.start_static_s, label.end_static_s))
         return replace(label, start_static_s=(first[0], first[1]), end_static_s=(second[0], second[1]))
 
     return recording.with_sequences(tuple(moved(label) for label in recording.sequences))

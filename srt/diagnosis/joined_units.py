@@ -7,7 +7,7 @@ the stated bias instability. A step between two sequences competes with a drift 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -15,7 +15,7 @@ from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
 from srt.diagnosis.findings import check, finding
-from srt.diagnosis.rotation_readings import raw_integrals, rotation_angles
+from srt.diagnosis.rotation_readings import computed_once, raw_integrals, robust_fit, rotation_angles
 from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
 from srt.noise.bias_instability import flicker_covariance
 from srt.sequences.stationary_windows import MIN_TURN_RAD
@@ -35,6 +35,10 @@ _LEAST_SEQUENCES: Final = 3
 """Sequences on each side of a step at least: one alone is a disturbance."""
 _SLOWNESS: Final = (0.1, 0.3)
 """Time constants of a warm-up tried beside a linear drift, relative to the test."""
+_OUTLIER: Final = 8.0
+"""Residual over the median residual, above which a rotation is an outlier."""
+_MOST_OUTLIERS: Final = 0.2
+"""Share of outliers from which they are none."""
 _LEAST_FREEDOM: Final = 8
 """Degrees of freedom, fewer of which do not tell the scatter."""
 
@@ -112,39 +116,57 @@ def _gyros(evidence: Evidence, rates: StationaryRates, shapes: list[tuple[str, A
     return _explained(whitened(rates.rate), whitened(fixed), shapes, whitened(own).reshape(3 * W, 3, W))
 
 
+class _Angles(NamedTuple):
+    """Rotations without outliers: sequences, angles, |nominal| by axis, columns of scale factor and asymmetry."""
+
+    sequence: Indices
+    measured: Array
+    by_axis: Array
+    fixed: Array
+
+
+@computed_once
+def _rotations(evidence: Evidence) -> _Angles | None:
+    """Measured angles of the rotations; None with too few on a fixture.
+
+    A rotation with lost samples, or of another angle, is an outlier, while a step changes many.
+    """
+    if evidence.data is None or evidence.recording.fixture is None:
+        return None
+    numbers, nominal, turned = rotation_angles(evidence)
+    measured = np.einsum("la,la->l", turned, nominal) / np.linalg.norm(nominal, axis=1)
+    by_axis = np.abs(nominal)
+    fixed = np.concatenate([by_axis, nominal], axis=1)
+    if len(numbers) < _LEAST_FREEDOM + fixed.shape[1]:
+        return None
+    left = np.abs(measured - (fixed @ robust_fit(fixed, np.repeat(measured[:, None], 3, axis=1)))[:, 0])
+    outlier = left > _OUTLIER * np.median(left)
+    kept = ~outlier if outlier.mean() < _MOST_OUTLIERS else np.ones(len(numbers), dtype=np.bool_)
+    return _Angles(numbers[kept], measured[kept], by_axis[kept], fixed[kept])
+
+
 def _angles(evidence: Evidence, windows: Indices, shapes: list[tuple[str, Array, int]]) -> list[Explanation]:
     """Explanations of the measured angles by scale factors that change; empty with too few rotations on a fixture."""
-    data = evidence.data
-    numbers, nominal, turned = rotation_angles(evidence)
-    if data is None or evidence.recording.fixture is None or len(numbers) < _LEAST_FREEDOM:
+    data, turns = evidence.data, _rotations(evidence)
+    if data is None or turns is None:
         return []
-    size = np.linalg.norm(nominal, axis=1)
-    angle = np.einsum("la,la->l", turned, nominal) / size
-    by_axis = np.abs(nominal)
-    # Scale factor and asymmetry of each axis; all angles have the error of the fixture alone.
-    fixed = np.concatenate([by_axis, nominal], axis=1)
-    at = data.start[numbers][:, None] == windows
-    return _explained(angle, fixed, shapes, by_axis[:, :, None] * at[:, None, :])
+    at = data.start[turns.sequence][:, None] == windows
+    return _explained(turns.measured, turns.fixed, shapes, turns.by_axis[:, :, None] * at[:, None, :])
 
 
 @check("gyro_scale_drift")
 def gyro_scale_drift(evidence: Evidence) -> Iterator[Finding]:
     """Test the measured angles of the rotations for scale factors that drift, common to the gyros."""
-    data = evidence.data
-    if data is None or evidence.recording.fixture is None:
+    data, turns = evidence.data, _rotations(evidence)
+    if data is None or turns is None:
         return
-    numbers, nominal, turned = rotation_angles(evidence)
-    if len(numbers) < _LEAST_FREEDOM:
-        return
-    time = evidence.recording.time[data.rotation[numbers, 0]]
+    time = evidence.recording.time[data.rotation[turns.sequence, 0]]
     share = (time - time.min()) / max(float(np.ptp(time)), 1e-300)
-    size = np.linalg.norm(nominal, axis=1)
-    values = np.einsum("la,la->l", turned, nominal) / size
-    fixed = np.concatenate([np.abs(nominal), nominal], axis=1)
     shapes = [share, *(1.0 - np.exp(-share / slow) for slow in _SLOWNESS)]
-    nothing = Cause("", np.zeros((len(values), 0)), {})
+    nothing = Cause("", np.zeros((len(share), 0)), {})
+    size = np.linalg.norm(turns.by_axis, axis=1)
     causes = [Cause("gyro_scale_drift", (size * shape)[:, None], {}, len(shapes)) for shape in shapes]
-    ranked = compare(values, [nothing, *causes], fixed)
+    ranked = compare(turns.measured, [nothing, *causes], turns.fixed)
     null = next(e for e in ranked if not e.cause.fault)
     best = next(e for e in ranked if e.cause.fault)
     if _probability(null, best) < FALSE_ALARM / len(shapes):

@@ -34,11 +34,14 @@ A noise figure that is wrong by a factor of three is a wrong figure; labels, win
 
 _MANY: Final = 30
 """Degrees of freedom from which Student's factor of a 95 % interval, 2.04, is taken as the normal one."""
-IN_USED_READINGS: Final = frozenset({
-    "gyro_dead_band", "gyro_axis_stuck", "accel_axis_stuck", "gyro_stuck", "accel_stuck", "sample_rate",
-    "sensor_time_offset", "earth_rate_absent",
+NOT_IN_RESIDUALS: Final = frozenset({
+    "gyro_dead_band", "gyro_axis_stuck", "accel_axis_stuck", "gyro_stuck", "accel_stuck", "sample_rate", "clock_drift",
+    "sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed", "samples_lost", "units_joined",
+    "earth_rate_absent", "gravity", "latitude", "north", "gyro_bias_drift", "gyro_scale_drift",
 })  # fmt: skip
-"""Faults of readings that the estimate uses all the same, and that residuals need not show."""
+"""Faults that moved a parameter by more than 3 sigma while the residuals agreed with the noise (outcomes of faults,
+docs/fault-detection.md), and others of their kind: readings that the estimate uses all the same, and wrong statements
+of the site, which are in the truth that all measurements share."""
 
 _SMALLEST: Final = 1e-99
 """p-value below which only this limit is shown: smaller ones underflow."""
@@ -69,7 +72,7 @@ def verdict_on(calibration: Calibration) -> Verdict:
     evidence = calibration.verdict
     faults = calibration.diagnostics.get("faults", ())
     overridden = [f for f in faults if f["effect"].startswith("exit")]
-    wrong = [f for f in faults if f["fault"] in IN_USED_READINGS]
+    wrong = [f for f in faults if f["fault"] in NOT_IN_RESIDUALS]
     own = evidence.get("own_noise", evidence)
     p = own.get("probability")
     if calibration.status not in USABLE:
@@ -82,7 +85,7 @@ def verdict_on(calibration: Calibration) -> Verdict:
         return Verdict(DOUBTFUL, "No measurement is redundant: their agreement cannot be tested.")
     agreement = f"{_agreement(p, merged='own_noise' not in evidence)} ({_chi_square(own)})."
     added = " ".join(_added(calibration, own))
-    found = [f"A fault was found in the readings: {wrong[0]['sentence']}"] if wrong else []
+    found = [f"A fault was found that residuals need not show: {wrong[0]['sentence']}"] if wrong else []
     word = DOUBTFUL if added or found else SOUND
     return Verdict(word, " ".join([*found, agreement, *_modelled(calibration), added]).rstrip())
 

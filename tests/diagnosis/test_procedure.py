@@ -63,3 +63,16 @@ def test_findings_survive_the_file(recording, tmp_path):
     calibrate(wrong, options=Options()).save(tmp_path / "unit.json")
     loaded = srt.load_calibration(tmp_path / "unit.json")
     assert [f["fault"] for f in loaded.diagnostics["faults"]] == ["gravity"]
+
+
+@pytest.mark.parametrize("gravity_sigma", [5e-6, 0.02])
+def test_gravity_that_does_not_fit_the_latitude_is_doubtful(gravity_sigma):
+    """0.025 m/s² more than at any height of 45°: thousands of sigma, which a stated sigma of 0.02 m/s² covers."""
+    recording = Case("navigation-rlg", 5).recording
+    off = replace(recording.site, gravity_m_s2=recording.site.gravity_m_s2 + 0.025, gravity_sigma_m_s2=gravity_sigma)
+    found = srt.calibrate(replace(recording, site=off))
+    told = [sentence for sentence in found.warnings if sentence.startswith("Gravity is stated as")]
+    doubtful = gravity_sigma < 0.01
+    assert found.judgement.word == ("doubtful" if doubtful else "sound")
+    assert bool(told) == doubtful
+    assert all(sentence in found.judgement.reason for sentence in told)

@@ -14,7 +14,7 @@ from srt.diagnosis.faults import FAULTS
 from srt.estimation import calibration_builder
 from srt.estimation.leave_one_out import verdict
 from srt.result.calibration import STATUSES
-from srt.result.verdict import DOUBTFUL, FAILED, IN_USED_READINGS, SOUND, USABLE
+from srt.result.verdict import DOUBTFUL, FAILED, NOT_IN_RESIDUALS, SOUND, USABLE
 from srt.sensor_errors import N_PARAMETERS, SensorErrors
 
 OBSERVED = np.ones(N_PARAMETERS, dtype=bool)
@@ -94,14 +94,16 @@ def test_an_overridden_fault_is_doubtful():
     assert judged(44.0, 44, diagnostics={"faults": [fault | {"effect": "warning"}]}).word == SOUND
 
 
-@pytest.mark.parametrize("name", sorted(IN_USED_READINGS))
-def test_a_fault_of_the_used_readings_is_doubtful(name):
-    """Residuals that agree do not show it: a dead band of consumer gyros shifted results by 279 sigma in silence."""
+@pytest.mark.parametrize("name", sorted(NOT_IN_RESIDUALS))
+def test_a_fault_that_residuals_need_not_show_is_doubtful(name):
+    """Residuals that agree do not show it: a dead band of consumer gyros moved results 279 sigma, gravity 2780."""
     assert FAULTS[name].effect == "warning"
     fault = {"fault": name, "effect": "warning", "sentence": "A channel is stuck.", "details": {}}
     found = judged(44.0, 44, diagnostics={"faults": [fault]})
     assert found.word == DOUBTFUL
-    assert found.reason.startswith("A fault was found in the readings: A channel is stuck. The residuals agree")
+    assert found.reason.startswith(
+        "A fault was found that residuals need not show: A channel is stuck. The residuals agree"
+    )
 
 
 def test_the_file_holds_the_verdict_and_loads_without_one(tmp_path):
