@@ -402,12 +402,16 @@ def to_recording(
 
 
 def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> None:
-    """Raise InputError that names all quantities of which neither the file nor the user states the unit."""
-    missing, ways = [], []
+    """Raise InputError that names all quantities whose unit, or value of a count, nobody states."""
+    missing, ways, counted = [], [], []
     for quantity, unit in stated.items():
         name = f"{quantity}_unit"
         # The value of a count implies the unit "counts".
-        if unit or getattr(options, name) or getattr(options, f"{quantity}_lsb", None) is not None:
+        if getattr(options, f"{quantity}_lsb", None) is not None:
+            continue
+        if (getattr(options, name) or unit) == COUNTS:
+            counted.append(quantity)
+        if getattr(options, name) or unit:
             continue
         allowed: Iterable[str] = TIME_UNITS
         if quantity in SENSOR_UNITS:
@@ -415,8 +419,16 @@ def _require_units(options: ImportOptions, stated: dict[str, str | None]) -> Non
         missing.append(quantity)
         counts = f" (for them {option(f'{quantity}_lsb')} alone is enough)" if quantity in SENSOR_UNITS else ""
         ways.append(f"{option(name)} ({name} in recording.toml), one of {', '.join(allowed)}{counts}")
+    sentences = []
     if missing:
-        raise NotStatedError(f"The file does not state the unit of {', '.join(missing)}: give {'; and '.join(ways)}.")
+        sentences.append(f"The file does not state the unit of {', '.join(missing)}: give {'; and '.join(ways)}.")
+    if counted:
+        values = " and ".join(f"{option(f'{sensor}_lsb')} ({sensor}_lsb in recording.toml)" for sensor in counted)
+        sentences.append(
+            f"The {' and '.join(counted)} readings are counts: state the value of one count with {values}."
+        )
+    if sentences:
+        raise NotStatedError(" ".join(sentences))
 
 
 def _unit(options: ImportOptions, name: str, stated: str | None, notes: list[str]) -> tuple[str, str]:
@@ -451,11 +463,7 @@ def _to_si(options: ImportOptions, sensor: str, unit: str, kind: Kind, raw: NDAr
     values = np.array(raw, dtype=np.float64)
     lsb, offset = getattr(options, f"{sensor}_lsb"), getattr(options, f"{sensor}_offset")
     if unit == COUNTS:
-        if lsb is None:
-            raise InputError(
-                f"The {sensor} readings are counts: state the value of one count with {option(f'{sensor}_lsb')} "
-                f"({sensor}_lsb in recording.toml)."
-            )
+        assert lsb is not None  # _require_units
         if offset is not None:
             values -= np.asarray(offset)
         values *= np.asarray(lsb)

@@ -123,6 +123,16 @@ def test_like_another_recording(log, tmp_path, capsys):
         ([*SI, *SITE, "--format", "euroq"], ["no format 'euroq' (did you mean euroc?)"]),
         ([*SI, *SITE, "--topic", "/imu"], ["--topic is given, but the format csv"]),
         ([*SI, *SITE, "--gyro-unit", "counts"], ["--gyro-lsb"]),
+        (
+            ["--gyro-unit", "counts", "--accel-unit", "counts"],
+            [
+                "the unit of time",
+                "The gyro and accel readings are counts",
+                "--gyro-lsb",
+                "--accel-lsb",
+                "Gravity is not",
+            ],
+        ),
         ([*SI, *SITE, "--map-gyro", "x,y"], ["--map-gyro is 'x,y'"]),
         ([*SI, *SITE, "--columns", "time=tme"], ["no column tme (did you mean time?)"]),
         ([*SI, *SITE, "--sample-rate-hz", "100"], ["log.csv", "sample_rate_hz is 100"]),

@@ -100,7 +100,9 @@ def test_counts(tmp_path):
     np.testing.assert_allclose(imported.gyro, (counts[:, :3] - 32768) / 131 * DEG, rtol=1e-15)
     expected = (counts[:, 3:] - [33123, 33276, 32360]) / [415.0, 413.0, 415.0]
     np.testing.assert_allclose(imported.accel, expected, rtol=1e-15)
-    assert imported.units["accel"].startswith("counts (as given), of 0.00240964 0.00242131 0.00240964 m/s²")
+    assert imported.units["accel"].startswith(
+        "counts (as given) of 0.00240964 0.00242131 0.00240964 m/s², zero at 33123"
+    )
     with pytest.raises(InputError, match="are counts: state the value of one count with --accel-lsb"):
         import_file(tmp_path / "a.csv", replace(options, accel_lsb=None, accel_unit="counts"))
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from srt.constants import DEG
 from srt.recording.schema import COUNTS
-from srt.reports.text.tables import text_table, wrap
+from srt.reports.text.tables import WIDTH, text_table, wrap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 _FASTEST_RAD_S: Final = 100.0
 """Rate beyond that of any gyro sold (4000 °/s), rad/s: a larger one means a wrong unit."""
+_TEXT_WIDTH: Final = WIDTH - 17
+"""Characters of the second column, beside the longest label."""
 _SAMPLE_RATES_HZ: Final = (5.0, 50e3)
 """Sample rates of IMUs: stamps that give another one are probably in another unit."""
 
@@ -47,9 +50,9 @@ def import_text(recording: Recording, imported: ImportedSamples, importer: Impor
         ["rate", f"{1.0 / interval:.6g} Hz ({stamps}), {recording.gaps.size} gaps"],
         ["duration", f"{recording.time.size * interval:.1f} s{_missing(recording)}"],
         ["time", imported.units.get("time", "no stamps, counted from 0")],
-        ["gyros", imported.units.get("gyro", "")],
+        *_rows("gyros", imported.units.get("gyro", "")),
         ["", f"median {np.median(rate) / DEG:.4g} °/s, largest {rate.max() / DEG:.4g} °/s"],
-        ["accelerometers", imported.units.get("accel", "")],
+        *_rows("accelerometers", imported.units.get("accel", "")),
         ["", f"median {np.median(force):.5g} m/s², largest {force.max():.5g} m/s²"],
     ]
     temperature = recording.temperature
@@ -66,6 +69,11 @@ def import_text(recording: Recording, imported: ImportedSamples, importer: Impor
     for note in notes:
         lines += wrap(f"Note: {note}")
     return "\n".join(lines)
+
+
+def _rows(label: str, text: str) -> list[list[str]]:
+    """Rows of a text that may be longer than the table is wide."""
+    return [[label if k == 0 else "", line] for k, line in enumerate(textwrap.wrap(text, _TEXT_WIDTH) or [""])]
 
 
 def _missing(recording: Recording) -> str:
