@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from srt.exceptions import InputError
@@ -76,6 +76,9 @@ def test_gaps_start_new_pieces_and_leave_one_interval():
     unit=st.sampled_from([1e-9, 1e-6]),
 )
 def test_pieces_of_any_length_share_one_interval(lengths, gap, dt, unit):
+    """But for samples that are often lost one by one: such stamps may be those of a lower rate, rounded to a step."""
+    steps, gaps = sum(lengths) - 1, len(lengths) - 1
+    assume(gap > 2.02 or steps <= 100 or gaps <= 0.05 * steps)
     pieces, start = [], 0.0
     for length in lengths:
         pieces.append(start + dt * np.arange(length))
