@@ -48,14 +48,16 @@ and pulses of a fraction of an arc second are whole numbers of deg/h (but not al
 _PRIORS: Final = {
     "unit": 1e-2,
     "kind": 1e-2,
-    "counts": 1e-2,
+    "counts": 1e4,
     "range": 1e-2,
     "clock": 1e-2,
     "thinned": 1e-3,
     "time": 1e-3,
     "factor": 1e-3,
 }
-"""Probabilities of kinds of causes relative to none. Only their ratios count, and little against a scale of 1 %."""
+"""Probabilities of kinds of causes relative to none. Only their ratios count, and little against a scale of 1 %.
+
+That of counts is for whole numbers, which other causes make with 1e-6 (:data:`_WHOLE`)."""
 _CLOCKS: Final = 2.0 * math.log(100.0)
 _FACTORS: Final = 2.0 * math.log(16.0)
 _COUNTS: Final = math.log(1e9)

@@ -50,6 +50,10 @@ def case(kind, grade, rung=0, *, slow=True):
         case("gyro_wrapped", "tactical-fog", 2, slow=False),  # three times in a ramp
         case("accel_wrapped", "industrial-mems", 2),
         case("longitude for latitude", "tactical-fog", 0),
+        case("gyro_counts", "consumer-mems", 0, slow=False),  # 65.5 counts for 1 deg/s: within the range of a clock
+        case("gyro_one_polarity", "consumer-mems", 0),  # a dead band, too
+        case("samples_lost", "tactical-fog", 0),  # one rotation is an outlier, no step
+        case("labels of a fast clock", "navigation-rlg", 0),
         case("time of the labels from the start", "consumer-mems", 0),
     ],
 )
