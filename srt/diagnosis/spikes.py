@@ -95,11 +95,18 @@ def _least_noise(evidence: Evidence) -> Array:
     if not windows:
         return np.full(6, np.inf)
     out = []
-    for table in (evidence.recording.gyro, evidence.recording.accel):
+    recording, stated = evidence.recording, evidence.recording.noise
+    per_pulse = 1.0 if recording.kind == "increment" else 1.0 / evidence.dt
+    for table, pulse in (
+        (recording.gyro, stated.gyro_quantization),
+        (recording.accel, stated.accel_quantization),
+    ):
         # The median excludes a disturbed window.
         noise = np.median([_noise(np.abs(_off(table[a:b]))) for a, b in windows], axis=0)
         some = table[:: max(1, len(table) // _FOR_STEP)]
-        out.append(np.maximum(np.maximum(noise, _step(table, windows, some)), _ROUNDING * np.abs(some).max()))
+        # Pulses that were corrected hold finer steps, those of the other axes: a stated pulse is the step.
+        step = np.maximum(_step(table, windows, some), (pulse or 0.0) * per_pulse)
+        out.append(np.maximum(np.maximum(noise, step), _ROUNDING * np.abs(some).max()))
     return np.concatenate(out)
 
 

@@ -34,6 +34,8 @@ _SIGN_STAYS: Final = 10
 """Jumps after which the accelerometers stay."""
 _BEYOND: Final = 1.3
 """Range of readings that continue without their jumps over the range of the word, from which they wrap."""
+_CONTINUES: Final = 0.2
+"""Share of that rate of change from which readings that continue tell: single pulses at rest jump, too."""
 _SAME_RANGE: Final = 0.05
 """Median deviation of the ranges by single jumps, relative to the range: noise, and slopes that change."""
 _WRAPPED_SEQUENCES: Final = {"gyro": 2, "accel": 3}
@@ -149,7 +151,7 @@ def _continuous_beyond(evidence: Evidence, sensor: str, column: Array) -> Indice
     A gyro returns to rest: its jumps up and down are as many.
     """
     data, size = evidence.data, _word_range(column)
-    if data is None or size is None:
+    if data is None or size is None or size / evidence.dt < _CONTINUES * _WRAP_MOTION[sensor]:
         return np.zeros(0, dtype=np.intp)
     found = []
     for k in np.flatnonzero(evidence.contiguous).tolist():

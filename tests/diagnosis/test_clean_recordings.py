@@ -35,6 +35,8 @@ def case(seed, number, *, slow=True):
         case(20261301, 456),  # axis stuck: a steady rate of a whole number of pulses
         case(20261301, 619, slow=False),
         case(20261301, 945),  # bump: correlated blocks, whose scatter the median under-states
+        case(20261303, 950),  # spikes: corrected pulses
+        case(20261303, 1676, slow=False),  # wrapped: single pulses at rest
         case(20261302, 555, slow=False),  # creep: residuals that a robust fit passes through
     ],
 )
