@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from srt.diagnosis.cause_comparison import Cause, compare, with_runner_up
+from srt.diagnosis.clipping import clipped_parts
 from srt.diagnosis.findings import check, finding
 from srt.diagnosis.rotation_readings import BlockAverages, block_averages, computed_once, cross
 from srt.diagnosis.stabilised_force import StabilisedForce, stabilised_force
@@ -239,6 +240,10 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     excess = height / np.maximum(limit, _HALF_A_SAMPLE * speed[places] * evidence.dt)
     if excess.max() > 1.0 and seen is not None:
         excess = height / np.hypot(height / excess, _SURE * _step_doubt(path, turns, seen)[places])
+    if excess.max() > 1.0:
+        # What a gyro at its limit does not show is no lost sample; such a sequence is void.
+        void = [k for k, _ in clipped_parts(evidence) if k is not None]
+        excess[np.isin(turns.sequence[places], void)] = 0.0
     best = int(np.argmax(excess))
     block = int(places[best])
     if excess[best] <= 1.0:
