@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.signal import lfilter
 
 from sims.faults.injection import injection
 
@@ -19,16 +20,7 @@ if TYPE_CHECKING:
 def _high_passed(values: Array, interval_s: float, time_s: float) -> Array:
     """Readings less their low-passed value, sample by sample, from the first reading on."""
     keep = math.exp(-interval_s / time_s)
-    # Low-pass as a weighted sum over all earlier samples, in blocks that keep the weights within range.
-    out, state = np.empty_like(values), values[0].copy()
-    size = max(1, int(min(len(values), 50.0 * time_s / interval_s)))
-    for a in range(0, len(values), size):
-        part = values[a : a + size]
-        power = keep ** np.arange(1, len(part) + 1)[:, None]
-        low = power * (state + (1.0 - keep) * np.cumsum(part / power, axis=0))
-        out[a : a + size] = part - low
-        state = low[-1]
-    return out
+    return np.asarray(values - lfilter([1.0 - keep], [1.0, -keep], values, axis=0, zi=keep * values[:1])[0])
 
 
 @injection("gyro_high_passed", 20.0, "s")
@@ -40,7 +32,7 @@ def gyro_high_passed(case: Case, severity: float, rng: np.random.Generator) -> R
 
 
 @injection("gravity_removed", 1.0, "")
-def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit subtracts low-passed specific force."""
     recording = case.recording
     time_s = float(rng.uniform(0.2, 1.0))
@@ -49,7 +41,7 @@ def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 def _one_polarity(fault: str, sensor: str) -> None:
     @injection(fault, 1.0, "")
-    def one_polarity(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    def one_polarity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         """One axis reads zero for all values of one sign."""
         values, axis = getattr(case.recording, sensor).copy(), int(rng.integers(3))
         sign = float(rng.choice((-1.0, 1.0)))

@@ -260,7 +260,7 @@ def _word(recording: Recording, sensor: str, counts: float) -> tuple[Array, floa
 
 
 @variant("unsigned words", 1.0, "", "gyro_wrapped", "accel_wrapped")
-def unsigned_words(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def unsigned_words(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Signed words of 16 bits are read as unsigned ones."""
     sensor = _sensor(rng)
     words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
@@ -268,7 +268,7 @@ def unsigned_words(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 
 @variant("sign bit and magnitude", 1.0, "", "gyro_wrapped", "accel_wrapped")
-def sign_and_magnitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def sign_and_magnitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Words of two's complement are read as sign and magnitude."""
     sensor = _sensor(rng)
     words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
@@ -323,7 +323,7 @@ def range_switched(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 
 @variant("one axis in degrees", 1.0, "", "gyro_lsb", "gyro_degrees")
-def one_axis_in_degrees(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def one_axis_in_degrees(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One gyro column is in degrees, and the others are in radians."""
     gyro = case.recording.gyro.copy()
     gyro[:, int(rng.integers(3))] /= DEG
@@ -350,7 +350,7 @@ def one_accelerometer_limited(case: Case, severity: float, rng: np.random.Genera
 
 
 @variant("negative readings cut off", 1.0, "", "gyro_one_polarity", "accel_one_polarity")
-def negative_cut_off(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def negative_cut_off(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """A converter of one polarity reads zero for all negative values of an axis."""
     sensor = _sensor(rng)
     values, axis = getattr(case.recording, sensor).copy(), int(rng.integers(3))
@@ -394,7 +394,7 @@ def earth_rate_removed(case: Case, severity: float, rng: np.random.Generator) ->
 
 
 @variant("gravity removed", 1.0, "", "gravity_removed")
-def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit outputs linear acceleration: what its filter takes for gravity is subtracted."""
     recording = case.recording
     decay = math.exp(-recording.nominal_interval_s / rng.uniform(0.2, 0.5))

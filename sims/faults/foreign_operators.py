@@ -131,14 +131,14 @@ def mounted_anew(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 
 @variant("east, north, up for north, east, down", 1.0, "", "frame_turned")
-def east_north_up(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def east_north_up(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Both triads in axes that point right, forward and up, where front, right and down are expected."""
     axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return replace(case.recording, gyro=case.recording.gyro @ axes.T, accel=case.recording.accel @ axes.T)
 
 
 @variant("two axes reversed", 1.0, "", "frame_turned", "frames_disagree")
-def two_axes_reversed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def two_axes_reversed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Two columns of one triad, or of both, have the reversed sign."""
     signs = -np.ones(3)
     signs[int(rng.integers(3))] = 1.0
@@ -152,7 +152,7 @@ def two_axes_reversed(case: Case, severity: float, rng: np.random.Generator) -> 
 
 
 @variant("columns one further", 1.0, "", "gyro_axes_swapped", "frames_disagree", "frame_turned")
-def columns_one_further(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def columns_one_further(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The columns of one triad are read in cyclic order."""
     sensor, step = str(rng.choice(["gyro", "accel"])), int(rng.integers(1, 3))
     values = np.roll(getattr(case.recording, sensor), step, axis=1)
@@ -167,14 +167,14 @@ def _sited(case: Case, **changes: float) -> Recording:
 
 
 @variant("southern latitude", 1.0, "", "latitude")
-def southern_latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def southern_latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The latitude has the wrong sign."""
     assert case.recording.site.latitude_rad is not None
     return _sited(case, latitude_rad=-case.recording.site.latitude_rad)
 
 
 @variant("longitude for latitude", 1.0, "", "latitude")
-def longitude_for_latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def longitude_for_latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Longitude and latitude are exchanged."""
     return _sited(case, latitude_rad=float(rng.uniform(-20.0, 20.0)) * DEG)
 

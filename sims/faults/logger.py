@@ -161,7 +161,7 @@ _dead("accel")
 
 
 @injection("columns_repeat", 1.0, "")
-def columns_repeat(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def columns_repeat(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """A column is named twice in the mapping, in one sensor or across both."""
     recording = case.recording
     columns = np.hstack([recording.gyro, recording.accel])
@@ -171,7 +171,7 @@ def columns_repeat(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 
 @injection("sensors_exchanged", 1.0, "")
-def sensors_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def sensors_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Gyro and accelerometer columns are exchanged."""
     recording = case.recording
     return replace(recording, gyro=recording.accel, accel=recording.gyro)

@@ -47,7 +47,7 @@ def gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
 @injection(
     "earth_rate_absent", 1.0, "", unseen={"consumer-mems": _NO_LATITUDE.replace("whatever the latitude", "by latitude")}
 )
-def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit sets its gyro readings to zero in every stationary window, and keeps this offset until the next one."""
     recording = case.recording
     gyro = recording.gyro.copy()
@@ -136,7 +136,7 @@ def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 
 @injection("units_joined", 1.0, "")
-def units_joined(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def units_joined(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The last sequences were recorded with another unit of the same grade, and put after the first ones."""
     first, second = case.recording, Case(case.grade, case.seed + 7_000_000, case.changes).recording
     count = int(rng.integers(5, len(first.sequences) - 4))

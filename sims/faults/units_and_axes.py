@@ -40,7 +40,7 @@ def _at_rate(case: Case, rate_hz: float) -> Recording:
 
 
 @injection("increments_as_rates", 100.0, "Hz")
-def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Increments, output at the sample rate ``severity``, are declared as rates."""
     recording = _at_rate(case, severity)
     per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
@@ -48,7 +48,7 @@ def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -
 
 
 @injection("rates_as_increments", 100.0, "Hz")
-def rates_as_increments(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def rates_as_increments(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Rates, output at the sample rate ``severity``, are declared as increments."""
     recording = _at_rate(case, severity)
     per_sample = 1.0 if recording.kind == "rate" else recording.nominal_interval_s
@@ -59,7 +59,7 @@ def _wrong_unit(fault: str, sensor: str, factors: tuple[float, ...], *, rates: b
     """Readings in another unit than declared; ``rates`` is True if one of the two units applies only to rates."""
 
     @injection(fault, 1.0, "")
-    def wrong_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+    def wrong_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
         recording = _as_rates(case) if rates else case.recording
         return _with(recording, sensor, getattr(recording, sensor) * float(rng.choice(factors)))
 
@@ -129,7 +129,7 @@ _one_factor("accel_factor", "accel", {})
 
 
 @injection("increments_thinned", 1.0, "")
-def increments_thinned(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def increments_thinned(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One increment of two to four is kept, and the others are dropped, not summed."""
     recording, step = case.recording, int(rng.integers(2, 5))
     per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
@@ -193,43 +193,43 @@ def _renamed(recording: Recording, gyro: Array | None, accel: Array | None) -> R
 
 
 @injection("gyro_sign_convention", 1.0, "")
-def gyro_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def gyro_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Rates of the world relative to the unit instead of those of the unit relative to the world."""
     return _renamed(case.recording, -np.eye(3), None)
 
 
 @injection("accel_sign_convention", 1.0, "")
-def accel_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def accel_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Gravity instead of specific force."""
     return _renamed(case.recording, None, -np.eye(3))
 
 
 @injection("gyro_axis_flipped", 1.0, "")
-def gyro_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def gyro_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One gyro has a reversed sign, as it is mounted upside down."""
     return _renamed(case.recording, _flip(rng), None)
 
 
 @injection("accel_axis_flipped", 1.0, "")
-def accel_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def accel_axis_flipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One accelerometer has a reversed sign, as it is mounted upside down."""
     return _renamed(case.recording, None, _flip(rng))
 
 
 @injection("gyro_axes_swapped", 1.0, "")
-def gyro_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def gyro_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Two gyro columns are exchanged."""
     return _renamed(case.recording, _swap(rng), None)
 
 
 @injection("accel_axes_swapped", 1.0, "")
-def accel_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def accel_axes_swapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Two accelerometer columns are exchanged."""
     return _renamed(case.recording, None, _swap(rng))
 
 
 @injection("left_handed", 1.0, "")
-def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Both triads in a left-handed frame; rotations by the right-hand or the left-hand rule.
 
     Reversing all axes of both triads, with the left-hand rule, is equivalent to gravity instead of specific force.
@@ -240,14 +240,14 @@ def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Record
 
 
 @injection("frame_turned", 1.0, "")
-def frame_turned(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def frame_turned(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit is mounted in another orientation than the sequences assume."""
     axes = _any(rng, 1.0)
     return _renamed(case.recording, axes, axes)
 
 
 @injection("frames_disagree", 1.0, "")
-def frames_disagree(case: Case, severity: float, rng: np.random.Generator) -> Recording:  # noqa: ARG001
+def frames_disagree(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Gyro and accelerometer chips are rotated relative to each other by multiples of 90°."""
     axes = _any(rng, 1.0)
     return _renamed(case.recording, axes, None) if rng.random() < 0.5 else _renamed(case.recording, None, axes)

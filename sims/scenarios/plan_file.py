@@ -156,7 +156,7 @@ class PlanOptions(TomlTable):
     longest_test_h: Positive = 8.0
     most_sequences: _Count = 40
     moves: Literal["recorded", "skipped"] = "skipped"
-    """Whether the log goes on during the moves between the sequences, for an estimator that uses them."""
+    """Moves between the sequences: recorded for an estimator that uses them, or skipped."""
 
     def limits(self) -> PlanLimits:
         """Limits as the planner takes them."""

@@ -66,8 +66,8 @@ class PlanFiles(NamedTuple):
 @click.option(
     "--moves",
     type=click.Choice(["recorded", "skipped"]),
-    help="Whether the log goes on during the moves between the sequences, for an estimator that uses them (least "
-    "squares, EKF, graph).",
+    help="Moves between the sequences: recorded for an estimator that uses them (least squares, EKF, graph), or "
+    "skipped.",
 )
 @click.option("--trust", is_flag=True, help="Accept a calibration file that was changed after it was written.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")

@@ -241,7 +241,7 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     if excess.max() > 1.0 and seen is not None:
         excess = height / np.hypot(height / excess, _SURE * _step_doubt(path, turns, seen)[places])
     if excess.max() > 1.0:
-        # What a gyro at its limit does not show is no lost sample; such a sequence is void.
+        # A sequence with clipped gyro readings is void; the angle that it lacks is not of lost samples.
         void = [k for k, _ in clipped_parts(evidence) if k is not None]
         excess[np.isin(turns.sequence[places], void)] = 0.0
     best = int(np.argmax(excess))

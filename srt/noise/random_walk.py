@@ -158,7 +158,7 @@ def _beyond_filter(octaves: _Octaves) -> tuple[int, bool]:
             short = short or _falls_short(octaves, first, fits)
             best = max(best, (agreement, first, drifting))
             if agreement > (_ENOUGH if first else _FALSE_ALARM):
-                # What the test does not resolve in the first octave would bias N by as much as its sigma.
+                # A deviation of the first octave that the test does not resolve would bias N by as much as its sigma.
                 beyond = first + (first + _FEWEST_OCTAVES + drifting < len(tau))
                 return (beyond, drifting) if first and short else (0, False)
     return best[1:] if short else (0, False)

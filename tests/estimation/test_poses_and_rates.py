@@ -259,5 +259,5 @@ def test_a_bias_acts_on_rotation_rest_and_stated_rate_alike():
         found, column = (z[0] - z[1]) / (2.0 * step) * wander[axis], columns[:, k, axis]
         # One sample of a turn of 60 °/s at 20 Hz moves the axes by 0.05 rad.
         np.testing.assert_allclose(found[:-3], column[:-3], rtol=0, atol=0.05 * np.abs(column).max())
-        # Of the two windows, the next run has one as its own: half of the change of the rest rate is of this draw.
+        # The next run shares one of the two windows: half of the change of the rest rate is of this draw.
         np.testing.assert_allclose(found[-3:], 2.0 * column[-3:], rtol=0, atol=0.05 * np.abs(column[-3:]).max())
