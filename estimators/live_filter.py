@@ -173,17 +173,17 @@ class LiveFilter:
         sigma = np.sqrt(np.maximum(np.diag(self.iteration.covariance), 0.0))
         promised, met, limiting = compare_with_targets(sigma, self.options.targets)
         return LiveReport(
-            data.ids[-1],
-            data.occurrences[-1],
-            self.iteration.status,
-            self.iteration.state.errors,
-            sigma,
-            float(found.nis[-1]),
-            len(found.innovations[-1]),
-            found.innovations[-1],
-            promised,
-            met and self.iteration.status == "converged",
-            limiting,
+            sequence=data.ids[-1],
+            occurrence=data.occurrences[-1],
+            status=self.iteration.status,
+            errors=self.iteration.state.errors,
+            sigma=sigma,
+            nis=float(found.nis[-1]),
+            freedom=len(found.innovations[-1]),
+            innovations=found.innovations[-1],
+            promised=promised,
+            met=met and self.iteration.status == "converged",
+            limiting=limiting,
         )
 
 

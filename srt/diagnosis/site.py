@@ -361,15 +361,15 @@ def _fit(evidence: Evidence, data: PreparedRecording) -> StationaryRateFit | Non
         value, P, chi_square = solved
     sigma = np.sqrt(np.diag(P) * max(1.0, chi_square / freedom))
     return StationaryRateFit(
-        value[DRIFT],
-        sigma[DRIFT],
-        value[_G],
-        sigma[_G],
-        float(value[_V]),
-        float(sigma[_V]),
-        value[_H] if known else None,
-        float(np.sqrt(np.mean(sigma[_H] ** 2))) if known else np.inf,
-        freedom,
+        drift=value[DRIFT],
+        drift_sigma=sigma[DRIFT],
+        g_sensitivity=value[_G],
+        g_sensitivity_sigma=sigma[_G],
+        vertical=float(value[_V]),
+        vertical_sigma=float(sigma[_V]),
+        horizontal=value[_H] if known else None,
+        horizontal_sigma=float(np.sqrt(np.mean(sigma[_H] ** 2))) if known else np.inf,
+        freedom=freedom,
     )
 
 

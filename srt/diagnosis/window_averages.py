@@ -18,7 +18,7 @@ from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 
 BLOCKS: Final = 80
@@ -122,34 +122,32 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
         square, total = (np.cumsum(values, axis=0)[own[:, 0] - 1] for values in (start**2, start))
         power[v] = (square - total**2 / own) / own
     number = np.array([len(m) for m in means])
-    resolution = _resolution(evidence, samples[chosen])
+    pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
+    resolution = _resolution(evidence, samples[chosen], pulses)
     floor = np.repeat([GYRO_FLOOR, ACCEL_FLOOR], 3) / np.sqrt(evidence.dt)
     typical = np.sqrt(np.median(late, axis=0))
-    pulses = np.repeat([bool(data.noise.gyro_edge.any()), bool(data.noise.accel_edge.any())], 3)
-    # Corrected pulses show finer steps: what the correction of one axis adds to another.
-    noise = recording.noise
-    pulse = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3) / evidence.dt
-    resolution = np.where(pulses, np.maximum(resolution, pulse), resolution)
     # A running sum of pulses is off by one pulse at most; quantization above the noise, by half a step per sample.
     coarse = np.where(pulses, resolution / size, np.where(typical < resolution, 0.5 * resolution, 0.0))
     return WindowAverages(
-        chosen,
-        size,
-        size * evidence.dt,
-        tuple((np.flatnonzero(number == n), np.stack([m for m in means if len(m) == n])) for n in np.unique(number)),
-        number,
-        lengths[chosen],
-        sample,
-        late,
-        heads,
-        power,
-        np.maximum(floor, 0.5 * resolution) ** 2,
-        coarse,
+        window=chosen,
+        size=size,
+        step_s=size * evidence.dt,
+        groups=tuple(
+            (np.flatnonzero(number == n), np.stack([m for m in means if len(m) == n])) for n in np.unique(number)
+        ),
+        blocks=number,
+        count=lengths[chosen],
+        sample_variance=sample,
+        late_variance=late,
+        heads=heads,
+        head_power=power,
+        least_variance=np.maximum(floor, 0.5 * resolution) ** 2,
+        block_doubt=coarse,
     )
 
 
-def _resolution(evidence: Evidence, samples: Indices) -> Array:
-    """Smallest step between stationary readings, shape (6,), as a rate."""
+def _resolution(evidence: Evidence, samples: Indices, pulses: Mask) -> Array:
+    """Smallest step between stationary readings as a rate, shape (6,); at least one pulse for channels that count."""
     some = samples[:: max(1, len(samples) // _RESOLUTION_WINDOWS)]
     steps = np.zeros((len(some), 6))
     for v, (a, b) in enumerate(some.tolist()):
@@ -160,7 +158,11 @@ def _resolution(evidence: Evidence, samples: Indices) -> Array:
     shown = np.isfinite(seen).any(axis=0)
     out = np.zeros(6)
     out[shown] = np.nanmedian(seen[:, shown], axis=0)
-    return out * evidence.per_rate
+    out *= evidence.per_rate
+    # Corrected pulses show finer steps: the correction of one axis adds parts of another's.
+    noise = evidence.recording.noise
+    pulse = np.repeat([noise.gyro_quantization or 0.0, noise.accel_quantization or 0.0], 3) / evidence.dt
+    return np.where(pulses, np.maximum(out, pulse), out)
 
 
 def block_sigma(averages: WindowAverages) -> Array:

@@ -161,17 +161,17 @@ def samples_in_si(
     elif options.time_unit is not None:
         raise InputError(f"{option('time_unit')} is given, but no time stamps are read: name their column.")
     return ImportedSamples(
-        arrays["gyro"],
-        arrays["accel"],
-        chosen,
-        seconds,
-        options.sample_rate_hz or sample_rate_hz,
-        None if temperature is None else np.asarray(temperature, dtype=np.float64),
-        serial,
-        date,
-        units,
-        (*notes, *changes),
-        applied,
+        gyro=arrays["gyro"],
+        accel=arrays["accel"],
+        kind=chosen,
+        time=seconds,
+        sample_rate_hz=options.sample_rate_hz or sample_rate_hz,
+        temperature=None if temperature is None else np.asarray(temperature, dtype=np.float64),
+        serial=serial,
+        date=date,
+        units=units,
+        notes=(*notes, *changes),
+        applied=applied,
     )
 
 
@@ -380,22 +380,22 @@ def to_recording(
     if temperature is None and temperature_c is not None:
         temperature = np.broadcast_to(np.float64(temperature_c), time.shape)
     recording = Recording(
-        time,
-        imported.gyro,
-        imported.accel,
-        site,
-        imported.kind,
-        fixture,
-        noise or ImuNoise(),
-        sequences,
-        rate,
-        temperature,
-        serial or imported.serial,
-        date or imported.date,
-        source,
-        data_sha256,
-        clock_sigma,
-        applied or imported.applied,
+        time=time,
+        gyro=imported.gyro,
+        accel=imported.accel,
+        site=site,
+        kind=imported.kind,
+        fixture=fixture,
+        noise=noise or ImuNoise(),
+        sequences=sequences,
+        sample_rate_hz=rate,
+        temperature=temperature,
+        serial=serial or imported.serial,
+        date=date or imported.date,
+        source=source,
+        data_sha256=data_sha256,
+        clock_sigma=clock_sigma,
+        applied=applied or imported.applied,
     )
     require_bounded(recording)
     return recording

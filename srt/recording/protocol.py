@@ -413,10 +413,17 @@ def _step(name: str, count: int, given: dict[str, Any], common: dict[str, Any]) 
     if "turn_s" in given and "rate_rad_s" in given:
         raise InputError(f"{where}: give either turn_s or rate_deg_s.")
     step = Step(
-        count, given.get("id"), given.get("down"), given.get("along_outer"), rotations,
-        given.get("rest_s", common["rest_s"]), given.get("rate_rad_s", common["rate_rad_s"]),
-        common["acceleration_rad_s2"], given.get("turn_s"), given.get("stated_rate_rad_s"),
-    )  # fmt: skip
+        number=count,
+        id=given.get("id"),
+        down=given.get("down"),
+        along_outer=given.get("along_outer"),
+        rotations=rotations,
+        rest_s=given.get("rest_s", common["rest_s"]),
+        rate_rad_s=given.get("rate_rad_s", common["rate_rad_s"]),
+        acceleration_rad_s2=common["acceleration_rad_s2"],
+        turn_s=given.get("turn_s"),
+        stated_rate_rad_s=given.get("stated_rate_rad_s"),
+    )
     if stated is not None and sum(step.durations_s()) < 3.0 * stated / step.acceleration_rad_s2:
         raise InputError(
             f"{where}: the stated rate {stated / DEG:g}°/s lasts less than a third of the rotation: turn by a larger "

@@ -135,7 +135,17 @@ class WorkBlock:
         x, v, t = (values[: 3 * m].reshape(3, m) for values in self._values)
         bits = self._bits[: 3 * m].reshape(3, m)
         code, found, wrong = (codes[:m] for codes in self._codes)
-        return WorkArrays(x, v, t, bits.view(np.bool_), bits, code, found, wrong.view(np.bool_), self._octant[:m])
+        return WorkArrays(
+            x=x,
+            v=v,
+            t=t,
+            negative=bits.view(np.bool_),
+            bits=bits,
+            code=code,
+            found=found,
+            wrong=wrong.view(np.bool_),
+            octant=self._octant[:m],
+        )
 
 
 def solve_block(work: WorkArrays, tables: InverseArrays, octants: tuple[tuple[float, ...], ...]) -> None:

@@ -390,15 +390,15 @@ def _prepare(
                 "the rotation must lie between them."
             )
     return PreparedRecording(
-        recording,
-        labels,
-        tuple(sequence_of_label(label) for label in labels),
-        average_windows(recording, samples, average),
-        start,
-        end,
-        noise_model(recording, samples),
-        average,
-        voided,
-        tuple(alone),
-        len(moves),
+        recording=recording,
+        labels=labels,
+        catalogue=tuple(sequence_of_label(label) for label in labels),
+        windows=average_windows(recording, samples, average),
+        start=start,
+        end=end,
+        noise=noise_model(recording, samples),
+        average=average,
+        voided=voided,
+        poses=tuple(alone),
+        moves=len(moves),
     )

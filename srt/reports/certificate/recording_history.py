@@ -274,18 +274,18 @@ def _history(calibration: Calibration, data: PreparedRecording) -> RecordingHist
         times += [recording.time[a:b][at], recording.time[b - 1 : b]]
     rest = recording.time[samples - np.array([0, 1])]
     return RecordingHistory(
-        np.concatenate(times),
-        np.concatenate(downs),
-        recording.time,
-        force,
-        recording.gaps,
-        rest,
-        size - data.gravity,
-        rest_down,
-        fastest / DEG,
-        float(recording.time[-1] - recording.time[0]) + recording.nominal_interval_s,
-        1.0 / recording.nominal_interval_s,
-        recording.time.size,
+        time=np.concatenate(times),
+        down=np.concatenate(downs),
+        samples=recording.time,
+        force=force,
+        breaks=recording.gaps,
+        rest=rest,
+        excess=size - data.gravity,
+        rest_down=rest_down,
+        turned_deg_s=fastest / DEG,
+        duration_s=float(recording.time[-1] - recording.time[0]) + recording.nominal_interval_s,
+        rate_hz=1.0 / recording.nominal_interval_s,
+        count=recording.time.size,
     )
 
 
