@@ -101,6 +101,11 @@ def sentences(found: CampaignSummary) -> tuple[str, ...]:
         out.append("All drawn units were possible IMUs.")
     if found.unverified:
         out.append("Results were not compared with those reached from the truth: the reported status was not verified.")
+    if header.trials_per_motion > 1:
+        out.append(
+            f"Each {header.trials_per_motion} successive trials have the same motion and fixture errors. Their errors "
+            "are correlated: the intervals assume independent trials, and are too narrow where the fixture matters."
+        )
     for row in found.outcomes.itertuples():
         out += _estimator_sentences(found, row)
     return (*out, *_consistency_sentences(found))

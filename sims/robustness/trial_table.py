@@ -53,6 +53,8 @@ class Header:
         True if the recordings have noise. Without noise a sigma is a floor and unrelated to the error.
     replay : str
         Start of the command that repeats a trial; "POINT:REPLICATE" completes it.
+    trials_per_motion : int
+        Successive trials with the same motion and fixture errors.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Header:
     estimators: tuple[str, ...]
     noisy: bool
     replay: str
+    trials_per_motion: int = 1
 
     @property
     def planned(self) -> int:

@@ -121,6 +121,7 @@ def header_of(campaign: Campaign, config: str) -> Header:
         random={key: str(table) for key, table in campaign.random.items()},
         estimators=tuple(e.label for e in campaign.estimators),
         noisy=campaign.noisy,
+        trials_per_motion=campaign.trials_per_motion,
         replay=f"srt robustness {config} --replay ",
     )
 

@@ -199,6 +199,14 @@ def test_unverified_statuses_are_said_to_be():
     assert not summarise(table([{}]), header()).unverified
 
 
+def test_trials_of_one_motion_are_said_to_be_correlated():
+    alone, shared = (
+        " ".join(tables.sentences(summarise(table([{}]), h))) for h in (header(), header(trials_per_motion=50))
+    )
+    assert "Each 50 successive trials have the same motion" in shared
+    assert "same motion" not in alone
+
+
 def test_many_points_are_cut_to_those_that_failed(monkeypatch):
     monkeypatch.setattr(tables, "POINTS", 5)
     grid = {"scale_percent": [float(v) for v in range(20)]}
