@@ -226,10 +226,11 @@ def _fill(path: Path, names: Sequence[str], read: Callable[[str], NDArray[Any]])
 
 
 def _read_npz(path: Path, time_required: bool) -> Samples:
-    # Exceptions of numpy and zipfile for a damaged file; they depend on the place of the damage.
+    # Exceptions of numpy and zipfile for a damaged file; they depend on the place of the damage. A member marked as
+    # encrypted raises RuntimeError, of which NotImplementedError and RecursionError are kinds.
     damage = (
-        zipfile.BadZipFile, zlib.error, tokenize.TokenError, ValueError, EOFError, KeyError, NotImplementedError,
-        OSError, SyntaxError, RecursionError,
+        zipfile.BadZipFile, zlib.error, tokenize.TokenError, ValueError, EOFError, KeyError, OSError, SyntaxError,
+        RuntimeError,
     )  # fmt: skip
     try:
         # Opened here because numpy does not close files that it cannot read.

@@ -62,6 +62,24 @@ def test_an_npy_header_without_end(tmp_path):
     assert "is not a readable NPZ file" in refused(tmp_path)
 
 
+def test_an_encrypted_member(tmp_path):
+    (tmp_path / "recording.toml").write_text(TOML.format(name="a.npz"))
+    np.savez(tmp_path / "a.npz", **dict.fromkeys(NAMES, np.zeros(4)))
+    data = bytearray((tmp_path / "a.npz").read_bytes())
+    for signature, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        data[data.index(signature) + flags] |= 1  # the flag of encryption, bit 0
+    (tmp_path / "a.npz").write_bytes(data)
+    assert "is not a readable NPZ file (File" in refused(tmp_path)
+
+
+@pytest.mark.parametrize("rate", ["200..0", ".", "1.2.3"])
+def test_an_update_rate_that_is_no_number(tmp_path, rate):
+    rows = "".join(f"{k}\t" + "\t".join("1" * 6) + "\n" for k in range(4))
+    names = "\t".join(["PacketCounter", *(f"{part}_{a}" for part in ("Acc", "Gyr") for a in "XYZ")])
+    (tmp_path / "MT_0.txt").write_text(f"// Update Rate: {rate}Hz\n{names}\n{rows}")
+    assert import_file(tmp_path / "MT_0.txt")[1].sample_rate_hz is None
+
+
 def write_circle(path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", libver="earliest") as file:

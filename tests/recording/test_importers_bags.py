@@ -1,5 +1,6 @@
 """ROS bags written by the formats' own libraries come back sample by sample."""
 
+import re
 import sqlite3
 
 import numpy as np
@@ -180,6 +181,14 @@ def test_a_bag_reads_nothing_outside_its_folder(tmp_path, where):
     metadata.write_text(metadata.read_text().replace("bag.mcap", name))
     refusal = {"link.mcap": "'link.mcap', which lies outside the bag", "..": "is not a readable .*[Ii]s a directory"}
     with pytest.raises(InputError, match=refusal.get(where, "files are missing: .*/bag/outside.mcap")):
+        read(tmp_path / "bag")
+
+
+def test_a_number_of_messages_that_is_none(tmp_path):
+    ff.write_bag2(tmp_path / "bag", {"/imu": (STAMPS, VALUES, "")})
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(re.sub(r"message_count: \d+", "message_count: imu", metadata.read_text()))
+    with pytest.raises(InputError, match="is not a readable ROS 2 bag"):
         read(tmp_path / "bag")
 
 

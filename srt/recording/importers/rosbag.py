@@ -77,7 +77,7 @@ def read_bag(path: Path, options: ImportOptions) -> ImportedSamples:
     notes: list[str] = []
     with clear_errors(path, title_of(path) or "ROS bag"):
         bag = open_bag(path, IMU)
-    counts = bag.counts(IMU)
+        counts = bag.counts(IMU)
     if not counts:
         raise InputError(
             f"{path} holds no topic of type {IMU} (topics: {bag.listing() or 'none'}): record the IMU as such."

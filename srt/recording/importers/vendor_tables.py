@@ -31,7 +31,7 @@ _MICROSTRAIN_UNITS: Final[Mapping[Kind, StatedUnits]] = {
 
 _XSENS_UNITS: Final[Mapping[Kind, StatedUnits]] = {"rate": StatedUnits("rad/s", "m/s^2", "0.1ms")}
 """Units of the MTi manual; SampleTimeFine counts at 10 kHz."""
-_XSENS_RATE: Final = re.compile(r"//\s*Update Rate:\s*([0-9.]+)\s*Hz")
+_XSENS_RATE: Final = re.compile(r"//\s*Update Rate:\s*([0-9]+(?:\.[0-9]+)?)\s*Hz")
 _WRAP_S: Final = 2**32 * 1e-4
 """Period of SampleTimeFine, an unsigned integer of 32 bits."""
 _XSENS_COUNTER: Final = "PacketCounter"
