@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, most_significant
+from srt.estimation.drift_model import DriftEstimate, DriftSearch, DriftTerm, candidates, change, most_significant
 from srt.estimation.drift_search import gyro_statistics
 from srt.estimation.error_sources import by_drift
 from srt.model.sensor_model import gyro_triad
-from srt.noise.drift_forms import WALK, Statistics
+from srt.noise.drift_forms import LINEAR, WALK, Statistics
 
 if TYPE_CHECKING:
     from estimators.block_solution import BlockSolution
@@ -92,7 +92,7 @@ class DriftTerms:
     def raw(self, sensor: str, coefficients: Array, of: str) -> Array:
         """Drift of the raw channels of a sensor in all "windows" (W, 3) or "parts" of rotations (K, P, 3)."""
         shapes = self.data.drift_shapes
-        shape = (*getattr(shapes["linear"], of).shape[:-1], 3)
+        shape = (*getattr(shapes[LINEAR], of).shape[:-1], 3)
         parts = [getattr(shapes[t.form], of) @ coefficients[s].reshape(-1, 3) for t, s in self.of(sensor)]
         return np.asarray(sum(parts, np.zeros(shape)))
 
@@ -126,10 +126,8 @@ class DriftTerms:
         )
 
 
-def search(
-    joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int
-) -> tuple[DriftTerm, ...]:
-    """Most significant form of drift of each triad that the residuals of a joint solution show."""
+def search(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> DriftSearch:
+    """Search the residuals of a joint solution for bias drift that it does not model."""
     state, compensated, data = iteration.linearisation_point, iteration.compensated, joint.data
     assert state is not None
     assert compensated is not None
@@ -148,4 +146,4 @@ def search(
     slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
     rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
     found |= gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms)
-    return most_significant(found, len(keys))
+    return most_significant(found, len(keys), joint.drift.terms)

@@ -364,8 +364,8 @@ def _add_instability(joint: JointModel, solver: JointSolver, iteration: Iteratio
     if not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
         return False
     assert state is not None
-    terms = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, solution.system)[1])
-    smooth = tuple(term for term in terms if term.sensor == "accel" and term.form != WALK)
+    found = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, solution.system)[1])
+    smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
     drift = joint.drift
     if smooth:
         after = _with_drift(joint, iteration.state, smooth)[1]
@@ -430,9 +430,9 @@ def _add_drift(joint: JointModel, solver: JointSolver, iteration: IterationState
         return False
     solution = whole_solution(joint, solver, iteration)
     system = solution.system
-    terms = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
-    if not terms:
+    iteration.unmodelled_drift = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, system)[1])
+    if not iteration.unmodelled_drift.terms:
         return False
-    joint.drift, iteration.state = _with_drift(joint, iteration.state, terms)
+    joint.drift, iteration.state = _with_drift(joint, iteration.state, iteration.unmodelled_drift.terms)
     joint.unmodelled_sigma = NO_ERRORS
     return True

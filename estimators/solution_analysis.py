@@ -20,16 +20,18 @@ from estimators.residual_analysis import (
 )
 from srt.estimation import g_sensitivity_report
 from srt.estimation.calibration_builder import build_calibration
-from srt.estimation.error_sources import accel_drift, latitude_error
+from srt.estimation.error_sources import accel_drift, by_drift, latitude_error
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma
 from srt.estimation.solver_result import SolverResult
+from srt.noise.drift_forms import LINEAR
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
     from estimators.joint_model import JointModel
     from estimators.linear_system import LinearSystem
     from estimators.solver import IterationState, JointSolver
+    from srt.estimation.drift_model import DriftSearch
     from srt.estimation.leave_one_out import SequenceDiagnostics
     from srt.result.calibration import Calibration, Residual
     from srt.types import Array, Mask
@@ -73,6 +75,7 @@ def make_calibration(
     drift = joint.drift.estimates(iteration.state.drift)
     if drift:
         diagnostics = {"drift": [term.as_dict() for term in drift], **diagnostics}
+    diagnostics = {**iteration.unmodelled_drift.diagnostics(), **diagnostics}
     followed, notes = _g_sensitivity(joint, iteration, analysis.g_sensitivity_covariance)
     result = SolverResult(
         errors=joint.with_initial_values(iteration.state, not_observed).errors,
@@ -155,7 +158,7 @@ def analyse_solution(
     covariance = covariance_by_source(solution)
     covariance["held_values"] = _fixed_values(solution, uncertain, iteration.free)
     total = iteration.covariance + covariance["held_values"]
-    by_unseen = _unseen_drift(joint, solution)
+    by_unseen = _unseen_drift(joint, solution, iteration.unmodelled_drift)
     if by_unseen.any():
         part = covariance.setdefault("accel_bias_instability", nothing.copy())
         covariance["accel_bias_instability"] = part + by_unseen
@@ -274,12 +277,17 @@ def whole_solution(joint: JointModel, solver: JointSolver, iteration: IterationS
     return iteration.whole[2]
 
 
-def _unseen_drift(joint: JointModel, solution: BlockSolution) -> Array:
-    """Covariance of the parameters by the bias instability that the windows cannot exclude, shape (27, 27)."""
-    system = solution.system
-    effect = system.whitening["force"] @ accel_drift(
-        joint.data, system.compensated.force_slope, joint.data.noise.accel_unseen
-    )
+def _unseen_drift(joint: JointModel, solution: BlockSolution, found: DriftSearch) -> Array:
+    """Covariance of the parameters by drift of the accelerometers that is not modelled, shape (27, 27).
+
+    It is the bias instability that the windows cannot exclude, and a possible linear drift.
+    """
+    system, data = solution.system, joint.data
+    slope = system.compensated.force_slope
+    sources = [accel_drift(data, slope, data.noise.accel_unseen)]
+    if found.possible > 0.0:
+        sources.append(by_drift(slope * found.possible, data.drift_shapes[LINEAR].windows))
+    effect = system.whitening["force"] @ np.concatenate(sources, axis=2)
     rows = system.rows_of("force").index
     root = np.einsum("wap,was->ps", solution.rows_with_parameters[rows], effect)
     return np.asarray(root @ root.T)

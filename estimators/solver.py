@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from srt.estimation.drift_model import DriftSearch
 
 if TYPE_CHECKING:
     from estimators.block_solution import BlockSolution
@@ -96,6 +98,8 @@ class IterationState:
     status, message : str
     whole : tuple of LinearSystem, Prior or None, BlockSolution
         Last linearisation and prior, and the solution of all columns that follows from them.
+    unmodelled_drift : DriftSearch
+        Drift that the residuals of the last search show.
     """
 
     state: JointState
@@ -108,3 +112,4 @@ class IterationState:
     status: str = "not_converged"
     message: str = ""
     whole: tuple[LinearSystem, Prior | None, BlockSolution] | None = None
+    unmodelled_drift: DriftSearch = field(default_factory=DriftSearch)

@@ -149,9 +149,8 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     first = initial_estimate(data, options)
     uncertain = fixed_sigma(data, options)
     solver = ClosedFormSolver(data, options)
-    data, solution, _, unmodelled = iterate_with_unmodelled_errors(
-        data, options, lambda: solver, first, uncertain, progress
-    )
+    fitted = iterate_with_unmodelled_errors(data, options, lambda: solver, first, uncertain, progress)
+    data = fitted.data
     fixed = {name: reason_on_request(name, uncertain, data) for name in options.fixed_names}
     for name in solver.missing:
         absent = [s for s in closed_form.sequences_needed(name) if s not in data.ids]
@@ -159,7 +158,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         fixed[name] = f"sequence {', '.join(absent)} is missing or void; the value is {source}"
     unused = [s.title for s in recording.sequences if s.id not in SEQUENCES]
     warnings = (f"Not of Table 1 and not used by the closed form: {', '.join(unused)}.",) if unused else ()
-    result = solver_result(data, options, solution, fixed, without_sequences, unmodelled, models_drift=False)
+    result = solver_result(fitted, options, fixed, without_sequences)
     if not options.ignore_moves:
         moves = len(recorded_moves(recording, labels))
         result = replace(result, diagnostics={**result.diagnostics, "unused_moves": moves})

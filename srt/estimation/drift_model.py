@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 
 from srt.constants import DEG_PER_H, MICRO_G
-from srt.noise.drift_forms import FALSE_ALARM, WALK, drift_test, walk_sigma
+from srt.noise.drift_forms import FALSE_ALARM, LINEAR, WALK, coefficient_sigma, drift_test
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _WIDE: Final = 100.0
 """Prior sigma of the coefficients of a form, in units of their estimate: the prior takes 1e-4 of the estimate."""
+_POSSIBLE: Final = 0.05
+"""p-value of a linear accelerometer drift below which the covariance includes it, although it is not selected."""
 MOST_TERMS: Final = 4
 """Largest number of forms that are modelled: searching ends when as many, or more, have been selected."""
 _UNITS: Final = {"gyro": (DEG_PER_H, "°/h"), "accel": (1e3 * MICRO_G, "mg")}
@@ -76,6 +78,27 @@ class Unmodelled(NamedTuple):
         return any(term.sensor == sensor for term in self.drift)
 
 
+class DriftSearch(NamedTuple):
+    """Drift that the residuals of a solution show beyond what it models.
+
+    Attributes
+    ----------
+    terms : tuple of DriftTerm
+        Most significant form of each triad, where one is significant.
+    possible : float, m/s²
+        Standard deviation, by restricted maximum likelihood, of the change of the accelerometer biases over the
+        recording by a linear drift that is not significant. The covariance includes its effect. Zero if p > 0.05, or
+        if an accelerometer drift is modelled or selected.
+    """
+
+    terms: tuple[DriftTerm, ...] = ()
+    possible: float = 0.0
+
+    def diagnostics(self) -> dict[str, Any]:
+        """JSON values; empty without a possible drift."""
+        return {"possible_accel_drift_sigma_m_s2": self.possible} if self.possible > 0.0 else {}
+
+
 NOTHING: Final = Unmodelled()
 """No error beyond the noise of the sensors."""
 
@@ -113,7 +136,7 @@ class DriftEstimate:
         """Warning that names the drift and its size."""
         factor, unit = _UNITS[self.sensor]
         sizes = ", ".join(f"{value / factor:+.3g}" for value in self.change.tolist())
-        form = {"linear": "linearly with time", "temperature": "with temperature", WALK: "as a random walk"}.get(
+        form = {LINEAR: "linearly with time", "temperature": "with temperature", WALK: "as a random walk"}.get(
             self.form, "as in a warm-up"
         )
         end = (
@@ -134,8 +157,10 @@ def candidates(data: PreparedRecording, present: Sequence[DriftTerm]) -> list[tu
     return [(s, form) for s in sensors for form in data.drift_shapes if (s, form) not in taken]
 
 
-def most_significant(found: Mapping[tuple[Sensor, str], Statistics], tests: int) -> tuple[DriftTerm, ...]:
-    """Most significant form of drift of each triad, where one is significant.
+def most_significant(
+    found: Mapping[tuple[Sensor, str], Statistics], tests: int, present: Sequence[DriftTerm]
+) -> DriftSearch:
+    """Most significant form of drift of each triad, where one is significant, and a possible drift.
 
     The probability of selecting any form without drift is at most :data:`~srt.noise.drift_forms.FALSE_ALARM`
     (Bonferroni's inequality): later selections presuppose a first one.
@@ -146,6 +171,8 @@ def most_significant(found: Mapping[tuple[Sensor, str], Statistics], tests: int)
         Coefficients of the three channels, for each function of a form in turn.
     tests : int
         Number of forms that are tested in the recording, over all sensors.
+    present : sequence of DriftTerm
+        Forms that are modelled.
     """
     results = {key: test for key, statistics in found.items() if (test := drift_test(statistics)) is not None}
     out = []
@@ -153,8 +180,11 @@ def most_significant(found: Mapping[tuple[Sensor, str], Statistics], tests: int)
         key = min((key for key in results if key[0] == sensor), key=lambda key: results[key].p_value)
         if results[key].p_value < FALSE_ALARM / tests:
             wide = _WIDE * float(np.abs(results[key].amplitude).max())
-            out.append(DriftTerm(*key, walk_sigma(found[key]) if key[1] == WALK else wide))
-    return tuple(out)
+            out.append(DriftTerm(*key, coefficient_sigma(found[key]) if key[1] == WALK else wide))
+    linear: tuple[Sensor, str] = ("accel", LINEAR)
+    drifting = any(term.sensor == "accel" for term in (*present, *out))
+    possible = not drifting and linear in results and results[linear].p_value < _POSSIBLE
+    return DriftSearch(tuple(out), coefficient_sigma(found[linear]) if possible else 0.0)
 
 
 def change(form: str, coefficients: Array, windows: Array) -> Array:

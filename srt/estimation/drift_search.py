@@ -8,11 +8,11 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from srt.estimation import measurement_covariance
-from srt.estimation.drift_model import DriftEstimate, DriftTerm, candidates, change, most_significant
+from srt.estimation.drift_model import DriftEstimate, DriftSearch, DriftTerm, candidates, change, most_significant
 from srt.estimation.error_sources import earth_rate_sigma, raw_rate_variance
 from srt.estimation.goodness_of_fit import chi_square, is_misfit
 from srt.estimation.rest_rate_scatter import bias_gain
-from srt.noise.drift_forms import WALK, residual_statistics
+from srt.noise.drift_forms import LINEAR, WALK, residual_statistics
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-def search(data: PreparedRecording, options: Options, solution: Solution, fixed: Mask) -> tuple[DriftTerm, ...]:
-    """Most significant form of drift of each triad that a solution does not model.
+def search(data: PreparedRecording, options: Options, solution: Solution, fixed: Mask) -> DriftSearch:
+    """Search the residuals of a solution for bias drift that it does not model.
 
     Parameters
     ----------
@@ -38,13 +38,13 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     """
     measurements = solution.measurements
     if measurements.integrals.time_parts is None:
-        return ()
+        return DriftSearch()
     keys = candidates(data, solution.excess.drift)
     scale = 1.0 / np.sqrt(np.diag(solution.measurement_covariance))
     try:
         L = np.linalg.cholesky(solution.measurement_covariance * np.outer(scale, scale))
     except np.linalg.LinAlgError:  # far outside the model the covariance is not positive definite
-        return ()
+        return DriftSearch()
     forms = [key for key in keys if key[0] == "accel"]
     effects = _effects(data, options, solution, forms)
     columns = [measurements.z[:, None], measurements.H[:, ~fixed], *effects]
@@ -53,14 +53,15 @@ def search(data: PreparedRecording, options: Options, solution: Solution, fixed:
     found = dict(zip(forms, residual_statistics(z[:, 0], H, *effects), strict=True))
     slope = measurements.gyro.inverse
     found |= gyro_statistics(data, slope, measurements.rest_rate, measurements.integrated, solution.excess.drift)
-    return most_significant(found, len(keys))
+    return most_significant(found, len(keys), solution.excess.drift)
 
 
 def explaining_drift(
     data: PreparedRecording, options: Options, solution: Solution, fixed: Mask
 ) -> tuple[DriftTerm, ...]:
     """Smooth drift of the accelerometers that is significant and explains the residuals; else empty."""
-    terms = tuple(t for t in search(data, options, solution, fixed) if t.sensor == "accel" and t.form != WALK)
+    found = search(data, options, solution, fixed).terms
+    terms = tuple(t for t in found if t.sensor == "accel" and t.form != WALK)
     R = solution.measurement_covariance
     for term, effect in zip(terms, _effects(data, options, solution, terms), strict=True):
         R = R + term.sigma**2 * effect @ effect.T
@@ -154,6 +155,16 @@ def used_bias_gain(data: PreparedRecording, options: Options, solution: Solution
         return np.ones(3)
     compensated = np.sqrt(solution.measurements.gyro.inverse**2 @ solution.wander**2)
     return bias_gain(solution.measurements, data, options.gyro_bias, compensated)
+
+
+def possible_drift_covariance(
+    data: PreparedRecording, options: Options, solution: Solution, found: DriftSearch
+) -> Array:
+    """Covariance of the parameters by a possible linear drift of the accelerometers, shape (27, 27)."""
+    if found.possible == 0.0:
+        return np.zeros((len(solution.gain), len(solution.gain)))
+    root = found.possible * solution.gain @ _effects(data, options, solution, [("accel", LINEAR)])[0]
+    return np.asarray(root @ root.T)
 
 
 def _effects(

@@ -134,7 +134,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     fixed, prior, relied = dict(on_request), admission_sigma(), None
     for _ in range(_ROUNDS + 1):
         requested = tuple(fixed)
-        used, solution, solver, unmodelled = iterate_with_unmodelled_errors(
+        fitted = iterate_with_unmodelled_errors(
             data,
             options,
             partial(LeastSquaresSolver, requested, prior, relied),
@@ -143,6 +143,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
             progress,
             models_drift=True,
         )
+        used, solution, solver = fitted.data, fitted.solution, fitted.solver
         sigma = np.sqrt(np.diag(np.asarray(sum(solution.covariance.values()))))
         weak = ~solver.fixed & (sigma > OBSERVED_BELOW * prior)
         vague = ~solver.fixed & (sigma > np.where(uncertain > 0.0, uncertain, np.inf))
@@ -158,7 +159,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
         if not weak.any():
             break
     leave_one_out = partial(without_sequences, considered=relied is not None)
-    result = solver_result(used, options, solution, fixed, leave_one_out, unmodelled, models_drift=True)
+    result = solver_result(fitted, options, fixed, leave_one_out)
     return build_calibration("least-squares", used, options, result, fixed)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.estimation import g_sensitivity_report
-from srt.estimation.drift_search import estimates, search
+from srt.estimation.drift_search import estimates, possible_drift_covariance
 from srt.estimation.g_sensitivity import MODE as G_SENSITIVE
 from srt.estimation.goodness_of_fit import chi_square, is_misfit
 from srt.estimation.leave_one_out import second_order_variance, sequence_diagnostics
@@ -19,10 +19,11 @@ from srt.sensor_errors import NAMES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from srt.estimation.drift_model import DriftEstimate, Unmodelled
+    from srt.estimation.drift_model import DriftEstimate
     from srt.estimation.iteration import Solution
     from srt.estimation.leave_one_out import LeaveOneOutEstimator, SequenceDiagnostics
     from srt.estimation.options import Options
+    from srt.estimation.unmodelled_errors import Fitted
     from srt.sensor_errors import SensorErrors
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array
@@ -97,31 +98,20 @@ class SolverResult:
 
 
 def solver_result(
-    data: PreparedRecording,
-    options: Options,
-    solution: Solution,
-    fixed_reasons: Mapping[str, str],
-    leave_one_out: LeaveOneOutEstimator,
-    unmodelled: Unmodelled,
-    *,
-    models_drift: bool,
+    fitted: Fitted, options: Options, fixed_reasons: Mapping[str, str], leave_one_out: LeaveOneOutEstimator
 ) -> SolverResult:
     """Solver result of an iterated solution.
 
     Parameters
     ----------
-    data : PreparedRecording
+    fitted : Fitted
     options : Options
-    solution : Solution
     fixed_reasons : mapping of str to str
         Parameters not observed, with the reason.
     leave_one_out : LeaveOneOutEstimator
         Leave-one-out estimator of the solver.
-    unmodelled : Unmodelled
-        Errors beyond the noise of the sensors.
-    models_drift : bool
-        True: the solution models the drift that its residuals show; False: it is searched for and reported.
     """
+    data, solution, unmodelled = fitted.data, fitted.solution, fitted.unmodelled
     fixed = np.array([name in fixed_reasons for name in NAMES])
     statistic, freedom = chi_square(solution, fixed)
     if is_misfit(statistic, freedom):
@@ -131,17 +121,20 @@ def solver_result(
     outside = solution.status == "outside_model"
     drift: tuple[DriftEstimate, ...] = ()
     if solution.status == "converged":
-        # A solver that models drift has searched for it before.
-        missing = () if models_drift else search(data, options, solution, fixed)
-        drift = estimates(data, options, solution, fixed, missing)
+        drift = estimates(data, options, solution, fixed, fitted.unmodelled_drift.terms)
+    covariance = dict(solution.covariance)
+    covariance["accel_bias_instability"] = covariance["accel_bias_instability"] + possible_drift_covariance(
+        data, options, solution, fitted.unmodelled_drift
+    )
     measurements = solution.measurements
     diagnostics = g_sensitivity_report.diagnostics(data, measurements, solution.g_sensitivity, solution.wander)
     if drift:
         diagnostics = {**diagnostics, "drift": [term.as_dict() for term in drift]}
+    diagnostics = {**diagnostics, **fitted.unmodelled_drift.diagnostics()}
     return SolverResult(
         errors=solution.errors,
         U=solution.U,
-        covariance=solution.covariance,
+        covariance=covariance,
         corrections=solution.corrections,
         status=solution.status,
         message=solution.message,

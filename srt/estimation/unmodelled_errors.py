@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from srt.estimation import measurement_covariance
-from srt.estimation.drift_model import MOST_TERMS, NOTHING, Unmodelled
+from srt.estimation.drift_model import MOST_TERMS, NOTHING, DriftSearch, Unmodelled
 from srt.estimation.drift_search import explaining_drift, search
 from srt.estimation.g_sensitivity import MODE
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
@@ -52,12 +52,15 @@ class Fitted(NamedTuple):
     solution : Solution
     solver : Solver
     unmodelled : Unmodelled
+    unmodelled_drift : DriftSearch
+        Drift that the residuals show beyond what the solution models.
     """
 
     data: PreparedRecording
     solution: Solution
     solver: Solver
     unmodelled: Unmodelled
+    unmodelled_drift: DriftSearch
 
 
 def iterate_with_unmodelled_errors(
@@ -91,7 +94,7 @@ def iterate_with_unmodelled_errors(
     """
     solver = new_solver()
     solution = iterate(data, options, solver, *first, progress, fixed_sigma=uncertain)
-    present = NOTHING
+    present, found = NOTHING, DriftSearch()
     for _ in range(_ROUNDS * (1 + MOST_TERMS * models_drift)):
         if solution.status != "converged":
             break
@@ -120,17 +123,19 @@ def iterate_with_unmodelled_errors(
                 new = _estimated(solution, data, solver.fixed, present)
         if new.drift == present.drift and np.allclose(new.sizes, present.sizes, rtol=0.1, atol=1e-6):
             more = models_drift and len(present.drift) < MOST_TERMS
-            terms = search(data, options, solution, solver.fixed) if more else ()
-            if not terms:
+            found = search(data, options, solution, solver.fixed) if more else DriftSearch()
+            if not found.terms:
                 break
-            new = Unmodelled(drift=(*present.drift, *terms))
-        present = new
+            new = Unmodelled(drift=(*present.drift, *found.terms))
+        present, found = new, DriftSearch()
         solver = new_solver()
         solution = iterate(
             data, options, solver, first[0], solution.U, progress,
             excess=present, resume=solution, fixed_sigma=uncertain,
         )  # fmt: skip
-    return Fitted(data, solution, solver, present)
+    if not models_drift and solution.status == "converged":
+        found = search(data, options, solution, solver.fixed)
+    return Fitted(data, solution, solver, present, found)
 
 
 def _explained_at_limit(solution: Solution, data: PreparedRecording, fixed: Mask) -> bool:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 FALSE_ALARM: Final = 1e-4
 """Probability that any form of any sensor is selected in a recording without drift."""
+LINEAR: Final = "linear"
 WALK: Final = "random walk"
 _WALK_TERMS: Final = 12
 """Terms of the random walk; the omitted ones have at most 2 / (12 π²), 1.7 %, of its variance at the end."""
@@ -81,7 +82,7 @@ def drift_shapes(intervals: Intervals) -> dict[str, DriftShape]:
     begin = float(intervals.start.min())
     T = float(intervals.end.max()) - begin
     a, b = (intervals.start - begin) / T, (intervals.end - begin) / T
-    values = {"linear": 0.5 * (a + b)[:, None]}
+    values = {LINEAR: 0.5 * (a + b)[:, None]}
     for name, share in _WARM_UP.items():
         values[name] = _mean(-share * np.exp(-a / share), -share * np.exp(-b / share), b - a)[:, None]
     order = (np.arange(_WALK_TERMS) + 0.5) * math.pi
@@ -186,8 +187,8 @@ def drift_test(found: Statistics) -> DriftTest | None:
     return DriftTest(p_value, vectors[:, seen] @ (along / values[seen]))
 
 
-def walk_sigma(found: Statistics) -> float:
-    """Standard deviation of the coefficients of a random walk by restricted maximum likelihood.
+def coefficient_sigma(found: Statistics) -> float:
+    """Common standard deviation of the coefficients of a form by restricted maximum likelihood.
 
     With the eigenvalues λ of the information and the gradient g along its eigenvectors the log likelihood of a variance
     v is ``½ Σ [v g² / (1 + v λ) − log(1 + v λ)]``.
