@@ -13,9 +13,10 @@ import numpy as np
 
 from srt.estimation.drift_model import DriftEstimate, DriftSearch, DriftTerm, candidates, change, most_significant
 from srt.estimation.drift_search import gyro_statistics
-from srt.estimation.error_sources import by_drift
+from srt.estimation.error_sources import accel_drift, by_drift
 from srt.model.sensor_model import gyro_triad
-from srt.noise.drift_forms import LINEAR, WALK, Statistics
+from srt.noise.drift_forms import LINEAR, WALK, Statistics, variance_component
+from srt.result.verdict import MISFIT_PROBABILITY
 
 if TYPE_CHECKING:
     from estimators.block_solution import BlockSolution
@@ -132,18 +133,34 @@ def search(joint: JointModel, iteration: IterationState, solution: BlockSolution
     assert state is not None
     assert compensated is not None
     keys = candidates(data, joint.drift.terms)
-    residual = solution.residual
     found: dict[tuple[Sensor, str], Statistics] = {}
-    rows, W = solution.system.rows_of("force").index.ravel(), solution.system.whitening["force"]
     for sensor, form in keys:
         if sensor == "accel":
-            effect = (-W @ by_drift(compensated.force_slope, data.drift_shapes[form].windows)).reshape(len(rows), -1)
-            by_columns = np.asarray(solution.system.A[rows].T @ effect)
-            information = effect.T @ effect - by_columns.T @ solution.with_columns(by_columns)
-            chi_square = float(residual @ residual)
-            found[sensor, form] = Statistics(effect.T @ residual[rows], information, chi_square, freedom)
+            effect = by_drift(compensated.force_slope, data.drift_shapes[form].windows)
+            found[sensor, form] = _force_statistics(solution, effect, freedom)
     # Rates at rest with their bias and with the drift that is modelled.
     slope = np.asarray(np.linalg.inv(gyro_triad(state.errors).matrix), dtype=np.float64)
     rest = joint.rest_rate(state, compensated) + joint.drift.raw("gyro", state.drift, "windows") @ slope.T
     found |= gyro_statistics(data, slope, rest, joint.integrated, joint.drift.terms)
     return most_significant(found, len(keys), joint.drift.terms)
+
+
+def shows_instability(joint: JointModel, iteration: IterationState, solution: BlockSolution, freedom: int) -> bool:
+    """True if the residuals show a bias instability of the accelerometers beyond that of the noise model.
+
+    Three quarters of the residuals are those of gyros and rotations. The chi-square of all therefore does not show an
+    instability that closed form and least squares notice.
+    """
+    assert iteration.compensated is not None
+    effect = accel_drift(joint.data, iteration.compensated.force_slope, joint.data.noise.accel_limit)
+    return variance_component(_force_statistics(solution, effect, freedom)).p_value < MISFIT_PROBABILITY
+
+
+def _force_statistics(solution: BlockSolution, effect: Array, freedom: int) -> Statistics:
+    """Statistics of coefficients with an ``effect`` on the specific forces of the windows, shape (W, 3, q)."""
+    system, residual = solution.system, solution.residual
+    rows = system.rows_of("force").index.ravel()
+    white = (-system.whitening["force"] @ effect).reshape(len(rows), -1)
+    by_columns = np.asarray(system.A[rows].T @ white)
+    information = white.T @ white - by_columns.T @ solution.with_columns(by_columns)
+    return Statistics(white.T @ residual[rows], information, float(residual @ residual), freedom)

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.block_solution import BlockSolution, eliminate
-from estimators.drift_terms import DriftTerms, search
+from estimators.drift_terms import DriftTerms, search, shows_instability
 from estimators.elimination_steps import global_columns
 from estimators.initial_attitudes import initial_attitudes
 from estimators.joint_state import NO_ERRORS
@@ -361,10 +361,15 @@ def _add_instability(joint: JointModel, solver: JointSolver, iteration: Iteratio
     if solver.weights() or any(joint.unmodelled_sigma) or np.all(data.noise.accel_limit <= data.noise.accel_flicker):
         return False
     solution = whole_solution(joint, solver, iteration)
-    if not is_misfit(*goodness_of_fit(joint, solver, solution, solution.system)):
-        return False
+    fit = goodness_of_fit(joint, solver, solution, solution.system)
+    if not is_misfit(*fit):
+        if not shows_instability(joint, iteration, solution, fit[1]):
+            return False
+        tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
+        if contradicting_group(tests, *fit) is not None:
+            return False
     assert state is not None
-    found = search(joint, iteration, solution, goodness_of_fit(joint, solver, solution, solution.system)[1])
+    found = search(joint, iteration, solution, fit[1])
     smooth = tuple(term for term in found.terms if term.sensor == "accel" and term.form != WALK)
     drift = joint.drift
     if smooth:

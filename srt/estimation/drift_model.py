@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 
 from srt.constants import DEG_PER_H, MICRO_G
-from srt.noise.drift_forms import FALSE_ALARM, LINEAR, WALK, coefficient_sigma, drift_test
+from srt.noise.drift_forms import FALSE_ALARM, LINEAR, WALK, drift_test, variance_component
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -180,11 +180,11 @@ def most_significant(
         key = min((key for key in results if key[0] == sensor), key=lambda key: results[key].p_value)
         if results[key].p_value < FALSE_ALARM / tests:
             wide = _WIDE * float(np.abs(results[key].amplitude).max())
-            out.append(DriftTerm(*key, coefficient_sigma(found[key]) if key[1] == WALK else wide))
+            out.append(DriftTerm(*key, variance_component(found[key]).sigma if key[1] == WALK else wide))
     linear: tuple[Sensor, str] = ("accel", LINEAR)
     drifting = any(term.sensor == "accel" for term in (*present, *out))
     possible = not drifting and linear in results and results[linear].p_value < _POSSIBLE
-    return DriftSearch(tuple(out), coefficient_sigma(found[linear]) if possible else 0.0)
+    return DriftSearch(tuple(out), variance_component(found[linear]).sigma if possible else 0.0)
 
 
 def change(form: str, coefficients: Array, windows: Array) -> Array:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -187,8 +187,24 @@ def drift_test(found: Statistics) -> DriftTest | None:
     return DriftTest(p_value, vectors[:, seen] @ (along / values[seen]))
 
 
-def coefficient_sigma(found: Statistics) -> float:
-    """Common standard deviation of the coefficients of a form by restricted maximum likelihood.
+class VarianceComponent(NamedTuple):
+    """Common variance of a set of coefficients by restricted maximum likelihood.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation.
+    p_value : float
+        Of the likelihood ratio, if the variance is zero: half that of chi-square with one degree of freedom, because a
+        variance is not negative (Self and Liang 1987).
+    """
+
+    sigma: float
+    p_value: float
+
+
+def variance_component(found: Statistics) -> VarianceComponent:
+    """Estimate the common variance of coefficients, and test it.
 
     With the eigenvalues λ of the information and the gradient g along its eigenvectors the log likelihood of a variance
     v is ``½ Σ [v g² / (1 + v λ) − log(1 + v λ)]``.
@@ -204,4 +220,5 @@ def coefficient_sigma(found: Statistics) -> float:
 
     size = -math.log(float(values[-1]))
     # From a hundredth of the sigma of the best-known coefficient to a million times that sigma.
-    return math.exp(0.5 * float(minimize_scalar(cost, bounds=(size - 9.2, size + 27.6), method="bounded").x))
+    best = minimize_scalar(cost, bounds=(size - 9.2, size + 27.6), method="bounded")
+    return VarianceComponent(math.exp(0.5 * float(best.x)), 0.5 * float(chdtrc(1, max(-float(best.fun), 0.0))))

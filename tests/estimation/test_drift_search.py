@@ -19,7 +19,7 @@ from srt.noise.drift_forms import (
     drift_shapes,
     drift_test,
     residual_statistics,
-    walk_sigma,
+    variance_component,
 )
 from srt.noise.variance_components import restricted_likelihood
 from srt.sensor_errors import GROUP_SLICES, NAMES
@@ -82,11 +82,24 @@ def test_sigma_of_a_random_walk_is_its_restricted_likelihood():
     variances = []
     for _ in range(50):
         z = rng.standard_normal(60) + Z @ rng.normal(0.0, 3.0, 12)
-        variances.append(walk_sigma(*residual_statistics(z, H, Z)) ** 2)
+        variances.append(variance_component(*residual_statistics(z, H, Z)).sigma ** 2)
         (expected,) = restricted_likelihood(z, H, np.eye(60), (Z @ Z.T,))
         assert variances[-1] == pytest.approx(expected, rel=2e-2)
     # A variance from 12 coefficients has a relative standard error of √(2 / 12) at least.
     assert np.mean(variances) == pytest.approx(9.0, rel=3.5 * 1.1 * np.sqrt(2.0 / 12.0 / 50.0))
+
+
+def test_a_variance_component_of_zero_is_rarely_significant():
+    """At most 5 % of p-values below 5 %, and most of a component twice as large as its noise are below it."""
+    rng = np.random.default_rng(20261125)
+    H, Z = rng.standard_normal((60, 8)), rng.standard_normal((60, 12)) / np.sqrt(52.0)
+    p = np.empty((2, 200))
+    for i, size in enumerate((0.0, 2.0)):
+        for k in range(200):
+            z = rng.standard_normal(60) + size * Z @ rng.standard_normal(12)
+            p[i, k] = variance_component(*residual_statistics(z, H, Z)).p_value
+    assert np.mean(p[0] < 0.05) < 0.05 + 3.5 * np.sqrt(0.05 * 0.95 / 200.0)
+    assert np.mean(p[1] < 0.05) > 0.9
 
 
 def drifting(grade, accel_mg, gyro_deg_h, seed=3, profile="raised-cosine"):
