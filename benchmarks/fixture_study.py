@@ -2,7 +2,8 @@
 
 ``python benchmarks/fixture_study.py --moves recorded --non-orthogonality-mrad 0 1 3 --rotation-mrad 0.05 0.3 1
 --units 200`` prints a Markdown table with one row for each grade, angle between the fixture's axes and accuracy of the
-rotations. Alignment is known to 1 mrad, the wobble is a hundredth of the rotations. Seeds are consecutive.
+rotations. Alignment is known to 1 mrad, the wobble is a hundredth of the rotations. Seeds are consecutive. A second
+table has the rms errors by parameter group, and the bound.
 
 Exits with 1 if a figure of the Kalman filter or the factor graph lies beyond its limit by more than chance.
 """
@@ -24,7 +25,7 @@ from sims.accuracy.bound import bayesian_bound
 from sims.physics.sequences import TABLE_1, table_sequences
 from sims.physics.table_motion import Schedule
 from srt.comparison.estimator_comparison import compare
-from srt.sensor_errors import N_PARAMETERS
+from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, N_PARAMETERS
 
 ESTIMATORS: Final = ("ekf", "graph", "least-squares", "closed-form")
 EFFICIENT: Final = ("ekf", "graph")
@@ -102,6 +103,8 @@ class CellResult:
         self.nees = np.mean([u.nees for u in units], axis=0)
         self.accused = np.sum([u.accused for u in units], axis=0)
         self.disagree = sum(u.disagree for u in units)
+        error = np.array([u.ratio for u in units]) * (bound_sigma(cell) * np.array(DISPLAY_FACTORS))
+        self.square = np.mean(error**2, axis=0)
 
     def row(self) -> list[str]:
         """Cells of the Markdown table."""
@@ -110,6 +113,16 @@ class CellResult:
             f"{r:.3f}, {n / N_PARAMETERS:.3f}, {a}" for r, n, a in zip(self.ratio, self.nees, self.accused, strict=True)
         ]
         return [c.grade, f"{c.non_orthogonality_mrad:g}", f"{c.rotation_mrad:g}", *figures, str(self.disagree)]
+
+    def errors(self) -> Iterator[list[str]]:
+        """Rows of the Markdown table of errors: rms by parameter group, of the bound and of every estimator."""
+        bound = (bound_sigma(self.cell) * np.array(DISPLAY_FACTORS)) ** 2
+        for name, square in zip(("bound", *ESTIMATORS), (bound, *self.square), strict=True):
+            rms = [float(np.sqrt(np.mean(square[group]))) for group in GROUP_SLICES.values()]
+            c = self.cell
+            yield [
+                c.grade, f"{c.non_orthogonality_mrad:g}", f"{c.rotation_mrad:g}", name, *(f"{r:.3g}" for r in rms)
+            ]  # fmt: skip
 
     def failures(self, tests: int) -> Iterator[str]:
         """Limits that are not met, in sentences; ``tests`` is their number over the whole table."""
@@ -154,10 +167,14 @@ def main() -> int:
     heads = ["grade", "axes, mrad from square", "rotations, mrad", *ESTIMATORS, "disagree"]
     print(f"{a.units} units each, moves {a.moves}, seeds from {a.seed}. Rms over bound, NEES / 27, accused.\n")
     print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
-    failures = []
+    failures, errors = [], []
     for result in study(cells, a.units, a.seed, a.workers):
         print("| " + " | ".join(result.row()) + " |", flush=True)
         failures += result.failures(tests)
+        errors += result.errors()
+    groups = [f"{name}, {DISPLAY_UNITS[part.start]}" for name, part in GROUP_SLICES.items()]
+    print("\n| " + " | ".join([*heads[:3], "estimator", *groups]) + " |\n|" + "---|" * (4 + len(groups)))
+    print("\n".join("| " + " | ".join(row) + " |" for row in errors))
     print("\n" + ("\n".join(failures) or "All limits are met."))
     return int(bool(failures))
 
