@@ -47,6 +47,7 @@ _FOREIGN_TRUTH = 10.0
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Result: FILE.json.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Figure: FILE.png, .pdf or .svg.")
 @click.option("--truth", type=click.Path(path_type=Path), help="truth.json of a simulated recording: show errors.")
+@click.option("--details", is_flag=True, help="Show the estimates and sigmas of all estimators (120 columns).")
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables; warnings and errors only.")
 def compare(
     recording: Path,
@@ -55,6 +56,7 @@ def compare(
     output: Path | None,
     plot: Path | None,
     truth: Path | None,
+    details: bool,
     quiet: bool,
     no_asymmetry: bool,
     **choices: Any,
@@ -88,7 +90,7 @@ def compare(
     if not quiet:
         from srt.reports.text.estimator_comparison import comparison_text
 
-        show(comparison_text(comparison, title=str(recording)))
+        show(comparison_text(comparison, title=str(recording), details=details))
     if plot is not None and comparison.reference is not None:
         from srt.reports.figures.calibration import save_figure
         from srt.reports.figures.comparison import comparison_figure

@@ -83,7 +83,7 @@ def one_sentence(err):
 
 
 def test_table_holds_estimates_and_differences_as_the_library_finds_them(recording, calibrations, capfd):
-    assert main(["compare", str(recording), *BOTH]) == 0
+    assert main(["compare", str(recording), *BOTH, "--details"]) == 0
     out, err = capfd.readouterr()
     expected = srt.comparison.estimator_comparison.compare(calibrations).differences["closed-form"]
     rows = rows_of(out)
@@ -97,13 +97,24 @@ def test_table_holds_estimates_and_differences_as_the_library_finds_them(recordi
             assert value == pytest.approx(calibration.errors[name] * DISPLAY_FACTORS[i], abs=0.06 * exact)
         assert float(normalised) == pytest.approx(expected.normalised[i], abs=0.051)
     assert "SN-7" in out
-    assert re.search(r"least-squares +converged +sound +\d+ +\d+\.\d\d +27 +1\.00 .* reference", out)
+    assert re.search(r"least-squares +converged +sound +\d+\.\d\d +1\.00 +- +\d+ +27 .* reference", out)
     assert re.search(r"closed-form +converged .* agrees", out)
     assert "least-squares and closed-form agree: largest difference" in out
     # Progress went elsewhere, each line with the estimator's name.
     assert re.fullmatch(
         r"(unit-7, (closed-form|least-squares): iteration \d+, largest correction \d\.\de-\d\d\n)+", err
     )
+
+
+def test_the_verdict_comes_first_and_the_tables_fit_a_terminal(recording, calibrations, capfd):
+    assert main(["compare", str(recording), *BOTH, "--truth", str(recording / "truth.json"), "-q"]) == 0
+    assert capfd.readouterr().out == ""
+    assert main(["compare", str(recording), *BOTH, "--truth", str(recording / "truth.json")]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert lines[2].startswith("least-squares and closed-form agree")
+    assert max(map(len, lines[1:])) <= 80  # the first has the path
+    # The reference with its sigma, and the difference of the other.
+    assert all(len(cells) == 4 for cells in rows_of("\n".join(lines).split("Errors over sigma")[0]).values())
 
 
 def test_truth_adds_errors_over_sigma(recording, calibrations, capfd):

@@ -1,4 +1,4 @@
-"""Text of a comparison of estimators: one row each, then estimates, differences and the verdict."""
+"""Text of a comparison of estimators: the verdict, one row each, then estimates and differences."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ if TYPE_CHECKING:
     from srt.comparison.estimator_comparison import Comparison
 
 
-def comparison_text(comparison: Comparison, *, title: str = "Comparison") -> str:
-    """Tables of a comparison, and its verdict.
+def comparison_text(comparison: Comparison, *, title: str = "Comparison", details: bool = False) -> str:
+    """Verdict of a comparison, and its tables.
 
     Parameters
     ----------
     comparison : Comparison
     title : str
         Title: the path of the recording.
+    details : bool
+        Show the estimates and sigmas of all estimators, not only those of the reference.
 
     Returns
     -------
     str
-        Lines of at most 120 characters with four estimators, without a line feed at the end.
+        Lines of at most 80 characters with four estimators, of 120 with details; without a line feed at the end.
     """
     serials = {c.provenance.get("serial") for c in comparison.calibrations.values()} - {None}
     serial = f" (serial {serials.pop()})" if serials else ""
@@ -37,72 +39,75 @@ def comparison_text(comparison: Comparison, *, title: str = "Comparison") -> str
     reasons += [f"Note: {note}" for note in comparison.notes]
     parts = [
         [f"{title}{serial}: estimators side by side"],
-        [estimator_table(comparison)],
+        wrap(comparison.verdict),
+        [estimator_table(comparison, details=details)],
         [line for reason in reasons for line in wrap(reason)],
-        [parameter_table(comparison)],
+        [parameter_table(comparison, details=details)],
         _legend(comparison),
         [truth_table(comparison)],
-        wrap(comparison.verdict),
     ]
     return "\n\n".join("\n".join(lines) for lines in parts if any(lines))
 
 
-def estimator_table(comparison: Comparison) -> str:
+def estimator_table(comparison: Comparison, *, details: bool) -> str:
     """Table of the estimators: status, time, and comparison with the reference."""
-    truth = ["error/\nsigma"] if comparison.truth is not None else []
-    headers = ["estimator", "status", "verdict", "itera-\ntions", "seconds", "ob-\nserved", *truth]
-    headers += ["sigma\nratio", "largest\ndiff.", "chi-\nsquare", "proba-\nbility", "agree-\nment"]
+    heads = ["estimator", "status", "verdict", "time,\ns", "error/\nsigma", "sigma\nratio", "p", "agreement"]
+    more = ["itera-\ntions", "ob-\nserved", "largest\ndiff.", "chi-\nsquare"]
+    shown = [h for h in (*heads[:-1], *more, heads[-1]) if h != "error/\nsigma" or comparison.truth is not None]
+    shown = [h for h in shown if details or h not in more]
     rows = []
     for name, calibration in comparison.calibrations.items():
-        pair = comparison.differences.get(name)
-        rows.append(
-            [
-                name,
-                calibration.status.replace("_", " "),
-                calibration.judgement.word,
-                str(len(calibration.corrections)),
-                fixed(comparison.seconds.get(name, math.nan), 2),
-                str(int(calibration.observed.sum())),
-                *(fixed(comparison.rms_error(name), 2) for _ in truth),
-                *_compared(pair, name == comparison.reference),
-            ]
-        )
+        cells = {
+            "estimator": name,
+            "status": calibration.status.replace("_", " "),
+            "verdict": calibration.judgement.word,
+            "time,\ns": fixed(comparison.seconds.get(name, math.nan), 2),
+            "error/\nsigma": fixed(comparison.rms_error(name), 2) if comparison.truth is not None else "-",
+            "itera-\ntions": str(len(calibration.corrections)),
+            "ob-\nserved": str(int(calibration.observed.sum())),
+            **_compared(comparison.differences.get(name), name == comparison.reference),
+        }
+        rows.append([cells.get(head, "-") for head in shown])
     for name in comparison.failures:
-        nothing = ["-"] * (len(headers) - 6)
-        rows.append([name, "failed", "-", "-", fixed(comparison.seconds.get(name, math.nan), 2), *nothing, "no result"])
-    return text_table(headers, rows, "lll" + "r" * (len(headers) - 4) + "l")
+        time_s = fixed(comparison.seconds.get(name, math.nan), 2)
+        cells = {"estimator": name, "status": "failed", "time,\ns": time_s, "agreement": "no result"}
+        rows.append([cells.get(head, "-") for head in shown])
+    return text_table(shown, rows, "lll" + "r" * (len(shown) - 4) + "l")
 
 
-def _compared(pair: EstimateDifference | None, is_reference: bool) -> list[str]:
-    """Cells of the comparison with the reference."""
+def _compared(pair: EstimateDifference | None, is_reference: bool) -> dict[str, str]:
+    """Cells of the comparison with the reference, by heading."""
     if is_reference:
-        return ["1.00", "-", "-", "-", "reference"]
+        return {"sigma\nratio": "1.00", "agreement": "reference"}
     if pair is None or pair.largest is None:
-        return ["-", "-", "-", "-", "not compared"]
-    return [
-        fixed(pair.efficiency, 2),
-        fixed(abs(float(pair.normalised[pair.largest])), 1),
-        fixed(pair.chi_square, 0),
-        f"{pair.p_value:.2g}",
-        "agrees" if pair.agrees else "differs",
-    ]
+        return {"agreement": "not compared"}
+    return {
+        "sigma\nratio": fixed(pair.efficiency, 2),
+        "p": f"{pair.p_value:.2g}",
+        "largest\ndiff.": fixed(abs(float(pair.normalised[pair.largest])), 1),
+        "chi-\nsquare": fixed(pair.chi_square, 0),
+        "agreement": "agrees" if pair.agrees else "differs",
+    }
 
 
-def parameter_table(comparison: Comparison) -> str:
+def parameter_table(comparison: Comparison, *, details: bool) -> str:
     """Table of the parameters: estimates with their sigmas, and normalised differences from the reference."""
     if not comparison.calibrations:
         return ""
+    shown = comparison.calibrations
+    if comparison.reference is not None and not details:
+        shown = {comparison.reference: shown[comparison.reference]}
     rows: list[Sequence[str] | None] = []
     for i, name in enumerate(NAMES):
         row = [name, DISPLAY_UNITS[i]]
-        for calibration in comparison.calibrations.values():
+        for calibration in shown.values():
             factor = DISPLAY_FACTORS[i]
             row.append(_estimate(float(calibration.errors.vector[i]) * factor, float(calibration.sigma[i]) * factor))
         for pair in comparison.differences.values():
             value = float(pair.normalised[i])
             row.append("-" if math.isnan(value) else f"{round(value, 1) + 0.0:+.1f}{'*' if pair.differing[i] else ' '}")
         rows.append(row)
-    headers = ["parameter", "unit", *comparison.calibrations, *(_head(name) for name in comparison.differences)]
+    headers = ["parameter", "unit", *shown, *(_head(name) for name in comparison.differences)]
     alignment = "ll" + "r" * (len(headers) - 2)
     return text_table(headers, _grouped(rows), alignment)
 
