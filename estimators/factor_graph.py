@@ -18,7 +18,7 @@ Variables:
 from __future__ import annotations
 
 from contextlib import contextmanager
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 DRIFT_KEYS: Final = {"gyro": (D, N), "accel": (C, M)}
 """Variables of the states and of the white unknowns of the bias instability, by sensor."""
+_LOCAL: Final = "aqnmdc"
+"""Variables of one step, in the order of their elimination."""
 _HEADING_SIGMA: Final = 1e-8
 """Standard deviation of a fixed heading, rad; its effect via the Earth's rate is far below any noise."""
 _FIXED_RATE: Final = 1e-6
@@ -85,6 +87,8 @@ class FactorGraph:
         self.kinds: list[factors.FactorGroup] = []
         self.measured: list[tuple[str, int, int]] = []
         """Kind, number and sequence of each measurement factor. These factors are the first in the graph."""
+        self.last_step: dict[int, int] = {}
+        """Last step in time that measures each variable."""
         self._variables()
         self._windows()
         self._rotations()
@@ -114,6 +118,24 @@ class FactorGraph:
         """Variables of the reported parameters: biases, then errors."""
         biases = range(self.joint.data.K if self.joint.bias_walks else 1)
         return [int(B(k)) for k in biases if len(self.axes)] + ([int(X(0))] if len(self.errors) else [])
+
+    @cached_property
+    def elimination_order(self) -> Any:
+        """Variables step by step in time, then those of the whole recording, the reported ones last.
+
+        With bias instability, minimum degree (COLAMD) makes a third more cliques and takes a third longer.
+        """
+        reported, K = self.reported_keys(), self.joint.data.K
+
+        def place(key: int) -> tuple[int, int]:
+            letter = _LOCAL.find(chr(gtsam.symbolChr(key)))
+            step = self.last_step.get(key, gtsam.symbolIndex(key))
+            return (K, int(key in reported)) if letter < 0 else (step, letter)
+
+        out = gtsam.Ordering()
+        for key in sorted(self.values.keys(), key=place):
+            out.push_back(key)
+        return out
 
     def _variables(self) -> None:
         joint, state = self.joint, self.state
@@ -150,6 +172,8 @@ class FactorGraph:
     def _add(self, kind: str, number: int, sequence: int, noise: Any, terms: factors.ErrorFunction) -> None:
         """Add a measurement factor of a sequence."""
         self.measured.append((kind, number, sequence))
+        step = int(self.joint.rank[sequence])
+        self.last_step.update({key: max(step, self.last_step.get(key, 0)) for key in terms.keys})
         self.graph.add(gtsam.CustomFactor(noise, terms.keys, terms.function))
 
     def _linear(self, jacobian: Array, sequence: int | None) -> list[tuple[int, Array]]:

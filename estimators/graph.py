@@ -79,28 +79,26 @@ class GraphSolution:
     keys: list[int]
 
 
-def solve_linear(graph: Any, values: Any, last: list[int]) -> GraphSolution:
-    """Linearise and solve by QR elimination; ``last`` are eliminated last, so that R contains their marginals."""
-    linear = graph.linearize(values)
-    ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, last)
-    net = linear.eliminateSequential(ordering, gtsam.EliminateQR)
-    tail = [net.at(i) for i in range(net.size() - len(last), net.size())]
-    keys = [int(c.firstFrontalKey()) for c in tail]
-    sizes = [c.R().shape[0] for c in tail]
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    R = np.zeros((int(starts[-1]), int(starts[-1])))
-    initial_attitudes = {key: slice(int(starts[i]), int(starts[i + 1])) for i, key in enumerate(keys)}
-    for key, conditional in zip(keys, tail, strict=True):
-        R[initial_attitudes[key], initial_attitudes[key]] = conditional.R()
-        S, at = conditional.S(), 0
-        for parent in list(conditional.keys())[1:]:
-            width = initial_attitudes[int(parent)].stop - initial_attitudes[int(parent)].start
-            R[initial_attitudes[key], initial_attitudes[int(parent)]] = S[:, at : at + width]
-            at += width
+def solve_linear(built: FactorGraph, values: Any) -> GraphSolution:
+    """Linearise and solve by multifrontal QR elimination, of which the root has the marginals of the reported keys."""
+    linear, last = built.graph.linearize(values), built.reported_keys()
+    # A row of zeros ties these variables together, so that one clique, the root, contains all of them.
+    tie, unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(1)
+    for key in last:
+        tie.add(gtsam.JacobianFactor(key, np.zeros((1, len(values.atVector(key)))), np.zeros(1), unit))
+    if last:
+        linear.add(gtsam.JacobianFactor(tie))
+    tree = linear.eliminateMultifrontal(built.elimination_order, gtsam.EliminateQR)
+    delta = tree.optimize()
+    root = tree.roots()[0].conditional()
+    keys = list(root.keys())[root.size() - len(last) :]
+    n = sum(len(delta.at(key)) for key in keys)
+    R = root.R()
+    R = R[len(R) - n :, len(R) - n :]
     if not np.all(np.isfinite(R)):
         raise np.linalg.LinAlgError("the eliminated graph is not finite")
-    inverse = solve_triangular(R, np.eye(len(R)))
-    return GraphSolution(net.optimize(), inverse @ inverse.T, keys)
+    inverse = solve_triangular(R, np.eye(n))
+    return GraphSolution(delta, inverse @ inverse.T, keys)
 
 
 class GraphSolver(JointSolver):
@@ -130,14 +128,13 @@ class GraphSolver(JointSolver):
         prior = default_prior() if self.prior is None and self.observability_pending else self.prior
         weights = np.ones(joint.data.K)
         built = FactorGraph(joint, state, system.compensated, system.free, prior=prior)
-        last = built.reported_keys()
         values, solution = built.values, None
         for i in range(_STEPS[loss]):
             if i and loss != "squared":
                 built = FactorGraph(joint, state, system.compensated, system.free, prior=prior, weights=weights)
             try:
                 with built.evaluated(values):
-                    solution = solve_linear(built.graph, values, last)
+                    solution = solve_linear(built, values)
             except RuntimeError as error:  # gtsam's indeterminate linear system
                 raise np.linalg.LinAlgError(str(error).strip().split("\n")[0]) from None
             values = values.retract(solution.delta)

@@ -46,7 +46,7 @@ _NEAR: Final = 1e-5
 _SETTLED_SIGMAS: Final = 1e-3
 """The relinearisation has converged if the correction, in sigmas, is below this."""
 _MEAN: Final = 3
-"""Number of states of the mean gyro bias of the sequences so far."""
+"""Number of states of the mean gyro bias of the sequences so far, if the bias is a random walk."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,15 +108,15 @@ def run_filter(
     shared, parts = global_columns(system), eliminate_nuisances(system)
     L, start = prior_root(system, state, prior, shared)
     n, handed = len(shared), max(len(part.after) for part in parts)
-    size = n + handed + _MEAN
+    walk = joint.bias_walk_sigma() if joint.bias_walks else None
+    size = n + handed + (0 if walk is None else _MEAN)
     inverse = solve_triangular(L, np.eye(n), lower=True)
     root = np.zeros((size, size))
     root[:n, :n] = np.eye(n)
     ekf = form(np.concatenate([inverse @ start, np.zeros(size - n)]), root)
     bias = np.flatnonzero((shared >= system.columns["bias"].start) & (shared < system.columns["bias"].stop))
     axes = shared[bias] - system.columns["bias"].start
-    walk = joint.bias_walk_sigma() if joint.bias_walks else None
-    E = _report_map(shared, axes, L, handed, bias if walk is None else None)
+    E = _report_map(shared, axes, L, size, bias if walk is None else None)
     innovations, history = [], []
     for i, part in enumerate(parts):
         if i and walk is not None:
@@ -173,28 +173,28 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
     P[np.ix_(at, at)] = prior.covariance
     mean[at] = prior.mean.vector - state.errors.vector
     # The priors of fixture and site are whitened rows of the system; their blocks are square.
-    for rows in system.rows:
-        if rows.kind in {*FIXTURE, "gravity", "drift_form"} or rows.kind.startswith("earth_rate"):
-            members = rows.index.ravel()
-            block = system.A[members].toarray()
-            columns = np.flatnonzero(block.any(axis=0))
-            inverse = np.linalg.inv(block[:, columns])
-            P[np.ix_(columns, columns)] = inverse @ inverse.T
-            mean[columns] = -inverse @ system.b[members]
+    named = {*FIXTURE, "gravity", "drift_form"}
+    groups = [rows.index.ravel() for rows in system.rows if rows.kind in named or rows.kind.startswith("earth_rate")]
+    members = np.concatenate([np.empty(0, dtype=np.intp), *groups])
+    block = system.A[members].toarray()
+    columns = np.flatnonzero(block.any(axis=0))
+    inverse = np.linalg.inv(block[:, columns])
+    P[np.ix_(columns, columns)] = inverse @ inverse.T
+    mean[columns] = -inverse @ system.b[members]
     return np.asarray(np.linalg.cholesky(P[np.ix_(shared, shared)]), dtype=np.float64), mean[shared]
 
 
-def _report_map(shared: Indices, axes: Indices, L: Array, handed: int, bias: Indices | None) -> Array:
-    """Matrix from the state to the reported parameters, shape (27, number of states).
+def _report_map(shared: Indices, axes: Indices, L: Array, size: int, bias: Indices | None) -> Array:
+    """Matrix from the state to the reported parameters, shape (27, size).
 
-    ``bias`` are the states of a constant gyro bias; None for a random walk, of which the mean over the sequences is
-    reported.
+    ``bias`` are the states of a constant gyro bias; None for a random walk, of which the mean over the sequences, in
+    the last states, is reported.
     """
-    E = np.zeros((N_PARAMETERS, len(shared) + handed + _MEAN))
+    E = np.zeros((N_PARAMETERS, size))
     errors = np.flatnonzero(shared < N_ERRORS)
     E[shared[errors], : len(shared)] = L[errors]
     if bias is None:
-        E[N_ERRORS + axes, len(shared) + handed + axes] = 1.0
+        E[N_ERRORS + axes, size - _MEAN + axes] = 1.0
     else:
         E[N_ERRORS + axes, : len(shared)] = L[bias]
     return E

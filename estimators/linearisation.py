@@ -160,7 +160,7 @@ class _Builder:
         self.joint, self.state, self.compensated, self.attitude = joint, state, compensated, state.attitude
         self.columns = _columns(joint, compensated)
         self.n = max(c.stop for c in self.columns.values())
-        self.entries: list[tuple[Array, Array, Array]] = []
+        self.entries: list[tuple[Indices, Indices, Array]] = []
         self.b: list[Array] = []
         self.rows: list[RowGroup] = []
         self.whitening: dict[str, Array] = {}
@@ -184,10 +184,25 @@ class _Builder:
 
         ``step`` is the step of the elimination of each member; default that of its sequence.
         """
-        count, size = residual.shape
-        if count == 0:
+        if len(residual) == 0:
             return
         W = whiten(total(noise))
+        shares = {s: W @ R @ np.swapaxes(W, 1, 2) for s, R in noise.items() if np.any(R)}
+        if step is None:
+            step = np.where(np.asarray(owner) >= 0, self.joint.rank[owner], -1)
+        whitened = [(name, number, W @ jacobian) for name, number, jacobian in blocks]
+        self._append(kind, (owner, step), np.einsum("nij,nj->ni", W, residual), whitened, (W, shares))
+
+    def _append(
+        self,
+        kind: str,
+        place: tuple[Indices, Indices],
+        residual: Array,
+        blocks: list[Block],
+        noise: tuple[Array, dict[str, Array]],
+    ) -> None:
+        """Append whitened rows with their sequences and steps, whitening matrices and shares of the sources."""
+        count, size = residual.shape
         index = self.m + np.arange(count * size).reshape(count, size, 1)
         for name, number, jacobian in blocks:
             width = jacobian.shape[2]
@@ -196,16 +211,24 @@ class _Builder:
             at = np.broadcast_to(np.asarray(number), count)
             members = np.flatnonzero(at >= 0)
             columns = self.columns[name].start + width * at[members, None, None] + np.arange(width)
-            value = np.broadcast_to(W @ jacobian, (count, size, width))[members]
+            value = np.broadcast_to(jacobian, (count, size, width))[members]
             row, column = np.broadcast_arrays(index[members], columns)
             self.entries.append((row.ravel(), column.ravel(), value.ravel()))
-        self.b.append(np.einsum("nij,nj->ni", W, residual).ravel())
-        self.whitening[kind] = W
-        shares = {s: W @ R @ np.swapaxes(W, 1, 2) for s, R in noise.items() if np.any(R)}
-        if step is None:
-            step = np.where(np.asarray(owner) >= 0, self.joint.rank[owner], -1)
-        self.rows.append(RowGroup(kind, self.m, np.asarray(owner), step, shares, size))
+        self.b.append(residual.ravel())
+        self.whitening[kind] = noise[0]
+        self.rows.append(RowGroup(kind, self.m, np.asarray(place[0]), place[1], noise[1], size))
         self.m += count * size
+
+    def add_white(self, kind: str, name: str, source: str, place: tuple[Indices, Indices], size: int) -> None:
+        """Add the prior of unknowns with mean zero and unit variance, ``size`` for each sequence and step of ``place``.
+
+        They are the first columns ``name``.
+        """
+        count = len(place[0])
+        unknowns: Indices = np.arange(count * size)
+        self.entries.append((self.m + unknowns, self.columns[name].start + unknowns, np.ones(len(unknowns))))
+        unit = np.broadcast_to(np.eye(size), (count, size, size))
+        self._append(kind, place, np.zeros((count, size)), [], (unit, {source: unit}))
 
     def add_prior_of(self, name: str, number: int, value: Array, covariance: dict[str, Array], kind: str = "") -> None:
         """Add the prior of one unknown of columns ``name``, with mean zero."""
@@ -319,17 +342,13 @@ class _Builder:
     def add_drift(self) -> None:
         """States of the bias instability: their distribution at the start, white unknowns, and transitions."""
         for sensor, drift in self.compensated.drift.items():
-            K, name = self.joint.data.K, f"{sensor}_drift"
-            groups: list[tuple[str, int, int, list[Block]]] = [
-                (f"{name}_start", 1, drift.states, [(name, 0, np.eye(drift.states)[None])]),
-                (f"{name}_noise", K, drift.unknowns, [(f"{name}_noise", np.arange(K), np.eye(drift.unknowns)[None])]),
-                (f"{name}_step", K - 1, drift.states, self._transition(sensor)),
-            ]
-            for kind, count, size, blocks in groups:
-                unit = np.broadcast_to(np.eye(size), (count, size, size))
-                zero, nobody = np.zeros((count, size)), np.full(count, -1)
-                noise = {f"{sensor}_bias_instability": unit}
-                self.add(kind, nobody, zero, noise, blocks, step=np.arange(count))
+            K, name, source = self.joint.data.K, f"{sensor}_drift", f"{sensor}_bias_instability"
+            steps, nobody = np.arange(K), np.full(K, -1)
+            self.add_white(f"{name}_start", name, source, (nobody[:1], steps[:1]), drift.states)
+            self.add_white(f"{name}_noise", f"{name}_noise", source, (nobody, steps), drift.unknowns)
+            unit = np.broadcast_to(np.eye(drift.states), (K - 1, drift.states, drift.states))
+            place, zero = (nobody[:-1], steps[:-1]), np.zeros((K - 1, drift.states))
+            self._append(f"{name}_step", place, zero, self._transition(sensor), (unit, {source: unit}))
 
     def _transition(self, sensor: str) -> list[Block]:
         drift = self.compensated.drift[sensor]
@@ -384,7 +403,6 @@ class _Builder:
     def add_edges(self) -> None:
         """Unknowns of the quantization at window edges: independent, with unit variance."""
         data, count = self.joint.data, self.compensated.edges.unknowns
-        unit = np.broadcast_to(np.eye(3), (count, 3, 3))
         owner, step = np.empty((2, count), dtype=np.intp)
         if count:
             # Rotation and window share an edge; its prior belongs to the earlier of the two.
@@ -392,8 +410,7 @@ class _Builder:
             for windows, side in ((data.end, 0), (data.start, 1)):
                 owner[edges[windows, side]] = np.arange(data.K)
                 step[edges[windows, side]] = np.minimum(self.joint.rank, first[windows])
-        zero = np.zeros((count, 3))
-        self.add("edge", owner, zero, {"gyro_quantization": unit}, [("edge", np.arange(count), unit)], step)
+            self.add_white("edge", "edge", "gyro_quantization", (owner, step), 3)
 
     def add_prior(self, prior: Prior) -> None:
         """Add the prior of the sensor errors; the prior of the gyro bias applies to its mean over the sequences."""

@@ -36,13 +36,13 @@ class SequenceEquations:
     H_handed : ndarray, shape (m, p)
     b : ndarray, shape (m,)
     transition : tuple of ndarray
-        R (q, q), G (q, n), P (q, p), c (q) of the new columns among p': ``0 = c + R p' + G g + P p + noise``.
+        R (q, q) and [G, P, c] (q, n + p + 1) of the new columns among p': ``0 = c + R p' + G g + P p + noise``.
     before, after : ndarray of int, shape (p,) and (p',)
         Columns p and p' in the system.
     is_new : ndarray of bool, shape (p',)
         True: a column of p' that is not among p.
     local : tuple of ndarray
-        Columns of the nuisance parameters y (l), R (l, l), S (l, q), G (l, n), P (l, p), c (l):
+        Columns of the nuisance parameters y (l), R (l, l), S (l, q), [G, P, c] (l, n + p + 1):
         ``0 = c + R y + S p' + G g + P p + noise``.
     """
 
@@ -50,28 +50,27 @@ class SequenceEquations:
     H: Array
     H_handed: Array
     b: Array
-    transition: tuple[Array, Array, Array, Array]
+    transition: tuple[Array, Array]
     before: Indices
     after: Indices
     is_new: Mask
-    local: tuple[Indices, Array, Array, Array, Array, Array]
+    local: tuple[Indices, Array, Array, Array]
 
     def advance(self) -> tuple[Array, Array, Array, Array]:
         """Columns p' from g and p: matrices (p', n) and (p', p), constant (p',), and root of their noise (p', q)."""
-        R, G, P, c = self.transition
-        new = self.is_new
+        R, rows = self.transition
+        new, n = self.is_new, self.H.shape[1]
         inverse = np.linalg.inv(R)
-        by_g, by_p = np.zeros((len(new), G.shape[1])), np.zeros((len(new), P.shape[1]))
-        constant, noise = np.zeros(len(new)), np.zeros((len(new), len(R)))
-        by_g[new], by_p[new], constant[new], noise[new] = -inverse @ G, -inverse @ P, -inverse @ c, inverse
-        by_p[np.flatnonzero(~new), np.searchsorted(self.before, self.after[~new])] = 1.0
-        return by_g, by_p, constant, noise
+        by, noise = np.zeros((len(new), rows.shape[1])), np.zeros((len(new), len(R)))
+        by[new], noise[new] = -inverse @ rows, inverse
+        by[np.flatnonzero(~new), n + np.searchsorted(self.before, self.after[~new])] = 1.0
+        return by[:, :n], by[:, n:-1], by[:, -1], noise
 
     def nuisances(self, g: Array, p: Array, handed_on: Array) -> Array:
         """Nuisance parameters (l) for given global columns, columns handed in, and columns handed on."""
-        _, R, S, G, P, c = self.local
-        new = handed_on[self.is_new]
-        return -np.asarray(np.linalg.solve(R, S @ new + G @ g + P @ p + c), dtype=np.float64)
+        _, R, S, rows = self.local
+        known = S @ handed_on[self.is_new] + rows @ np.concatenate([g, p, [1.0]])
+        return -np.asarray(np.linalg.solve(R, known), dtype=np.float64)
 
 
 def smoothed(parts: list[SequenceEquations], g: Array) -> list[Array]:
@@ -80,12 +79,12 @@ def smoothed(parts: list[SequenceEquations], g: Array) -> list[Array]:
     carry = np.zeros((0, 1))
     for part in parts[:-1]:
         p = len(part.before)
-        R, G, P, c = part.transition
+        R, given = part.transition
         # Columns that end here, columns of both p and p', new columns, and the constant.
         old = np.searchsorted(part.before, part.after[~part.is_new])
         order = np.concatenate([np.setdiff1d(np.arange(p), old), old])
         known = np.concatenate([carry, np.column_stack([part.H_handed, part.H @ g + part.b])])
-        step = np.column_stack([P[:, order], R, G @ g + c])
+        step = np.column_stack([given[:, len(g) + order], R, given[:, : len(g)] @ g + given[:, -1]])
         rows = np.zeros((len(known) + len(step), p + len(R) + 1))
         rows[: len(known), :p], rows[: len(known), -1] = known[:, order], known[:, -1]
         rows[len(known) :] = step
@@ -121,23 +120,25 @@ def eliminate_nuisances(system: LinearSystem) -> list[SequenceEquations]:
         is_old = is_before[own]
         is_new = ~is_old
         n, q = int(is_new[: len(step.local)].sum()), int(is_new[len(step.local) :].sum())
-        A, G = step.A[:, : len(own)], step.A[:, len(own) :]
-        P = np.zeros((len(A), len(before)))
-        P[:, np.searchsorted(before, own[is_old])] = A[:, is_old]
+        # Coefficients of the global columns, of those handed in, and the constant.
+        A, m = step.A[:, : len(own)], len(step.shared)
+        given = np.zeros((len(A), m + len(before) + 1))
+        given[:, :m], given[:, -1] = step.A[:, len(own) :], step.b
+        given[:, m + np.searchsorted(before, own[is_old])] = A[:, is_old]
         Q, R = np.linalg.qr(A[:, is_new], mode="complete")
-        G, P, c = Q.T @ G, Q.T @ P, Q.T @ step.b
+        given = Q.T @ given
         middle, rest = slice(n, n + q), slice(n + q, None)
         out.append(
             SequenceEquations(
                 sequence=step.sequence,
-                H=G[rest],
-                H_handed=P[rest],
-                b=c[rest],
-                transition=(R[middle, n:], G[middle], P[middle], c[middle]),
+                H=given[rest, :m],
+                H_handed=given[rest, m:-1],
+                b=given[rest, -1],
+                transition=(R[middle, n:], given[middle]),
                 before=before,
                 after=step.onward,
                 is_new=is_new[len(step.local) :],
-                local=(own[is_new][:n], R[:n, :n], R[:n, n:], G[:n], P[:n], c[:n]),
+                local=(own[is_new][:n], R[:n, :n], R[:n, n:], given[:n]),
             )
         )
         before = step.onward

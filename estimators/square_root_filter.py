@@ -66,7 +66,7 @@ class SquareRootFilter(SquareRootKalmanFilter):  # type: ignore[misc]
         m, n = H.shape
         # filterpy inverts the innovations' root with pinv, which loses digits if the innovations are correlated. They
         # are uncorrelated along the principal axes U of the predicted measurement.
-        U = np.linalg.svd(H @ self.root)[0]
+        U = np.linalg.svd(H @ self.root, full_matrices=m > n)[0]
         self.dim_z, self.H, self.M = m, U.T @ H, np.zeros((m + n, m + n))
         self.update(U.T @ z, U.T if noise_root is None else U.T @ noise_root)
         # Back to the axes of the measurement. Triangularisation does not define the signs of the columns.

@@ -164,7 +164,7 @@ def test_elimination_is_the_dense_solution(motions, variant):
     """
     case = known(motions, variant)
     built, E = build(case), case.system.parameter_map()
-    solution, dense = solve_linear(built.graph, built.values, built.reported_keys()), solve(case.system)
+    solution, dense = solve_linear(built, built.values), solve(case.system)
     A = case.system.A.toarray()[:, case.system.active]
     rounding = 100.0 * EPS * np.linalg.cond(A / np.linalg.norm(A, axis=0))
     P = (E @ dense.root) @ (E @ dense.root).T
@@ -189,7 +189,7 @@ def test_marginals_of_gtsam(motions, variant):
     """
     case = known(motions, variant)
     built = build(case)
-    solution = solve_linear(built.graph, built.values, built.reported_keys())
+    solution = solve_linear(built, built.values)
     keys = sorted(built.values.keys())
     order = gtsam.Ordering()
     for key in keys:
