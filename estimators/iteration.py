@@ -419,7 +419,7 @@ def _add_unmodelled_noise(joint: JointModel, solver: JointSolver, iteration: Ite
         tests = [(test.chi_square, test.degrees_of_freedom) for test in contradictions(joint, solution)]
         if one_group_explains(tests, statistic, freedom):
             return False
-    new = unmodelled_noise(joint, system)
+    new = unmodelled_noise(system)
     if np.allclose(new, joint.unmodelled_sigma, *_SAME_NOISE):
         return False
     joint.unmodelled_sigma = new

@@ -172,28 +172,32 @@ def _shared_rows(joint: JointModel, system: LinearSystem) -> Indices:
     return np.concatenate([system.rows_of(kind).index[windows].ravel() for kind in ("force", "rate")])
 
 
-def unmodelled_noise(joint: JointModel, system: LinearSystem) -> UnmodelledErrors:
+def unmodelled_noise(system: LinearSystem) -> UnmodelledErrors:
     """Standard deviations of unmodelled errors by restricted maximum likelihood."""
     # The states of the bias instability are part of the known covariance, not unknowns.
     drift = np.concatenate([np.arange(c.start, c.stop) for n, c in system.columns.items() if "_drift" in n])
     priors = [rows.index.ravel() for rows in system.rows if "_drift" in rows.kind]
     kept = np.setdiff1d(np.arange(len(system.b)), np.concatenate([drift[:0], *priors]))
     m = len(kept)
-    known = np.eye(m)
+    known = np.zeros((m, m))
     if len(drift):
         root = splu(system.A[np.concatenate(priors)][:, drift].tocsc()).solve(np.eye(len(drift)))
         effect = system.A[kept][:, drift] @ root
         known += effect @ effect.T
     parts = [np.zeros((m, m)) for _ in _SOURCES]
     for rows in system.rows:
+        if "_drift" in rows.kind:
+            continue
+        at = np.searchsorted(kept, rows.index)
+        block = at[:, :, None], at[:, None, :]
+        # Shares of the known sources; the unit matrix less large unmodelled errors would be rounding.
+        known[block] += sum(share for source, share in rows.sources.items() if source not in _SOURCES)
         for part, (source, kinds) in zip(parts, _SOURCES.items(), strict=True):
             if rows.kind in kinds:
                 # The last component of an attitude is the wobble of its axis.
                 W = system.whitening[rows.kind][:, :, -1 if source == "wobble_excess" else slice(None)]
                 W = W.reshape(len(W), rows.size, -1)
-                for index, block in zip(np.searchsorted(kept, rows.index), W @ np.swapaxes(W, 1, 2), strict=True):
-                    part[np.ix_(index, index)] = block
-    known = known - sum(size**2 * part for size, part in zip(joint.unmodelled_sigma, parts, strict=True))
+                part[block] = W @ np.swapaxes(W, 1, 2)
     others = system.active.copy()
     others[drift] = False
     H = system.A[kept][:, np.flatnonzero(others)].toarray()

@@ -184,9 +184,12 @@ class SrtProcessor:
             if not self._share[k].any():
                 self._share[k] = self._pool
         self._share /= self._share.sum(axis=1, keepdims=True)
-        # Free turns: the axis of B from which a horizontal direction is built. It stays the same in all iterations,
-        # because the weights of the measurements depend on it.
-        self._least_vertical = np.argmin(np.abs(data.windows.accel_mean[data.start]), axis=1)
+        # Free turns: the axis, of T where the pose is known and else of B, from which a horizontal direction is built.
+        # It stays the same in all iterations, because the weights of the measurements depend on it.
+        vertical = data.windows.accel_mean[data.start]
+        if data.nominal is not None:
+            vertical = np.where(data.placed[:, None], data.nominal[:, 2], vertical)
+        self._least_vertical = np.argmin(np.abs(vertical), axis=1)
         # The two axes of T that are horizontal at the start of each labelled sequence.
         self._labelled = np.array([s is not None for s in data.catalogue])
         self._horizontal = np.array(
@@ -325,7 +328,8 @@ class SrtProcessor:
     def _basis(self, down: Array, U: Array) -> Array:
         """Two horizontal directions per sequence: nominal axes of T made horizontal, or any two for a free turn."""
         data = self.data
-        first = cross_matrix(down)[np.arange(data.K), :, self._least_vertical]
+        reference = np.where(data.placed[:, None], U.T[self._least_vertical], np.eye(3)[self._least_vertical])
+        first = np.cross(down, reference)
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
         if data.nominal is not None:

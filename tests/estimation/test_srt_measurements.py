@@ -6,10 +6,15 @@ import accuracy_trials
 import numpy as np
 import pytest
 
+from sims.physics.imu import ImuModel, read_out
+from sims.physics.sequences import TABLE_1
+from sims.physics.table_motion import table1_motion
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
 from srt.model.rotations import rotation_vector
+from srt.sensor_errors import NAMES, SensorErrors
+from srt.sequences.moves import recorded_moves
 from srt.sequences.preparation import prepare
 
 OPTIONS = Options(gyro_bias="g-sensitive")
@@ -47,3 +52,23 @@ def test_an_earth_rate_that_is_added_turns_the_start_frame_backwards(unit):
     expected = -offset * before.integrals.weight_s[:, None]
     # The Earth turns by 3e-3 rad meanwhile, which turns the direction of the change.
     np.testing.assert_allclose(turned, expected, rtol=0, atol=3e-3 * np.abs(expected).max())
+
+
+def test_a_unit_that_shows_the_vertical_as_its_smallest_component_has_two_horizontal_directions():
+    """Accelerometers that read a fifth of the axis that is vertical, and 0.6 of it on the others.
+
+    The free turns between the sequences start from known poses: an axis chosen by the readings is the vertical itself.
+    """
+    errors = SensorErrors(np.array([-0.8 if "accel_scale" in name else 0.6 * ("misal" in name) for name in NAMES]))
+    motion = table1_motion(
+        site=accuracy_trials.SITE, sample_rate_hz=50.0, sequences=tuple(TABLE_1)[:4], moves="recorded"
+    )
+    recording = read_out(motion, errors, ImuModel(), np.random.default_rng(3))
+    moves = recorded_moves(recording, recording.sequences)
+    data = prepare(recording, recording.sequences, OPTIONS.average, moves=moves)
+    assert data.is_move.any()
+    assert data.placed.all()
+    with np.errstate(all="raise"):
+        basis = SrtProcessor(data, OPTIONS).process(SensorErrors(np.zeros(len(NAMES))), nominal_vertical=True).basis
+    unit_size = np.broadcast_to(np.eye(2), (data.K, 2, 2))
+    np.testing.assert_allclose(basis @ np.swapaxes(basis, 1, 2), unit_size, atol=1e-12)
