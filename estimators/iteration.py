@@ -35,7 +35,7 @@ from estimators.solution_analysis import (
 )
 from estimators.solver import IterationState, JointSolver
 from srt.estimation.drift_model import MOST_TERMS
-from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request
+from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request, seen_by_earth_rate_alone
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
@@ -275,11 +275,10 @@ def run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Ca
 def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> Calibration:
     joint, found = _with_sound_moves(joint, solver, progress)
     options = joint.options
-    requested = np.array([name in options.fixed_names for name in NAMES])
     uncertain = fixed_sigma(joint.data, options)
-    fixed = FixedParameters(
-        {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}, uncertain
-    )
+    reasons = {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}
+    fixed = FixedParameters(seen_by_earth_rate_alone(joint.data) | reasons, uncertain)
+    requested = np.array([name in fixed.reasons for name in NAMES])
     iteration = IterationState(joint.start, ~requested) if found is None else found
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):

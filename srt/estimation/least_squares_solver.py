@@ -22,7 +22,12 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from srt.estimation import measurement_covariance
 from srt.estimation.calibration_builder import build_calibration
 from srt.estimation.drift_search import used_bias_gain
-from srt.estimation.fixed_parameters import fixed_sigma, reason_not_observed, reason_on_request
+from srt.estimation.fixed_parameters import (
+    fixed_sigma,
+    reason_not_observed,
+    reason_on_request,
+    seen_by_earth_rate_alone,
+)
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.iteration import iterate
 from srt.estimation.leave_one_out import LeaveOneOutEstimate, leave_one_out_estimate, pooling_weights_without
@@ -32,7 +37,7 @@ from srt.estimation.solver_result import solver_result
 from srt.estimation.unmodelled_errors import iterate_with_unmodelled_errors
 from srt.model import measurement_model as model
 from srt.model.table1 import SEQUENCES
-from srt.sensor_errors import N_PARAMETERS, NAMES, expand_names
+from srt.sensor_errors import N_PARAMETERS, NAMES
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
 from srt.sequences.stationary_windows import find_turns
@@ -126,11 +131,7 @@ def estimate(recording: Recording, options: Options, progress: Progress | None =
     data = _with_sound_moves(without_gross_moves(data, options, first), options, first)
     uncertain = fixed_sigma(data, options)
     on_request = {n: reason_on_request(n, uncertain, data) for n in options.fixed_names}
-    if all(label.pose or label.rate is not None for label in data.labels):
-        # Only the Earth rate at rest would show these, weakly and not linearly: the frame that carries it from rest to
-        # rest turns with the errors of many revolutions.
-        names = expand_names(["gyro_orthogonality"])
-        on_request = {n: reason_not_observed(n) for n in names} | on_request
+    on_request = seen_by_earth_rate_alone(data) | on_request
     fixed, prior, relied = dict(on_request), admission_sigma(), None
     for _ in range(_ROUNDS + 1):
         requested = tuple(fixed)

@@ -17,13 +17,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srt.exceptions import DataError
 from srt.model import measurement_model as model
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
+    from srt.recording.recording import SequenceLabel
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
+
+
+def refuse_stated_rates(labels: Iterable[SequenceLabel]) -> None:
+    """Refuse labels that state a rate, for estimators that do not use it.
+
+    Raises
+    ------
+    DataError
+    """
+    rated = next((label for label in labels if label.rate is not None), None)
+    if rated is not None:
+        raise DataError(f"{rated.title} states a rate, which ekf and graph do not use: calibrate with least-squares.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

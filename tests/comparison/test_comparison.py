@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
@@ -322,7 +323,7 @@ def test_default_estimators_are_those_that_fit(monkeypatch, registry):
         monkeypatch.setattr(
             srt.comparison.estimator_comparison, "automatic_estimator", lambda recording, name=automatic: name
         )
-        names, left_out = default_estimators(None)
+        names, left_out = default_estimators(SimpleNamespace(sequences=()))
         assert set(left_out) == left
         assert "pip install" in left_out["absent"]
         assert set(names) == {"closed-form", "absent", "graph"} - left

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 import sims
 import srt
+import srt.comparison.estimator_comparison
 from sims.scenarios.scenario import scenario_from_dict
 from srt.estimation.measurement_covariance import disturbances, project
 from srt.estimation.options import Options
@@ -261,3 +262,23 @@ def test_a_bias_acts_on_rotation_rest_and_stated_rate_alike():
         np.testing.assert_allclose(found[:-3], column[:-3], rtol=0, atol=0.05 * np.abs(column).max())
         # The next run shares one of the two windows: half of the change of the rest rate is of this draw.
         np.testing.assert_allclose(found[-3:], 2.0 * column[-3:], rtol=0, atol=0.05 * np.abs(column[-3:]).max())
+
+
+def test_joint_estimators_refuse_a_stated_rate_and_agree_on_poses():
+    """A comparison leaves them out; on poses all three have the same accelerometer errors, and no gyro scale."""
+    pytest.importorskip("gtsam")
+    rated = sims.simulate(scenario("rate-table", 1)).recording
+    with pytest.raises(srt.exceptions.DataError, match="states a rate, which ekf and graph do not use: calibrate with"):
+        srt.calibrate(rated, "graph", checks=False)
+    names, left_out = srt.comparison.estimator_comparison.default_estimators(rated)
+    assert names == ("least-squares",)
+    assert "states a rate" in left_out["ekf"]
+    poses = sims.simulate(scenario("24-face-tumble", 1)).recording
+    least, *joint = (srt.calibrate(poses, name, checks=False) for name in ("least-squares", "ekf", "graph"))
+    at = np.r_[GROUP_SLICES["accel_bias"], GROUP_SLICES["accel_scale"], GROUP_SLICES["accel_asymmetry"]]
+    for found in joint:
+        assert not found.observed[GROUP_SLICES["gyro_scale"]].any()
+        assert "add a rotation" in found.held["gyro_scale_x"]
+        np.testing.assert_allclose(found.sigma[at], least.sigma[at], rtol=0.02)
+        # Least squares uses the mean rate of all poses, the others the rate of each: 0.1 sigma of what it shows.
+        assert np.all(np.abs(found.errors.vector - least.errors.vector)[at] < 0.1 * least.sigma[at])
