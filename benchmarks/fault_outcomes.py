@@ -19,60 +19,40 @@ import argparse
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-from fault_study import ALL_OR_NOTHING, FACTORS, LEAST_ONE, SHARES, all_injections, severity_at
+from fault_severities import Units, severities
+from fault_study import all_injections
 
 import srt
 from sims.faults.foreign_operators import PAIRS
-from sims.faults.injection import GRADES, VARIANTS, Case, Injection
+from sims.faults.injection import GRADES, VARIANTS, Injection
 from srt.diagnosis.staged_diagnosis import diagnose
 from srt.exceptions import DataError, InputError
 from srt.recording.atomic_file import atomic_write_text
-from srt.sensor_errors import NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from srt.result.calibration import Calibration
 
-SEVERITIES: Final = 3
 SIGMAS: Final = 3.0
 """Largest shift in silence, in sigma of the calibration without the fault."""
 OUTCOMES: Final = ("named first", "another cause first", "refused without a cause", "doubtful", "within", "beyond")
 """Outcomes: the last three name no cause; the calibration is not sound, or its shift is within or beyond the limit."""
 HEADINGS: Final = ("named first", "another first", "refused", "only doubtful", "silent, within 3σ", "silent, beyond 3σ")
-MOVES_TRUTH: Final[dict[str, tuple[str, ...]]] = {
-    "gyro_lsb": ("gyro",),
-    "accel_lsb": ("accel",),
-    "gyro_factor": ("gyro",),
-    "accel_factor": ("accel",),
-    "one axis of another range": ("gyro", "accel"),
-    "gyro_bias_drift": ("gyro_bias",),
-    "gyro bias steps": ("gyro_bias",),
-    "accel_bias_drift": ("accel_bias",),
-    "wrong_angle and accel_bias_drift": ("accel_bias",),
-    "accelerometer bias steps": ("accel_bias",),
-    "accelerometer scale drifts": ("accel_scale",),
-    "gyro scale drifts": ("gyro_scale",),
-    "gyro_scale_drift": ("gyro_scale",),
-    "offset subtracted twice": ("gyro_bias",),
-    "low bits lost": ("gyro_bias", "accel_bias"),
-    "bit of a converter stuck": ("gyro_bias", "accel_bias"),
-    "mounted at 45 deg": ("gyro", "accel"),
-    "sensors askew in their housing": ("gyro", "accel"),
-    "accelerometer board askew": ("accel",),
-}
-"""Parameters that a fault changes in truth, by the beginning of their names: calibration finds them, and should."""
 CANNOT_BE_SEEN: Final = {
     "gravity": "within the heights and anomalies of the Earth's surface, it is the scale of the accelerometers",
     "gravity of another country": "as gravity",
     "sample_rate": "within the scale errors of an uncalibrated unit, it is their scale, if no Earth rate is measured",
     "clock fast": "as sample_rate",
     "nominal rate of a chip": "as sample_rate",
+    "time_unit": "as sample_rate: a factor near 1 is no unit",
+    "rate_contradicts_stamps": "as sample_rate: a factor near 1 is within what stamps tell of a rate",
+    "stamps in minutes": "as time_unit",
+    "sample_rate and spikes": "as sample_rate, spikes of less than the noise",
+    "time_unit and gyro_lsb": "as sample_rate",
 }
 """Kinds whose smaller severities no check can tell from a sound unit, in all grades, with the reason."""
 AT_THE_LIMIT: Final = {
@@ -95,7 +75,7 @@ class Outcome:
     ----------
     kind, grade : str
     rung : int
-        Number of halvings of the stated severity.
+        0 for the largest severity, 2 for the least.
     severity : float
     outcome : str
         One of :data:`OUTCOMES`.
@@ -105,6 +85,8 @@ class Outcome:
         Largest shift of a parameter, in sigma; 0 where it was not calibrated.
     parameter : str
         Parameter of that shift.
+    harmful : bool
+        True if the fault moves a parameter by more than 3 sigma, or leaves no result.
     """
 
     kind: str
@@ -115,56 +97,12 @@ class Outcome:
     named: str = ""
     shift: float = 0.0
     parameter: str = ""
+    harmful: bool = True
 
 
 def all_kinds() -> dict[str, Injection]:
     """Faults of the catalogue, and their variants."""
     return {**all_injections(), **VARIANTS}
-
-
-class Units:
-    """One unit of each grade and severity, and its calibration without a fault."""
-
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
-        self._cases: dict[tuple[str, int], Case] = {}
-        self._clean: dict[tuple[str, int], Calibration] = {}
-
-    def case(self, grade: str, rung: int) -> Case:
-        key = grade, rung
-        if key not in self._cases:
-            self._cases[key] = Case(grade, self.seed + 10 * GRADES.index(grade) + rung)
-        return self._cases[key]
-
-    def clean(self, grade: str, rung: int) -> Calibration:
-        key = grade, rung
-        if key not in self._clean:
-            self._clean[key] = srt.calibrate(self.case(grade, rung).recording, checks=False)
-        return self._clean[key]
-
-    def shift(self, found: Calibration, injection: Injection, grade: str, rung: int) -> tuple[float, str]:
-        """Largest shift of a parameter against the recording without the fault, in sigma, and its name.
-
-        The larger sigma of the two counts: what the result itself states as doubt is not in silence.
-        """
-        clean = self.twin(injection, grade, rung)
-        known = found.observed & clean.observed
-        known &= [not name.startswith(MOVES_TRUTH.get(injection.fault, ())) for name in NAMES]
-        shifts = np.zeros(len(NAMES))
-        sigma = np.maximum(found.sigma, clean.sigma)[known]
-        shifts[known] = np.abs(found.errors.vector - clean.errors.vector)[known] / sigma
-        return float(shifts.max()), NAMES[int(shifts.argmax())]
-
-    def twin(self, injection: Injection, grade: str, rung: int) -> Calibration:
-        """Calibration of the same injection with no severity, which draws the same noise, where there is such."""
-        none = 1.0 if injection.unit in (*FACTORS, *SHARES) else 0.0
-        if injection.unit in (*ALL_OR_NOTHING, *LEAST_ONE) or injection.fault in VARIANTS:
-            return self.clean(grade, rung)
-        try:
-            recording = injection.recording(self.case(grade, rung), none)
-        except InputError:
-            return self.clean(grade, rung)
-        return srt.calibrate(recording, checks=False, options=injection.options)
 
 
 def outcome_of(injection: Injection, units: Units, grade: str, rung: int, severity: float) -> Outcome:
@@ -196,31 +134,15 @@ def _naming(injection: Injection, named: str | None) -> str:
     return OUTCOMES[0] if named in injection.causes else OUTCOMES[1]
 
 
-def severities(injection: Injection, grade: str) -> Iterator[tuple[int, float]]:
-    """Severity steps; a fault without smaller severities has its stated one in all, with other draws.
-
-    In a grade in which a fault cannot be seen, it has the severity of the first grade in which it can.
-    """
-    stated = injection.severity if grade in injection.severity else dict.fromkeys(GRADES, _any(injection))
-    injected = Injection(injection.fault, injection.apply, stated, injection.unit)
-    last = stated[grade]
-    for rung in range(SEVERITIES):
-        smaller = severity_at(injected, grade, rung)
-        last = last if smaller is None else smaller
-        yield rung, last
-
-
-def _any(injection: Injection) -> float:
-    return next(iter(injection.severity.values()))
-
-
 def outcomes(kinds: Sequence[str], grades: Sequence[str], seed: int) -> Iterator[Outcome]:
     """Outcomes of kinds in grades at all severities."""
     units, known = Units(seed), all_kinds()
     for grade in grades:
         for kind in kinds:
-            for rung, severity in severities(known[kind], grade):
-                yield outcome_of(known[kind], units, grade, rung, severity)
+            harmful, steps = severities(known[kind], units, grade)
+            for rung, severity in enumerate(steps):
+                row = outcome_of(known[kind], units, grade, rung, severity)
+                yield replace(row, harmful=harmful and row.outcome != OUTCOMES[4])
 
 
 def unseen(row: Outcome) -> bool:
@@ -300,11 +222,17 @@ def main() -> int:
         rows.append(row)
         if row.outcome != OUTCOMES[0]:
             shift = f" {row.shift:.3g} sigma {row.parameter}" if row.parameter else ""
-            print(f"{row.kind}, {row.grade}, {row.severity:.4g}: {row.outcome} {row.named}{shift}", flush=True)
+            marks = ("" if row.harmful else " (harmless)") + (" *" if unseen(row) else "")
+            print(f"{row.kind}, {row.grade}, {row.severity:.4g}: {row.outcome} {row.named}{shift}{marks}", flush=True)
     counts = Counter(row.outcome for row in rows)
+    harm = [row for row in rows if row.harmful]
+    shown = [row for row in harm if not (row.outcome == OUTCOMES[5] and unseen(row))]
     print(f"{len(kinds)} kinds, {len(rows)} injections, {time.process_time() - began:.0f} s of CPU time")
     for name in OUTCOMES:
         print(f"  {name}: {counts[name]} ({100.0 * counts[name] / len(rows):.1f} %)")
+    for part, word in ((rows, "all"), (harm, "that do harm"), (shown, "that do harm and can be seen")):
+        first = sum(row.outcome == OUTCOMES[0] for row in part)
+        print(f"  named first of {word}: {first} of {len(part)} ({100.0 * first / max(1, len(part)):.1f} %)")
     if arguments.markdown:
         write_section(arguments.markdown, page(rows, arguments.seed))
     return int(any(row.outcome == OUTCOMES[5] and not unseen(row) for row in rows))

@@ -83,7 +83,7 @@ def clock_warming_up(case: Case, severity: float, rng: np.random.Generator) -> R
     return restamped(recording, lambda time: time + sign * severity * (time - first) ** 2 / (2.0 * span))
 
 
-@variant("stamps of milliseconds", 8.0, "ms", "stamp_jitter")
+@variant("stamps of milliseconds", 8.0, "ms", "stamp_jitter", "time_repeats")
 def stamps_of_milliseconds(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The logger stamps on arrival, with a tick of some milliseconds."""
     recording, tick = case.recording, 1e-3 * severity
@@ -190,7 +190,7 @@ def block_sent_twice(case: Case, severity: float, rng: np.random.Generator) -> R
     """A block of samples takes the place of the following block, in a rotation."""
     recording = case.recording
     part = _turning(recording, rng)
-    size = max(2, round(severity / recording.nominal_interval_s))
+    size = min(max(2, round(severity / recording.nominal_interval_s)), (part.stop - part.start) // 2)
     first = int(rng.integers(part.start, max(part.start + 1, part.stop - 2 * size)))
     gyro, accel = recording.gyro.copy(), recording.accel.copy()
     for values in (gyro, accel):
@@ -238,7 +238,7 @@ def neighbours_exchanged(case: Case, severity: float, rng: np.random.Generator) 
     return replace(case.recording, gyro=case.recording.gyro[order], accel=case.recording.accel[order])
 
 
-@variant("every second increment dropped", 2.0, "times", "increments_thinned", "samples_lost")
+@variant("every second increment dropped", 2.0, "-", "increments_thinned", "samples_lost")
 def increments_decimated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Increments are thinned out in place of being summed: angles and velocities are too small by the factor."""
     recording = case.recording
@@ -304,7 +304,7 @@ def low_bits_lost(case: Case, severity: float, rng: np.random.Generator) -> Reco
     return _changed(case.recording, sensor, lsb * severity * np.floor(words / severity))
 
 
-@variant("one axis of another range", 2.0, "times", "gyro_lsb", "accel_lsb")
+@variant("one axis of another range", 2.0, "-", "gyro_lsb", "accel_lsb")
 def one_axis_of_another_range(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The range of one axis is set otherwise than that of the others."""
     sensor = _sensor(rng)

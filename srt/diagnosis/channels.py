@@ -13,9 +13,11 @@ from srt.diagnosis.axes import manoeuvre_readings
 from srt.diagnosis.findings import check, finding
 from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
 from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
-from srt.diagnosis.spikes import find_spikes
+from srt.diagnosis.sensor_synchronisation import sample_twice
+from srt.diagnosis.spikes import Spikes, find_spikes
 from srt.diagnosis.words import wrapped_readings
 from srt.model.table1 import AXES
+from srt.noise.allan import CHANNELS
 from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
@@ -23,11 +25,9 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
-CHANNELS: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in AXES)
-"""Names of the six columns."""
 _SAMPLES: Final = 20_000
 """Rows used where all rows would tell no more."""
 _PIECES: Final = 8
@@ -197,15 +197,29 @@ _FEWEST_TWICE: Final = 3
 
 @check("samples_duplicated")
 def duplicated_samples(evidence: Evidence) -> Iterator[Finding]:
-    """Find single samples that repeat the one before in all channels, more of them than chance explains."""
+    """Find samples that repeat the one before in all channels: more than chance explains, or against the motion.
+
+    Where the readings change, a repeated sample deviates from its neighbours as a spike does; where they are steady, it
+    turns the attitude too far by its angle. Pulses repeat by chance, but not there.
+    """
     for rows, expected in single_repeats(evidence):
         count = len(rows)
         if count < max(_FEWEST_TWICE, _TWICE * expected) or gammainc(count, expected) > REPEATS_BY_CHANCE:
             continue
-        yield finding(
-            "samples_duplicated", count=count, time=float(evidence.recording.time[rows[0]]), expected=expected
-        )
+        yield _duplicated(evidence, rows, expected)
         return
+    there = find_spikes(evidence)
+    rows = np.unique(there.sample[there.of_repeats(evidence)]) if there.sample.size else there.sample
+    if rows.size == 0:
+        again = sample_twice(evidence)
+        rows = rows if again is None else np.array([again])
+    if rows.size:
+        yield _duplicated(evidence, rows, 0.0)
+
+
+def _duplicated(evidence: Evidence, rows: Indices, expected: float) -> Finding:
+    time = float(evidence.recording.time[rows[0]])
+    return finding("samples_duplicated", count=len(rows), time=time, expected=expected)
 
 
 _DEAD_SHARE: Final = 0.5
@@ -261,6 +275,9 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
 def spikes(evidence: Evidence) -> Iterator[Finding]:
     """Find spikes; the message gives the largest one of the channel that has most."""
     there = find_spikes(evidence)
+    if there.sample.size:
+        own = ~there.of_repeats(evidence)
+        there = Spikes(there.sample[own], there.channel[own], there.jump[own])
     if there.sample.size == 0:
         return
     most = int(np.argmax(np.bincount(there.channel)))

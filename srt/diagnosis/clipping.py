@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.diagnosis.channels import CHANNELS
 from srt.diagnosis.findings import check, finding
+from srt.noise.allan import CHANNELS
 from srt.sequences.plausibility import Clipping, clipped_samples, clipping_levels
 
 if TYPE_CHECKING:

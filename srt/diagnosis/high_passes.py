@@ -26,6 +26,8 @@ _EXPLAINED: Final = 0.9
 are explained to 0.6, a drift of the readings to less."""
 _LONGEST_S: Final = 200.0
 """Longest time constant, s: a settling of 1e-3 of gravity within a window looks like one of 1e4 s."""
+_SHORTEST_S: Final = {"gyro": 0.5, "accel": 0.01}
+"""Shortest time constant, s: gyros behind a shorter one read no rotation, and windows hold the end of one instead."""
 _FEWEST_WINDOWS: Final = 4
 """Windows, fewer of which may do so by chance."""
 _LEAST: Final = {"gyro": 1e-3, "accel": 0.1}
@@ -66,4 +68,5 @@ def _time_constant(evidence: Evidence, sensor: str) -> float | None:
         return None
     slope = float(x @ y) / square
     explained = slope**2 * square / power
-    return -1.0 / slope if slope < -1.0 / _LONGEST_S and explained > _EXPLAINED else None
+    fits = -1.0 / _SHORTEST_S[sensor] < slope < -1.0 / _LONGEST_S and explained > _EXPLAINED
+    return -1.0 / slope if fits else None

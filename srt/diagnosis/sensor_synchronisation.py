@@ -47,6 +47,8 @@ _SIDE: Final = 20
 """Blocks used on each side of a step."""
 _HALF_A_SAMPLE: Final = 0.5
 """Smallest step in angles of one sample: at least one sample is lost."""
+_WHOLE: Final = 0.25
+"""Distance of a step from the angle of a whole number of samples, relative to it, that noise explains."""
 _RAYLEIGH_MEDIAN: Final = 1.1774
 """Median of the Rayleigh distribution in sigma."""
 
@@ -199,30 +201,59 @@ def _lag_causes(seen: TimeOffset) -> list[Cause]:
     return causes
 
 
-@check("sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed")
-def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
-    """Test for a lag of the rotation of gravity behind the gyros: of all channels of a sensor, or of one."""
+@computed_once
+def lag(evidence: Evidence) -> Finding | None:
+    """Lag of the rotation of gravity behind the gyros, of all channels of a sensor or of one; None if there is none."""
     seen = time_offset(evidence)
     if seen is None:
-        return
+        return None
     causes = _lag_causes(seen)
     ranked = compare(seen.by_turn, causes)
     best = next(explanation for explanation in ranked if explanation.cause.fault)
     late, sigma = float(best.value[0]), float(best.sigma[0])
     limit = -float(stdtrit(best.freedom, 0.5 * FALSE_ALARM / (len(causes) - 1)))
-    if abs(late) > max(limit * sigma, _LEAST_OFFSET * evidence.dt):
-        told = finding(best.cause.fault, offset_ms=1e3 * late, sigma_ms=1e3 * sigma, **best.cause.details)
-        yield with_runner_up(told, ranked)
+    if abs(late) <= max(limit * sigma, _LEAST_OFFSET * evidence.dt):
+        return None
+    told = finding(best.cause.fault, offset_ms=1e3 * late, sigma_ms=1e3 * sigma, **best.cause.details)
+    return with_runner_up(told, ranked)
 
 
-@check("samples_lost")
-def samples_lost(evidence: Evidence) -> Iterator[Finding]:
-    """Find steps of the gyro-stabilised specific force; on a fixture only, as a hand accelerates in steps, too."""
+@check("sensor_time_offset", "gyro_axis_delayed", "accel_axis_delayed")
+def sensor_time_offset(evidence: Evidence) -> Iterator[Finding]:
+    """Test for a lag of the rotation of gravity behind the gyros: of all channels of a sensor, or of one."""
+    told = lag(evidence)
+    if told is not None:
+        yield told
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeStep:
+    """Step of the gyro-stabilised specific force in a rotation.
+
+    Attributes
+    ----------
+    block : int
+        Block of :func:`block_averages` before which the attitude steps.
+    height : float
+        Angle, rad.
+    duration_s : float
+        Time in which the rotation turns by it; negative where the gyros read too large an angle.
+    """
+
+    block: int
+    height: float
+    duration_s: float
+
+
+@computed_once
+def attitude_step(evidence: Evidence) -> AttitudeStep | None:
+    """Largest significant step; None if there is none, or without a fixture: a hand accelerates in steps, too."""
     path, turns = stabilised_force(evidence), block_averages(evidence)
     if path is None or turns is None or evidence.recording.fixture is None:
-        return
+        return None
     seen = time_offset(evidence)
-    speed = np.linalg.norm(cross(path.rate, path.up_body), axis=1)
+    turning = cross(path.rate, path.up_body)
+    speed = np.linalg.norm(turning, axis=1)
     moving = speed > _MOVING * speed.max()
     left = path.force_start - path.up
     if seen is not None:
@@ -233,7 +264,7 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     places = np.flatnonzero(moving & whole)
     height = np.linalg.norm(steps[places], axis=1)
     if len(height) == 0:
-        return
+        return None
     # Most places hold no step: their median gives the noise.
     scale = float(np.median(height)) / _RAYLEIGH_MEDIAN
     limit = math.sqrt(-2.0 * math.log(FALSE_ALARM / len(height))) * scale
@@ -247,13 +278,40 @@ def samples_lost(evidence: Evidence) -> Iterator[Finding]:
     best = int(np.argmax(excess))
     block = int(places[best])
     if excess[best] <= 1.0:
+        return None
+    surplus = float(steps[block] @ _levelled(path, turning)[block]) > 0.0
+    size = float(height[best] / speed[block])
+    return AttitudeStep(block, float(height[best]), -size if surplus else size)
+
+
+def sample_twice(evidence: Evidence) -> int | None:
+    """Sample that repeats the one before and turns the attitude too far by its angle; None if there is none."""
+    step, turns = attitude_step(evidence), block_averages(evidence)
+    if step is None or turns is None:
+        return None
+    samples = -step.duration_s / evidence.dt
+    if round(samples) < 1 or abs(samples - round(samples)) > _WHOLE * round(samples):
+        return None
+    recording, first = evidence.recording, int(turns.first_sample[step.block])
+    reach = 2 * max(1, round(turns.step_s / evidence.dt))
+    rows = np.arange(max(1, first - reach), min(len(recording.time), first + reach))
+    same = [np.all(x[rows] == x[rows - 1], axis=1) for x in (recording.gyro, recording.accel)]
+    again = rows[same[0] & same[1]]
+    return int(again[0]) if again.size else None
+
+
+@check("samples_lost")
+def samples_lost(evidence: Evidence) -> Iterator[Finding]:
+    """Report a step of the gyro-stabilised specific force that no repeated sample explains."""
+    step, turns = attitude_step(evidence), block_averages(evidence)
+    if step is None or turns is None or sample_twice(evidence) is not None:
         return
     yield finding(
         "samples_lost",
-        sequence=evidence.title(int(turns.sequence[block])),
-        time=float(evidence.recording.time[turns.first_sample[block]]) - evidence.dt,
-        angle_deg=math.degrees(float(height[best])),
-        duration=float(height[best] / speed[block]),
+        sequence=evidence.title(int(turns.sequence[step.block])),
+        time=float(evidence.recording.time[turns.first_sample[step.block]]) - evidence.dt,
+        angle_deg=math.degrees(step.height),
+        duration=abs(step.duration_s),
     )
 
 

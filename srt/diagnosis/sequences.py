@@ -18,8 +18,10 @@ from srt.diagnosis.rotation_readings import (
     rotation_angles,
     turning_windows,
 )
+from srt.diagnosis.sensor_synchronisation import lag
 from srt.diagnosis.stabilised_force import stabilised_force
 from srt.diagnosis.triad_fits import gyro_fit, raw_triads
+from srt.diagnosis.window_edges import rotation_at_edges
 from srt.exceptions import DataError
 from srt.model import closed_form
 from srt.model.table1 import SEQUENCES
@@ -71,6 +73,12 @@ def labels_shifted(evidence: Evidence) -> Iterator[Finding]:
 @computed_once
 def _shift(evidence: Evidence) -> tuple[float, int] | None:
     """Time by which the labels are late, s, and the number of windows affected; None if the labels are not shifted."""
+    found = _block_shift(evidence)
+    return rotation_at_edges(evidence) if found is None else found
+
+
+def _block_shift(evidence: Evidence) -> tuple[float, int] | None:
+    """The same by rotations that the means over blocks show."""
     data = evidence.data
     if data is None or not evidence.has_labels:
         return None
@@ -203,6 +211,9 @@ def _wrong_angles(evidence: Evidence, known: Mask, excess: Array) -> Iterator[Fi
     scale = 0.0 if gyro_fit(evidence).rank == 3 else _RAW_SCALE * np.linalg.norm(nominal, axis=1)
     allowed = _SIGMAS * np.hypot(math.hypot(fixture.rotation_sigma_rad, 2.0 * fixture.alignment_sigma_rad), scale)
     off = np.flatnonzero(known & (np.abs(excess) > allowed))
+    if off.size and lag(evidence) is not None:
+        # Gyros that lag read the end of a rotation in the next one of the sequence.
+        off = off[np.bincount(numbers)[numbers[off]] == 1]
     left = _end_mismatch(evidence)
     off = off[[left.get(int(k), math.inf) < _AGREE * abs(e) for k, e in zip(numbers[off], excess[off], strict=True)]]
     if off.size == 0:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from srt.diagnosis.rotation_readings import turning_windows
+from srt.diagnosis.rotation_readings import computed_once, turning_windows
 from srt.noise.quantization import quantization_step
 
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
-    from srt.types import Array, Indices
+    from srt.types import Array, Indices, Mask
 
 
 _SIGMAS: Final = 7.5
@@ -61,10 +61,18 @@ class Spikes:
     channel: Indices
     jump: Array
 
+    def of_repeats(self, evidence: Evidence) -> Mask:
+        """True for readings that deviate because their sample repeats a neighbour in all channels, shape (n,)."""
+        recording = evidence.recording
+        same = np.all(np.diff(recording.gyro, axis=0) == 0.0, axis=1)
+        same &= np.all(np.diff(recording.accel, axis=0) == 0.0, axis=1)
+        return np.asarray(same[self.sample - 1] | same[self.sample])
+
 
 _NONE: Final = Spikes(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0))
 
 
+@computed_once
 def find_spikes(evidence: Evidence) -> Spikes:
     """Spikes inside the sequences, without bumps."""
     data = evidence.data

@@ -14,6 +14,7 @@ from scipy.special import chdtri, fdtri, ndtri
 
 from srt.diagnosis.findings import check, finding
 from srt.diagnosis.rotation_readings import cross, invert_readings
+from srt.diagnosis.sensor_synchronisation import lag
 from srt.diagnosis.triad_fits import raw_triads
 from srt.diagnosis.window_averages import (
     ACCEL,
@@ -67,7 +68,9 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
     averages = window_averages(evidence)
     if averages is None:
         return
-    ringing, amplitude = _oscillation(averages)
+    # Gyros that lag, or one that is ahead of the others, read a rotation in windows in which the unit rests.
+    lagging = lag(evidence) is not None
+    ringing, amplitude = _oscillation(averages, by_gyros=not lagging)
     if evidence.recording.fixture is None:
         ringing[:] = False  # the hand that holds the unit disturbs it
     steps = _steps(evidence, averages)
@@ -100,7 +103,7 @@ def disturbed_windows(evidence: Evidence) -> Iterator[Finding]:
         v, rate = creep
         done[v] = True
         yield finding("creep", rate_urad_s=1e6 * rate, **_place(evidence, averages, v))
-    noisy = _noisy(averages, done)
+    noisy = None if lagging else _noisy(averages, done)
     if noisy is not None:
         v, ratio, sensor = noisy
         yield finding("noisy_window", ratio=ratio, sensor=sensor, **_place(evidence, averages, v))
@@ -125,7 +128,7 @@ def _place(evidence: Evidence, averages: WindowAverages, v: int) -> dict[str, ob
 # --- oscillation -----------------------------------------------------------------------------------------------------
 
 
-def _oscillation(averages: WindowAverages) -> tuple[Mask, Array]:
+def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]:
     """True for starts of windows with far more power than the second half, by length of the start; shape (V, H).
 
     The second array is the power over that of the noise, of gyros and accelerometers, shape (V, 2).
@@ -139,7 +142,8 @@ def _oscillation(averages: WindowAverages) -> tuple[Mask, Array]:
     probability = FALSE_ALARM / max(1, by_sensor.size)
     limit = np.maximum(_LEAST_POWER, chdtri(freedom, probability) / freedom)
     loud = by_sensor > limit[:, None]
-    return np.asarray(loud.any(axis=2)), np.asarray(by_sensor.max(axis=1, initial=0.0))
+    told = loud.any(axis=2) if by_gyros else loud[:, :, 1]
+    return np.asarray(told), np.asarray(by_sensor.max(axis=1, initial=0.0))
 
 
 def _amplitude(averages: WindowAverages, v: int) -> str:

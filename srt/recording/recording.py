@@ -281,7 +281,9 @@ class Recording(Presented):
             if window.stop <= window.start:
                 raise InputError(
                     f"{label.title}: {name} [{a:g}, {b:g}] holds no sample (the interval is {interval:g} s): "
-                    "widen the window, or label a part that was recorded."
+                    "widen the window, or label a part that was recorded.",
+                    # Longer than an interval, it lies where the stamps jump.
+                    fault="gap_in_sequence" if b - a > 2.0 * interval else None,
                 )
 
     def memo(self, key: Hashable, make: Callable[[], Derived]) -> Derived:

@@ -3,7 +3,8 @@
 import functools
 
 import pytest
-from fault_outcomes import OUTCOMES, Units, all_kinds, outcome_of, severities
+from fault_outcomes import OUTCOMES, Units, all_kinds, outcome_of
+from fault_severities import halvings
 
 from sims.faults.injection import Case
 from srt.diagnosis.staged_diagnosis import diagnose
@@ -59,8 +60,27 @@ def case(kind, grade, rung=0, *, slow=True):
 )
 def test_named_first(kind, grade, rung):
     injection = all_kinds()[kind]
-    severity = dict(severities(injection, grade))[rung]
+    severity = halvings(injection, grade)[rung]
     assert outcome_of(injection, units(), grade, rung, severity).outcome == OUTCOMES[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "grade", "severity"),
+    [
+        case("labels_shifted", "navigation-rlg", 0.037, slow=False),  # a line in the spectrum of the windows
+        case("labels_shifted", "consumer-mems", 0.016),  # 4 sigma of one parameter
+        case("windows reach into the rotations", "tactical-fog", 0.037, slow=False),  # refused by the angle in a window
+        case("windows reach into the rotations", "industrial-mems", 0.14),  # noise
+        case("labels of a fast clock", "tactical-fog", 0.000625),  # a high-pass filter
+        case("gyro_axis_delayed", "industrial-mems", 40.0, slow=False),  # a noisy window
+        case("gyros low-passed", "industrial-mems", 60.0),  # an oscillating fixture
+        case("samples_duplicated", "navigation-rlg", 24.0, slow=False),  # spikes, or lost samples
+        case("last value held at a lost sample", "navigation-rlg", 30.0),
+        case("clock set by GPS", "industrial-mems", 30.0, slow=False),  # labels in the gap
+    ],
+)
+def test_named_first_at_a_severity(kind, grade, severity):
+    assert outcome_of(all_kinds()[kind], units(), grade, 1, severity).outcome == OUTCOMES[0]
 
 
 @pytest.mark.parametrize("kind", ["sensors askew in their housing", "gyro scale drifts"])

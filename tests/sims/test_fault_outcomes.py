@@ -3,7 +3,8 @@
 import fault_outcomes
 import numpy as np
 import pytest
-from fault_outcomes import OUTCOMES, Outcome, Units, all_kinds, outcome_of, outcomes, page, severities, write_section
+from fault_outcomes import OUTCOMES, Outcome, Units, all_kinds, outcome_of, outcomes, page, write_section
+from fault_severities import LEAST_SHIFT, halvings, severities
 
 from sims.faults.foreign_operators import PAIRS
 from sims.faults.injection import GRADES, INJECTIONS, VARIANTS
@@ -22,12 +23,37 @@ def test_kinds():
 
 
 @pytest.mark.parametrize("kind", ["bump", "labels_exchanged", "gyro_lsb", "left_handed", "window_short", "north"])
-def test_severities_do_not_increase(kind):
+def test_halvings_do_not_increase(kind):
     for grade in GRADES:
-        steps = [severity for _, severity in severities(all_kinds()[kind], grade)]
+        steps = halvings(all_kinds()[kind], grade)
         assert len(steps) == 3
         away = [abs(np.log(step)) if kind == "gyro_lsb" else step for step in steps]
         assert away == sorted(away, reverse=kind != "window_short")
+
+
+@pytest.mark.parametrize(
+    ("kind", "grade"),
+    [
+        ("gyro_axis_delayed", "tactical-fog"),
+        pytest.param("gravity", "industrial-mems", marks=pytest.mark.slow),
+        pytest.param("gyro bias steps", "industrial-mems", marks=pytest.mark.slow),
+        pytest.param("labels_shifted", "consumer-mems", marks=pytest.mark.slow),
+    ],
+)
+def test_least_severity_shifts_one_parameter_by_3_to_5_sigma(kind, grade):
+    units, injection = Units(SEED), all_kinds()[kind]
+    harmful, (most, middle, least) = severities(injection, units, grade)
+    assert harmful
+    assert most > middle > least > 0.0
+    assert LEAST_SHIFT[0] <= units.shift_at(injection, grade, least) <= LEAST_SHIFT[1]
+
+
+def test_harmless_kinds_have_the_stated_severity():
+    """A misread temperature moves no parameter of a unit without temperature coefficients."""
+    injection = all_kinds()["temperature_unit"]
+    harmful, steps = severities(injection, Units(SEED), "industrial-mems")
+    assert not harmful
+    assert steps == halvings(injection, "industrial-mems")
 
 
 def test_outcomes_of_some_kinds():
