@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 if TYPE_CHECKING:
     from srt.types import Array, Indices
@@ -82,6 +81,27 @@ def gyro_stream(
         else:
             increments[:, s:end] = gyro[a:b].T
     width = max(1, round(_SMOOTHING_S / float(np.median(dt)))) if n else 1
-    smooth = uniform_filter1d(increments, width, axis=1, mode="nearest") if width > 1 and n else increments
+    smooth = moving_average(increments, width)
     offset = starts[:-1] - spans[:, 0]
     return GyroStream(increments, smooth, dt, starts, rotation + offset[:, None], F)
+
+
+def moving_average(values: Array, width: int) -> Array:
+    """Centred moving average along the last axis; the ends are continued by their last value.
+
+    Differences of one cumulative sum, so the cost does not depend on the width. ``scipy.ndimage`` has the same filter,
+    but its import takes 0.04 s.
+    """
+    n = values.shape[-1]
+    if width <= 1 or not n:
+        return values
+    out = np.empty((values.size // n, n))
+    before = width // 2
+    sums = np.empty(n + width)
+    for k, row in enumerate(values.reshape(-1, n)):
+        # The value before the first sample is zero, so that sums[k + width] - sums[k] is that of the window of k.
+        sums[0], sums[1 : before + 1], sums[before + n + 1 :] = 0.0, row[0], row[-1]
+        sums[before + 1 : before + n + 1] = row
+        np.cumsum(sums, out=sums)
+        out[k] = (sums[width:] - sums[:n]) / width
+    return out

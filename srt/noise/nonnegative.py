@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from srt.types import Array
 
 
-def nonnegative_least_squares(A: Array, b: Array) -> Array:
+def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) -> Array:
     """Minimum of |A x − b| over x ≥ 0, by the active-set algorithm of Lawson and Hanson (1974, chapter 23).
 
     Parameters
@@ -21,16 +21,21 @@ def nonnegative_least_squares(A: Array, b: Array) -> Array:
     A : ndarray, shape (m, n)
         Of full column rank for a unique solution; m ≥ n.
     b : ndarray, shape (m,)
+    signed : tuple of int
+        Unknowns of either sign.
 
     Returns
     -------
     ndarray, shape (n,)
     """
     unbounded = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], dtype=np.float64)
-    if np.all(unbounded > 0.0):
+    bounded = np.ones(A.shape[1], dtype=bool)
+    bounded[list(signed)] = False
+    if np.all(unbounded[bounded] > 0.0):
         return unbounded
-    x = np.zeros(A.shape[1])
-    free = np.zeros(A.shape[1], dtype=bool)
+    x, free = np.zeros(A.shape[1]), ~bounded
+    if signed:
+        x[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
     # Rounding of a gradient that is zero: |a||b| times the unit roundoff and the number of terms of the sums.
     tolerance = max(A.shape) * np.finfo(np.float64).eps * np.linalg.norm(A, axis=0) * np.linalg.norm(b)
     while True:
@@ -42,13 +47,14 @@ def nonnegative_least_squares(A: Array, b: Array) -> Array:
         while True:
             trial = np.zeros_like(x)
             trial[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
-            blocked = np.flatnonzero(free & (trial <= 0.0))
+            blocked = np.flatnonzero(free & bounded & (trial <= 0.0))
             if not blocked.size:
                 break
             if entering in blocked and x[entering] == 0.0:
                 return x  # the gain was rounding
             step = x[blocked] / np.maximum(x[blocked] - trial[blocked], np.finfo(np.float64).tiny)
-            x = np.maximum(x + step.min() * (trial - x), 0.0)
+            x = x + step.min() * (trial - x)
+            x[bounded] = np.maximum(x[bounded], 0.0)
             leaving = blocked[np.argmin(step)]
             x[leaving], free[leaving] = 0.0, False
         x = trial

@@ -233,27 +233,30 @@ def _fit_one(tau: Array, count: Array, variance: Array, first: int = 0, *, drift
         return _Fit(np.array([variance[0] * tau[0], 0.0]), 1.0, 0.0)
     least = 1e-9 * variance.max()  # long averages of readings that hardly change may be equal
     tau, count, variance = tau[first:], count[first:], variance[first:]
-    columns = [1.0 / tau, 3.0 / tau**2, -3.0 / tau**2, np.ones_like(tau)]
-    design = np.stack([columns[i] for i in (0, 1, *((2,) if first else ()), *((3,) if drifting else ()))], axis=1)
+    # Beyond a filter, the part in 1/τ² may be negative: a filter takes white noise from the averages over few samples.
+    signed = (1,) if first else ()
+    design = np.stack([1.0 / tau, 3.0 / tau**2, np.ones_like(tau)][: 2 + drifting], axis=1)
     solution, expected = np.zeros(design.shape[1]), variance
     for _ in range(_FIT_PASSES):
         # A variance from m differences has the relative 1-sigma √(3/m) of its expected value: the last octaves have few
         # differences, and a variance that is small by chance would dominate the fit. The quantization error of a slow
         # input is no white sequence (a saw-tooth has lines), so octaves that it dominates have little weight for N.
-        pulses = _QUANTIZATION_DOUBT * design[:, 1] * solution[1]
+        pulses = _QUANTIZATION_DOUBT * design[:, 1] * max(solution[1], 0.0)
         sigma = np.hypot(np.maximum(variance, expected) * np.sqrt(3.0 / count) + least, pulses)
         weighted = design / sigma[:, None]
         scale = np.linalg.norm(weighted, axis=0)
-        solution = nonnegative_least_squares(weighted / scale, variance / sigma) / scale
+        solution = nonnegative_least_squares(weighted / scale, variance / sigma, signed) / scale
         before, expected = expected, design @ solution
         if np.all(np.abs(expected - before) <= _SETTLED * expected):
             break
-    unit = np.delete(weighted / scale, 2, axis=1) if first else weighted / scale  # without the second part in 1/τ²
+    unit = weighted / scale
     own = unit[:, 0] - unit[:, 1:] @ np.linalg.lstsq(unit[:, 1:], unit[:, 0], rcond=None)[0]
     doubt = 1.0 / (scale[0] * max(float(np.linalg.norm(own)), np.finfo(np.float64).eps))
     # Without white noise the relative 1-sigma is infinite; the limit makes it a large finite number.
     relative = float(doubt / max(solution[0], _LEAST_SHARE * doubt))
-    return _Fit(solution[:2], relative, _deviance(count, variance, np.maximum(expected, least), pulses))
+    return _Fit(
+        np.maximum(solution[:2], 0.0), relative, _deviance(count, variance, np.maximum(expected, least), pulses)
+    )
 
 
 def _deviance(count: Array, variance: Array, expected: Array, pulses: Array) -> float:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from srt.exceptions import InputError
 from srt.recording.applied import AppliedCorrection
@@ -38,6 +37,8 @@ ORIENTATIONS: Final[tuple[tuple[float, float, float], ...]] = (
 
 def rotation_of(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     """Matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3)."""
+    from scipy.spatial.transform import Rotation  # a heavy import that few recordings need
+
     matrix = Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True).as_matrix()
     # Quarter turns are exact: their sines and cosines are rounded by 1e-16.
     return np.asarray(np.where(np.abs(matrix - np.round(matrix)) < 1e-15, np.round(matrix) + 0.0, matrix))

@@ -15,8 +15,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
+from srt.model.gyro_stream import moving_average
 from srt.model.rotations import rotation_matrix, rotation_vector
 
 if TYPE_CHECKING:
@@ -111,9 +111,7 @@ def find_manoeuvre(recording: Recording, windows: Indices, start: int) -> Manoeu
     interval = recording.interval_s
     if recording.kind == "rate":
         per_sample = per_sample * (interval if isinstance(interval, float) else interval[a:b, None])
-    smooth = uniform_filter1d(
-        per_sample, max(1, round(_SMOOTH_S / recording.nominal_interval_s)), axis=0, mode="nearest"
-    )
+    smooth = moving_average(per_sample.T, max(1, round(_SMOOTH_S / recording.nominal_interval_s))).T
     speed = np.linalg.norm(smooth, axis=1)
     axis = np.argmax(np.abs(smooth), axis=1)
     positive = smooth[np.arange(len(smooth)), axis] > 0.0

@@ -28,3 +28,16 @@ def test_exact_solution_at_the_boundary():
 def test_all_negative_gives_zero():
     A = np.random.default_rng(1).random((9, 3))
     assert not nonnegative_least_squares(A, -A @ np.ones(3)).any()
+
+
+def test_signed_unknowns_agree_with_scipy():
+    """Unknowns of either sign are the same as a pair of non-negative ones with opposite columns."""
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        m, n = int(rng.integers(7, 20)), int(rng.integers(2, 6))
+        A = rng.standard_normal((m, n))
+        b = A @ rng.standard_normal(n) + 0.1 * rng.standard_normal(m)
+        expected = nnls(np.column_stack([A, -A[:, 1]]), b)[0]
+        expected[1] -= expected[n]
+        found = nonnegative_least_squares(A, b, (1,))
+        np.testing.assert_allclose(found, expected[:n], rtol=1e-9, atol=1e-9)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtri
 
+from srt.model.gyro_stream import moving_average
 from srt.sequences.manoeuvres import MOVING
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def rests(recording: Recording) -> Indices:
     dt = recording.nominal_interval_s
     rate = recording.gyro if recording.kind == "rate" else recording.gyro / dt
     # The constant bias of a poor unit is no rotation: its median counts as rest.
-    smooth = uniform_filter1d(rate - np.median(rate, axis=0), max(1, round(_SMOOTH_S / dt)), axis=0, mode="nearest")
+    smooth = moving_average((rate - np.median(rate, axis=0)).T, max(1, round(_SMOOTH_S / dt))).T
     speed = np.sqrt(np.einsum("na,na->n", smooth, smooth))
     turning = np.concatenate([[True], speed > max(MOVING * float(speed.max()), _SLOWEST_RAD_S), [True]])
     edges = np.flatnonzero(np.diff(turning.astype(np.int8)))
