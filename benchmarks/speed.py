@@ -165,14 +165,15 @@ def in_memory(rounds: int) -> list[Row]:
 
 
 def with_and_without_drift(times: int) -> tuple[srt.Recording, srt.Recording]:
-    """Table 1 a number of times over, with stated bias instability and without."""
+    """Table 1 a number of times over, of a unit with bias instability, as stated, and of one without."""
     rng = np.random.default_rng(3)
     gyro, accel = accuracy_trials.INSTABILITY["navigation"]
-    imu = replace(accuracy_trials.GRADES["navigation"], gyro_bias_instability=gyro, accel_bias_instability=accel)
+    still = accuracy_trials.GRADES["navigation"]
+    drifting = replace(still, gyro_bias_instability=gyro, accel_bias_instability=accel)
     motion = table1_motion(site=accuracy_trials.SITE, sample_rate_hz=50.0, sequences=tuple(TABLE_1) * times)
-    drifting = read_out(motion, accuracy_trials.normal_errors(rng), imu, rng)
-    still = replace(drifting.noise, gyro_bias_instability=None, accel_bias_instability=None)
-    return drifting, replace(drifting, noise=still)
+    errors = accuracy_trials.normal_errors(rng)
+    with_drift, without = (read_out(motion, errors, imu, rng) for imu in (drifting, still))
+    return with_drift, without
 
 
 def processes(rounds: int) -> Iterator[Row]:

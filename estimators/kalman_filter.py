@@ -43,6 +43,11 @@ _PASSES: Final = 8
 """Largest number of passes per iteration, each with relinearised attitudes."""
 _NEAR: Final = 1e-5
 """Correction (SI units) below which the attitudes are relinearised without new compensation of the data."""
+_SMALL_ANGLE_RAD: Final = 1e-6
+"""Correction of the attitudes below which relinearising them changes no measurement.
+
+Its square is 1e-12 rad or g, a millionth of the noise of a window of a navigation-grade unit.
+"""
 _SETTLED_SIGMAS: Final = 1e-3
 """The relinearisation has converged if the correction, in sigmas, is below this."""
 _MEAN: Final = 3
@@ -167,7 +172,7 @@ def _all_columns(system: LinearSystem, parts: list[SequenceEquations], g: Array)
 
 def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: Indices) -> tuple[Array, Array]:
     """Cholesky factor of the prior covariance of the shared columns, and the prior mean minus the state."""
-    n = system.A.shape[1]
+    n = system.columns["attitude"].start  # the columns of the whole recording come first
     P, mean = np.zeros((n, n)), np.zeros(n)
     at = np.concatenate([system.of("errors"), system.of("bias")[:3]])
     P[np.ix_(at, at)] = prior.covariance
@@ -176,7 +181,7 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
     named = {*FIXTURE, "gravity", "drift_form"}
     groups = [rows.index.ravel() for rows in system.rows if rows.kind in named or rows.kind.startswith("earth_rate")]
     members = np.concatenate([np.empty(0, dtype=np.intp), *groups])
-    block = system.A[members].toarray()
+    block = system.A[members].toarray()[:, :n]
     columns = np.flatnonzero(block.any(axis=0))
     inverse = np.linalg.inv(block[:, columns])
     P[np.ix_(columns, columns)] = inverse @ inverse.T
@@ -243,14 +248,16 @@ class KalmanSolver(JointSolver):
         self.last: FilterRun | None = None
 
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Run the filter; close to the solution, repeat it with relinearised attitudes until these converge.
+        """Run the filter; near the solution, repeat it with relinearised attitudes until these converge.
 
         The product of a heading and a tilt of milliradians exceeds the accelerometer noise, so that the linearisation
         point of the attitudes matters. Relinearising them needs no new compensation of the data.
         """
         found = run_filter(joint, system, state, self.prior, self.form)
         for _ in range(_PASSES - 1):
-            if np.abs(found.correction).max() > _NEAR:
+            attitude = found.delta[system.columns["attitude"]]
+            # Far: the data are compensated anew. Close: the square of the angles is below any noise.
+            if np.abs(found.correction).max() > _NEAR or np.abs(attitude).max(initial=0.0) < _SMALL_ANGLE_RAD:
                 break
             better = apply_correction(state, system, np.where(attitude_columns(system), found.delta, 0.0))
             again = linearise(joint, better, system.compensated, system.free)
