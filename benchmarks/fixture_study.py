@@ -152,7 +152,7 @@ def study(cells: list[Cell], units: int, seed: int, workers: int) -> Iterator[Ce
         )
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--grades", nargs="+", default=list(accuracy_trials.GRADES))
     parser.add_argument("--non-orthogonality-mrad", nargs="+", type=float, default=[0.0, 1.0, 3.0])
@@ -161,7 +161,7 @@ def main() -> int:
     parser.add_argument("--units", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1)
-    a = parser.parse_args()
+    a = parser.parse_args(arguments)
     cells = [Cell(*c, a.moves) for c in product(a.grades, a.non_orthogonality_mrad, a.rotation_mrad)]
     tests = len(cells) * (3 * len(EFFICIENT) + 1)
     heads = ["grade", "axes, mrad from square", "rotations, mrad", *ESTIMATORS, "disagree"]

@@ -2,21 +2,27 @@
 
 import numpy as np
 import pytest
-from fixture_study import EFFICIENT, ESTIMATORS, Cell, CellResult, UnitResult, study
+from fixture_study import EFFICIENT, ESTIMATORS, Cell, CellResult, UnitResult, main, study
 
 
+def test_the_limits_of_a_cell_are_met():
+    pytest.importorskip("gtsam")
+    (result,) = study([Cell("navigation", 3.0, 0.05, "skipped")], 6, 4000, 1)
+    assert not list(result.failures(3 * len(EFFICIENT) + 1))
+    assert len(result.row()) == 4 + len(ESTIMATORS)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "cell",
+    "arguments",
     [
-        Cell("navigation", 3.0, 0.05, "skipped"),
-        pytest.param(Cell("tactical", 1.0, 1.0, "recorded"), marks=pytest.mark.slow),
+        "--units 10 --seed 30000",
+        "--moves recorded --rotation-mrad 1 --non-orthogonality-mrad 1 --units 25 --seed 31000",
     ],
 )
-def test_the_limits_of_a_cell_are_met(cell):
+def test_a_twentieth_of_the_study(arguments):
     pytest.importorskip("gtsam")
-    (result,) = study([cell], 6, 4000, 1)
-    assert not list(result.failures(2 * (3 * len(EFFICIENT) + 1)))
-    assert len(result.row()) == 4 + len(ESTIMATORS)
+    assert main(arguments.split()) == 0
 
 
 def test_failures_are_told():
