@@ -30,8 +30,8 @@ LARGEST: Final = 8.0
 """Largest severity of the search, in units of the stated one."""
 LARGEST_FACTOR: Final = 16.0
 """Largest severity of the search where it is a factor: beyond, no sensor, clock or count value is that wrong."""
-LARGEST_BIT: Final = 14.0
-"""Highest bit of a signed word of 16 bits."""
+LARGEST_BIT: Final = 12.0
+"""Highest bit that readings of a signed word of 16 bits pass several times."""
 SMALLEST: Final = 2.0**-16
 """Smallest severity of the search, in units of the stated one."""
 MOVES_TRUTH: Final[dict[str, tuple[str, ...]]] = {
@@ -51,6 +51,7 @@ MOVES_TRUTH: Final[dict[str, tuple[str, ...]]] = {
     "offset subtracted twice": ("gyro_bias",),
     "low bits lost": ("gyro_bias", "accel_bias"),
     "bit of a converter stuck": ("gyro_bias", "accel_bias"),
+    "bit_stuck": ("gyro_bias", "accel_bias"),
     "mounted at 45 deg": ("gyro", "accel"),
     "sensors askew in their housing": ("gyro", "accel"),
     "accelerometer board askew": ("accel",),

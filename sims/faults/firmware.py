@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import lfilter
 
-from sims.faults.injection import injection
+from sims.faults.injection import GRADES, injection
+from srt.constants import MICRO_G
 
 if TYPE_CHECKING:
     from sims.faults.injection import Case
@@ -51,3 +52,24 @@ def _one_polarity(fault: str, sensor: str) -> None:
 
 _one_polarity("gyro_one_polarity", "gyro")
 _one_polarity("accel_one_polarity", "accel")
+
+
+@injection("accel_dead_band", dict(zip(GRADES, (2000.0, 2000.0, 8000.0, 16000.0), strict=True)), "ug")
+def accel_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """The readings of one accelerometer below a threshold are output as zero."""
+    recording, axis = case.recording, int(rng.integers(3))
+    interval = recording.nominal_interval_s if recording.kind == "increment" else 1.0
+    accel = recording.accel.copy()
+    accel[np.abs(accel[:, axis]) < severity * rng.uniform(1.0, 1.5) * MICRO_G * interval, axis] = 0.0
+    return replace(recording, accel=accel)
+
+
+@injection("bit_stuck", 6.0, "bit")
+def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A bus of 16 bits holds one line of one axis high."""
+    sensor, axis = str(rng.choice(["gyro", "accel"])), int(rng.integers(3))
+    values = getattr(case.recording, sensor).copy()
+    lsb = float(np.abs(values).max()) / 2.0**14
+    words = np.floor(values / lsb).astype(np.int64)
+    words[:, axis] |= 1 << round(severity)
+    return replace(case.recording, gyro=lsb * words) if sensor == "gyro" else replace(case.recording, accel=lsb * words)

@@ -169,7 +169,17 @@ def samples_dropped_with_stamps(case: Case, severity: float, rng: np.random.Gene
     return _kept(case.recording, np.flatnonzero(keep))
 
 
-@variant("gap bridged by a line", 0.4, "s", "samples_lost", "wrong_angle", "accel_stuck", "spikes", "noisy_window")
+@variant(
+    "gap bridged by a line",
+    0.4,
+    "s",
+    "samples_lost",
+    "wrong_angle",
+    "accel_stuck",
+    "spikes",
+    "noisy_window",
+    "samples_interpolated",
+)
 def gap_bridged(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """A tool fills a gap at the beginning or end of a rotation by straight lines."""
     recording = case.recording
@@ -286,7 +296,7 @@ def bit_flipped(case: Case, severity: float, rng: np.random.Generator) -> Record
     return _changed(case.recording, sensor, lsb * words)
 
 
-@variant("bit of a converter stuck", 10.0, "bit")
+@variant("bit of a converter stuck", 10.0, "bit", "bit_stuck")
 def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """One bit of the converter of one axis is always set."""
     sensor = _sensor(rng)
@@ -296,7 +306,7 @@ def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recordin
     return _changed(case.recording, sensor, lsb * words)
 
 
-@variant("low bits lost", 64.0, "times")
+@variant("low bits lost", 64.0, "times", "gyro_noise", "accel_noise")
 def low_bits_lost(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Words are shifted right, without rounding, to fit a shorter message."""
     sensor = _sensor(rng)
@@ -402,7 +412,7 @@ def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Re
     return replace(recording, accel=recording.accel - slow)
 
 
-@variant("dead band of accelerometers", 2000.0, "ug")
+@variant("dead band of accelerometers", 2000.0, "ug", "accel_dead_band")
 def accel_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """Accelerometer readings below a threshold are output as zero."""
     limit = severity * rng.uniform(1.0, 1.5) * MICRO_G * _unit(case.recording)

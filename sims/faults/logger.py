@@ -308,3 +308,16 @@ def accel_clipped(case: Case, severity: float, rng: np.random.Generator) -> Reco
     velocity_abs = np.maximum(motion.velocity_abs, np.abs(velocity))
     shaken = replace(motion, velocity=velocity, velocity_abs=velocity_abs)
     return read_out(shaken, simulation.truth, simulation.imu, rng, kind=case.recording.kind)
+
+
+@injection("samples_interpolated", 0.4, "s")
+def samples_interpolated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
+    """A tool fills a gap in a sequence by straight lines between the samples beside it."""
+    recording = case.recording
+    rows = somewhere(recording, rng, round(severity / recording.nominal_interval_s))
+    gyro, accel = recording.gyro.copy(), recording.accel.copy()
+    for values in (gyro, accel):
+        before, after = values[rows.start - 1].copy(), values[rows.stop].copy()
+        share = (np.arange(rows.start, rows.stop) - rows.start + 1.0) / (rows.stop - rows.start + 1.0)
+        values[rows] = before + share[:, np.newaxis] * (after - before)
+    return replace(recording, gyro=gyro, accel=accel)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri, stdtrit
 
 from srt.constants import DEG_PER_H, DEG_PER_SQRT_H, EARTH_RATE_RAD_S, MICRO_G
-from srt.diagnosis.findings import Finding, check, finding
+from srt.diagnosis.findings import FALSE_ALARM, Finding, check, finding
 from srt.diagnosis.site import StationaryRateFit, stationary_rate_fit
 from srt.estimation.options import Options
 from srt.exceptions import DataError
@@ -48,8 +48,6 @@ _OTHER_UNITS: Final = (
 """Unit that the highest temperature suggests, up to each limit."""
 STEADY_C: Final = 2.0
 """Range of the mean temperatures of the sequences, °C, that counts as constant: data sheets call ±1 °C constant."""
-FALSE_ALARM: Final = 2e-5
-"""False-alarm probability of each of some twenty such tests: one in 100 sound recordings may raise one."""
 NOISE_RATIO: Final = 1.5
 """Largest ratio of noise and stated figure, either way, that counts as stated: units of one type differ by as much."""
 _NO_ASYMMETRY: Final = NAMES[GROUP_SLICES["gyro_asymmetry"]]

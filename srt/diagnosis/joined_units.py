@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import FALSE_ALARM, check, finding
 from srt.diagnosis.rotation_readings import computed_once, raw_integrals, robust_fit, rotation_angles
 from srt.diagnosis.site import BIAS, DRIFT, stationary_rates
 from srt.noise.bias_instability import flicker_covariance
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.site import StationaryRates
     from srt.types import Array, Indices
 
-FALSE_ALARM: Final = 1e-5
-"""False-alarm probability in a recording: a tenth of that of all checks."""
 _LEAST_SEQUENCES: Final = 3
 """Sequences on each side of a step at least: one alone is a disturbance."""
 _SLOWNESS: Final = (0.1, 0.3)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from srt.types import Indices, Mask
 
 
-FALSE_ALARM: Final = 1e-6
-"""Probability of one false run in a recording, if repeats are independent. Pulses of a steady input come evenly, so the
-true probability is smaller."""
+FALSE_ALARM: Final = 5e-7
+"""Probability of one false run in a recording, for each of nine kinds of run and two of single repeats, if repeats are
+independent. Pulses of a steady input come evenly, so the true probability is smaller."""
 _LONGER: Final = 2.0
 """Ratio of a run to those of the other windows (or rotations) from which it counts: rotations of 180° and 360° last
 times a factor 2 apart, and in readings without noise a whole rotation is one run."""

@@ -33,8 +33,8 @@ _ROUNDS: Final = 12
 """Reweightings of a robust fit."""
 _ROTATING: Final = 0.05
 """Share of the rate of a rotation above which a window is not stationary: a bump or a creep is far slower."""
-_BY_NOISE: Final = 1e-5
-"""Probability that noise alone rotates some window of a recording."""
+_BY_NOISE: Final = 4e-6
+"""Probability that noise alone rotates some window of a recording: that of the other tests."""
 _MAD: Final = 1.4826
 """Standard deviation over median absolute deviation of a normal distribution."""
 _SLOWEST_RAD_S: Final = 0.05

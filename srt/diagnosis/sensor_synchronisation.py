@@ -16,7 +16,7 @@ from scipy.special import stdtrit
 
 from srt.diagnosis.cause_comparison import Cause, compare, with_runner_up
 from srt.diagnosis.clipping import clipped_parts
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import FALSE_ALARM, check, finding
 from srt.diagnosis.rotation_readings import BlockAverages, block_averages, computed_once, cross
 from srt.diagnosis.stabilised_force import StabilisedForce, stabilised_force
 from srt.model.table1 import AXES
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices, Mask
 
 
-FALSE_ALARM: Final = 1e-5
-"""False-alarm probability of each of the two faults in a recording: a tenth of that of all checks."""
 _FEWEST_TURNS: Final = 4
 """Rotations, fewer of which do not tell the scatter of the offset."""
 _LEAST_OFFSET: Final = 0.02

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from srt.diagnosis.cause_comparison import Cause, compare
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import FALSE_ALARM, check, finding
 from srt.diagnosis.window_averages import ACCEL, block_sigma, window_averages
 from srt.model.table1 import AXES
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from srt.diagnosis.window_averages import WindowAverages
     from srt.types import Array
 
-FALSE_ALARM: Final = 1e-5
-"""False-alarm probability in a recording: a tenth of that of all checks."""
 _TIMES_S: Final = (1.0, 2.0, 4.0, 8.0)
 """Time constants tried, s; a factor of 1.4 off, a pattern still correlates by more than 0.95."""
 _FEWEST: Final = 6

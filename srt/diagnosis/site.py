@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtri, ndtri, stdtrit
 
 from srt.constants import DEG, DEG_PER_H, EARTH_RATE_RAD_S, normal_gravity_m_s2
-from srt.diagnosis.findings import Finding, check, finding
+from srt.diagnosis.findings import FALSE_ALARM, Finding, check, finding
 from srt.diagnosis.rotation_readings import computed_once
 from srt.diagnosis.triad_fits import gyro_fit
 from srt.noise.bias_instability import flicker_covariance
@@ -42,8 +42,6 @@ HEIGHTS_M: Final = (5000.0, -500.0)
 """Highest and lowest test site, m."""
 ANOMALY_M_S2: Final = 1e-3
 """Largest gravity anomaly, m/s²: 100 mGal, exceeded on very little land."""
-FALSE_ALARM: Final = 2e-5
-"""False-alarm probability of each of some twenty such tests: one in 100 sound recordings may raise one."""
 _SITE_SIGMAS: Final = 3.0
 """Distance in sigma within which stated gravity, and the latitude that the gyros see, may lie."""
 _GRID_DEG: Final = 0.01

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import chdtri, fdtri, ndtri
 
-from srt.diagnosis.findings import check, finding
+from srt.diagnosis.findings import FALSE_ALARM, check, finding
 from srt.diagnosis.rotation_readings import cross, invert_readings
 from srt.diagnosis.sensor_synchronisation import lag
 from srt.diagnosis.triad_fits import raw_triads
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     from srt.types import Array, Mask
 
 
-FALSE_ALARM: Final = 1e-5
-"""False-alarm probability of each disturbance in a recording with normal noise, all windows and channels together: a
-tenth of that of all checks."""
 _LEAST_POWER: Final = 2.0
 """Power at the start of a window over that of its second half, below which an oscillation does not matter."""
 _NOISIER: Final = 2.25

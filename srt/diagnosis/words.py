@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from srt.constants import MICRO_G
 from srt.diagnosis.findings import check, finding
 from srt.diagnosis.rotation_readings import computed_once
 from srt.model.table1 import AXES
+from srt.noise.noise_model import smallest_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -48,6 +50,28 @@ _WRAP_MOTION: Final = {"gyro": 50.0, "accel": 500.0}
 """Rate of change, rad/s² and m/s³, above which a jump is no motion on a fixture or in a hand."""
 _ONE_POLARITY: Final = 0.05
 """Share of the readings that are zero, from which words hold no other sign."""
+_MANY: Final = 30
+"""Readings just beyond a dead band: as many are expected inside it, and none is by chance with p = 1e-13."""
+_ZEROS: Final = 0.3
+"""Zeros over those readings, from which the readings inside are zero: a slow motion may spend less time there."""
+_BAND_STEPS: Final = 2.5
+"""Smallest reading other than zero over the quantization step: one without a dead band."""
+_FREQUENT: Final = 0.3
+"""Readings of one value over those of the most frequent one, from which a value is frequent."""
+_NEAR: Final = 10.0
+"""Readings over the smallest one up to which a grid of pulses is sought: noise in a window may lie between them."""
+_SAMPLES: Final = 20_000
+"""Readings from which the quantization step is taken, and in which a bit is sought first."""
+_WHOLE: Final = 1e-3
+"""Distance of readings from multiples of the step, in steps, that rounding leaves."""
+_ROUNDING: Final = 1e-9
+"""Difference of readings that rounding leaves, relative to the largest."""
+_BITS: Final = 16
+"""Bits of a word."""
+_PERIODS: Final = 4
+"""Range of the readings over the period of a bit, from which they pass its value several times."""
+_DISTINCT: Final = 40
+"""Distinct words: a bit is set in all of them by chance with p = 1e-12."""
 _HALF_TURN: Final = 0.5
 """Smallest rotation of a label in rad, and part of gravity in a pose, that must be read with its sign."""
 
@@ -203,3 +227,88 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
                     channel = f"{sensor}_{AXES[axis]}"
                     yield finding(f"{sensor}_one_polarity", channel=channel, missing=missing, share=100.0 * share)
                     return
+
+
+@check("accel_dead_band")
+def accel_dead_band(evidence: Evidence) -> Iterator[Finding]:
+    """Find accelerometers that read zero, and never between zero and a threshold, which gravity passes in rotations."""
+    step = smallest_step(evidence.force[:: max(1, len(evidence.force) // _SAMPLES)])
+    pulse = (evidence.recording.noise.accel_quantization or 0.0) * (
+        1.0 if evidence.per_rate == 1.0 else evidence.per_rate
+    )
+    for axis in range(3) if "accel" not in wrapped_readings(evidence) else ():
+        size = np.abs(evidence.force[:, axis])
+        zeros = int(np.count_nonzero(size == 0.0))
+        if zeros < _ZEROS * _MANY or zeros == len(size):
+            continue
+        threshold = float(size[size > 0.0].min())
+        beyond = int(np.count_nonzero((size > 0.0) & (size < 2.0 * threshold)))
+        grid = max(float(step[axis]), pulse, _grid(size[(size > 0.0) & (size < _NEAR * threshold)]))
+        if beyond < _MANY or zeros < _ZEROS * beyond or threshold <= _BAND_STEPS * grid:
+            continue
+        yield finding(
+            "accel_dead_band",
+            channel=f"accel_{AXES[axis]}",
+            count=zeros,
+            threshold_ug=threshold / MICRO_G,
+            step_ug=grid / MICRO_G,
+        )
+        return
+
+
+def _grid(small: Array) -> float:
+    """Smallest frequent one of small readings, of which most are multiples; 0 if they are not."""
+    values, counts = np.unique(small, return_counts=True)
+    common = float(values[np.argmax(counts >= _FREQUENT * counts.max())])
+    multiple = small / common
+    return common if np.mean(np.abs(multiple - np.rint(multiple)) < _WHOLE) > 0.5 else 0.0
+
+
+@check("bit_stuck")
+def bit_stuck(evidence: Evidence) -> Iterator[Finding]:
+    """Find a bit that is set in all words of an axis; the axes of a triad share the value of a count."""
+    for sensor, table in (("gyro", evidence.recording.gyro), ("accel", evidence.recording.accel)):
+        some = table[:: max(1, len(table) // _SAMPLES)]
+        lsb = _count_value(some)
+        if lsb is None:
+            continue
+        for axis in range(3):
+            bit = _stuck_bit(some[:, axis] / lsb)
+            if bit is None or _stuck_bit(table[:, axis] / lsb) != bit:
+                continue
+            periods = float(np.ptp(table[:, axis])) / (lsb * 2.0**bit)
+            channel = f"{sensor}_{AXES[axis]}"
+            yield finding("bit_stuck", bit=bit, channel=channel, count=len(table), periods=periods)
+            return
+
+
+def _count_value(table: Array) -> float | None:
+    """Value of a count, common to the axes, from the differences of distinct readings and of these; None for no words.
+
+    Pulses that take several counts each do not leave single ones between them.
+    """
+    least = []
+    for axis in np.flatnonzero(smallest_step(table) > 0.0).tolist():
+        column = np.unique(table[:, axis])
+        gaps = np.diff(column)
+        gaps = np.unique(gaps[gaps > _ROUNDING * np.abs(column).max()])
+        finer = np.diff(gaps)
+        finer = finer[finer > _ROUNDING * np.abs(column).max()]
+        least.append(float(np.concatenate([gaps, finer]).min()))
+    return min(least) if least else None
+
+
+def _stuck_bit(counts: Array) -> int | None:
+    """Lowest bit that is set in all words; None if there is none, or if the readings are no words."""
+    words = np.rint(counts)
+    if float(np.abs(counts - words).max()) > _WHOLE or float(np.abs(words).max()) >= 2.0**_BITS:
+        return None
+    whole = np.unique(words.astype(np.int64))
+    if len(whole) < _DISTINCT:
+        return None
+    for bit in range(_BITS):
+        if whole[-1] - whole[0] < _PERIODS << (bit + 1):
+            return None
+        if np.all(whole >> bit & 1):
+            return bit
+    return None

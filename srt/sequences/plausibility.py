@@ -62,12 +62,12 @@ _IN_A_ROW: Final = 3
 _LARGEST: Final = 2000
 """Number of largest readings of a channel, which tell how often they repeat."""
 
-_CHANCE: Final = 1e-5
-"""Probability that the extreme of a channel repeats in a row by chance: 1e-4 for the twelve extremes."""
+_CHANCE: Final = 1e-6
+"""Probability that the extreme of a channel repeats in a row by chance: 1.2e-5 for the twelve extremes."""
 
-_PILE: Final = 20
+_PILE: Final = 23
 """Number of readings at an extreme from which they are clipped. In the tail of noise each reading is one step inside
-with at least the same probability, so that twenty of twenty at the extreme have 1e-6."""
+with at least the same probability, so that 23 of 23 at the extreme have 1.2e-7, 1.4e-6 for the twelve extremes."""
 
 _PILE_RATIO: Final = 5
 """Ratio of that number to the number one step inside."""

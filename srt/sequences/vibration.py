@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-FALSE_ALARM: Final = 1e-5
-"""Probability of a line in a recording without vibration."""
+FALSE_ALARM: Final = 4e-6
+"""Probability of a line in a recording without vibration: one of the tests that make 1e-4 together."""
 _NEIGHBOURS: Final = 8
 """Bins on one side whose mean is the power without a line: few, as filtered readings have lobes of 20 bins."""
 _LOWEST: Final = 10
