@@ -30,7 +30,7 @@ LARGEST: Final = 8.0
 """Largest severity of the search, in units of the stated one."""
 LARGEST_FACTOR: Final = 16.0
 """Largest severity of the search where it is a factor: beyond, no sensor, clock or count value is that wrong."""
-LARGEST_BIT: Final = 12.0
+LARGEST_BIT: Final = 10.0
 """Highest bit that readings of a signed word of 16 bits pass several times."""
 SMALLEST: Final = 2.0**-16
 """Smallest severity of the search, in units of the stated one."""

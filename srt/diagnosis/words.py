@@ -68,10 +68,9 @@ _ROUNDING: Final = 1e-9
 """Difference of readings that rounding leaves, relative to the largest."""
 _BITS: Final = 16
 """Bits of a word."""
-_PERIODS: Final = 4
-"""Range of the readings over the period of a bit, from which they pass its value several times."""
-_DISTINCT: Final = 40
-"""Distinct words: a bit is set in all of them by chance with p = 1e-12."""
+_PASSED: Final = 20
+"""Values of the bits from a bit on, all with it set: p = 1e-6 for readings without relation, as in single poses, and
+far less for rotations, in which the readings pass all values between."""
 _HALF_TURN: Final = 0.5
 """Smallest rotation of a label in rad, and part of gravity in a pose, that must be read with its sign."""
 
@@ -217,6 +216,8 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
         "accel": evidence.poses[0] / evidence.recording.site.gravity_m_s2,
     }
     for sensor, table in (("gyro", evidence.rate), ("accel", evidence.force)):
+        if sensor in wrapped_readings(evidence):
+            continue  # signed words read as unsigned ones hold no negative value either
         for axis in range(3):
             column, expected = table[:, axis], stated[sensor][:, axis]
             share = float(np.mean(column == 0.0))
@@ -304,11 +305,10 @@ def _stuck_bit(counts: Array) -> int | None:
     if float(np.abs(counts - words).max()) > _WHOLE or float(np.abs(words).max()) >= 2.0**_BITS:
         return None
     whole = np.unique(words.astype(np.int64))
-    if len(whole) < _DISTINCT:
-        return None
     for bit in range(_BITS):
-        if whole[-1] - whole[0] < _PERIODS << (bit + 1):
-            return None
-        if np.all(whole >> bit & 1):
+        passed = np.unique(whole >> bit)
+        if len(passed) < _PASSED:
+            break
+        if np.all(passed & 1):
             return bit
     return None

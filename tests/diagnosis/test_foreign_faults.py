@@ -77,6 +77,10 @@ def test_named_first(kind, grade, rung):
         case("samples_duplicated", "navigation-rlg", 24.0, slow=False),  # spikes, or lost samples
         case("last value held at a lost sample", "navigation-rlg", 30.0),
         case("clock set by GPS", "industrial-mems", 30.0, slow=False),  # labels in the gap
+        case("gap bridged by a line", "industrial-mems", 0.6),  # shifted labels
+        case("dead band of accelerometers", "consumer-mems", 16000.0, slow=False),  # a noisy window
+        case("bit of a converter stuck", "navigation-rlg", 10.0, slow=False),  # vibration
+        case("unsigned words", "navigation-rlg", 1.0),  # one polarity
     ],
 )
 def test_named_first_at_a_severity(kind, grade, severity):
