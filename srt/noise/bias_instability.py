@@ -81,7 +81,7 @@ def flicker_covariance(start: Array, end: Array, times_s: Sequence[float] = CORR
     return out
 
 
-def _twice_integrated(t: Array, tau: float) -> Array:
+def _twice_integrated(t: Array, tau: float | Array) -> Array:
     """Second integral ∫∫ exp(−|t| / τ), even in t, zero with zero slope at t = 0."""
     x = np.abs(t) / tau
     # Series for small x, where the terms cancel.
@@ -206,16 +206,16 @@ def adjoining_covariance(lengths_s: Array, shares: Array) -> Array:
     ndarray, shape (n, m, m)
     """
     n, m = lengths_s.shape
+    counted = shares > 0.0
+    share, tau = (a[counted][:, None, None] for a in (shares, np.array(CORRELATION_TIMES_S)))
     ends = np.cumsum(lengths_s, axis=1)
-    gap = np.maximum(ends[:, None, :] - lengths_s[:, None, :] - ends[:, :, None], 0.0)
-    gap = gap + np.swapaxes(gap, 1, 2)
-    out = np.zeros((n, m, m))
-    for tau, share in zip(CORRELATION_TIMES_S, shares.tolist(), strict=True):
-        x = lengths_s / tau
-        mean = -np.expm1(-x) / x
-        part = np.exp(-gap / tau) * mean[:, :, None] * mean[:, None, :]
-        own = 2.0 * _twice_integrated(lengths_s, tau) / lengths_s**2
-        part[:, np.arange(m), np.arange(m)] = own
-        out += share * part
+    i, j = np.triu_indices(m, 1)
+    gap = np.maximum(ends[:, j] - lengths_s[:, j] - ends[:, i], 0.0)
+    x = lengths_s / tau
+    mean = -np.expm1(-x) / x
+    pairs = np.sum(share * np.exp(-gap / tau) * mean[:, :, i] * mean[:, :, j], axis=0)
+    out = np.empty((n, m, m))
+    out[:, i, j] = out[:, j, i] = pairs
+    out[:, np.arange(m), np.arange(m)] = np.sum(share * 2.0 * _twice_integrated(lengths_s, tau), axis=0) / lengths_s**2
     out *= PROCESS_VARIANCE
     return out

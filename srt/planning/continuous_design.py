@@ -106,7 +106,9 @@ class Columns:
         rows = self.rows if which is None else self.rows[which]
         out = np.empty((len(rows), X.shape[1]))
         for first in range(0, len(rows), _CACHE_ROWS):
-            along = rows[first : first + _CACHE_ROWS] @ X
+            part = rows[first : first + _CACHE_ROWS]
+            # One product of two matrices instead of one for each column.
+            along = (part.reshape(-1, rows.shape[2]) @ X).reshape(*part.shape[:2], -1)
             out[first : first + _CACHE_ROWS] = np.einsum("jmq,jmq->jq", along, along) / g
         return out
 

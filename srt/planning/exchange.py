@@ -63,10 +63,8 @@ class ExchangeSearch:
         s, n = self.criterion.signatures, len(which)
         c = s.conditions
         R = np.zeros((n, N_ROWS, n, N_ROWS))
-        blocks = s.covariances(windows_s[:, 0], windows_s[:, 1], which)
-        R[np.arange(n), :, np.arange(n)] = sum(
-            part for name, part in blocks.items() if not name.endswith("_bias_instability")
-        )
+        blocks = s.covariances(windows_s[:, 0], windows_s[:, 1], which, drift=False)
+        R[np.arange(n), :, np.arange(n)] = sum(blocks.values())
         borders = self.borders(which, windows_s)
         K = flicker_covariance(borders[:, :3].ravel(), borders[:, 1:].ravel(), correlation_times(float(borders[-1, 3])))
         K = K.reshape(n, 3, n, 3)

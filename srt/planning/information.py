@@ -150,72 +150,94 @@ class Signatures:
         turning = np.zeros((K, N_ROWS, N_ROWS))
         turning[:, _H, _H] = self._tilt @ self.integrals.noise.sum(axis=3) @ tilt_T * c.gyro_white**2
         heading = self._own_heading[:, None] * self._by_north
+        force = np.einsum("kiac,kjbc->kijab", self.by_force, self.by_force)
         return {
             "gyro_noise": turning,
             "earth_rate_alignment": heading[:, :, None] * heading[:, None, :],
             # Products of the derivatives for two of the intervals: start window, rotation, end window.
-            "bias": np.einsum("kiac,kjbc->kijab", self.by_bias, self.by_bias),
-            "force": np.einsum("kiac,kjbc->kijab", self.by_force, self.by_force),
+            "bias": np.einsum("kiac,kjbc->kijab", self.by_bias, self.by_bias).reshape(K, -1, N_ROWS**2),
+            "force": force.reshape(K, -1, N_ROWS**2),
+            "white_force": np.einsum("kwwab->kwab", force).reshape(K, -1, N_ROWS**2),
         }
 
-    def covariances(self, start_s: ArrayLike, end_s: ArrayLike, which: Indices | None = None) -> dict[str, Array]:
+    def covariances(
+        self, start_s: ArrayLike, end_s: ArrayLike, which: Indices | slice | None = None, *, drift: bool = True
+    ) -> dict[str, Array]:
         """Covariance of the ten measurements by source, shape (n, 10, 10) each; of drift, the share of one sequence.
 
         Parameters
         ----------
         start_s, end_s : array_like, shape (n,), or one for all
             Lengths of the windows, s.
-        which : ndarray of int, shape (n,), optional
+        which : ndarray of int, shape (n,), or slice, optional
             Sequences; default: all.
+        drift : bool
+            False leaves the bias instabilities out.
         """
         c = self.conditions
-        k = np.arange(len(self)) if which is None else np.asarray(which)
-        T = np.stack([np.broadcast_to(np.asarray(t, dtype=np.float64), k.shape) for t in (start_s, end_s)])
-        gyro = self._fixed["gyro_noise"][k]
+        # A slice selects without a copy.
+        k = slice(None) if which is None else which
+        own = self.between_windows_s[k]
+        n = len(own)
+        T = np.stack([np.broadcast_to(np.asarray(t, dtype=np.float64), n) for t in (start_s, end_s)])
+        gyro = self._fixed["gyro_noise"][k].copy()
         for rows, t in zip((_START_RATE, _END_RATE), T, strict=True):
             gyro[:, rows, rows] += (c.gyro_white**2 / t)[:, None, None] * np.eye(3)
-        force, own = self._fixed["force"][k], self.between_windows_s[k]
-        lengths = np.stack([T[0], np.maximum(own, _SHORTEST_S), T[1]], axis=1)
-        drifts = c.gyro_instability > 0.0 or c.accel_instability > 0.0
-        drift = adjoining_covariance(lengths, self.own_drift) if drifts else np.zeros((len(k), 3, 3))
-        white = np.einsum("nwwab->nwab", force)
-        return {
+        by_noise = np.stack([c.accel_white**2 / T, 2.0 * (c.accel_edge / T) ** 2]).transpose(2, 0, 1)
+        accel = (by_noise @ self._fixed["white_force"][k]).reshape(n, 2, N_ROWS, N_ROWS)
+        out = {
             "gyro_noise": gyro,
             "gyro_quantization": self._edges(k, T),
-            "gyro_bias_instability": c.gyro_instability**2 * np.einsum("nij,nijab->nab", drift, self._fixed["bias"][k]),
-            "accel_noise": np.einsum("wn,nwab->nab", c.accel_white**2 / T, white),
-            "accel_quantization": np.einsum("wn,nwab->nab", 2.0 * (c.accel_edge / T) ** 2, white),
-            "accel_bias_instability": c.accel_instability**2
-            * np.einsum("nij,nijab->nab", drift[:, [0, 2]][:, :, [0, 2]], force),
+            "accel_noise": accel[:, 0],
+            "accel_quantization": accel[:, 1],
             "earth_rate_alignment": self._fixed["earth_rate_alignment"][k],
         }
+        if drift and (c.gyro_instability > 0.0 or c.accel_instability > 0.0):
+            lengths = np.stack([T[0], np.maximum(own, _SHORTEST_S), T[1]], axis=1)
+            of_biases = adjoining_covariance(lengths, self.own_drift)
+            for sensor, floor, key, covariance in (
+                ("gyro", c.gyro_instability, "bias", of_biases),
+                ("accel", c.accel_instability, "force", of_biases[:, ::2, ::2]),
+            ):
+                # One product of a row and a matrix for each sequence: four times faster than a contraction.
+                row = (floor**2 * covariance).reshape(n, 1, -1)
+                out[f"{sensor}_bias_instability"] = (row @ self._fixed[key][k]).reshape(n, N_ROWS, N_ROWS)
+        return out
 
-    def _edges(self, k: Indices, T: Array) -> Array:
+    def _edges(self, k: Indices | slice, T: Array) -> Array:
         """Angle quantization error at the four window boundaries; the inner two also bound the rotation."""
+        n = T.shape[1]
         if self.conditions.gyro_edge == 0.0:
-            return np.zeros((len(k), N_ROWS, N_ROWS))
-        edge = np.zeros((len(k), N_ROWS, 4, 3))
+            return np.zeros((n, N_ROWS, N_ROWS))
+        edge = np.zeros((n, N_ROWS, 4, 3))
         for rows, first, t in zip((_START_RATE, _END_RATE), (0, 2), T, strict=True):
             edge[:, rows, first] = -np.eye(3) / t[:, None, None]
             edge[:, rows, first + 1] = np.eye(3) / t[:, None, None]
         edge[:, _H, 1] = -self._tilt[k]
         edge[:, _H, 2] = self._tilt[k] @ self.integrals.C_end[k]
-        G = self.conditions.gyro_edge * edge.reshape(len(k), N_ROWS, -1)
+        G = self.conditions.gyro_edge * edge.reshape(n, N_ROWS, -1)
         return np.asarray(G @ np.swapaxes(G, 1, 2))
 
-    def whitened(self, start_s: ArrayLike, end_s: ArrayLike, which: Indices | None = None) -> Array:
-        """Jacobians in units of the noise, ``L⁻¹ H`` with ``L Lᵀ`` the covariance, shape (n, 10, N_UNKNOWNS)."""
-        k = np.arange(len(self)) if which is None else np.asarray(which)
-        T = [np.broadcast_to(np.asarray(t, dtype=np.float64), k.shape) for t in (start_s, end_s)]
-        out = np.empty((len(k), *self.H.shape[1:]))
-        for first in range(0, len(k), _CACHED):
+    def whitened(
+        self, start_s: ArrayLike, end_s: ArrayLike, which: Indices | None = None, *, out: Array | None = None
+    ) -> Array:
+        """Jacobians in units of the noise, ``L⁻¹ H`` with ``L Lᵀ`` the covariance, shape (n, 10, N_UNKNOWNS).
+
+        ``out`` receives them if it is given.
+        """
+        n = len(self) if which is None else len(which)
+        T = [np.broadcast_to(np.asarray(t, dtype=np.float64), n) for t in (start_s, end_s)]
+        rows = np.empty((n, *self.H.shape[1:])) if out is None else out
+        for first in range(0, n, _CACHED):
             part = slice(first, first + _CACHED)
-            R = np.asarray(sum(self.covariances(T[0][part], T[1][part], k[part]).values()))
+            k = part if which is None else which[part]
+            R = np.asarray(sum(self.covariances(T[0][part], T[1][part], k).values()))
             # Rates and specific forces differ by orders of magnitude: the covariance is equilibrated first.
             scale = 1.0 / np.sqrt(np.einsum("naa->na", R))
             L = np.linalg.cholesky(R * scale[:, :, None] * scale[:, None, :])
-            out[part] = np.linalg.solve(L, self.H[k[part]] * scale[:, :, None])
-        return out
+            # An inverse has ten right-hand sides, H has three times as many.
+            np.matmul(np.linalg.inv(L) * scale[:, None, :], self.H[k], out=rows[part])
+        return rows
 
 
 def _with_wait(integrals: RotationIntegrals, wait_s: float) -> RotationIntegrals:

@@ -186,9 +186,13 @@ class Planner:
 
     def _coarse(self, signatures: Signatures) -> Columns:
         """Columns of all sequences with equal windows of every length of the grid."""
-        rows = np.concatenate([signatures.whitened(t, t) for t in self.grid]) * self.criterion.scale
+        rows = np.empty((len(self.grid), *signatures.H.shape))
+        for t, each in zip(self.grid, rows, strict=True):
+            signatures.whitened(t, t, out=each)
+            np.multiply(each, self.criterion.scale, out=each)
         cost = (2.0 * self.grid[:, None] + signatures.between_windows_s + self.least_s).ravel()
-        return Columns(rows, cost, self.criterion.prior, self.criterion.targets, self.criterion.floor)
+        columns = rows.reshape(-1, *rows.shape[2:])
+        return Columns(columns, cost, self.criterion.prior, self.criterion.targets, self.criterion.floor)
 
     def tell(self, what: str, count: int, gap: float) -> None:
         """Report the progress."""
@@ -342,7 +346,9 @@ class Planner:
                 except TooLongError:
                     break
                 criterion = self._corrected(criterion, trial)
-                found = min(found, trial, key=lambda p: p.ratio)
+                found, before = min(found, trial, key=lambda p: p.ratio), found
+                if found is before:  # the variances no longer need correction, or correcting them does not help
+                    break
             if found.ratio > plan.ratio * (1.0 - _LEAST_GAIN):
                 return found
             plan = found

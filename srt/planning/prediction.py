@@ -145,12 +145,11 @@ def _factors(signatures: Signatures, windows_s: Array) -> dict[str, Array]:
     """
     c, n = signatures.conditions, len(signatures)
     out = {}
-    for name, blocks in signatures.covariances(windows_s[:, 0], windows_s[:, 1]).items():
-        if not name.endswith("_bias_instability"):
-            whole = np.zeros((n, N_ROWS, n, N_ROWS))
-            values, vectors = np.linalg.eigh(blocks)
-            whole[np.arange(n), :, np.arange(n)] = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-            out[name] = whole.reshape(n * N_ROWS, -1)
+    for name, blocks in signatures.covariances(windows_s[:, 0], windows_s[:, 1], drift=False).items():
+        whole = np.zeros((n, N_ROWS, n, N_ROWS))
+        values, vectors = np.linalg.eigh(blocks)
+        whole[np.arange(n), :, np.arange(n)] = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        out[name] = whole.reshape(n * N_ROWS, -1)
     moves = move_times(signatures.candidates, signatures.fixture)
     times = window_borders(windows_s, signatures.between_windows_s, moves)
     start, end = times[:, :3].ravel(), times[:, 1:].ravel()
