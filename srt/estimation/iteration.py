@@ -180,6 +180,7 @@ class Iteration:
         near = self.resumed
         status, message = "not_converged", ""
         final: SrtMeasurements | None = None
+        inside = errors, U
         for i in range(self.options.max_playbacks):
             nominal = (i == 0 and not self.resumed) or not self.options.measured_vertical
             # Near the solution the full weights are computed once: they change with the estimate by about 1e-3.
@@ -202,6 +203,7 @@ class Iteration:
                 if progress is not None:
                     progress(i + 1, size)
                 _require_inside(errors)
+                inside = errors, U
             except _DivergenceError as reason:
                 status, message = "outside_model", f"After iteration {i + 1} {reason}."
                 break
@@ -227,7 +229,8 @@ class Iteration:
                 "(largest component: ratios, rad; accelerometer biases in g)."
             )
         if final is None:
-            final = self._process(errors, U, nominal=not self.options.measured_vertical, with_noise=True)
+            # Readings cannot be compensated with errors outside the sensor model: the last estimate inside it.
+            final = self._process(*inside, nominal=not self.options.measured_vertical, with_noise=True)
         return self._finish(final, errors, U, corrections, status, message)
 
     def _process(self, errors: SensorErrors, U: Array, *, nominal: bool, with_noise: bool) -> SrtMeasurements:

@@ -6,9 +6,12 @@ import accuracy_trials
 import numpy as np
 import pytest
 
+from sims import simulate
 from sims.physics.imu import ImuModel, read_out
 from sims.physics.sequences import TABLE_1
 from sims.physics.table_motion import table1_motion
+from sims.robustness.campaign import load_campaign
+from sims.robustness.trial import score
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
@@ -72,3 +75,14 @@ def test_a_unit_that_shows_the_vertical_as_its_smallest_component_has_two_horizo
         basis = SrtProcessor(data, OPTIONS).process(SensorErrors(np.zeros(len(NAMES))), nominal_vertical=True).basis
     unit_size = np.broadcast_to(np.eye(2), (data.K, 2, 2))
     np.testing.assert_allclose(basis @ np.swapaxes(basis, 1, 2), unit_size, atol=1e-12)
+
+
+def test_a_solution_that_diverges_ends_without_an_overflow():
+    """A unit of ±80 % and 0.1 rad, solved directly from zero: the sensor model at the last estimate has no inverse."""
+    campaign = load_campaign("convergence")
+    choice = next(e for e in campaign.estimators if e.label == "closed-form, no stages")
+    simulation = simulate(campaign.unit(21, 0)[0])
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        row = score(simulation, choice, fixed_point=False)
+    assert row["outcome"] == "outside_model"
+    assert "nearly coplanar" in row["message"]
