@@ -1,11 +1,12 @@
 """Outcome of every kind of fault at three severities in four grades: named, refused, or in silence.
 
 ``python benchmarks/fault_outcomes.py --markdown docs/fault-detection.md`` injects each kind into one unit of each grade
-at the stated severity, its half and its quarter (of a factor the root), and compares a calibration that says nothing
-with that of the same unit without the fault. Kinds are the faults of the catalogue, their variants in the forms of
-foreign loggers and operators, and pairs. Times, places, axes, signs and sizes come from ``--seed``. ``--kinds`` and
-``--part`` choose a part of them. The exit code is 1 if a calibration is beyond 3 sigma in silence, of a kind that is
-not on the list of what cannot be seen.
+at three severities, of which the least moves one parameter by 3 to 5 sigma (:mod:`fault_severities`), and compares a
+calibration that says nothing with that of the same unit without the fault. Kinds that move no parameter by as much do
+no harm; they have the stated severity, its half and its quarter (of a factor the root). Kinds are the faults of the
+catalogue, their variants in the forms of foreign loggers and operators, and pairs. Times, places, axes, signs and sizes
+come from ``--seed``. ``--kinds`` and ``--part`` choose a part of them. The exit code is 1 if a calibration is beyond 3
+sigma in silence, of a kind that is not on the list of what cannot be seen.
 """
 
 from __future__ import annotations
@@ -146,10 +147,10 @@ def outcomes(kinds: Sequence[str], grades: Sequence[str], seed: int) -> Iterator
     units, known = Units(seed), all_kinds()
     for grade in grades:
         for kind in kinds:
-            harmful, steps = severities(known[kind], units, grade)
+            harms, steps = severities(known[kind], units, grade)
             for rung, severity in enumerate(steps):
                 row = outcome_of(known[kind], units, grade, rung, severity)
-                yield replace(row, harmful=harmful and row.outcome != OUTCOMES[4])
+                yield replace(row, harmful=harms and row.outcome != OUTCOMES[4])
 
 
 def unseen(row: Outcome) -> bool:
@@ -158,12 +159,24 @@ def unseen(row: Outcome) -> bool:
     return row.grade in all_kinds()[row.kind].unseen or row.kind in CANNOT_BE_SEEN or row.severity <= most
 
 
+def harmful(rows: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+    """Injections that do harm, and those of them that are named or are not on the list of what cannot be seen."""
+    harm = [row for row in rows if row.harmful]
+    return harm, [row for row in harm if not (row.outcome in (OUTCOMES[3], OUTCOMES[5]) and unseen(row))]
+
+
+def named_first(rows: Sequence[Outcome]) -> int:
+    """Number of injections whose cause is named first."""
+    return sum(row.outcome == OUTCOMES[0] for row in rows)
+
+
 def page(rows: Sequence[Outcome], seed: int) -> str:
     """Section of docs/fault-detection.md: table by grade and severity, and every outcome that is not naming."""
     known = all_kinds()
     kinds = {row.kind for row in rows}
     described = [row for row in rows if known[row.kind].causes]
-    right, ours = (sum(row.outcome == OUTCOMES[0] for row in part) for part in (rows, described))
+    harm, visible = harmful(rows)
+    right, ours, of_harm, of_visible = (named_first(part) for part in (rows, described, harm, visible))
     variants = len(kinds & set(VARIANTS))
     lines = [
         BEGIN,
@@ -174,14 +187,16 @@ def page(rows: Sequence[Outcome], seed: int) -> str:
         "into one unit of each",
         "grade and severity; times, places, axes and signs come from the seed. The variants were written without",
         f"knowledge of the checks. Of {len(rows)} injections, {right} were named first; of kinds that the catalogue",
-        f"describes, {ours} of {len(described)}. A shift is that against the recording without the fault; parameters",
+        f"describes, {ours} of {len(described)}; of what does harm, {of_harm} of {len(harm)}, and without what is",
+        f"silent and on the list of what cannot be seen, {of_visible} of {len(visible)}. A shift is that against the",
+        "recording without the fault; parameters",
         "that the fault changes in truth do not count. \\* is on the list of what cannot be seen.",
         "",
         f"| grade | severity | {' | '.join(HEADINGS)} |",
         "|---|---|" + "---|" * len(HEADINGS),
     ]
     for grade in GRADES:
-        for rung, word in enumerate(("stated", "half", "quarter")):
+        for rung, word in enumerate(("largest", "middle", "least")):
             mine = Counter(row.outcome for row in rows if row.grade == grade and row.rung == rung)
             lines.append(f"| {grade} | {word} | " + " | ".join(str(mine[name]) for name in OUTCOMES) + " |")
     lines += ["", "Not named first, by kind (grade, number of halvings):", ""]
@@ -232,13 +247,12 @@ def main() -> int:
             marks = ("" if row.harmful else " (harmless)") + (" *" if unseen(row) else "")
             print(f"{row.kind}, {row.grade}, {row.severity:.4g}: {row.outcome} {row.named}{shift}{marks}", flush=True)
     counts = Counter(row.outcome for row in rows)
-    harm = [row for row in rows if row.harmful]
-    shown = [row for row in harm if not (row.outcome in (OUTCOMES[3], OUTCOMES[5]) and unseen(row))]
+    harm, shown = harmful(rows)
     print(f"{len(kinds)} kinds, {len(rows)} injections, {time.process_time() - began:.0f} s of CPU time")
     for name in OUTCOMES:
         print(f"  {name}: {counts[name]} ({100.0 * counts[name] / len(rows):.1f} %)")
     for part, word in ((rows, "all"), (harm, "that do harm"), (shown, "that do harm and can be seen")):
-        first = sum(row.outcome == OUTCOMES[0] for row in part)
+        first = named_first(part)
         print(f"  named first of {word}: {first} of {len(part)} ({100.0 * first / max(1, len(part)):.1f} %)")
     if arguments.markdown:
         write_section(arguments.markdown, page(rows, arguments.seed))

@@ -90,7 +90,7 @@ def test_page(tmp_path):
     text = path.read_text(encoding="utf-8")
     assert text.count("## Outcomes") == 1
     assert text.startswith("# Page\n\ntext\n\n<!--")
-    assert "| consumer-mems | stated | 1 | 0 | 0 | 0 | 0 | 1 |" in text
+    assert "| consumer-mems | largest | 1 | 0 | 0 | 0 | 0 | 1 |" in text
     assert "- bump: silent, beyond 3σ: consumer-mems 1 (4.2σ)" in text
     assert "- north: silent, beyond 3σ: consumer-mems 0 (9σ)*" in text
     assert "- clock fast: latitude: navigation-rlg 0" in text
