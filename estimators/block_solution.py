@@ -1,11 +1,11 @@
 """Least-squares solution of the linearised system, sequence by sequence, and covariances from it.
 
-A QR decomposition of the rows of a step (:mod:`estimators.elimination_steps`) and of what earlier steps left
+A QR decomposition of the rows of a step (:mod:`estimators.elimination_steps`) and of the rows from earlier steps
 
     ``R v + S s + c = noise``
 
-eliminates its local columns v; s are the columns handed on and those of the whole recording. What remains goes to the
-next step. Marginal covariances follow backwards in time as square roots.
+eliminates its local columns v; s are the columns shared with later steps and those of the whole recording. The
+remaining rows are passed on to the next step. Marginal covariances follow backwards in time as square roots.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class BlockSolution:
     def __init__(self, system: LinearSystem) -> None:
         self.system = system
         shared = global_columns(system)
-        if system.columns["bias"].stop - system.columns["bias"].start > 3:  # a bias walk is handed on
+        if system.columns["bias"].stop - system.columns["bias"].start > 3:  # a bias walk is shared with the next step
             shared = shared[~np.isin(shared, system.of("bias"))]
         self.steps, self._conditionals, rest = eliminate(system, shared)
         if len(rest) < len(shared):

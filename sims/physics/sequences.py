@@ -30,7 +30,7 @@ def _axis_along(*components: int) -> str:
 
 def _start_quarters() -> dict[tuple[str, str], tuple[int, int]]:
     """Quarter turns of the (inner, outer) axis, by start attitude (down, along outer), from z down, y along outer."""
-    cosine = (1, 0, -1, 0)  # of 0, 1, 2, 3 quarter turns; the sine is that of one quarter less
+    cosine = (1, 0, -1, 0)  # of 0, 1, 2, 3 quarter turns; sin(x) = cos(x - 90°)
     starts = {}
     for inner, outer in product((0, 1, 2, -1), repeat=2):
         ci, si, co, so = (cosine[quarters % 4] for quarters in (inner, inner - 1, outer, outer - 1))

@@ -52,7 +52,7 @@ def budget(
 ) -> int:
     """Predict the accuracy of SCENARIO: a TOML file, or the name of a shipped one such as 'demo'.
 
-    Printed is the 1-sigma error by source, of the worst parameter of each group or (--details) of all: noise,
+    It prints the 1-sigma error by source, for the worst parameter of each group or (--details) for all: noise,
     quantization and bias instability of gyros and accelerometers, Earth rate times alignment, gravity, g-sensitivity,
     fixture. --paper prints the paper's own analysis for the same noise.
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 _DIFFERENT_UNITS: Final = 10.0
-"""RMS of difference over sigma above which recordings are taken for those of different units.
+"""RMS over the 27 parameters of difference over sigma, above which the recordings are assumed to be of different units.
 
-Single biases of one unit may change by more from recording to recording, but not the mean over its 27 parameters."""
+A single bias of one unit may differ by more between recordings; the RMS over all parameters does not."""
 
 
 def run_merging(

@@ -33,7 +33,7 @@ def compare(
     Parameters
     ----------
     source : Recording, path-like, or arrays
-        Recording, or what :func:`srt.read` makes one of.
+        Recording, or a source that :func:`srt.read` accepts.
     estimators : sequence of str
         Two names at least; empty: all four of this package that can run here and on this recording.
     reference : str, optional
@@ -83,7 +83,7 @@ def runnable_estimators(
     Raises
     ------
     InputError
-        A reference that cannot run, or that is not among them.
+        A reference that cannot run, or that is not one of the compared estimators.
     DataError
         Fewer than two estimators that can run.
     """

@@ -47,13 +47,13 @@ def merge_calibrations(
     -------
     Calibration
         Estimator "merged"; covariance of the unit's mean over the recordings, ``diagnostics["repeatability"]`` with the
-        values of each, ``verdict["sequences"]`` with the recordings in place of sequences. U is kept where all agree on
-        it, as the unit was on the fixture in one way, and None elsewhere.
+        values of each, ``verdict["sequences"]`` with the recordings in place of sequences. U is kept if all
+        recordings agree on it (the unit was mounted in the same way), otherwise None.
 
     Raises
     ------
     InputError
-        Fewer than two; different units; one recording twice; calibrations that rest on one prior or are merged already.
+        Fewer than two; different units; one recording twice; calibrations that used a prior or are merged already.
     DataError
         If none converged.
     """
@@ -207,13 +207,13 @@ def _mounting(members: Sequence[Calibration]) -> tuple[Array | None, float | Non
 
 
 def _shared(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Values that are equal in all; None for those that differ."""
+    """Values that are equal in all recordings; None for values that differ."""
     keys = dict.fromkeys(key for table in tables for key in table)
     return {k: tables[0].get(k) if all(t.get(k) == tables[0].get(k) for t in tables) else None for k in keys}
 
 
 def _temperature(members: Sequence[Calibration]) -> dict[str, Any] | None:
-    """Mean over the recordings that know it, and the range that their means and ranges span."""
+    """Mean over the recordings that state the value, and the range that includes all their means and ranges."""
     known = [c.temperature for c in members if c.temperature is not None]
     if not known:
         return None
@@ -266,7 +266,7 @@ def _warnings(
         said.append(
             "The recordings differ by more than their sigmas explain"
             + (f"; the scatter of {', '.join(groups)} from recording to recording is in the merged sigmas." if groups
-               else ", and the merged sigmas do not hold it.")
+               else ", and the merged sigmas do not include this.")
         )  # fmt: skip
     following = [title for title, c in used.items() if G_SENSITIVITY in c.diagnostics]
     if following:

@@ -1,6 +1,6 @@
-"""Reading of recordings, of logs in other formats and of arrays: one function for all, with what the data do not state.
+"""Reading of recordings, of logs in other formats and of arrays: one function, with keywords for missing properties.
 
-The words that state it are the keys of ``recording.toml`` and the fields of
+The keywords are the keys of ``recording.toml`` and the fields of
 :class:`~srt.recording.import_options.ImportOptions`, with the unit in the name; ``srt convert`` has them as options.
 """
 
@@ -34,7 +34,7 @@ SECTION_KEYS: Final = {
     section: tuple(key.name for key in keys)
     for section, keys in (("site", SITE_KEYS), ("fixture", FIXTURE_KEYS), ("imu", IMU_KEYS))
 }
-"""Keys of the sections of ``recording.toml`` that can be stated beside the samples."""
+"""Keys of the sections of ``recording.toml`` that can be given as keywords."""
 SAMPLES_KEYS: Final = tuple(item.name for item in fields(ImportOptions))
 IDENTIFICATION_KEYS: Final = ("serial", "date", "temperature_c", "applied")
 STATED_KEYS: Final = (*SAMPLES_KEYS, *IDENTIFICATION_KEYS, *(key for keys in SECTION_KEYS.values() for key in keys))
@@ -66,7 +66,7 @@ def read(
     format : str
         Format of a log; "auto" recognises it.
     like : path-like or Recording, optional
-        Recording of which site, fixture, noise and sequences are taken. What is stated precedes it.
+        Recording that provides site, fixture, noise and sequences. Stated values override them.
     **stated
         Properties that the data lack, with the unit in the name. Samples: ``kind``, ``gyro_unit``, ``accel_unit``,
         ``time_unit``, ``gyro_lsb`` and ``accel_lsb`` (SI units per count, or a text as "1/131 deg/s"),
@@ -108,7 +108,7 @@ def read(
             return read_log(path, given, format=format, like=like)[0]
         return _from_arrays(source, given, like)
     except InputError as error:
-        if type(error) not in (InputError, NotStatedError):  # a missing extra names a package, and no keyword
+        if type(error) not in (InputError, NotStatedError):  # the message of a missing extra has no keyword in it
             raise
         raise InputError(_as_keywords(str(error)), fault=error.fault) from None
 
@@ -159,7 +159,7 @@ def read_log(
 
 
 def import_options(given: Mapping[str, Any]) -> ImportOptions:
-    """Options of the importers from keywords, of which columns, counts and offsets may be texts.
+    """Options of the importers from keywords; columns, counts and offsets may be given as text.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def surroundings(given: Mapping[str, Any], like: str | os.PathLike[str] | Record
     Parameters
     ----------
     given : mapping
-        As the keywords of :func:`read`; they precede the other recording.
+        As the keywords of :func:`read`; they override the other recording.
     like : path-like or Recording, optional
 
     Raises
@@ -345,7 +345,7 @@ def _triple(name: str, value: Any, sensor: str, parse: Any) -> Triple:
 
 
 def _as_keywords(sentence: str) -> str:
-    """Sentence in which options of the command line are keywords of Python."""
+    """Message with the options of the command line replaced by the keywords of :func:`read`."""
     names = {name.replace("_", "-"): name for name in READING_KEYS}
     spelled = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
     return re.sub(rf"--({spelled})(?![\w-])", lambda match: names[match[1]] + "=", sentence)

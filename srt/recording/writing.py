@@ -82,7 +82,7 @@ def write_recording(
         if created and not any(folder.iterdir()):
             folder.rmdir()
         raise
-    if re.fullmatch(rf"samples-\d+\.{samples_format}", old_name):  # left by an overwriting without the last renaming
+    if re.fullmatch(rf"samples-\d+\.{samples_format}", old_name):  # from an interrupted overwriting
         with suppress(OSError):
             (folder / old_name).unlink()
     if name != usual:
@@ -104,7 +104,7 @@ def _unused_name(folder: Path, samples_format: str) -> str:
 
 
 def _rename_samples(folder: Path, name: str, usual: str, toml_text: str) -> None:
-    """Rename the new samples to the usual name, which the old ones have.
+    """Rename the new samples file to the usual name, replacing the old samples file.
 
     ``recording.toml`` names a complete file throughout. The recording is complete under either name, so errors end the
     renaming silently; the old samples are then removed, and the next overwriting takes their name.

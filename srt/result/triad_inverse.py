@@ -1,8 +1,8 @@
 """Exact inverse of the sensor model of one triad, for single samples and for blocks of samples.
 
 A reading is ``y = M v + s ∘ |v| + b``. Within one octant of ``v`` it is linear, so that eight inverses
-``(M + diag(s ∘ sign v))⁻¹`` are computed once. For each sample the octant that contains the solution itself is found.
-For increments ``b dt`` replaces ``b``, because ``|v| dt = |v dt|``.
+``(M + diag(s ∘ sign v))⁻¹`` are computed once. Each sample is solved with the inverse of the octant that contains its
+solution. For increments ``b dt`` replaces ``b``, because ``|v| dt = |v dt|``.
 
 Arrays, single samples and the generated C header (:mod:`srt.exporters.c_header`) do the same operations in the same
 order: their results agree to the last bit where the compiler does not contract products and sums.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     Vector = tuple[float, float, float]
 
 STEPS: Final = 9
-"""Octants tried in turn, each that of the last solution; one or two suffice except on the border of an octant."""
+"""Largest number of octants tried, each that of the previous solution; one or two suffice away from borders."""
 
 _BITS: Final = np.array([[0], [1], [2]], dtype=np.uint8)
 """Bit of each component in the number of an octant."""
@@ -45,7 +45,7 @@ class TriadInverse:
         M⁻¹ by rows.
     octants : tuple of 8 tuples of 9 floats, or None
         ``(M + diag(s ∘ sign))⁻¹`` by rows; bit c of the index is set where component c is negative. None without
-        asymmetry: ``linear`` is all.
+        asymmetry: ``linear`` then holds for all octants.
     """
 
     bias: Vector
@@ -240,10 +240,10 @@ def solve_sample(
 
 
 def _least_inconsistent(x: float, y: float, z: float, octants: tuple[tuple[float, ...], ...]) -> Vector:
-    """Solution among all octants whose signs differ least from those of its octant.
+    """Solution by exhaustive search: of all octants, the one whose signs differ least from those of its solution.
 
-    On a border, rounding can make the search alternate between octants whose solutions agree within rounding; that it
-    never cycles otherwise is not proven. One octant contains the solution, so the least difference is rounding.
+    On a border, rounding can make the search alternate between octants whose solutions agree within rounding; no
+    proof excludes other cycles. One octant contains the solution, so the least difference is rounding.
     """
     best, least = (0.0, 0.0, 0.0), float("inf")
     for octant, matrix in enumerate(octants):

@@ -2,7 +2,8 @@
 
 Each manoeuvre is described by the face that is down before it and by its quarter turns, counted by the gyros. The 17
 sequences are described in the same way, each with its start attitude. Within one contiguous piece of the recording the
-attitude is propagated by quarter turns. This excludes a sequence with the right turns that started at another heading.
+attitude is propagated by quarter turns. This excludes manoeuvres with the rotations of a sequence but another start
+heading.
 Dynamic programming over the stationary windows finds the most probable assignment of a piece.
 """
 
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 _JOIN: Final = 0.6
 """Cost, in legs, of assuming an attitude jump inside a stationary window without other evidence."""
 _JOIN_OF_TWO: Final = 0.3
-"""The same in a window as long as two dwells: a jump at each end of a one-leg sequence must cost less than one leg."""
+"""Cost, in legs, in a window as long as two dwells: jumps at both ends of a one-leg sequence must cost below a leg."""
 _ANGLE_SIGMA: Final = 0.05
 """1-sigma of a leg's angle about the nominal one, rad, for the confidence: fixture and unit, with a margin."""
 _STEP: Final = 60.0
@@ -52,7 +53,7 @@ _TWO_DWELLS: Final = 1.5
 DOUBTFUL: Final = 0.5
 """Confidence below which a sequence causes a warning."""
 _NEARLY_ALL: Final = 15
-"""Number of different recognised sequences from which other names of the axes are not tried."""
+"""Number of different recognised sequences that is enough: other names of the axes are then not tried."""
 _CLEARLY: Final = 1.2
 """Ratio of recognised legs by which another naming of the axes must exceed the given one."""
 _BY_CHANCE: Final = 1.0 / (np.pi / 2.0) / 36.0
@@ -76,7 +77,7 @@ class RecognisedManoeuvre:
     confidence : float
         Probability that it is that sequence, 0 to 1.
     reason : str
-        Reason for which it is no sequence, or a remark on it.
+        Why no sequence was recognised; empty for a recognised one.
     """
 
     start_window: int
@@ -96,15 +97,15 @@ class Recognition:
     Attributes
     ----------
     windows : ndarray of int, shape (W, 2)
-        Stationary windows, first sample and one past the last; at a join one rest is two windows.
+        Stationary windows, first sample and one past the last; a rest with an attitude jump is two windows.
     turns : tuple of RecognisedManoeuvre
-        In time order; those of one sequence carry its id.
+        In time order, each with the id of the sequence that it belongs to.
     labels : tuple of SequenceLabel
         Labels of the sequences, in time order.
     confidence : tuple of float
         Confidence of each label.
     scale : ndarray, shape (3,)
-        Raw reading over truth of each gyro axis, as counted by right angles.
+        Ratio of raw reading to true angle of each gyro axis, from rotations of nominally 90°.
     mapping : tuple of ndarray, shape (3, 3)
         Signed permutations of gyro and accelerometer axes with which the sequences were found; the unit matrix
         unless only another fits.
@@ -247,9 +248,9 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
     Returns
     -------
     recording : Recording
-        The same where it has labels or no fixture, or nothing of Table 1 is in it.
+        Unchanged if it has labels or no fixture, or if no sequence of Table 1 is recognised.
     recognition : Recognition or None
-        None where nothing was looked for or found.
+        None if no sequences were searched for, or none were found.
 
     Raises
     ------
@@ -271,10 +272,10 @@ def label_sequences(recording: Recording) -> tuple[Recording, Recognition | None
 
 
 def _result(recording: Recording, windows: Indices, turns: SequenceOf[Manoeuvre], best: SequenceReading) -> Recognition:
-    """Labels and confidences of a reading."""
+    """Labels and confidences of the most probable assignment."""
     confidence = _confidences(turns, best)
     spans = {w: (int(a), int(b)) for w, (a, b) in enumerate(windows.tolist())}
-    # Where one rest is two, the turn before keeps the first part, the turn after the second.
+    # A rest of two parts: the first belongs to the turn before it, the second to the turn after it.
     first_part, second_part = dict(spans), dict(spans)
     floor = resolution_floor(recording)
     for w, at in _parted_rests(recording, windows, turns, best).items():
@@ -356,7 +357,7 @@ def _confidences(turns: SequenceOf[Manoeuvre], best: SequenceReading) -> list[fl
 
 
 def _why_not(t: int, turn: Manoeuvre, best: SequenceReading) -> str:
-    """Reason for which a manoeuvre is no sequence, in a few words."""
+    """Short reason why a manoeuvre was not recognised as a sequence."""
     word = best.words[t]
     if best.faces[turn.start_window] is None or best.faces[turn.end_window] is None:
         return "no axis of the unit is vertical before or after it"

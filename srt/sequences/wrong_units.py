@@ -21,7 +21,7 @@ class WrongUnit:
     unit, declared : str
         True unit of the readings, and the declared one.
     fault : str
-        Fault of the diagnosis (:mod:`srt.diagnosis.units`); empty: the unit is too rare to be one.
+        Fault of the diagnosis (:mod:`srt.diagnosis.units`); empty for a rare unit, which has no fault of its own.
     rates_only : bool
         True if increments have no such unit.
     """

@@ -177,7 +177,7 @@ def test_gyros_faster_than_any(log, tmp_path, capsys):
     """rad/s taken for deg/s the other way round: said, not refused, as nothing rules it out."""
     np.savetxt(log, np.column_stack([TIME, GYRO / DEG, ACCEL]), header=HEADER, delimiter=",", comments="")
     assert convert(log, "-o", tmp_path / "rec", *SI, *SITE) == 0
-    assert "more than IMUs can: check --gyro-unit" in " ".join(capsys.readouterr().out.split())
+    assert "more than any IMU measures: check --gyro-unit" in " ".join(capsys.readouterr().out.split())
 
 
 def test_counts_are_told_with_their_value_and_zero(log, tmp_path, capsys):
@@ -195,7 +195,7 @@ def test_counts_are_told_with_their_value_and_zero(log, tmp_path, capsys):
     gyro = srt.load_recording(tmp_path / "rec").gyro
     np.testing.assert_allclose(gyro, GYRO, atol=0.125 * DEG * (1.0 + 1e-9))  # rounding to a count
     assert convert(log, "-o", tmp_path / "other", "--gyro-lsb", "250", *given) == 0
-    assert "more than IMUs can: check --gyro-lsb" in " ".join(capsys.readouterr().out.split())
+    assert "more than any IMU measures: check --gyro-lsb" in " ".join(capsys.readouterr().out.split())
 
 
 def test_places(log, tmp_path, capsys):

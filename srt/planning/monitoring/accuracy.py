@@ -56,7 +56,7 @@ class SequenceAccuracy:
 def accuracy_after(
     recording: Recording, labels: tuple[SequenceLabel, ...], estimator: str = "auto"
 ) -> SequenceAccuracy:
-    """Accuracy of a test after the last of some sequences.
+    """Accuracy of a test after the given sequences.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def accuracy_after(
     labels : tuple of SequenceLabel
         Sequences so far.
     estimator : str
-        That of the result at the end, so that the targets are judged by its sigmas.
+        Estimator of the final result: the targets are compared with its sigmas.
     """
     sigma = np.full(N_PARAMETERS, math.inf)
     try:

@@ -39,12 +39,12 @@ COLUMN_NAMES: Final[dict[tuple[str, Kind | None], tuple[str, ...]]] = {
 }  # fmt: skip
 """Names of columns by channel and kind, in lower case without marks; kind None: the name does not state it.
 
-A name of a sensor stands for its array of three columns, and with an axis behind it for one of them, as "gyrox"; names
-of three letters or more may have the axis in front, as "xgyro".
+The name of a sensor alone means an array of three columns; followed by an axis, as in "gyrox", one column. A name of
+three letters or more may also follow the axis, as in "xgyro".
 """
 
 _SHORTEST_WITH_AXIS_IN_FRONT = 3
-"""Letters of a name that may have the axis in front: "xg" and "ta" may be anything."""
+"""Fewest letters of a name that may follow the axis: shorter ones, as "xg" and "ta", are ambiguous."""
 
 _SUFFIX_UNITS: Final = {
     "rad_s": "rad/s", "rads": "rad/s", "radps": "rad/s", "deg_s": "deg/s", "degs": "deg/s", "dps": "deg/s",
@@ -272,7 +272,7 @@ def with_temperature(notes: tuple[str, ...], columns: Mapping[str, object]) -> t
 def _given(
     path: Path, names: Sequence[str], width: int, channel: str, column: str | int, *, arrays: bool
 ) -> dict[str, int]:
-    """Positions of a channel given by the user; a sensor stands for three adjacent columns, or three named alike."""
+    """Positions of a channel given by the user; for a sensor, three adjacent or named alike but for the axis."""
     triad = TRIADS.get(channel)
     if triad is None or (arrays and (isinstance(column, int) or column in names)):
         return {channel: _position(path, names, width, column)}

@@ -82,17 +82,17 @@ def html_page(certificate: Certificate) -> str:
 
 
 def _css_string(text: str) -> str:
-    """Quote a text for a style sheet; letters and digits apart, each character by its number."""
+    """Quote a text for a style sheet; all characters except letters and digits become numeric escapes."""
     # A space ends the number, so that a digit which follows is not read as part of it.
     return '"' + "".join(c if c.isalnum() else f"\\{ord(c):x} " for c in text) + '"'
 
 
 def _page_figure(certificate: Certificate, figure: CertificateFigure) -> PageFigure:
-    """Draw a figure, its colours and identifiers as the page needs them."""
+    """Draw a figure with the colours of the page and identifiers that no other figure has."""
     text = figure_svg(certificate, figure)
     for colour, variable in _STYLED.items():
         text = text.replace(colour.lower(), variable).replace(colour, variable)
-    # All figures of the page share one space of identifiers.
+    # Identifiers must be unique in the page, so each begins with the figure's name.
     text = _REFERENCE.sub(lambda found: f"{found[1]}{figure.name}-", text)
     text = re.sub(
         r'<svg\b[^>]*?viewBox="([^"]*)"[^>]*>',

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 _FASTEST_RAD_S: Final = 100.0
 """Rate beyond that of any gyro sold (4000 °/s), rad/s: a larger one means a wrong unit."""
 _TEXT_WIDTH: Final = WIDTH - 17
-"""Characters of the second column, beside the longest label."""
+"""Width of the second column in characters, beside the longest label."""
 _SAMPLE_RATES_HZ: Final = (5.0, 50e3)
-"""Sample rates of IMUs: stamps that give another one are probably in another unit."""
+"""Range of the sample rates of IMUs: a rate outside it probably means a wrong unit of time."""
 
 
 def import_text(recording: Recording, imported: ImportedSamples, importer: Importer, source: Path) -> str:
@@ -63,7 +63,7 @@ def import_text(recording: Recording, imported: ImportedSamples, importer: Impor
     notes = list(imported.notes)
     if rate.max() > _FASTEST_RAD_S:
         option = "--gyro-lsb" if imported.units.get("gyro", "").startswith(COUNTS) else "--gyro-unit"
-        notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than IMUs can: check {option}.")
+        notes.append(f"The gyros read up to {rate.max() / DEG:.4g} °/s, more than any IMU measures: check {option}.")
     if imported.sample_rate_hz is None and not _SAMPLE_RATES_HZ[0] <= 1.0 / interval <= _SAMPLE_RATES_HZ[1]:
         notes.append(f"The stamps give a rate of {1.0 / interval:.4g} Hz, which no IMU has: check --time-unit.")
     for note in notes:
