@@ -190,7 +190,7 @@ def unmodelled_noise(system: LinearSystem) -> UnmodelledErrors:
             continue
         at = np.searchsorted(kept, rows.index)
         block = at[:, :, None], at[:, None, :]
-        # Shares of the known sources; the unit matrix less large unmodelled errors would be rounding.
+        # The known sources are summed: the total less large unmodelled errors would be rounding error.
         known[block] += sum(share for source, share in rows.sources.items() if source not in _SOURCES)
         for part, (source, kinds) in zip(parts, _SOURCES.items(), strict=True):
             if rows.kind in kinds:

@@ -78,7 +78,7 @@ def _shift(evidence: Evidence) -> tuple[float, int] | None:
 
 
 def _block_shift(evidence: Evidence) -> tuple[float, int] | None:
-    """The same by rotations that the means over blocks show."""
+    """Shift of the labels by the rotations in block means: a coarse search; None if the labels are not shifted."""
     data = evidence.data
     if data is None or not evidence.has_labels:
         return None

@@ -24,9 +24,9 @@ POSE_FRAME: Final = ("accel_misalignment_xy", "accel_misalignment_xz", "accel_mi
 
 
 def in_frame_of_poses(recording: Recording, options: Options) -> Options:
-    """Options that fix :data:`POSE_FRAME` if the recording has only poses whose attitudes nothing states.
+    """Options that fix :data:`POSE_FRAME` if the recording has only poses, and no label or fixture states attitudes.
 
-    Gravity then shows the accelerometers alone, and its magnitude does not depend on the axes.
+    Only the magnitude of gravity is then measured, and it does not depend on the orientation of the axes.
     """
     labels = recording.sequences
     if not labels or not all(label.pose for label in labels) or _attitudes_stated(recording):
@@ -76,14 +76,14 @@ _REMEDIES: Final = {
     "accel_misalignment": "half turns about axes near both, and poses between them",
     "gyro_bias": "longer rests",
 }
-"""Motion that shows the parameters of a group; the same words for all axes, so that a list has one reason."""
+"""Motion that makes the parameters of a group observable; one text for all axes, so that a list shows it once."""
 
 
 def seen_by_earth_rate_alone(data: PreparedRecording) -> dict[str, str]:
-    """Gyro errors of a test of poses and stated rates that only the Earth's rate at rest shows, with the reason.
+    """Gyro errors that are fixed in a test of poses and stated rates, with reasons: only the Earth's rate shows them.
 
-    They are fixed. With an unknown heading of each pose, the noise of the rates enters squared, and gyro scale factors
-    were up to 4 sigma too large.
+    If they are estimated, the unknown heading of each pose brings the square of the rate noise into them: gyro scale
+    factors were up to 4 sigma too large.
     """
     if not all(label.pose or label.rate is not None for label in data.labels):
         return {}

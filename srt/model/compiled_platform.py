@@ -3,7 +3,7 @@
 The algorithm is that of :mod:`srt.model.analytic_platform`, which explains it: compensation, coning correction, product
 of the rotations, and attitude at mid-interval. Here it runs sample by sample instead of array by array; the results are
 equal to rounding (tests/model/test_compiled_platform.py). This module imports numba, and the analytic platform imports
-it where the time that it saves is longer than that of its import.
+it only for recordings long enough to save more time than the import takes.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def block(
     offset : ndarray, shape (K, 3), rad/s
         Residual bias of each sequence after compensation.
     inverses : ndarray, shape (9, 3, 3)
-        Inverse sensor model in each octant; last, that without asymmetry.
+        Inverse sensor model in each octant; the last is the one without asymmetry.
     near_zero : ndarray, shape (3,), rad
         Channels below this value have their sign from the smoothed increments.
     last : ndarray of complex, shape (2, 1)
@@ -92,7 +92,7 @@ def _row(inverses: Any, octant: Any, row: int, x: float, y: float, z: float) -> 
 
 @_compiled
 def _solve(inverses: Any, near_zero: Any, reading: Any, smooth: Any) -> Any:
-    """Compensated increment of a sample, and its octant; the first octant is that without asymmetry."""
+    """Compensated increment of a sample, and its octant; the first octant tried is the model without asymmetry."""
     octant = new = np.uint64(8)
     x, y, z = 0.0, 0.0, 0.0
     (a, b, c), (d, e, f) = reading, smooth

@@ -22,8 +22,7 @@ N_UNKNOWNS: Final = N_PARAMETERS + 2
 """Unknowns of a planned test: the 27 sensor errors, then gravity (m/s²) and north (rad)."""
 OWN_DRIFT: Final = shares_within(60.0)
 """Share of each drift process that counts as noise of one sequence while sequences are chosen; the rest counts as bias
-of the whole test. Neighbouring sequences are less than 60 s apart; sequences that are evaluated together may be
-further apart."""
+of the whole test. Neighbouring sequences are less than 60 s apart."""
 _EXACT_SIGMA: Final = 1e-12
 """Smallest sigma of gravity (m/s²) and north (rad): keeps the information finite where they are stated as exact."""
 

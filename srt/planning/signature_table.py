@@ -24,7 +24,7 @@ _TURN: Final = re.compile(r"([+-]?\d+)([xyz])$")
 _ROUNDING: Final = 1e-9
 """Coefficient below which a term is rounding error; the others are of the order of one, or of seconds."""
 _FORCE_ROWS: Final = 4
-"""Components of specific force; the remaining ones, the rates at rest, show the gyro bias in every sequence."""
+"""Components of specific force; the other rows are rates at rest, and show the gyro bias in every sequence."""
 
 
 @dataclass(frozen=True, slots=True)

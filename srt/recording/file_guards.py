@@ -57,8 +57,8 @@ def require_size(path: Path, what: str, promised: int, present: int, factor: int
     """
     if not 0 <= promised <= factor * present + SLACK_BYTES:
         raise InputError(
-            f"{path}: {what} is stated to be {promised} bytes long, more than the {present} bytes there can hold: "
-            "the file is damaged; copy or export it again."
+            f"{path}: {what} is stated to be {promised} bytes long, more than its {present} bytes in the file can "
+            "expand to: the file is damaged; copy or export it again."
         )
 
 

@@ -242,7 +242,8 @@ def _state(document: dict[str, Any], given: Mapping[str, Any]) -> None:
     for section, keys in SECTION_KEYS.items():
         said = {key: given[key] for key in keys if given.get(key) is not None}
         before = document.get(section, {})
-        if not said or not isinstance(before, dict):  # the latter is refused with its name when it is read
+        # A section that is no table is refused by name when the document is read.
+        if not said or not isinstance(before, dict):
             continue
         # Gravity that is given replaces all values from the other recording.
         drop = {"gravity_m_s2", "height_m", "gravity_sigma_m_s2"} if {"gravity_m_s2", "height_m"} & set(said) else set()

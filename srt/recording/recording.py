@@ -282,7 +282,7 @@ class Recording(Presented):
                 raise InputError(
                     f"{label.title}: {name} [{a:g}, {b:g}] holds no sample (the interval is {interval:g} s): "
                     "widen the window, or label a part that was recorded.",
-                    # Longer than an interval, it lies where the stamps jump.
+                    # An empty window that is longer than an interval lies in a jump of the time stamps.
                     fault="gap_in_sequence" if b - a > 2.0 * interval else None,
                 )
 

@@ -171,7 +171,7 @@ class Calibration(Presented):
         frame : "mars" or "table"
             Axes of the result.
         out : (ndarray, ndarray), optional
-            Arrays to write the result to: float64, of the shapes of the readings, which they may be themselves.
+            Arrays to write the result to: float64, of the shapes of the readings; the readings themselves are allowed.
 
         Returns
         -------

@@ -105,8 +105,8 @@ def _advice(calibration: Calibration, source: str) -> Iterator[str]:
         estimated and calibration.judgement.word != SOUND
     ):
         yield (
-            f"To do: state {', '.join(estimated)} in [imu] of recording.toml; without, they are estimated from the "
-            "stationary windows."
+            f"To do: state {', '.join(estimated)} in [imu] of recording.toml; values that are not stated are "
+            "estimated from the stationary windows."
         )
     if source and (calibration.judgement.word != SOUND or calibration.warnings):
         yield f"To do: look for faults of the recording with 'srt inspect {source} --deep'."
