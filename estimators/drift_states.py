@@ -54,7 +54,7 @@ def drift_chain(data: PreparedRecording, window_step: Indices, rotation_step: In
     window_step, rotation_step : ndarray of int, shape (W,) and (K,)
         Rank in time of the sequence of each window and of each rotation.
     parts : int
-        Number of parts of every rotation; none for the accelerometers, whose drift acts in the windows.
+        Number of parts of every rotation; the accelerometers, whose drift acts in the windows, need none.
     """
     K, W = data.K, len(window_step)
     edges = equal_parts(data.rotation, parts) if parts else np.empty((K, 1), dtype=np.intp)
@@ -131,7 +131,8 @@ def drift_states(chain: DriftChain, floor: Array, window: tuple[str, Array], par
         Attitude error of each rotation by the biases in its parts, s.
     """
     markov = chain.markov
-    K, n, M = markov.by_state.shape
+    K, intervals, M = markov.by_state.shape
+    n = chain.slots if parts is None else intervals
     kind, slope = window
     rows = chain.slots + (parts is not None)
     # Effects (rows of three) on the measurements of a step by the biases of the channels in its intervals.
@@ -141,9 +142,9 @@ def drift_states(chain: DriftChain, floor: Array, window: tuple[str, Array], par
         G[chain.rotation_step, -1, :, chain.slots :] = np.swapaxes(parts * floor, 1, 2)
     effects = G.reshape(K, 3 * rows, n, 3)
     X, U = 3 * M, 3 * rows
-    by_state = np.einsum("kdnb,knm->kdmb", effects, markov.by_state).reshape(K, U, X)
+    by_state = np.einsum("kdnb,knm->kdmb", effects, markov.by_state[:, :n]).reshape(K, U, X)
     noise = np.einsum("kdnb,knr->kdbr", effects, markov.root[:, :n]).reshape(K, U, -1)
-    final = np.einsum("kmr,bc->kmbcr", markov.root[:, n:], np.eye(3)).reshape(K, X, -1)
+    final = np.einsum("kmr,bc->kmbcr", markov.root[:, intervals:], np.eye(3)).reshape(K, X, -1)
     joint = np.concatenate([noise, final], axis=1)
     root = regular_root(joint @ np.swapaxes(joint, 1, 2))
     L, B, Gamma = root[:, :U, :U], root[:-1, U:, :U], root[:-1, U:, U:]

@@ -317,15 +317,14 @@ class FactorGraph:
         """Add the distribution of the states at the start, that of the white unknowns, and the transitions."""
         state, unknown = DRIFT_KEYS[sensor]
         X, U, K = drift.states, drift.unknowns, self.joint.data.K
-        white = gtsam.noiseModel.Unit.Create(X)
+        white, unit = gtsam.noiseModel.Unit.Create(X), gtsam.noiseModel.Unit.Create(U)
         self.graph.add(gtsam.PriorFactorVector(state(0), np.zeros(X), white))
         for i in range(K):
-            unit = gtsam.noiseModel.Unit.Create(U)
             self.graph.add(gtsam.PriorFactorVector(unknown(i), np.zeros(U), unit))
         for i, coefficients in enumerate(drift.transition):
-            by_state, by_noise, by_next = np.split(coefficients, [X, X + U], axis=1)
-            keys = (state(i), by_state, unknown(i), by_noise, state(i + 1), by_next)
-            self.graph.add(gtsam.LinearContainerFactor(gtsam.JacobianFactor(*keys, np.zeros(X), white), self.values))
+            now = state(i), coefficients[:, :X], unknown(i), coefficients[:, X : X + U]
+            linear = gtsam.JacobianFactor(*now, state(i + 1), coefficients[:, X + U :], np.zeros(X), white)
+            self.graph.add(gtsam.LinearContainerFactor(linear, self.values))
 
     def _error_prior(self, prior: Prior) -> None:
         """Add the prior of the sensor errors; with one gyro bias per sequence, the prior applies to their mean."""

@@ -352,8 +352,8 @@ class JointModel:
 
     @cached_property
     def _accel_chain(self) -> DriftChain:
-        """Steps of the drift of the accelerometers."""
-        return drift_chain(self.data, self.rank[self.window_sequence], self.rank, 0)
+        """Steps of the drift of the accelerometers: those of the gyros, if there are any."""
+        return self._gyro_chain or drift_chain(self.data, self.rank[self.window_sequence], self.rank, 0)
 
     def _integrate(self, state: JointState, deviation: Array, force: Array) -> tuple[RotationIntegrals, Array, Array]:
         """Integrals of the rotations, rotations relative to inertial space, and mean specific forces of the windows.

@@ -208,12 +208,13 @@ class _Builder:
             width = jacobian.shape[2]
             if width == 0:  # no drift is modelled
                 continue
-            at = np.broadcast_to(np.asarray(number), count)
-            members = np.flatnonzero(at >= 0)
-            columns = self.columns[name].start + width * at[members, None, None] + np.arange(width)
-            value = np.broadcast_to(jacobian, (count, size, width))[members]
-            row, column = np.broadcast_arrays(index[members], columns)
-            self.entries.append((row.ravel(), column.ravel(), value.ravel()))
+            shape = count, size, width
+            columns = self.columns[name].start + width * np.reshape(number, (-1, 1, 1)) + np.arange(width)
+            entries = tuple(np.broadcast_to(part, shape) for part in (index, columns, jacobian))
+            if np.any(np.asarray(number) < 0):
+                entries = tuple(part[np.asarray(number) >= 0] for part in entries)
+            row, column, value = (part.ravel() for part in entries)
+            self.entries.append((row, column, value))
         self.b.append(residual.ravel())
         self.whitening[kind] = noise[0]
         self.rows.append(RowGroup(kind, self.m, np.asarray(place[0]), place[1], noise[1], size))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg.lapack import dgeqrf, dormqr
 
 from estimators.elimination_steps import elimination_steps, global_columns
 
@@ -63,7 +64,8 @@ class SequenceEquations:
         inverse = np.linalg.inv(R)
         by, noise = np.zeros((len(new), rows.shape[1])), np.zeros((len(new), len(R)))
         by[new], noise[new] = -inverse @ rows, inverse
-        by[np.flatnonzero(~new), n + np.searchsorted(self.before, self.after[~new])] = 1.0
+        if not new.all():
+            by[np.flatnonzero(~new), n + np.searchsorted(self.before, self.after[~new])] = 1.0
         return by[:, :n], by[:, n:-1], by[:, -1], noise
 
     def nuisances(self, g: Array, p: Array, handed_on: Array) -> Array:
@@ -125,8 +127,8 @@ def eliminate_nuisances(system: LinearSystem) -> list[SequenceEquations]:
         given = np.zeros((len(A), m + len(before) + 1))
         given[:, :m], given[:, -1] = step.A[:, len(own) :], step.b
         given[:, m + np.searchsorted(before, own[is_old])] = A[:, is_old]
-        Q, R = np.linalg.qr(A[:, is_new], mode="complete")
-        given = Q.T @ given
+        factor, tau, _, _ = dgeqrf(A[:, is_new])
+        R, given = np.triu(factor[: n + q]), dormqr("L", "T", factor, tau, given, given.size)[0]
         middle, rest = slice(n, n + q), slice(n + q, None)
         out.append(
             SequenceEquations(
