@@ -14,6 +14,7 @@ import click
 
 from srt.cli.messages import say
 from srt.exceptions import InputError, SrtError
+from srt.recording.memory_limit import memory_is_limited, require_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,6 +28,8 @@ BROKEN_PIPE: Final = 128 + 13
 _BLAS_MEMORY_BYTES: Final = 160 << 20
 """Memory of the linear algebra, bytes: numpy and scipy have an OpenBLAS each, with a buffer of 32 MiB; and imports."""
 
+_SPARE_BYTES: Final = 4 << 20
+"""Memory that is given back before the sentence about a lack of memory is made: that needs some, too."""
 _NO_DIRECTORY: Final = "The working directory does not exist any more: change to another one."
 
 
@@ -72,15 +75,9 @@ def _reserve_memory() -> None:
     MemoryError
         If the limit leaves too little for them.
     """
-    try:
-        import resource
-    except ModuleNotFoundError:  # no such limits on this system
+    if not memory_is_limited():
         return
-    if all(
-        resource.getrlimit(kind)[0] == resource.RLIM_INFINITY for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS)
-    ):
-        return
-    bytearray(_BLAS_MEMORY_BYTES)
+    require_memory(_BLAS_MEMORY_BYTES)
     import numpy as np
     import scipy.linalg.blas
 
@@ -90,6 +87,7 @@ def _reserve_memory() -> None:
 
 
 def _sentences(work: Callable[[], int]) -> int:
+    spare = bytearray(_SPARE_BYTES)
     try:
         _reserve_memory()
         return work()
@@ -110,6 +108,7 @@ def _sentences(work: Callable[[], int]) -> int:
     except BrokenPipeError:
         raise
     except (OSError, MemoryError, RecursionError, ValueError, csv.Error) as error:
+        spare.clear()
         sentence = limit_sentence(error)
         if sentence is None:
             raise

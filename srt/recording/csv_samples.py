@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, MissingExtraError
+from srt.recording.file_guards import load_pyarrow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -94,15 +95,14 @@ def _read_with_numpy(path: Path, header: list[str], names: Sequence[str], skip: 
 def _read_with_pyarrow(path: Path, header: list[str], names: Sequence[str], skip: int) -> list[Array] | None:
     """Columns by pyarrow's reader, three times faster than numpy's.
 
-    None for small files, if pyarrow is not installed, and for files that it would read otherwise or not at all:
-    numpy's reader then gives the values or the reason. Both readers round numbers correctly, so the values are equal.
+    None for small files, if pyarrow is not installed or lacks memory, and for files that it would read otherwise or not
+    at all: numpy's reader then gives the values or the reason. Both round numbers correctly, so the values are equal.
     """
     if path.stat().st_size < _PYARROW_BYTES or not _is_plain(path):
         return None
     try:
-        import pyarrow as pa
-        from pyarrow import csv as arrow_csv
-    except ImportError:
+        pa, arrow_csv = load_pyarrow("csv", "A CSV file")
+    except (MissingExtraError, MemoryError):
         return None
     # Numbered names, because a file may have several unused columns of one name.
     numbered = [str(i) for i in range(len(header))]

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 import mmap
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from srt.exceptions import InputError
+from srt.exceptions import InputError, MissingExtraError
+from srt.recording.memory_limit import require_memory
 
 if TYPE_CHECKING:
     import zipfile
@@ -34,6 +36,26 @@ NPZ_EXPANSION_LIMIT: Final = 100
 
 NPZ_SLACK_BYTES: Final = 256 << 20
 """Size of arrays, bytes, accepted at any ratio: constant columns compress a thousandfold, and it loads in about 1 s."""
+
+
+_PYARROW_BYTES: Final = 256 << 20
+"""Memory that loading pyarrow and reading a small file take, with the stacks of its threads."""
+
+
+def load_pyarrow(module: str, what: str = "A Parquet file") -> tuple[Any, Any]:
+    """Import pyarrow and one of its modules, which the file ``what`` needs.
+
+    Raises
+    ------
+    MissingExtraError
+    MemoryError
+        If a limit leaves too little memory: pyarrow's own code then ends the process.
+    """
+    require_memory(_PYARROW_BYTES)
+    try:
+        return import_module("pyarrow"), import_module(f"pyarrow.{module}")
+    except ImportError:
+        raise MissingExtraError("pyarrow", "io", what) from None
 
 
 def require_size(path: Path, what: str, promised: int, present: int, factor: int = DEFLATE_LIMIT) -> None:

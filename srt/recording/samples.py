@@ -20,7 +20,7 @@ import numpy as np
 from srt.exceptions import InputError, MissingExtraError, clipped, did_you_mean
 from srt.recording.atomic_file import atomic_path
 from srt.recording.csv_samples import read_csv, write_csv
-from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npz, guard_parquet
+from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npz, guard_parquet, load_pyarrow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -111,7 +111,7 @@ def read_samples(path: str | Path, *, time_required: bool = True) -> Samples:
     except OSError as error:
         raise InputError(f"Cannot read {path} ({error.strerror or _first_line(error)}).") from None
     except MemoryError:
-        raise InputError(f"{path} does not fit into memory: split the recording.") from None
+        raise InputError(f"{path} does not fit into memory: split the recording, or give more memory.") from None
 
 
 def write_samples(path: str | Path, samples: Samples) -> None:
@@ -257,7 +257,7 @@ def _write_npz(path: Path, samples: Samples) -> None:
 
 
 def _read_parquet(path: Path, time_required: bool) -> Samples:
-    pa, parquet = _pyarrow()
+    pa, parquet = load_pyarrow("parquet")
 
     def column(name: str) -> NDArray[Any]:
         values = file.read(columns=[name]).column(0)
@@ -276,7 +276,7 @@ def _read_parquet(path: Path, time_required: bool) -> Samples:
 
 
 def _write_parquet(path: Path, samples: Samples) -> None:
-    pa, parquet = _pyarrow()
+    pa, parquet = load_pyarrow("parquet")
     table = pa.table({name: np.ascontiguousarray(samples.column(name)) for name in samples.names})
     parquet.write_table(table, path, write_page_checksum=True)
 
@@ -311,15 +311,6 @@ def _write_hdf5(path: Path, samples: Samples) -> None:
         for name in samples.names:
             file.create_dataset(name, data=samples.column(name), track_times=False, fletcher32=True)
     path.write_bytes(image.getbuffer())
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise MissingExtraError("pyarrow", "io", "A Parquet file") from None
-    return pa, parquet
 
 
 def _h5py() -> Any:

@@ -9,11 +9,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from srt.cli import main
 from srt.cli.messages import figure_title, printable
 from srt.recording.atomic_file import atomic_path, remove_leftovers
+from srt.recording.samples import Samples, write_samples
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="signals and streams of POSIX")
 SRT = [sys.executable, "-m", "srt.cli"]
@@ -218,3 +220,23 @@ def test_too_little_memory_for_the_linear_algebra_is_a_sentence(left_mib, code):
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == code, done.stderr
     assert (done.stderr == "") if code == 0 else ("There is not enough memory" in done.stderr)
+
+
+@POSIX
+def test_too_little_memory_for_pyarrow_is_a_sentence(tmp_path):
+    """Its own code ends the process where a limit refuses memory, or calls the file damaged."""
+    if not os.path.exists("/proc/self/status"):  # noqa: PTH110
+        pytest.skip("the memory of a process is read from /proc")
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "samples.parquet"
+    write_samples(path, Samples(np.eye(3), np.eye(3), np.arange(3.0)))
+    script = (
+        "import resource, sys\n"
+        "from srt.cli.border import guarded\n"
+        "from srt.recording.samples import read_samples\n"
+        "used = int(open('/proc/self/status').read().split('VmData:')[1].split()[0]) << 10\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (used + (220 << 20),) * 2)\n"
+        f"sys.exit(guarded(lambda: len(read_samples({str(path)!r}).time)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, "does not fit into memory" in done.stderr) == (2, True), done.stderr

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from srt.exceptions import InputError, MissingExtraError, clipped, did_you_mean
-from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet
+from srt.recording.file_guards import guard_hdf5, guard_hdf5_trees, guard_npy, guard_npz, guard_parquet, load_pyarrow
 from srt.recording.import_options import TRIADS, ImportOptions, option
 from srt.recording.imported_samples import ImportedSamples, StatedUnits, samples_in_si
 from srt.recording.importer_registry import Importer, head
@@ -338,11 +338,7 @@ def open_hdf5(path: Path, title: str, *, matlab: bool = False) -> Iterator[Array
 
 
 def _read_parquet(path: Path, options: ImportOptions) -> ImportedSamples:
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise MissingExtraError("pyarrow", "io", "A Parquet file") from None
+    pa, parquet = load_pyarrow("parquet")
     with clear_errors(path, "Parquet file"):
         file = parquet.ParquetFile(path)
     with file:
