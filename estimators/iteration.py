@@ -378,7 +378,7 @@ def _add_instability(joint: JointModel, solver: JointSolver, iteration: Iteratio
             iteration.state = after
             return True
         joint.drift = drift
-    joint.data = replace(data, noise=data.noise.at_limit)
+    joint.data = replace(data, noise_at_limit=True)
     if _explains(joint, solver, iteration, state):
         return True
     joint.data = data

@@ -109,7 +109,7 @@ def iterate_with_unmodelled_errors(
             if not any(present.sizes) and _explained_at_limit(solution, data, solver.fixed):
                 ramp = explaining_drift(data, options, solution, solver.fixed)
                 if not ramp:
-                    data, solver = replace(data, noise=data.noise.at_limit), new_solver()
+                    data, solver = replace(data, noise_at_limit=True), new_solver()
                     solution = iterate(
                         data, options, solver, first[0], solution.U, progress,
                         excess=present, resume=solution, fixed_sigma=uncertain,

@@ -65,13 +65,14 @@ class PreparedRecording:
     windows : Windows
     start, end : ndarray of int, shape (K,)
         Window that each sequence starts and ends with; turns may share windows.
-    noise : NoiseModel
     voided : dict of str to str
         Sequences left out, with the reason.
     poses : tuple of (SequenceLabel, int)
         Windows of sequences that lost their end, which joint estimation uses alone: label and window.
     moves : int
         Number of moves between sequences, the last of the K.
+    noise_at_limit : bool
+        Use the largest bias instability that the windows cannot exclude.
     """
 
     recording: Recording
@@ -80,11 +81,18 @@ class PreparedRecording:
     windows: Windows
     start: Indices
     end: Indices
-    noise: NoiseModel
     average: Average
     voided: dict[str, str]
     poses: tuple[tuple[SequenceLabel, int], ...] = ()
     moves: int = 0
+    noise_at_limit: bool = False
+
+    @cached_property
+    def noise(self) -> NoiseModel:
+        """Stated noise of the unit, completed from the windows at the first use; one fit for equal windows."""
+        samples = self.windows.samples
+        found = self.recording.memo(("noise", samples.tobytes()), lambda: noise_model(self.recording, samples))
+        return found.at_limit if self.noise_at_limit else found
 
     @property
     def K(self) -> int:
@@ -173,7 +181,7 @@ class PreparedRecording:
         """Line of the spectrum of the windows; None if there is none."""
         samples = self.windows.samples
         key = ("vibration", samples.tobytes())
-        return self.recording.memo(key, lambda: vibration(self.recording, samples, self.noise))
+        return self.recording.memo(key, lambda: vibration(self.recording, samples, lambda: self.noise))
 
     def means(self, gyro: Triad, accel: Triad) -> tuple[Array, Array]:
         """Mean readings of gyros and accelerometers in every window, (W, 3), less vibration and its rectified part."""
@@ -393,10 +401,11 @@ def _prepare(
         recording=recording,
         labels=labels,
         catalogue=tuple(sequence_of_label(label) for label in labels),
-        windows=average_windows(recording, samples, average),
+        windows=recording.memo(
+            ("window means", samples.tobytes(), average), lambda: average_windows(recording, samples, average)
+        ),
         start=start,
         end=end,
-        noise=noise_model(recording, samples),
         average=average,
         voided=voided,
         poses=tuple(alone),

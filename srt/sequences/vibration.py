@@ -26,6 +26,8 @@ from srt.noise.noise_model import smallest_step
 from srt.sequences.window_means import averaging_weights
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from srt.model.sensor_model import Triad
     from srt.noise.noise_model import NoiseModel
     from srt.recording.recording import Recording
@@ -114,7 +116,7 @@ def rectified(mean: Array, amplitude: Array) -> Array:
     return np.asarray(size * (2.0 / np.pi * (np.sqrt(1.0 - x**2) + x * np.arcsin(x)) - x))
 
 
-def vibration(recording: Recording, samples: Indices, noise: NoiseModel) -> Vibration | None:
+def vibration(recording: Recording, samples: Indices, noise: Callable[[], NoiseModel]) -> Vibration | None:
     """Find the strongest line in the windows; None if there is none.
 
     Parameters
@@ -122,8 +124,8 @@ def vibration(recording: Recording, samples: Indices, noise: NoiseModel) -> Vibr
     recording : Recording
     samples : ndarray of int, shape (W, 2)
         First sample of every window and one past the last.
-    noise : NoiseModel
-        Noise of the unit: a line below one quantization step may be that of the pulses.
+    noise : callable
+        Gives the noise of the unit, if a line is found: one below one quantization step may be that of the pulses.
     """
     length = samples[:, 1] - samples[:, 0]
     chosen = samples[length >= max(_FEWEST_SAMPLES, int(np.median(length)) // 2)]
@@ -143,10 +145,12 @@ def vibration(recording: Recording, samples: Indices, noise: NoiseModel) -> Vibr
         more_than_half = len(chosen) // 2 + 1
         stands_out = np.sort(ratio, axis=0)[-more_than_half] > _limit(len(chosen), tests)
         stands_out[:_LOWEST] = False
+        if not stands_out.any():
+            continue
         # Amplitude of the integral, angle or velocity, of all channels.
         bins = np.maximum(np.arange(ratio.shape[1]), 1)
         size = np.sqrt(np.median(power, axis=0)) * 2.0 / n / (2.0 * np.pi * bins / (n * dt))
-        walk, step = getattr(noise, f"{sensor}_white") * np.sqrt(n * dt), _step(recording, sensor, chosen)
+        walk, step = getattr(noise(), f"{sensor}_white") * np.sqrt(n * dt), _step(recording, sensor, chosen)
         stands_out &= size > np.where(walk < _DITHERED * step, step, 0.0).max()
         if stands_out.any():
             score = np.where(stands_out, np.median(ratio, axis=0), 0.0)
