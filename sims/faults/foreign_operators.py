@@ -15,6 +15,7 @@ import sims.faults.execution
 import sims.faults.foreign_loggers
 import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 from sims.faults.injection import INJECTIONS, FaultyCase, variant
+from sims.physics.imu import accel_matrix, gyro_matrix
 from srt.constants import DEG
 
 if TYPE_CHECKING:
@@ -120,13 +121,16 @@ def accelerometer_board_askew(case: Case, severity: float, rng: np.random.Genera
 @variant("mounted anew in the middle", 90.0, "deg", "units_joined", "frame_turned", "labels_exchanged")
 def mounted_anew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     """The unit is taken off the table between two sequences and mounted in another orientation."""
-    recording = case.recording
+    recording, simulation = case.recording, case.simulation
     count = len(recording.sequences)
     label = recording.sequences[int(rng.integers(count // 4, 3 * count // 4))]
     rows = slice(recording.window_indices(*label.end_static_s).stop, len(recording.time))
-    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
+    turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))]).as_matrix() - np.eye(3)
+    # The motion turns, and the sensors stay as they are in their case.
+    motion, factor = simulation.motion, 1.0 if recording.kind == "increment" else 1.0 / simulation.motion.interval
     gyro, accel = recording.gyro.copy(), recording.accel.copy()
-    gyro[rows], accel[rows] = turn.apply(gyro[rows]), turn.apply(accel[rows])
+    gyro[rows] += factor * motion.angle[rows] @ (gyro_matrix(simulation.truth) @ turn).T
+    accel[rows] += factor * motion.velocity[rows] @ (accel_matrix(simulation.truth) @ turn).T
     return replace(recording, gyro=gyro, accel=accel)
 
 

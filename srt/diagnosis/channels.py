@@ -15,7 +15,7 @@ from srt.diagnosis.repeated_samples import FALSE_ALARM as REPEATS_BY_CHANCE
 from srt.diagnosis.repeated_samples import repeated_runs, single_repeats
 from srt.diagnosis.sensor_synchronisation import sample_twice
 from srt.diagnosis.spikes import Spikes, find_spikes
-from srt.diagnosis.words import wrapped_readings
+from srt.diagnosis.words import SuppressedReadings, suppressed_readings, wrapped_readings
 from srt.model.table1 import AXES
 from srt.noise.allan import CHANNELS
 from srt.noise.noise_model import smallest_step
@@ -270,11 +270,20 @@ _DEAD_EDGE: Final = 0.1
 
 @check("gyro_dead_band")
 def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
-    """Find gyros that read zero when stationary, and never between zero and a threshold."""
+    """Find gyros that read zero when stationary, or in passing, and never between zero and a threshold."""
     if evidence.data is None or not any(_noisy(evidence, column) for column in _columns(evidence)[3:]):
         return
     if "gyro" in wrapped_readings(evidence):
         return  # readings that overflow lie on several grids, which hides their step
+    found = suppressed_readings(evidence, "gyro") or _zero_at_rest(evidence)
+    if found is not None:
+        where = {"channel": CHANNELS[found.axis], "count": found.zeros}
+        yield finding("gyro_dead_band", **where, threshold=found.threshold, step=found.step)
+
+
+def _zero_at_rest(evidence: Evidence) -> SuppressedReadings | None:
+    """First gyro that reads zero in most stationary samples, and otherwise far above its step."""
+    assert evidence.data is not None
     windows = evidence.data.windows.samples.tolist()
     stationary = np.concatenate([evidence.rate[a:b] for a, b in windows])
     share = np.mean(stationary == 0.0, axis=0)
@@ -294,14 +303,8 @@ def gyro_dead_band(evidence: Evidence) -> Iterator[Finding]:
         pulse = (evidence.recording.noise.gyro_quantization or 0.0) / evidence.dt
         step = max(pulse, float(smallest_step(moving[-_SAMPLES:])[axis]))
         if threshold > (_DEAD_PULSES if pulse else _DEAD_STEPS) * step:
-            yield finding(
-                "gyro_dead_band",
-                channel=CHANNELS[axis],
-                share=100.0 * float(share[axis]),
-                threshold=threshold,
-                step=step,
-            )
-            return
+            return SuppressedReadings(axis, int(np.count_nonzero(size == 0.0)), threshold, step)
+    return None
 
 
 @check("spikes")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -54,6 +54,8 @@ _MANY: Final = 30
 """Readings just beyond a dead band: as many are expected inside it, and none is by chance with p = 1e-13."""
 _ZEROS: Final = 0.3
 """Zeros over those readings, from which the readings inside are zero: a slow motion may spend less time there."""
+_BESIDE: Final = 1.5
+"""Median size of the readings after zeros over the threshold, below which slow motion passes the band."""
 _BAND_STEPS: Final = 2.5
 """Smallest reading other than zero over the quantization step: one without a dead band."""
 _FREQUENT: Final = 0.3
@@ -233,28 +235,56 @@ def words_of_one_polarity(evidence: Evidence) -> Iterator[Finding]:
 @check("accel_dead_band")
 def accel_dead_band(evidence: Evidence) -> Iterator[Finding]:
     """Find accelerometers that read zero, and never between zero and a threshold, which gravity passes in rotations."""
-    step = smallest_step(evidence.force[:: max(1, len(evidence.force) // _SAMPLES)])
-    pulse = (evidence.recording.noise.accel_quantization or 0.0) * (
-        1.0 if evidence.per_rate == 1.0 else evidence.per_rate
-    )
-    for axis in range(3) if "accel" not in wrapped_readings(evidence) else ():
-        size = np.abs(evidence.force[:, axis])
+    found = suppressed_readings(evidence, "accel")
+    if found is not None:
+        yield finding(
+            "accel_dead_band",
+            channel=f"accel_{AXES[found.axis]}",
+            count=found.zeros,
+            threshold_ug=found.threshold / MICRO_G,
+            step_ug=found.step / MICRO_G,
+        )
+
+
+class SuppressedReadings(NamedTuple):
+    """Readings of one axis, none of which lies between zero and a threshold.
+
+    Attributes
+    ----------
+    axis, zeros : int
+        Axis, and number of its readings that are zero.
+    threshold, step : float
+        Smallest other reading and quantization step, rad/s or m/s².
+    """
+
+    axis: int
+    zeros: int
+    threshold: float
+    step: float
+
+
+def suppressed_readings(evidence: Evidence, sensor: str) -> SuppressedReadings | None:
+    """First axis of a triad, "gyro" or "accel", whose readings pass through zero and show none near it."""
+    if sensor in wrapped_readings(evidence):
+        return None
+    table = evidence.rate if sensor == "gyro" else evidence.force
+    step = smallest_step(table[:: max(1, len(table) // _SAMPLES)])
+    noise = evidence.recording.noise
+    pulse = (noise.gyro_quantization if sensor == "gyro" else noise.accel_quantization) or 0.0
+    for axis in range(3):
+        size = np.abs(table[:, axis])
         zeros = int(np.count_nonzero(size == 0.0))
         if zeros < _ZEROS * _MANY or zeros == len(size):
             continue
         threshold = float(size[size > 0.0].min())
         beyond = int(np.count_nonzero((size > 0.0) & (size < 2.0 * threshold)))
-        grid = max(float(step[axis]), pulse, _grid(size[(size > 0.0) & (size < _NEAR * threshold)]))
-        if beyond < _MANY or zeros < _ZEROS * beyond or threshold <= _BAND_STEPS * grid:
-            continue
-        yield finding(
-            "accel_dead_band",
-            channel=f"accel_{AXES[axis]}",
-            count=zeros,
-            threshold_ug=threshold / MICRO_G,
-            step_ug=grid / MICRO_G,
-        )
-        return
+        grid = max(float(step[axis]), pulse / evidence.dt, _grid(size[(size > 0.0) & (size < _NEAR * threshold)]))
+        # Zeros of samples that were lost lie among any readings.
+        beside = size[np.minimum(np.flatnonzero(size == 0.0) + 1, len(size) - 1)]
+        passing = zeros >= _ZEROS * beyond or float(np.median(beside)) < _BESIDE * threshold
+        if beyond >= _MANY and passing and threshold > _BAND_STEPS * grid:
+            return SuppressedReadings(axis, zeros, threshold, grid)
+    return None
 
 
 def _grid(small: Array) -> float:

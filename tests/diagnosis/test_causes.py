@@ -49,6 +49,16 @@ def test_a_dead_band_is_no_latitude(grade):
     assert causes(replace(recording(grade), gyro=gyro))[0] == "gyro_dead_band"
 
 
+def test_a_dead_band_that_readings_seldom_reach_is_told():
+    """At rest the bias of the gyro lies beyond it, so that few readings are zero."""
+    gyro = recording("consumer-mems").gyro.copy()
+    axis = int(np.argmax(np.abs(np.median(gyro, axis=0))))
+    small = np.abs(gyro[:, axis]) < np.sort(np.abs(gyro[:, axis]))[300]
+    gyro[small, axis] = 0.0
+    assert 100 < np.count_nonzero(small) <= 300
+    assert causes(replace(recording("consumer-mems"), gyro=gyro))[0] == "gyro_dead_band"
+
+
 @pytest.mark.parametrize("place", [0.02, 0.5, 0.98])
 @pytest.mark.parametrize("grade", every_second_grade(0))
 def test_one_spike_shifts_no_label(grade, place):
