@@ -8,7 +8,7 @@ import numpy as np
 
 from srt.diagnosis.findings import check, finding
 from srt.noise.allan import CHANNELS
-from srt.sequences.plausibility import Clipping, clipped_samples, clipping_levels
+from srt.sequences.clipping import Clipping, clipped_samples, clipping_levels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

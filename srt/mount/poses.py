@@ -20,7 +20,8 @@ from srt.noise.noise_model import noise_model
 from srt.recording.recording import Fixture
 from srt.result.calibration import software
 from srt.sensor_errors import GROUP_SLICES, NAMES
-from srt.sequences.plausibility import check_interval, check_rest, clipped_samples, clipping_levels, gap_inside
+from srt.sequences.clipping import clipped_samples, clipping_levels
+from srt.sequences.plausibility import check_interval, check_rest, gap_inside
 from srt.sequences.stationary_windows import find_windows, window_times
 from srt.sequences.window_means import average_windows
 

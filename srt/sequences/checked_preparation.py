@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from srt.exceptions import DataError
-from srt.sequences.plausibility import (
-    check_interval,
-    check_rest,
-    check_turns,
-    clipped_samples,
-    clipping_levels,
-    gap_inside,
-)
+from srt.sequences.clipping import clipped_samples, clipping_levels
+from srt.sequences.plausibility import check_interval, check_rest, check_turns, gap_inside
 from srt.sequences.preparation import move_title, prepare, sequence_of_label
 
 if TYPE_CHECKING:

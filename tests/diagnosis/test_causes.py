@@ -14,7 +14,7 @@ import sims.faults.site_and_drift  # noqa: F401 - registers its injections
 import srt
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from srt.constants import DEG
-from srt.sequences.plausibility import clipping_levels
+from srt.sequences.clipping import clipping_levels
 
 
 @cache

@@ -5,7 +5,7 @@ import pytest
 from clean_recordings import examined
 from scipy.ndimage import uniform_filter1d
 
-from srt.sequences.plausibility import _limits_seen
+from srt.sequences.clipping import _limits_seen, _Triad
 
 SEED = 20261124
 LEAST = 0.2
@@ -51,7 +51,7 @@ def test_extremes_of_filtered_quantized_noise_are_no_limit(width):
     for _ in range(60):
         noise = rng.normal(1.0, 0.01, (20_000, 3))
         readings = uniform_filter1d(np.round(noise / 0.0065) * 0.0065, width, axis=0)
-        low, high = _limits_seen(readings, LEAST)
+        low, high = _limits_seen(_Triad.of(readings), LEAST)
         assert np.isinf(low).all()
         assert np.isinf(high).all()
 
@@ -62,7 +62,7 @@ def test_full_scale_by_chance_is_no_limit():
     counts = np.round(rng.normal(2000.0, 12.0, (20_000, 3)))
     counts += 2047 - counts.max(axis=0)
     counts[[7000, 9000], 0] = 2047
-    assert np.isinf(_limits_seen(counts, 100.0)[1]).all()
+    assert np.isinf(_limits_seen(_Triad.of(counts), 100.0)[1]).all()
     shaken = counts - 500
     shaken[[7000, 9000], 0] = 2047
-    np.testing.assert_array_equal(_limits_seen(shaken, 100.0)[1], [2047.0, np.inf, np.inf])
+    np.testing.assert_array_equal(_limits_seen(_Triad.of(shaken), 100.0)[1], [2047.0, np.inf, np.inf])

@@ -1,7 +1,7 @@
 """False-alarm probability of all checks together: the sum of what the single tests allow."""
 
 from srt.diagnosis import findings, repeated_samples, rotation_readings
-from srt.sequences import plausibility, vibration
+from srt.sequences import clipping, vibration
 
 PER_RECORDING = 1e-4
 """Probability by design of any finding in a recording without a fault."""
@@ -15,6 +15,6 @@ SPIKES = 5e-6
 def test_all_checks_together_raise_a_finding_in_one_of_10000_recordings():
     tests = len((*IN_WINDOWS, *OVER_SEQUENCES, *OF_RATES))
     total = tests * findings.FALSE_ALARM + vibration.FALSE_ALARM + rotation_readings._BY_NOISE
-    total += 12 * (plausibility._CHANCE + 0.5**plausibility._PILE)
+    total += 12 * (clipping._CHANCE + 0.5**clipping._PILE)
     total += 11 * repeated_samples.FALSE_ALARM + SPIKES
     assert 0.5 * PER_RECORDING < total <= PER_RECORDING

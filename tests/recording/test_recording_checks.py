@@ -9,14 +9,8 @@ import pytest
 
 from srt.exceptions import DataError
 from srt.recording.recording import ImuNoise, Recording, Site
-from srt.sequences.plausibility import (
-    check_interval,
-    check_rest,
-    check_turns,
-    clipped_samples,
-    clipping_levels,
-    gap_inside,
-)
+from srt.sequences.clipping import clipped_samples, clipping_levels
+from srt.sequences.plausibility import check_interval, check_rest, check_turns, gap_inside
 
 G = 9.80665
 DT = 0.01

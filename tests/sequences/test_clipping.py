@@ -13,7 +13,7 @@ from foreign_motion import recording as hand_recording
 import srt
 from sims.faults.injection import GRADES, Case
 from srt.constants import DEG
-from srt.sequences.plausibility import clipped_samples, clipping_levels
+from srt.sequences.clipping import clipped_samples, clipping_levels
 
 SEED = 20261122
 
