@@ -72,6 +72,7 @@ AT_THE_LIMIT: Final = {
     ("latitude and accel_stuck", "tactical-fog"): (0.05, "latitude of 2 deg, as latitude; two samples stuck, as noise"),
     ("latitude and accel_stuck", "industrial-mems"): (0.05, "as on tactical-fog"),
     ("gyro_bias_drift", "consumer-mems"): (300.0, "within the flicker of 20 deg/h over the test"),
+    ("gyro bias steps", "consumer-mems"): (300.0, "as gyro_bias_drift"),
     ("gyro_factor", "consumer-mems"): (1.25, "as sample_rate"),
     ("gyro_factor", "industrial-mems"): (1.06, "as sample_rate"),
 }

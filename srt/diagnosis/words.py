@@ -278,6 +278,9 @@ def suppressed_readings(evidence: Evidence, sensor: str) -> SuppressedReadings |
             continue
         threshold = float(size[size > 0.0].min())
         beyond = int(np.count_nonzero((size > 0.0) & (size < 2.0 * threshold)))
+        multiple = size[size > 0.0] / threshold
+        if np.mean(np.abs(multiple - np.rint(multiple)) < _WHOLE) > 0.5:
+            continue  # the threshold is the step of the readings, some of which were filled in between
         grid = max(float(step[axis]), pulse / evidence.dt, _grid(size[(size > 0.0) & (size < _NEAR * threshold)]))
         # Zeros of samples that were lost lie among any readings.
         beside = size[np.minimum(np.flatnonzero(size == 0.0) + 1, len(size) - 1)]

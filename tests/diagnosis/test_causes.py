@@ -59,6 +59,19 @@ def test_a_dead_band_that_readings_seldom_reach_is_told():
     assert causes(replace(recording("consumer-mems"), gyro=gyro))[0] == "gyro_dead_band"
 
 
+def test_samples_filled_by_straight_lines_have_no_dead_band():
+    """They lie between the steps of the readings, of which the first one above zero is no threshold."""
+    gyro, accel = (getattr(recording("consumer-mems"), name).copy() for name in ("gyro", "accel"))
+    rows = np.arange(4000, 4320)
+    for values in (gyro, accel):
+        values[rows] = values[rows[0]] + np.linspace(0.0, 1.0, len(rows))[:, None] * (
+            values[rows[-1]] - values[rows[0]]
+        )
+    faulty = replace(recording("consumer-mems"), gyro=gyro, accel=accel)
+    assert "gyro_dead_band" not in causes(faulty)
+    assert causes(faulty)[0] == "samples_interpolated"
+
+
 @pytest.mark.parametrize("place", [0.02, 0.5, 0.98])
 @pytest.mark.parametrize("grade", every_second_grade(0))
 def test_one_spike_shifts_no_label(grade, place):
