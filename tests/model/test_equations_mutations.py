@@ -337,8 +337,11 @@ def inversion_holds(closed, run):
 
 
 def holds(simulated, model=measurement_model, integrals=rotation_integrals, closed=closed_form):
+    """Every check that the given modules take part in, of which at most one is altered."""
+    if closed is not closed_form:
+        return inversion_holds(closed, simulated("held"))
     return (
-        integrals_hold(integrals)
+        (model is not measurement_model or integrals_hold(integrals))
         and model_holds(model)
         and poses_hold(model)
         and turns_hold(model)
