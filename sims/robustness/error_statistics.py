@@ -8,6 +8,7 @@ rate. Each test has an equal part of the 1 % (Bonferroni), which is valid for an
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -164,40 +165,46 @@ def accuracy(trials: TrialTable) -> tuple[Accuracy, ...]:
     trials : TrialTable
     """
     axes: tuple[AxisLevels | None, ...] = (None, *trials.axes)
-    parts: list[list[pd.DataFrame]] = [[] for _ in axes]
+    tables = [_ErrorTable(trials, axis) for axis in axes]
     # One parameter after the other: those of a group together are gigabytes in a large campaign.
     for number, group in enumerate(GROUPS):
         for suffix in group.suffixes:
             found = trials.errors(f"{group.name}_{suffix}")
-            scaled = (found["error"] / found["sigma"]).where(found["sigma"] > 0.0, 0.0).abs()
-            size = (found["error"] * group.display_factor).abs()
-            found = pd.DataFrame({"group": number, "size": size, "square": size**2, "scaled": scaled,
-                                  "scaled_square": scaled**2, "estimator": found["estimator"]})  # fmt: skip
-            for axis, part in zip(axes, parts, strict=True):
-                level = 0 if axis is None else axis.codes[found.index]
-                part.append(
-                    found.assign(level=level)
-                    .groupby(["estimator", "level", "group"])
-                    .agg(
-                        count=("size", "size"),
-                        rms=("square", "sum"),
-                        largest=("size", "max"),
-                        rms_in_sigma=("scaled_square", "sum"),
-                        largest_in_sigma=("scaled", "max"),
-                    )
-                )
-    return tuple(_accuracy(trials, axis, pd.concat(part)) for axis, part in zip(axes, parts, strict=True))
+            size = np.abs(np.asarray(found["error"])) * group.display_factor
+            scaled = np.asarray((found["error"] / found["sigma"]).where(found["sigma"] > 0.0, 0.0).abs())
+            for table in tables:
+                table.add(found, number, size, scaled)
+    return tuple(table.accuracy() for table in tables)
 
 
-def _accuracy(trials: TrialTable, axis: AxisLevels | None, found: pd.DataFrame) -> Accuracy:
-    """Accuracy by level from counts, sums of squares and largest values of every parameter."""
-    shape = (len(trials.header.estimators), 1 if axis is None else len(axis.labels), len(GROUPS))
-    cells = pd.MultiIndex.from_product([range(n) for n in shape], names=found.index.names)
-    sums = dict.fromkeys(("count", "rms", "rms_in_sigma"), "sum")
-    together = found.groupby(level=found.index.names).agg(sums | {"largest": "max", "largest_in_sigma": "max"})
-    table = together.reindex(cells)[list(found.columns)]
-    roots = {name: np.sqrt(table[name] / table["count"]) for name in ("rms", "rms_in_sigma")}
-    return Accuracy(axis, table.assign(count=table["count"].fillna(0).astype(np.int64), **roots), shape)
+class _ErrorTable:
+    """Counts, sums of squares and largest values of errors by estimator, level of an axis and group."""
+
+    def __init__(self, trials: TrialTable, axis: AxisLevels | None) -> None:
+        self.axis = axis
+        self.shape = (len(trials.header.estimators), 1 if axis is None else len(axis.labels), len(GROUPS))
+        cells = math.prod(self.shape)
+        self.count = np.zeros(cells, dtype=np.int64)
+        self.squares, self.largest = np.zeros((2, cells)), np.full((2, cells), np.nan)
+
+    def add(self, found: pd.DataFrame, group: int, *sizes: Array) -> None:
+        """Add the errors of one parameter: their sizes, and those over sigma, both of shape (rows,)."""
+        level = 0 if self.axis is None else self.axis.codes[found.index]
+        _, levels, groups = self.shape
+        cell = (np.asarray(found["estimator"]) * levels + level) * groups + group
+        self.count += np.bincount(cell, minlength=len(self.count))
+        for k, size in enumerate(sizes):
+            self.squares[k] += np.bincount(cell, weights=size**2, minlength=len(self.count))
+            np.fmax.at(self.largest[k], cell, size)
+
+    def accuracy(self) -> Accuracy:
+        """Errors of all parameters that were added."""
+        names = ["estimator", "level", "group"]
+        cells = pd.MultiIndex.from_product([range(n) for n in self.shape], names=names)
+        rms = np.sqrt(self.squares / np.where(self.count > 0, self.count, np.nan))
+        columns = {"count": self.count, "rms": rms[0], "largest": self.largest[0]}
+        columns |= {"rms_in_sigma": rms[1], "largest_in_sigma": self.largest[1]}
+        return Accuracy(self.axis, pd.DataFrame(columns, index=cells), self.shape)
 
 
 def sigma_consistency(trials: TrialTable) -> SigmaConsistency:
@@ -209,26 +216,25 @@ def sigma_consistency(trials: TrialTable) -> SigmaConsistency:
     """
     estimators = list(trials.header.estimators)
     cells = pd.MultiIndex.from_product([estimators, NAMES], names=["estimator", "parameter"])
-    parts = {}
-    for name in NAMES:
-        found = trials.errors(name)
-        scaled = (found["error"] / found["sigma"])[found["sigma"] > 0.0]
-        columns = pd.DataFrame({"square": scaled**2, "covered": scaled.abs() <= _TWO_SIDED_95})
-        by_estimator = columns.groupby(np.array(estimators, dtype=object)[found["estimator"].loc[scaled.index]])
-        parts[name] = by_estimator.agg(
-            count=("square", "size"), rms=("square", "mean"), covered=("covered", "sum"), coverage=("covered", "mean")
-        )
-    # Positions, not labels, order the rows: a label may be any text.
-    found = pd.concat(parts).swaplevel().reindex(cells)
-    found[["count", "covered"]] = found[["count", "covered"]].fillna(0).astype(np.int64)
-    found["rms"] = np.sqrt(found["rms"])
+    # Numbers of errors, of errors within their interval, and sums of squares: shape (3, estimators, parameters).
+    sums = np.zeros((3, len(estimators), len(NAMES)))
+    for k, name in enumerate(NAMES):
+        errors = trials.errors(name)
+        errors = errors[errors["sigma"] > 0.0]
+        scaled = np.asarray(errors["error"] / errors["sigma"])
+        for weights, by_estimator in zip((None, np.abs(scaled) <= _TWO_SIDED_95, scaled**2), sums, strict=True):
+            by_estimator[:, k] = np.bincount(errors["estimator"], weights, minlength=len(estimators))
+    count, covered, squares = sums.reshape(3, -1)
+    some = np.where(count > 0, count, np.nan)
+    columns = {"count": count.astype(np.int64), "rms": np.sqrt(squares / some), "covered": covered.astype(np.int64)}
+    found = pd.DataFrame(columns | {"coverage": covered / some}, index=cells)
     seen = trials.converged & trials.frame["nees"].notna() & (trials.frame["observed"] > 0)
     rows = trials.frame.loc[seen, ["estimator", "nees", "observed"]]
-    sums = rows.groupby("estimator", observed=False).agg(
+    total = rows.groupby("estimator", observed=False).agg(
         units=("nees", "size"), freedom=("observed", "sum"), square=("nees", "sum")
     )
-    sums = sums.reindex(estimators)
-    tests = int((found["count"] > 0).sum() + (sums["units"] > 0).sum())
+    total = total.reindex(estimators)
+    tests = int((found["count"] > 0).sum() + (total["units"] > 0).sum())
     tail = 0.5 * FALSE_ALARM / max(tests, 1)
     found["low"], found["high"] = _rms_limits(found["count"], tail)
     found["half_width"] = BAND / np.sqrt(2.0 * found["count"].where(found["count"] > 0))
@@ -236,10 +242,10 @@ def sigma_consistency(trials: TrialTable) -> SigmaConsistency:
     for name, values in zip(("coverage_low", "coverage_high"), interval, strict=True):
         found[name] = np.where(found["count"] > 0, values, np.nan)
     found["too_small"], found["too_large"] = found["rms"] > found["high"], found["rms"] < found["low"]
-    low, high = _rms_limits(sums["freedom"], tail)
-    nees = sums["square"] / sums["freedom"].where(sums["freedom"] > 0)
+    low, high = _rms_limits(total["freedom"], tail)
+    nees = total["square"] / total["freedom"].where(total["freedom"] > 0)
     beyond = (nees < low**2) | (nees > high**2)
-    return SigmaConsistency(found, sums[["units"]].assign(nees=nees, low=low**2, high=high**2, inconsistent=beyond))
+    return SigmaConsistency(found, total[["units"]].assign(nees=nees, low=low**2, high=high**2, inconsistent=beyond))
 
 
 def _rms_limits(freedom: ArrayLike, tail: float) -> tuple[Array, Array]:
