@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from srt.types import Array
+    from srt.types import Array, Mask
 
 
 def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) -> Array:
@@ -33,11 +33,15 @@ def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) 
     bounded[list(signed)] = False
     if np.all(unbounded[bounded] > 0.0):
         return unbounded
-    x, free = np.zeros(A.shape[1]), ~bounded
-    if signed:
-        x[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
     # Rounding of a gradient that is zero: |a||b| times the unit roundoff and the number of terms of the sums.
     tolerance = max(A.shape) * np.finfo(np.float64).eps * np.linalg.norm(A, axis=0) * np.linalg.norm(b)
+    # Mostly the minimum is on the bounds that the unbounded solution is beyond; its gradients there prove it.
+    free = (unbounded > 0.0) | ~bounded
+    x = _on_bounds(A, b, free)
+    if np.all(x[free & bounded] > 0.0) and np.all((A.T @ (b - A @ x))[~free] <= tolerance[~free]):
+        return x
+    free = ~bounded
+    x = _on_bounds(A, b, free)
     while True:
         gain = np.where(free, -np.inf, A.T @ (b - A @ x) - tolerance)
         entering = int(np.argmax(gain))
@@ -45,8 +49,7 @@ def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) 
             return x
         free[entering] = True
         while True:
-            trial = np.zeros_like(x)
-            trial[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
+            trial = _on_bounds(A, b, free)
             blocked = np.flatnonzero(free & bounded & (trial <= 0.0))
             if not blocked.size:
                 break
@@ -58,3 +61,11 @@ def nonnegative_least_squares(A: Array, b: Array, signed: tuple[int, ...] = ()) 
             leaving = blocked[np.argmin(step)]
             x[leaving], free[leaving] = 0.0, False
         x = trial
+
+
+def _on_bounds(A: Array, b: Array, free: Mask) -> Array:
+    """Minimum of |A x − b| over the free unknowns, with the others at zero."""
+    x = np.zeros(A.shape[1])
+    if free.any():
+        x[free] = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
+    return x

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from scipy.special import chdtrc, chdtri
 from srt.noise.nonnegative import nonnegative_least_squares
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from srt.recording.recording import Recording
     from srt.types import Array, Indices
 
@@ -106,18 +109,27 @@ def random_walk(recording: Recording, windows: Indices) -> RandomWalk:
 
 def _triad(recording: Recording, windows: Indices, octaves: _Octaves, columns: slice) -> tuple[list[_Fit], float]:
     """Fits of the three axes of a triad, and the averaging time beyond its filter; zero without a filter."""
-    first, drifting = _beyond_filter(octaves.of(columns))
+    octaves = octaves.of(columns)
+    fits_from = _fitting(octaves)
+    first, drifting = _beyond_filter(octaves, fits_from)
     if first:
-        typical = _typical(recording, windows)
-        if _differ(octaves.of(columns), typical.of(columns), first):  # motion in single windows looks like a filter
-            first, drifting = _beyond_filter(typical.of(columns))
-            octaves = typical if first else octaves
-    tau, count, variance = octaves.of(columns)
-    fits = [_fit_one(tau, count, v, first, drifting=drifting) for v in variance]
+        typical = _typical(recording, windows).of(columns)
+        if _differ(octaves, typical, first):  # motion in single windows looks like a filter
+            fits_of_typical = _fitting(typical)
+            first, drifting = _beyond_filter(typical, fits_of_typical)
+            octaves, fits_from = (typical, fits_of_typical) if first else (octaves, fits_from)
+    tau, count, variance = octaves
+    fits = fits_from(first, drifting)
     # Where quantization hides the white noise of an axis, the three axes of a triad are fitted together.
     if any(fit.doubt > _POOL_ABOVE for fit in fits):
         fits = [_fit_one(tau, 3.0 * count, variance.mean(axis=0), first, drifting=drifting)] * 3
     return fits, float(tau[first]) if first else 0.0
+
+
+def _fitting(octaves: _Octaves) -> Callable[[int, bool], list[_Fit]]:
+    """Fits of the axes of a triad from an octave on, with drift or without; each is made once."""
+    tau, count, variance = octaves
+    return cache(lambda first, drifting: [_fit_one(tau, count, v, first, drifting=drifting) for v in variance])
 
 
 def _typical(recording: Recording, windows: Indices) -> _Octaves:
@@ -139,18 +151,18 @@ def _differ(octaves: _Octaves, typical: _Octaves, first: int) -> bool:
     return bool(np.any((octaves.variance > typical.variance * (1.0 + _SIGNIFICANT * sigma))[:, first:]))
 
 
-def _beyond_filter(octaves: _Octaves) -> tuple[int, bool]:
+def _beyond_filter(octaves: _Octaves, fits_from: Callable[[int, bool], list[_Fit]]) -> tuple[int, bool]:
     """First octave beyond the memory of a triad's filter, zero without one, and whether the bias drifts in the windows.
 
     White noise, reading errors and bias instability (a flat part) are the model without a filter. Only if it is
     contradicted, and short averages have less variance than longer ones explain, does the sensor have a filter.
     """
-    tau, count, variance = octaves
-    live = variance[variance.max(axis=1) > 0.0]
+    tau = octaves.tau
+    live = np.flatnonzero(octaves.variance.max(axis=1) > 0.0).tolist()
     short, best = False, (0.0, 0, False)
-    for first in range(len(tau) - _FEWEST_OCTAVES + 1 if len(live) else 0):
+    for first in range(len(tau) - _FEWEST_OCTAVES + 1 if live else 0):
         for drifting in (False, True)[: len(tau) - first - _FEWEST_OCTAVES + 1]:
-            fits = [_fit_one(tau, count, v, first, drifting=drifting) for v in live]
+            fits = [fits_from(first, drifting)[axis] for axis in live]
             freedom = len(live) * (len(tau) - first - 2 - drifting)
             agreement = float(chdtrc(freedom, sum(fit.deviance for fit in fits)))
             if first and np.median([fit.doubt for fit in fits]) > _POOL_ABOVE * len(fits) ** 0.5:
