@@ -149,3 +149,14 @@ def forked_readers(monkeypatch):
 
     if hasattr(os, "fork"):
         monkeypatch.setattr(child_process, "spawn", fuzz.Fork)
+
+
+@pytest.fixture(scope="module")
+def plain_layout():
+    """Figures without the arrangement of their parts, half of the time of drawing: for tests that ask for the file."""
+    with pytest.MonkeyPatch.context() as patch:
+        with contextlib.suppress(ModuleNotFoundError):
+            from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+            patch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
+        yield

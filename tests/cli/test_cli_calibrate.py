@@ -17,6 +17,8 @@ from srt.cli import main
 from srt.reports.text.calibration_summary import calibration_summary
 from srt.sensor_errors import NAMES, SYMBOLS
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 SCENARIO = """
 seed = 3
 imu = { from = "navigation-rlg" }

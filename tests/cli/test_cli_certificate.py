@@ -14,6 +14,8 @@ import srt.reports.certificate.html_page
 import srt.reports.certificate.pdf
 from srt.cli import main
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 SCENARIO = """
 seed = 3
 imu = { from = "navigation-rlg" }

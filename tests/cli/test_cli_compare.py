@@ -20,6 +20,8 @@ from srt.cli.calibrate import calibrate
 from srt.cli.compare import SHARED_OPTIONS, compare
 from srt.sensor_errors import DISPLAY_FACTORS, INDEX, NAMES
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 SCENARIO = """
 seed = 3
 imu = { from = "navigation-rlg" }

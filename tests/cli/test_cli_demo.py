@@ -15,6 +15,8 @@ from srt.cli.truth import load_truth
 from srt.reports.text.truth_comparison import largest_error_text
 from srt.sensor_errors import NAMES
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):

@@ -19,6 +19,8 @@ from srt.cli import main
 from srt.cli.app import COMMANDS
 from srt.sensor_errors import SensorErrors
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 SCENARIO = """
 seed = {seed}
 imu = {{ from = "navigation-rlg" }}

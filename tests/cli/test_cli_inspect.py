@@ -18,6 +18,8 @@ from srt.cli import main
 from srt.model.table1 import SEQUENCES
 from srt.reports.text.inspection import significant
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 RATE = 100.0
 
 

@@ -18,6 +18,8 @@ from srt.comparison.merge import merge_calibrations
 from srt.recording.recording import Fixture
 from srt.sensor_errors import NAMES
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):

@@ -9,6 +9,8 @@ import sims
 from srt.cli import main
 from srt.sensor_errors import NAMES
 
+pytestmark = pytest.mark.usefixtures("plain_layout")
+
 PLAN = """
 [imu]
 from = "tactical-fog"

@@ -1,6 +1,6 @@
 """Factor graph and Kalman filter against the Cramér-Rao bound: nearly efficient, with honest sigmas and innovations.
 
-16 units of two grades here, 2,000 of three with ``-m slow``; ``benchmarks/efficiency.py`` runs 2,000 of each grade.
+8 units of two grades here, 2,000 of three with ``-m slow``; ``benchmarks/efficiency.py`` runs 2,000 of each grade.
 Claims and their statistical bounds are those of :mod:`efficiency`: limit plus 3.5 standard errors at this
 size.
 """
@@ -31,7 +31,7 @@ def missed(claims):
 
 @pytest.mark.parametrize(
     ("grade", "count"),
-    [(g, 8) for g in ("navigation", "tactical")] + [pytest.param(g, 667, marks=pytest.mark.slow) for g in GRADES],
+    [(g, 4) for g in ("navigation", "tactical")] + [pytest.param(g, 667, marks=pytest.mark.slow) for g in GRADES],
 )
 def test_graph_and_filter_are_nearly_efficient(grade, count):
     """All criteria in one test, or each worker would simulate the units anew; 50 Hz shows the same as 100 Hz."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 
 import noise_terms as simulated
@@ -33,9 +35,9 @@ def three(rng, terms, n=simulated.SAMPLES, dt=DT):
 
 
 @pytest.mark.parametrize("length_s", [LENGTH_S, *(pytest.param(t, marks=pytest.mark.slow) for t in (600.0, 86400.0))])
-@pytest.mark.parametrize("count", [2, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1, pytest.param(10, marks=pytest.mark.slow)])
 def test_intervals_cover_as_stated(length_s, count):
-    """A twentieth of benchmarks/noise_terms.py, and less by default: within 3.5 standard errors of 95 %.
+    """A twentieth of benchmarks/noise_terms.py, and one log by default: within 3.5 standard errors of 95 %.
 
     Ramps may be covered more often: a random walk that a short log does not resolve looks like them.
     """
@@ -103,7 +105,8 @@ def test_a_term_is_known_after_the_length_that_it_needs():
 def test_constant_channels_and_short_logs():
     rng = np.random.default_rng(4)
     channels = [simulated.channel(rng, np.array([1e-6, 1.0, 0.0, 0.0, 0.0]), 2000, 0.1) for _ in range(6)]
-    channels[1] = np.full(2000, 0.3)
+    for still in (1, 3, 4):
+        channels[still] = np.full(2000, 0.3)
     record = log(channels, 0.1)
     found = noise_terms(record, (0, 2000))
     assert np.isnan(found.value[1]).all()
@@ -129,17 +132,20 @@ def shelf(tmp_path_factory):
         "hand", "converged", "Done.", SensorErrors(np.full(27, 1e-3)), 1e-12 * np.eye(27), provenance={"serial": "SN-7"}
     )
     calibration.save(folder / "unit.json")
-    assert main(["noise", str(folder / "rec"), "--into", str(folder / "unit.json"), "--json", str(folder / "n.json"),
-                 "--plot", str(folder / "n.png"), "-q"]) == 0  # fmt: skip
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main(["noise", str(folder / "rec"), "--into", str(folder / "unit.json"), "--json",
+                     str(folder / "n.json"), "--plot", str(folder / "n.png")]) == 0  # fmt: skip
+    (folder / "n.txt").write_text(out.getvalue(), encoding="utf-8")
     return folder
 
 
-def test_the_command_finds_what_was_put_in(shelf, capfd):
-    assert main(["noise", str(shelf / "rec")]) == 0
-    out = capfd.readouterr().out
+def test_the_command_finds_what_was_put_in(shelf):
+    out = (shelf / "n.txt").read_text(encoding="utf-8")
     for part in ("30 min at rest, 50 Hz", "random walk, °/√h", "Allan fit", "record"):
         assert part in out
-    assert max(map(len, out.splitlines())) <= 100
+    *table, written = out.splitlines()
+    assert max(map(len, table)) <= 100
+    assert "n.json" in written
     found = json.loads((shelf / "n.json").read_text())["channels"]
     N = np.degrees(1e-4) * 60.0
     for axis in "xyz":
