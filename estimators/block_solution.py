@@ -182,18 +182,13 @@ def apply_weights(system: LinearSystem, weights: dict[tuple[str, int], float]) -
     ----------
     system : LinearSystem
     weights : dict of (str, int) to float
-        Weights by kind and number: "window" (force and rate), "turn", and "start" and "end" by window, in the order of
-        the rows.
+        Weights by kind and number: "window" (force and rate) and the other kinds, each in the order of its rows.
     """
     factor, whitening = np.ones(len(system.b)), dict(system.whitening)
     for group in {kind for kind, _ in weights}:
-        numbers = [n for kind, n in weights if kind == group]
-        root = np.sqrt([weights[group, n] for n in numbers])[:, None]
+        root = np.sqrt([weight for (kind, _), weight in weights.items() if kind == group])[:, None]
         for kind in ("force", "rate") if group == "window" else (group,):
-            rows = system.rows_of(kind).index
-            members = np.arange(len(rows)) if group in ("start", "end") else np.array(numbers)
-            factor[rows[members]] = root
-            whitening[kind] = whitening[kind].copy()
-            whitening[kind][members] *= root[:, :, None]
+            factor[system.rows_of(kind).index] = root
+            whitening[kind] = whitening[kind] * root[:, :, None]
     A = (diags_array(factor) @ system.A).tocsr()
     return replace(system, A=A, b=system.b * factor, whitening=whitening)

@@ -18,6 +18,8 @@ from srt.noise.bias_instability import correlation_times, interval_times
 from srt.noise.markov_drift import MarkovSteps, markov_steps, regular_root
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices
 
@@ -86,8 +88,9 @@ class DriftStates:
     Attributes
     ----------
     steps : dict of str to ndarray of int, shape (n,)
-        Step of every member by kind of measurement: "rate" and "turn" (gyros), or "force" (accelerometers).
-    by_state, by_noise : dict of str to ndarray, shape (n, 3, X) and (n, 3, U)
+        Step of every member by kind of measurement: "rate", "turn" and "stated_rate" (gyros), or "force"
+        (accelerometers).
+    by_state, by_noise : dict of str to ndarray, shape (n, d, X) and (n, d, U)
         Effects of the X states and of the U white unknowns of the step on compensated means (rad/s, m/s²) and on
         attitude errors of rotations (rad).
     transition : ndarray, shape (K − 1, X, X + U + X)
@@ -117,7 +120,12 @@ class DriftStates:
         )
 
 
-def drift_states(chain: DriftChain, floor: Array, window: tuple[str, Array], parts: Array | None = None) -> DriftStates:
+def drift_states(
+    chain: DriftChain,
+    floor: Array,
+    window: tuple[str, Array],
+    rotations: Mapping[str, tuple[Indices, Array]] | None = None,
+) -> DriftStates:
     """Drift of a triad.
 
     Parameters
@@ -127,21 +135,25 @@ def drift_states(chain: DriftChain, floor: Array, window: tuple[str, Array], par
         Bias instability (Allan floor) of the channels, rad/s or m/s².
     window : (str, ndarray of shape (W, 3, 3))
         Kind of the means of the windows, and their derivatives with respect to biases of the raw channels.
-    parts : ndarray, shape (K, P, 3, 3), optional
-        Attitude error of each rotation by the biases in its parts, s.
+    rotations : mapping of str to (ndarray of int, shape (n,); ndarray, shape (n, P, d, 3)), optional
+        Rotations that each kind of measurement belongs to, and its derivatives with respect to biases in their parts.
     """
-    markov = chain.markov
+    markov, (kind, slope) = chain.markov, window
     K, intervals, M = markov.by_state.shape
-    n = chain.slots if parts is None else intervals
-    kind, slope = window
-    rows = chain.slots + (parts is not None)
-    # Effects (rows of three) on the measurements of a step by the biases of the channels in its intervals.
-    G = np.zeros((K, rows, 3, n, 3))
-    G[chain.window_step, chain.window_slot, :, chain.window_slot] = slope * floor
-    if parts is not None:
-        G[chain.rotation_step, -1, :, chain.slots :] = np.swapaxes(parts * floor, 1, 2)
-    effects = G.reshape(K, 3 * rows, n, 3)
-    X, U = 3 * M, 3 * rows
+    rotations = rotations or {}
+    n = intervals if rotations else chain.slots
+    # Steps and rows of each kind, and the effects on the rows of a step by the biases of the channels in its intervals.
+    places = {kind: (chain.window_step, 3 * chain.window_slot[:, None] + np.arange(3))}
+    U = 3 * chain.slots
+    for name, (members, parts) in rotations.items():
+        places[name] = chain.rotation_step[members], np.tile(U + np.arange(parts.shape[2]), (len(members), 1))
+        U += parts.shape[2]
+    effects, X = np.zeros((K, U, n, 3)), 3 * M
+    step, rows = places[kind]
+    effects[step[:, None], rows, chain.window_slot[:, None]] = slope * floor
+    for name, (_, parts) in rotations.items():
+        step, rows = places[name]
+        effects[step[:, None], rows, chain.slots :] = np.swapaxes(parts * floor, 1, 2)
     by_state = np.einsum("kdnb,knm->kdmb", effects, markov.by_state[:, :n]).reshape(K, U, X)
     noise = np.einsum("kdnb,knr->kdbr", effects, markov.root[:, :n]).reshape(K, U, -1)
     final = np.einsum("kmr,bc->kmbcr", markov.root[:, intervals:], np.eye(3)).reshape(K, X, -1)
@@ -152,10 +164,5 @@ def drift_states(chain: DriftChain, floor: Array, window: tuple[str, Array], par
     phi = decay[:, :, None] * np.eye(X)
     unit = np.broadcast_to(np.eye(X), phi.shape)
     transition = np.linalg.solve(Gamma, np.concatenate([-phi, -B, unit], axis=2))
-    at = chain.window_step, chain.window_slot
-    split_state, split_noise = (a.reshape(K, rows, 3, -1) for a in (by_state, L))
-    steps, states, noises = {kind: chain.window_step}, {kind: split_state[at]}, {kind: split_noise[at]}
-    if parts is not None:
-        steps["turn"] = chain.rotation_step
-        states["turn"], noises["turn"] = (a[chain.rotation_step, -1] for a in (split_state, split_noise))
-    return DriftStates(steps, states, noises, transition)
+    states, noises = ({name: a[at[0][:, None], at[1]] for name, at in places.items()} for a in (by_state, L))
+    return DriftStates({name: at[0] for name, at in places.items()}, states, noises, transition)

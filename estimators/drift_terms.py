@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from srt.estimation.drift_model import Sensor
     from srt.estimation.error_sources import Slopes
     from srt.sequences.preparation import PreparedRecording
-    from srt.types import Array
+    from srt.types import Array, Indices
 
 
 _WIDE_G_SENSITIVITY: Final = 1e-2
@@ -97,22 +97,31 @@ class DriftTerms:
         parts = [getattr(shapes[t.form], of) @ coefficients[s].reshape(-1, 3) for t, s in self.of(sensor)]
         return np.asarray(sum(parts, np.zeros(shape)))
 
-    def jacobian(self, sensor: str, of: str, slope: Array) -> Array:
-        """Effect of all coefficients on the windows (W, 3, size) or, by parts (K, P, 3, 3), on the rotations."""
-        out = np.zeros((len(slope), 3, self.size))
+    def jacobian(self, sensor: str, of: str, slope: Array, members: Indices | slice = slice(None)) -> Array:
+        """Effect of all coefficients on windows (n, d, size) or, by parts (n, P, d, 3), on rotations; default: all."""
+        out = np.zeros((len(slope), slope.shape[-2], self.size))
         for term, at in self.of(sensor):
-            shape = getattr(self.data.drift_shapes[term.form], of)
+            shape = getattr(self.data.drift_shapes[term.form], of)[members]
             out[:, :, at] = by_drift(slope, shape)
         return out
 
-    def add_g_sensitivity(self, effect: dict[str, Array], by: Slopes, force: Array) -> None:
-        """Add the effect of Γ to that of the drift on the "rate" of windows with this specific force, and on "turn"."""
+    def add_g_sensitivity(
+        self, effect: dict[str, Array], by: Slopes, force: Array, stated: tuple[Array, Array]
+    ) -> None:
+        """Add the effect of Γ to that of the drift on the "rate" of windows with this specific force, and on rotations.
+
+        ``stated`` are the derivatives of stated rates by the raw channels, and their specific forces, (R, 2, 3).
+        """
         if self.force_axes is None:
             return
         assert by.integrals.velocity is not None
         effect["rate"][:, :, self.of_force] = by_drift(by.rate, force @ self.force_axes.T)
         turn = np.einsum("kabc,nc->kanb", by.integrals.velocity, self.force_axes)
         effect["turn"][:, :, self.of_force] = turn.reshape(len(turn), 3, -1)
+        by_raw, along = stated[0], stated[1] @ self.force_axes.T
+        effect["stated_rate"][:, :, self.of_force] = np.einsum("rhb,rhn->rhnb", by_raw, along).reshape(
+            *by_raw.shape[:2], self.of_force.stop
+        )
 
     def estimates(self, coefficients: Array) -> tuple[DriftEstimate, ...]:
         """Drift of every term over the recording."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from estimators.linear_system import LinearSystem
     from srt.types import Array, Indices
 
-_GLOBAL = ("errors", "bias", *FIXTURE, "gravity", "earth_rate", "drift_form")
+_GLOBAL = ("errors", "bias", *FIXTURE, "gravity", "table_rate", "earth_rate", "drift_form")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,8 @@ Variables:
 - ``a``: attitude in each stationary window;
 - ``q``: quantization error at each window edge;
 - ``d``, ``n``; ``c``, ``m``: states and white unknowns of the bias instability of gyros and accelerometers, by step;
-- ``s``: correction to the coefficients of the modelled drift.
+- ``s``: correction to the coefficients of the modelled drift;
+- ``t``: correction to the error of the rate table, in sigmas.
 """
 
 from __future__ import annotations
@@ -23,11 +24,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, S, U, X
+from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, S, T, U, X
 
 from estimators import factors
 from estimators.linear_system import N_ERRORS, total
-from estimators.linearisation import fixed_headings, fixture_attitudes, start_covariances
+from estimators.linearisation import (
+    fixed_headings,
+    fixture_attitudes,
+    rotation_kinds,
+    rotation_noise,
+    start_covariances,
+)
 from srt.sensor_errors import N_PARAMETERS
 
 if TYPE_CHECKING:
@@ -90,8 +97,10 @@ class FactorGraph:
         self.last_step: dict[int, int] = {}
         """Last step in time that measures each variable."""
         self._variables()
+        self._linear_variables()
         self._windows()
         self._rotations()
+        self._stated_rates()
         self._fixture_attitudes()
         self._priors(prior)
 
@@ -147,14 +156,6 @@ class FactorGraph:
         assert state.attitude is not None
         for w, attitude in enumerate(state.attitude):
             self.values.insert(A(w), gtsam.Rot3(attitude))
-        for number in range(self.compensated.edges.unknowns):
-            self.values.insert(Q(number), np.zeros(3))
-        for sensor, drift in self.compensated.drift.items():
-            for key, size in zip(DRIFT_KEYS[sensor], (drift.states, drift.unknowns), strict=True):
-                for step in range(joint.data.K):
-                    self.values.insert(key(step), np.zeros(size))
-        if joint.drift.size:
-            self.values.insert(S(0), np.zeros(joint.drift.size))
         for c in range(len(joint.level_frames)):
             if self.earth_key(c) is not None:
                 self.values.insert(E(c), state.earth_rate[c])
@@ -164,6 +165,20 @@ class FactorGraph:
             self.values.insert(L(0), np.array([state.non_orthogonality]))
         if self.gravity:
             self.values.insert(G(0), np.array([state.gravity]))
+
+    def _linear_variables(self) -> None:
+        """Add the variables that are corrections, with linear terms alone."""
+        joint = self.joint
+        for number in range(self.compensated.edges.unknowns):
+            self.values.insert(Q(number), np.zeros(3))
+        for sensor, drift in self.compensated.drift.items():
+            for key, size in zip(DRIFT_KEYS[sensor], (drift.states, drift.unknowns), strict=True):
+                for step in range(joint.data.K):
+                    self.values.insert(key(step), np.zeros(size))
+        if joint.drift.size:
+            self.values.insert(S(0), np.zeros(joint.drift.size))
+        if self.compensated.stated.sequences.size:
+            self.values.insert(T(0), np.zeros(1))
 
     def _noise(self, covariance: Array, sequence: Sequence[int] | Indices) -> list[Any]:
         """Noise models of measurements, with the weights of their sequences."""
@@ -207,7 +222,6 @@ class FactorGraph:
         joint, compensated = self.joint, self.compensated
         T = joint.data.windows.duration_s
         force_noise, rate_noise = total(compensated.force_noise), total(compensated.rate_noise)
-        known = np.stack([c.earth_rate for c in joint.level_frames])
         covariance = np.zeros((len(T), 6, 6))
         covariance[:, :3, :3], covariance[:, 3:, 3:] = force_noise, rate_noise
         noise = self._noise(covariance, joint.window_sequence)
@@ -217,7 +231,7 @@ class FactorGraph:
             np.array([A(w) for w in range(len(T))], dtype=np.intp),
             joint.data.gravity,
             int(G(0)) if self.gravity else None,
-            factors.EarthRate(known[joint.window_frame], [self.earth_key(int(f)) for f in joint.window_frame]),
+            self._earth_rates(joint.window_frame),
         )
         self.kinds.append(windows)
         for w in range(len(T)):
@@ -232,26 +246,50 @@ class FactorGraph:
                 "window", w, owner, noise[w], factors.ErrorFunction(linear, windows.keys(w), partial(windows.at, w))
             )
 
+    def _earth_rates(self, frames: Indices) -> factors.EarthRate:
+        """Earth's rate in the level frames of some factors."""
+        known = np.stack([frame.earth_rate for frame in self.joint.level_frames])
+        return factors.EarthRate(known[frames], [self.earth_key(frame) for frame in frames.tolist()])
+
     def _rotations(self) -> None:
-        joint, compensated = self.joint, self.compensated
-        data, noise = joint.data, self._noise(total(compensated.rotation_noise), np.arange(joint.data.K))
-        known = np.stack([c.earth_rate for c in joint.level_frames])
-        earth = factors.EarthRate(known[joint.sequence_frame], [self.earth_key(int(f)) for f in joint.sequence_frame])
-        starts, ends = (np.array([A(int(w)) for w in which], dtype=np.intp) for which in (data.start, data.end))
-        rotations = factors.RotationFactors(
-            compensated.rotation,
-            starts,
-            ends,
-            earth,
-            np.asarray(compensated.duration_s),
-        )
-        self.kinds.append(rotations)
-        for k in range(data.K):
-            linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("gyro", "turn", k)
-            linear += self._forms(compensated.drift_form["turn"][k])
-            linear += self._edges("turn", k)
-            terms = factors.ErrorFunction(linear, rotations.keys(k), partial(rotations.at, k), scaled=True)
-            self._add("turn", k, k, noise[k], terms)
+        joint, compensated, data = self.joint, self.compensated, self.joint.data
+        for kind, members in rotation_kinds(joint):
+            covariances = rotation_noise(joint, self.state, compensated.rotation_noise, kind)
+            noise = self._noise(total(covariances), members)
+            starts, ends = (np.array([A(w) for w in at[members].tolist()], np.intp) for at in (data.start, data.end))
+            rotations = factors.RotationFactors(
+                compensated.rotation[members],
+                starts,
+                ends,
+                self._earth_rates(joint.sequence_frame[members]),
+                np.asarray(compensated.duration_s)[members],
+                heading=kind == "heading",
+            )
+            self.kinds.append(rotations)
+            for i, k in enumerate(members.tolist()):
+                linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("gyro", "turn", k)
+                linear += self._forms(compensated.drift_form["turn"][k])
+                linear += self._edges("turn", k)
+                terms = factors.ErrorFunction(linear, rotations.keys(i), partial(rotations.at, i), scaled=True)
+                self._add(kind, k, k, noise[i], terms)
+
+    def _stated_rates(self) -> None:
+        """Add the runs at a stated rate, and the prior of the error of the table's rate."""
+        joint, compensated, runs = self.joint, self.compensated, self.compensated.stated
+        if not runs.sequences.size:
+            return
+        windows = joint.data.start[runs.sequences]
+        starts = np.array([A(w) for w in windows.tolist()], np.intp)
+        earth = self._earth_rates(joint.window_frame[windows])
+        kind = factors.StatedRateFactors(runs, starts, earth, self.state.table_rate)
+        noise = self._noise(total(runs.noise), runs.sequences)
+        self.kinds.append(kind)
+        for r, k in enumerate(runs.sequences.tolist()):
+            linear = self._linear(-runs.jacobian[r], k)
+            linear += [(key, -J) for key, J in self._drift("gyro", "stated_rate", r)]
+            linear += self._forms(-compensated.drift_form["stated_rate"][r])
+            linear.append((int(T(0)), runs.by_table_rate[r]))
+            self._add("stated_rate", k, k, noise[r], factors.ErrorFunction(linear, kind.keys(r), partial(kind.at, r)))
 
     def _fixture_attitudes(self) -> None:
         joint = self.joint
@@ -301,6 +339,8 @@ class FactorGraph:
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
         for sensor, drift in self.compensated.drift.items():
             self._drift_chain(sensor, drift)
+        if self.compensated.stated.sequences.size:
+            graph.add(gtsam.PriorFactorVector(T(0), np.full(1, -self.state.table_rate), isotropic(1, 1.0)))
         if joint.drift.size:
             wide = factors.gaussian(np.diag(joint.drift.sigma**2))
             graph.add(gtsam.PriorFactorVector(S(0), -self.state.drift, wide))

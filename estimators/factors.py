@@ -14,6 +14,7 @@ from srt.model import measurement_model as model
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from estimators.stated_rates import StatedRates
     from srt.types import Array, Indices
 
     Linearised = tuple[Array, list[Array]]
@@ -194,12 +195,23 @@ class RotationFactors(FactorGroup):
         Attitude variables.
     earth : EarthRate
     duration_s : ndarray, shape (n,)
+    heading : bool
+        Use only the component about the vertical.
     """
 
-    def __init__(self, rotation: Array, starts: Indices, ends: Indices, earth: EarthRate, duration_s: Array) -> None:
+    def __init__(
+        self,
+        rotation: Array,
+        starts: Indices,
+        ends: Indices,
+        earth: EarthRate,
+        duration_s: Array,
+        *,
+        heading: bool = False,
+    ) -> None:
         super().__init__(len(rotation))
         self.rotation, self.starts, self.ends, self.earth = rotation, starts, ends, earth
-        self.duration_s = duration_s
+        self.duration_s, self.heading = duration_s, heading
 
     def keys(self, row: int) -> list[int]:
         """Variables of a rotation."""
@@ -210,14 +222,45 @@ class RotationFactors(FactorGroup):
         """Residuals and Jacobians of rotations."""
         start, end = _matrices(values, self.starts[rows]), _matrices(values, self.ends[rows])
         earth = self.earth.rate(values, rows)
-        r, by_start, by_end, by_rotation, by_earth = model.rotation_residual(
-            self.rotation[rows], start, end, earth, self.duration_s[rows]
-        )
+        found = model.rotation_residual(self.rotation[rows], start, end, earth, self.duration_s[rows])
+        r, by_start, by_end, by_rotation, by_earth = model.heading_residual(found, start) if self.heading else found
         jacobians = [
             [by_start[i], by_end[i], *([] if self.earth.keys[row] is None else [by_earth[i]]), by_rotation[i]]
             for i, row in enumerate(rows.tolist())
         ]
         return r, jacobians
+
+
+class StatedRateFactors(FactorGroup):
+    """Mean rates of runs at a stated rate (rad/s), by the attitude at their start and the Earth's rate if unknown.
+
+    Parameters
+    ----------
+    runs : StatedRates
+    starts : ndarray of int, shape (R,)
+        Attitude variables.
+    earth : EarthRate
+    table_rate : float
+        Error of the table's rate in sigmas, to which a variable is the correction.
+    """
+
+    def __init__(self, runs: StatedRates, starts: Indices, earth: EarthRate, table_rate: float) -> None:
+        super().__init__(len(starts))
+        self.runs, self.starts, self.earth, self.table_rate = runs, starts, earth, table_rate
+
+    def keys(self, row: int) -> list[int]:
+        """Variables of a run."""
+        keys = (int(self.starts[row]), self.earth.keys[row])
+        return [key for key in keys if key is not None]
+
+    def evaluate(self, values: Any, rows: Indices) -> tuple[Array, list[list[Array]]]:
+        """Residuals and Jacobians of runs."""
+        start, earth = _matrices(values, self.starts), self.earth.rate(values, self._rows)
+        r, by_start, by_earth = self.runs.residual(start, earth, self.table_rate)
+        jacobians = [
+            [by_start[row], *([] if self.earth.keys[row] is None else [by_earth[row]])] for row in rows.tolist()
+        ]
+        return r[rows], jacobians
 
 
 class FixtureAttitudeFactors(FactorGroup):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, F, G, L, Q, S, U, X
+from gtsam.symbol_shorthand import A, F, G, L, Q, S, T, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
@@ -236,6 +236,8 @@ def _columns(built: FactorGraph, system: LinearSystem, values: Any) -> Array:
             delta[system.of("earth_rate").reshape(-1, 3)[c]] = values.atVector(earth) - state.earth_rate[c]
     if joint.drift.size:
         delta[system.columns["drift_form"]] = values.atVector(S(0))
+    if built.compensated.stated.sequences.size:
+        delta[system.columns["table_rate"]] = values.atVector(T(0))
     for sensor in built.compensated.drift:
         for symbol, name in zip(DRIFT_KEYS[sensor], (f"{sensor}_drift", f"{sensor}_drift_noise"), strict=True):
             by_step = [values.atVector(symbol(step)) for step in range(joint.data.K)]

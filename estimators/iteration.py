@@ -35,7 +35,12 @@ from estimators.solution_analysis import (
 )
 from estimators.solver import IterationState, JointSolver
 from srt.estimation.drift_model import MOST_TERMS
-from srt.estimation.fixed_parameters import fixed_sigma, reason_on_request, seen_by_earth_rate_alone
+from srt.estimation.fixed_parameters import (
+    fixed_sigma,
+    reason_not_observed,
+    reason_on_request,
+    seen_by_earth_rate_alone,
+)
 from srt.estimation.g_sensitivity_report import significant_g_sensitivity
 from srt.estimation.goodness_of_fit import contradicting_group, is_misfit, one_group_explains
 from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
@@ -48,6 +53,8 @@ from srt.noise.drift_forms import WALK
 from srt.sensor_errors import NAMES, SensorErrors
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from estimators.joint_model import JointModel
     from estimators.joint_state import CompensatedData, JointState
     from estimators.linear_system import LinearSystem
@@ -104,6 +111,7 @@ def apply_correction(state: JointState, system: LinearSystem, delta: Array) -> J
         earth_rate=state.earth_rate + delta[c["earth_rate"]].reshape(-1, 3),
         drift=state.drift + delta[c["drift_form"]],
         attitude=state.attitude @ rotation_matrix(in_body),
+        table_rate=state.table_rate + float(delta[c["table_rate"]].sum()),
     )
 
 
@@ -277,8 +285,9 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
     options = joint.options
     uncertain = fixed_sigma(joint.data, options)
     reasons = {name: reason_on_request(name, uncertain, joint.data) for name in options.fixed_names}
-    fixed = FixedParameters(seen_by_earth_rate_alone(joint.data) | reasons, uncertain)
-    requested = np.array([name in fixed.reasons for name in NAMES])
+    reasons = _not_shown_by_poses(joint, reasons) | reasons
+    fixed = FixedParameters(reasons, uncertain)
+    requested = np.array([name in reasons for name in NAMES])
     iteration = IterationState(joint.start, ~requested) if found is None else found
     diagnostics: dict[str, Any] = {}
     for _ in range(_ROUNDS * (1 + MOST_TERMS)):
@@ -307,6 +316,22 @@ def _run(joint: JointModel, solver: JointSolver, progress: Progress | None) -> C
         iteration.free = iteration.free & ~weak
         iteration.state = joint.with_initial_values(iteration.state, weak)
     return make_calibration(joint, solver, iteration, fixed, diagnostics)
+
+
+def _not_shown_by_poses(joint: JointModel, requested: Mapping[str, str]) -> dict[str, str]:
+    """Parameters that a test of poses and stated rates does not show, with reasons; none if there are other rotations.
+
+    They are fixed from the start. With a wide prior, the square of a misalignment of a third would become a scale
+    error, and the iteration would wander.
+    """
+    by_earth_rate = seen_by_earth_rate_alone(joint.data)
+    if not by_earth_rate:
+        return {}
+    wanted = np.array([name not in by_earth_rate and name not in requested for name in NAMES])
+    system = linearise(joint, *joint.placed(joint.start), wanted)
+    observable = observable_parameters(system, ~wanted)
+    others = [name for name, lost in zip(NAMES, wanted & ~observable, strict=True) if lost]
+    return by_earth_rate | {name: reason_not_observed(name) for name in others}
 
 
 def _with_sound_moves(

@@ -2,10 +2,11 @@
 
 Unknowns besides the sensor errors: the bias instability as specified, levelling and north of the fixture's base,
 orientation U of MARS on the table, non-orthogonality of the fixture's axes, gravity, the unknown part of the Earth's
-rate, and the attitude of every stationary window. If no bias instability is specified and the rates at rest scatter,
-every sequence has its own gyro bias.
-Measurements: mean specific force and mean rate of every window, and the rotation between the windows of a sequence,
-integrated from the gyros. The equations are in :mod:`srt.model.measurement_model`.
+rate, the error of a rate table, and the attitude of every stationary window. If no bias instability is specified and
+the rates at rest scatter, every sequence has its own gyro bias.
+Measurements: mean specific force and mean rate of every window; the rotation between the windows of a sequence,
+integrated from the gyros; the mean rate of runs at a stated rate. The equations are in
+:mod:`srt.model.measurement_model`.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ import numpy as np
 from estimators.accuracy_targets import PARAMETER_UNITS
 from estimators.drift_states import drift_chain, drift_states
 from estimators.drift_terms import DriftTerms
-from estimators.initial_attitudes import initial_attitudes
+from estimators.initial_attitudes import initial_attitudes, nominal_end, nominal_start
 from estimators.joint_state import NO_ERRORS, CompensatedData, JointState, LevelFrame
+from estimators.stated_rates import stated_rates
 from srt.constants import EARTH_RATE_RAD_S
 from srt.estimation import error_sources as sources
 from srt.estimation.g_sensitivity import LEAST_SCATTER, pose_regression
@@ -34,7 +36,6 @@ from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import accel_triad, gyro_triad
 from srt.noise.noise_model import flicker_spread
 from srt.sensor_errors import SensorErrors
-from srt.sequences.preparation import nominal_attitude
 from srt.sequences.stillness import PROBABILITY as STILLNESS_PROBABILITY
 from srt.sequences.stillness import moved_windows
 
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from srt.estimation.options import Options
     from srt.estimation.srt_measurements import SrtMeasurements
     from srt.model.rotation_integrals import RotationIntegrals
-    from srt.model.table1 import RotationSequence
+    from srt.model.sensor_model import Triad
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Mask
 
@@ -65,8 +66,6 @@ _LEAST_WALK: Final = 1e-3
 """Smallest step of the bias walk, as a share of the rate noise of a window: the walk's covariance must be regular."""
 _LINEAR: Final = 1e-3
 """Largest sigma of the sensor errors (accelerometer bias in g) whose square is below a wobble of microradians."""
-_ALONG: Final = 1e-9
-"""Largest component of a nominal rotation axis across an axis of the fixture: rounding of products of rotations."""
 
 
 class JointModel:
@@ -85,7 +84,7 @@ class JointModel:
         self.fixture_states = options.fixture_states and data.recording.fixture is not None
         self.integrated = np.full(len(data.windows.duration_s), options.window_attitude == "integrated")
         self.processor = SrtProcessor(data, options, self.integrated)
-        self.nominal = [_nominal_start(s) if data.recording.fixture is not None else None for s in data.catalogue]
+        self.nominal = [nominal_start(s) if data.recording.fixture is not None else None for s in data.catalogue]
         self.ends_tied = False
         """True if the angle between the fixture's axes is a measurement in end attitudes, too; see :meth:`tie_ends`."""
         self.unmodelled_sigma = NO_ERRORS
@@ -218,7 +217,7 @@ class JointModel:
 
     @cached_property
     def _nominal_ends(self) -> list[Array | None]:
-        return [_nominal_end(C, s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
+        return [nominal_end(C, s) for C, s in zip(self.nominal, self.data.catalogue, strict=True)]
 
     def without_moves(self, reasons: Mapping[int, str]) -> JointModel:
         """Model of the recording without some moves, by their position and with the reason."""
@@ -294,8 +293,10 @@ class JointModel:
         deviation = deviation + self.drift.raw("gyro", state.drift, "parts").mean(axis=1) @ slope.T
         integrals, rotation, force = self._integrate(state, deviation, force)
         by = sources.slopes(gyro, accel, raw_rate, raw_force, integrals)
-        by_drift = self._drift_form(by)
-        self.drift.add_g_sensitivity(by_drift, by, raw_force)
+        by_drift = self._drift_form(by, gyro)
+        stated = self.processor.stated
+        along = stated.compensated_force(accel)
+        self.drift.add_g_sensitivity(by_drift, by, raw_force, (stated.by_raw_rate(gyro), along))
         drift = self.drift.of_forms(state.drift)
         force, rate = force - by_drift["force"] @ drift, rate - by_drift["rate"] @ drift
         rotation = rotation_matrix(-self._rotation_drift(integrals, state)) @ rotation
@@ -314,14 +315,17 @@ class JointModel:
             duration_s=integrals.weight_s,
             edges=noise["gyro_quantization"],
             force_slope=by.force,
+            stated=stated_rates(self, state, gyro, along),
             drift_form=by_drift,
-            drift=self._drift(by),
+            drift=self._drift(by, gyro),
         )
 
-    def _drift_form(self, by: Slopes) -> dict[str, Array]:
+    def _drift_form(self, by: Slopes, gyro: Triad) -> dict[str, Array]:
         """Effect of the coefficients of the modelled drift on all measurements."""
         assert by.integrals.time_parts is not None
+        stated = self.processor.stated
         return {
+            "stated_rate": self.drift.jacobian("gyro", "parts", stated.by_parts(gyro), stated.rated),
             "force": self.drift.jacobian("accel", "windows", by.force),
             "rate": self.drift.jacobian("gyro", "windows", by.rate),
             "turn": self.drift.jacobian("gyro", "parts", by.integrals.time_parts),
@@ -333,11 +337,15 @@ class JointModel:
         assert integrals.time_parts is not None
         return np.asarray(np.einsum("kpab,kpb->ka", integrals.time_parts, drift - drift.mean(axis=1, keepdims=True)))
 
-    def _drift(self, by: Slopes) -> dict[str, DriftStates]:
+    def _drift(self, by: Slopes, gyro: Triad) -> dict[str, DriftStates]:
         """Bias instability as specified, by sensor."""
-        noise, out = self.data.noise, {}
-        if self._gyro_chain is not None and noise.gyro_flicker is not None:
-            out["gyro"] = drift_states(self._gyro_chain, noise.gyro_flicker, ("rate", by.rate), by.integrals.time_parts)
+        noise, stated, out = self.data.noise, self.processor.stated, {}
+        parts = by.integrals.time_parts
+        if self._gyro_chain is not None and noise.gyro_flicker is not None and parts is not None:
+            rotations = {"turn": (np.arange(self.data.K), parts)}
+            if stated.rated.size:
+                rotations["stated_rate"] = stated.rated, stated.by_parts(gyro)
+            out["gyro"] = drift_states(self._gyro_chain, noise.gyro_flicker, ("rate", by.rate), rotations)
         if noise.accel_flicker.any():
             out["accel"] = drift_states(self._accel_chain, noise.accel_flicker, ("force", by.force))
         return out
@@ -478,22 +486,3 @@ class JointModel:
         in_time = self.order[~self.data.is_move[self.order]]
         steps = np.mean(np.diff(own[in_time], axis=0) ** 2, axis=0) - 2.0 * expected
         self.bias_step = np.where(self.bias_scatter > 0.0, np.sqrt(np.maximum(steps, 0.0)), 0.0)
-
-
-def _nominal_start(sequence: RotationSequence | None) -> Array | None:
-    """Nominal start attitude C_nom; None if it needs IMU z along the outer axis, which the fixture cannot do."""
-    if sequence is None or sequence.along_outer[-1] == "z":
-        return None
-    return nominal_attitude(sequence)
-
-
-def _nominal_end(C: Array | None, sequence: RotationSequence | None) -> Array | None:
-    """Nominal attitude after the rotations of a sequence that starts at C, if all are about an axis of the fixture."""
-    if C is None or sequence is None:
-        return None
-    for axis, angle in zip(sequence.axes, sequence.angles_rad, strict=True):
-        across = np.cross(axis, np.stack([[0.0, 0.0, 1.0], C[1]]))  # inner and outer axis
-        if np.linalg.norm(across, axis=1).min() > _ALONG:
-            return None
-        C = C @ rotation_matrix(axis * angle)
-    return C

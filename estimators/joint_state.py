@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
     from estimators.drift_states import DriftStates
+    from estimators.stated_rates import StatedRates
     from srt.estimation.error_sources import Source
     from srt.sensor_errors import SensorErrors
     from srt.types import Array
@@ -77,6 +78,8 @@ class JointState:
         Coefficients of the forms of drift that are modelled, rad/s and m/s².
     attitude : ndarray, shape (W, 3, 3), or None
         Attitude of every window, B to L; None before the first iteration, which computes it from the data.
+    table_rate : float
+        Error of the stated rates of a rate table, in sigmas.
     """
 
     errors: SensorErrors
@@ -88,6 +91,7 @@ class JointState:
     earth_rate: Array
     drift: Array
     attitude: Array | None = None
+    table_rate: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +117,10 @@ class CompensatedData:
         Quantization of the angle; its shared unknowns, if it has any, are the errors at the window edges.
     force_slope : ndarray, shape (W, 3, 3)
         Derivative of the compensated specific force with respect to the raw one.
-    drift_form : dict of str to ndarray, shape (n, 3, number of coefficients)
-        Effect of the coefficients of the modelled drift on "force", "rate" and "turn".
+    stated : StatedRates
+        Runs at a stated rate.
+    drift_form : dict of str to ndarray, shape (n, d, number of coefficients)
+        Effect of the coefficients of the modelled drift on "force", "rate", "turn" and "stated_rate".
     drift : dict of str to DriftStates
         Effect of the bias instability on all measurements, by sensor ("gyro", "accel"), if specified.
     """
@@ -132,5 +138,6 @@ class CompensatedData:
     duration_s: Array
     edges: Source
     force_slope: Array
+    stated: StatedRates
     drift_form: dict[str, Array]
     drift: dict[str, DriftStates]

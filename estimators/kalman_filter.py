@@ -1,10 +1,10 @@
 """Kalman filter (filterpy) over the sequences of a linearised recording, and its use as a solver.
 
 State: sensor errors, gyro bias with a random walk between sequences, levelling and north of the base, orientation of
-MARS on the table, non-orthogonality of the fixture's axes, gravity, the unknown part of the Earth's rate, and what one
-sequence hands on to the next: the states of the bias instability and, in a free recording, the end attitude from which
-the next sequence starts. Their number does not change during the test. Every iteration restarts from the prior and
-keeps only the linearisation point; otherwise the data would count twice.
+MARS on the table, non-orthogonality of the fixture's axes, gravity, the error of a rate table, the unknown part of the
+Earth's rate, and what one sequence hands on to the next: the states of the bias instability and, in a free recording,
+the end attitude from which the next sequence starts. Their number does not change during the test. Every iteration
+restarts from the prior and keeps only the linearisation point; otherwise the data would count twice.
 
 The state is in units in which the prior is white. Forms of the filter: square-root
 (:mod:`estimators.square_root_filter`) or covariance (:mod:`estimators.covariance_filter`).
@@ -178,7 +178,7 @@ def prior_root(system: LinearSystem, state: JointState, prior: Prior, shared: In
     P[np.ix_(at, at)] = prior.covariance
     mean[at] = prior.mean.vector - state.errors.vector
     # The priors of fixture and site are whitened rows of the system; their blocks are square.
-    named = {*FIXTURE, "gravity", "drift_form"}
+    named = {*FIXTURE, "gravity", "table_rate", "drift_form"}
     groups = [rows.index.ravel() for rows in system.rows if rows.kind in named or rows.kind.startswith("earth_rate")]
     members = np.concatenate([np.empty(0, dtype=np.intp), *groups])
     block = system.A[members].toarray()[:, :n]

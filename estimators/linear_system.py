@@ -66,9 +66,10 @@ class LinearSystem:
     A : scipy.sparse.csr_array, shape (m, n)
     b : ndarray, shape (m,)
     columns : dict of str to slice
-        "errors" (24), "bias" (3, or 3 per sequence), those of ``FIXTURE``, "gravity", "earth_rate" (3 per level
-        frame), "attitude" (3 per window), "edge" (3 per edge that is an unknown), and the states and white unknowns of
-        the bias instability of every sequence: "gyro_drift", "gyro_drift_noise", "accel_drift", "accel_drift_noise".
+        "errors" (24), "bias" (3, or 3 per sequence), those of ``FIXTURE``, "gravity", "table_rate" (1 if a rate is
+        stated), "earth_rate" (3 per level frame), "attitude" (3 per window), "edge" (3 per edge that is an unknown),
+        and the states and white unknowns of the bias instability of every sequence: "gyro_drift", "gyro_drift_noise",
+        "accel_drift", "accel_drift_noise".
     active : ndarray of bool, shape (n,)
         Columns that are estimated.
     rows : tuple of RowGroup
@@ -113,7 +114,7 @@ class LinearSystem:
 def attitude_columns(system: LinearSystem) -> Mask:
     """Mask of the columns that do not affect compensation: fixture, site and attitudes, shape (n,)."""
     out = np.zeros(system.A.shape[1], dtype=np.bool_)
-    for name in (*FIXTURE, "gravity", "earth_rate", "attitude"):
+    for name in (*FIXTURE, "gravity", "table_rate", "earth_rate", "attitude"):
         out[system.columns[name]] = True
     return out
 

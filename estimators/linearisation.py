@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     Block = tuple[str, Indices | int, Array]
     """Name of the columns, number of each member within them (−1: none), Jacobian (n or 1, d, width)."""
+    Members = Indices | slice
 
 _RECORDING = np.array([-1], dtype=np.intp)
 """Owner of rows that belong to no sequence."""
@@ -47,6 +48,7 @@ def linearise(
     builder = _Builder(joint, state, compensated)
     builder.add_windows()
     builder.add_rotations()
+    builder.add_stated_rates()
     builder.add_fixture_attitudes()
     builder.add_drift()
     builder.add_alignment()
@@ -87,6 +89,27 @@ def fixed_headings(joint: JointModel) -> Indices:
     return np.array(sorted(set(fixed)), dtype=np.intp)
 
 
+def rotation_kinds(joint: JointModel) -> list[tuple[str, Indices]]:
+    """Kinds of rows of the rotations, and their sequences.
+
+    "turn" are all three components. Of a run at a stated rate, many revolutions, only the component about the vertical
+    is used: the "heading" of the end attitude, which the specific force does not show.
+    """
+    rated = joint.processor.stated.rated
+    kinds = ("turn", np.setdiff1d(np.arange(joint.data.K), rated)), ("heading", rated)
+    return [kind for kind in kinds if kind[1].size]
+
+
+def rotation_noise(joint: JointModel, state: JointState, noise: dict[str, Array], kind: str) -> dict[str, Array]:
+    """Covariances by source, (n, d, d), of the rows of a kind of rotations from those of all rotations, (K, 3, 3)."""
+    assert state.attitude is not None
+    members = dict(rotation_kinds(joint))[kind]
+    if kind == "turn":
+        return {source: R[members] for source, R in noise.items()}
+    down = state.attitude[joint.data.start[members], 2:]
+    return {source: down @ R[members] @ np.swapaxes(down, 1, 2) for source, R in noise.items()}
+
+
 def fixture_attitudes(joint: JointModel) -> list[tuple[str, list[tuple[int, int, Array]], slice]]:
     """Attitudes that the fixture determines.
 
@@ -124,6 +147,7 @@ def _columns(joint: JointModel, compensated: CompensatedData) -> dict[str, slice
         "bias": 3 * (joint.data.K if joint.bias_walks else 1),
         **FIXTURE,
         "gravity": 1,
+        "table_rate": 1 if joint.processor.stated.rated.size else 0,
         "earth_rate": 3 * len(joint.level_frames),
         "drift_form": joint.drift.size,
         "attitude": 3 * len(compensated.force),
@@ -276,28 +300,61 @@ class _Builder:
     def add_rotations(self) -> None:
         """Rotation between the windows of every sequence."""
         joint, compensated, data = self.joint, self.compensated, self.joint.data
-        sequences = np.arange(data.K)
-        start, end = self.attitude[data.start], self.attitude[data.end]
-        residual, by_start, by_end, by_rotation, by_earth = model.rotation_residual(
-            compensated.rotation, start, end, joint.earth_rate(self.state)[data.start], compensated.duration_s
-        )
-        by_errors = by_rotation @ compensated.rotation_jacobian
+        for kind, members in rotation_kinds(joint):
+            first, last = data.start[members], data.end[members]
+            start, end = self.attitude[first], self.attitude[last]
+            found = model.rotation_residual(
+                compensated.rotation[members],
+                start,
+                end,
+                joint.earth_rate(self.state)[first],
+                np.asarray(compensated.duration_s)[members],
+            )
+            if kind == "heading":
+                found = model.heading_residual(found, start)
+            by_rotation = found.by_rotation
+            by_errors = by_rotation @ compensated.rotation_jacobian[members]
+            self.add(
+                kind,
+                members,
+                found.residual,
+                rotation_noise(joint, self.state, compensated.rotation_noise, kind),
+                [
+                    ("errors", 0, by_errors[:, :, :N_ERRORS]),
+                    ("bias", members if joint.bias_walks else 0, by_errors[:, :, N_ERRORS:]),
+                    ("attitude", first, found.by_start @ np.swapaxes(start, 1, 2)),
+                    ("attitude", last, found.by_end @ np.swapaxes(end, 1, 2)),
+                    ("earth_rate", joint.sequence_frame[members], found.by_earth_rate),
+                    *self.edge_blocks("turn", by_rotation, members),
+                    ("drift_form", 0, by_rotation @ compensated.drift_form["turn"][members]),
+                    *self.drift_blocks("gyro", "turn", by_rotation, members),
+                ],
+            )
+
+    def add_stated_rates(self) -> None:
+        """Mean rates of runs at a stated rate, and the prior of the error of the table's rate."""
+        joint, state, runs, data = self.joint, self.state, self.compensated.stated, self.joint.data
+        if not runs.sequences.size:
+            return
+        windows = data.start[runs.sequences]
+        start, earth = self.attitude[windows], joint.earth_rate(state)[windows]
+        residual, by_start, by_earth = runs.residual(start, earth, state.table_rate)
         self.add(
-            "turn",
-            sequences,
+            "stated_rate",
+            runs.sequences,
             residual,
-            compensated.rotation_noise,
+            runs.noise,
             [
-                ("errors", 0, by_errors[:, :, :N_ERRORS]),
-                ("bias", sequences if joint.bias_walks else 0, by_errors[:, :, N_ERRORS:]),
-                ("attitude", data.start, by_start @ np.swapaxes(start, 1, 2)),
-                ("attitude", data.end, by_end @ np.swapaxes(end, 1, 2)),
-                ("earth_rate", joint.sequence_frame, by_earth),
-                *self.edge_blocks("turn", by_rotation),
-                ("drift_form", 0, by_rotation @ compensated.drift_form["turn"]),
-                *self.drift_blocks("gyro", "turn", by_rotation),
+                ("errors", 0, -runs.jacobian[:, :, :N_ERRORS]),
+                ("bias", runs.sequences if joint.bias_walks else 0, -runs.jacobian[:, :, N_ERRORS:]),
+                ("attitude", windows, by_start @ np.swapaxes(start, 1, 2)),
+                ("earth_rate", joint.window_frame[windows], by_earth),
+                ("table_rate", 0, runs.by_table_rate),
+                ("drift_form", 0, -self.compensated.drift_form["stated_rate"]),
+                *self.drift_blocks("gyro", "stated_rate", -1.0),
             ],
         )
+        self.add_prior_of("table_rate", 0, np.array([state.table_rate]), {"stated_rate": np.ones((1, 1, 1))})
 
     def add_fixture_attitudes(self) -> None:
         """Start attitudes in the angles of the fixture; end attitudes in the non-orthogonality of its axes alone."""
@@ -328,17 +385,22 @@ class _Builder:
                 ],
             )
 
-    def edge_blocks(self, kind: str, by_effect: Array | float) -> list[Block]:
+    def edge_blocks(self, kind: str, by_effect: Array | float, members: Members = slice(None)) -> list[Block]:
         """Blocks of the errors at window edges; ``by_effect`` is the derivative of the residual by their effect."""
-        return [("edge", number, _product(by_effect, J)) for number, J in self.compensated.edges.shared.get(kind, ())]
+        return [
+            ("edge", number[members], _product(by_effect, J if len(J) == 1 else J[members]))
+            for number, J in self.compensated.edges.shared.get(kind, ())
+        ]
 
-    def drift_blocks(self, sensor: str, kind: str, by_drift: Array | float) -> list[Block]:
+    def drift_blocks(
+        self, sensor: str, kind: str, by_drift: Array | float, members: Members = slice(None)
+    ) -> list[Block]:
         """Blocks of the drift of a sensor; ``by_drift`` is the derivative of the residual by the drift's effect."""
         drift = self.compensated.drift.get(sensor)
         if drift is None:
             return []
         effects = (f"{sensor}_drift", drift.by_state[kind]), (f"{sensor}_drift_noise", drift.by_noise[kind])
-        return [(name, drift.steps[kind], _product(by_drift, J)) for name, J in effects]
+        return [(name, drift.steps[kind][members], _product(by_drift, J[members])) for name, J in effects]
 
     def add_drift(self) -> None:
         """States of the bias instability: their distribution at the start, white unknowns, and transitions."""

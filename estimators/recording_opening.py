@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from estimators.joint_model import JointModel
 from srt.estimation.initial_estimates import initial_estimate
 from srt.estimation.move_checks import without_gross_moves
-from srt.estimation.stated_measurements import refuse_stated_rates
 from srt.exceptions import DataError
 from srt.sequences.checked_preparation import prepare_checked
 from srt.sequences.moves import recorded_moves
@@ -25,11 +24,9 @@ def open_joint_model(recording: Recording, options: Options) -> JointModel:
     Raises
     ------
     DataError
-        As :func:`srt.sequences.checked_preparation.prepare_checked`, if no sequence has both stationary windows, and if
-        a label states a rate.
+        As :func:`srt.sequences.checked_preparation.prepare_checked`, and if no sequence has both stationary windows.
     """
     labels = recording.sequences or find_turns(recording)
-    refuse_stated_rates(labels)
     whole = tuple(s for s in labels if not _end_is_missing(recording, s))
     poses = tuple(s for s in labels if s.id is not None and (s not in whole or _rotation_is_incomplete(recording, s)))
     if not whole:

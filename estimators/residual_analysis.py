@@ -30,9 +30,10 @@ if TYPE_CHECKING:
     from srt.types import Indices
 
 
-_KINDS: Final = ("force", "rate", "turn")
+_AXES: Final = {"force": "xyz", "rate": "xyz", "turn": "xyz", "stated_rate": "12"}
+"""Kinds of rows whose residuals are reported, with the names of their components; of a stated rate, its two halves."""
 _SOURCES: Final = {
-    "turn_excess": ("turn",),
+    "turn_excess": ("turn", "heading"),
     "pose_excess": ("force",),
     "rest_excess": ("rate",),
     "wobble_excess": ("start", "end"),
@@ -47,16 +48,16 @@ _NO_RESIDUAL: Final = 1e-6
 
 
 def residuals(joint: JointModel, solution: BlockSolution) -> tuple[Residual, ...]:
-    """Residuals of force, rate and rotation in units of the measurement's sigma, each with its expected sigma."""
+    """Residuals of force, rates and rotation in units of the measurement's sigma, each with its expected sigma."""
     data = joint.data
     residual, leverage = solution.residual, solution.leverage
     out = []
-    for kind in _KINDS:
-        rows = solution.system.rows_of(kind)
-        for member, index in enumerate(rows.index):
+    for rows in solution.system.rows:
+        kind = rows.kind
+        for member, index in enumerate(rows.index if kind in _AXES else ()):
             k = int(rows.owner[member])
-            name = kind if kind == "turn" else f"{_role(joint, k, member)}_{kind}"
-            for axis, i in zip("xyz", index.tolist(), strict=True):
+            name = f"{_role(joint, k, member)}_{kind}" if kind in ("force", "rate") else kind
+            for axis, i in zip(_AXES[kind], index.tolist(), strict=True):
                 sigma = float(np.sqrt(max(1.0 - leverage[i], 0.0)))
                 sigma = 0.0 if sigma < _NO_RESIDUAL else sigma
                 out.append(Residual(data.ids[k], data.occurrences[k], f"{name}_{axis}", float(residual[i]), sigma))

@@ -6,9 +6,9 @@ They start from the prior mean, process every sequence once in time order, and n
 - ``per-sequence``: the update of each sequence iterated (iterated extended filter);
 - ``unscented``: see :mod:`estimators.unscented_filter`.
 
-Limits: one level frame, no window shared by two sequences, and one gyro bias. There is no convergence criterion.
-Instead, the estimate is compared with the optimum of all measurements, linearised about the estimate; a difference of
-more than 1 sigma is reported.
+Limits: one level frame, no window shared by two sequences, no stated rates, and one gyro bias. There is no convergence
+criterion. Instead, the estimate is compared with the optimum of all measurements, linearised about the estimate; a
+difference of more than 1 sigma is reported.
 """
 
 from __future__ import annotations
@@ -102,10 +102,11 @@ class SequentialFilter(JointSolver):
 
     def __init__(self, joint: JointModel, prior: Prior, form: str, free: Mask) -> None:
         windows = np.concatenate([joint.data.start, joint.data.end])
-        if len(joint.level_frames) > 1 or len(np.unique(windows)) < len(windows) or joint.bias_walks:
+        unsuitable = len(joint.level_frames) > 1 or joint.bias_walks or bool(joint.processor.stated.rated.size)
+        if unsuitable or len(np.unique(windows)) < len(windows):
             raise InputError(
-                f"The filter {form!r} needs labelled sequences on a fixture, no shared windows and one gyro "
-                "bias: use filter='iterated'."
+                f"The filter {form!r} needs labelled sequences on a fixture, no shared windows, no stated rates and "
+                "one gyro bias: use filter='iterated'."
             )
         self.prior: Prior = prior
         self.form, self.free = form, free

@@ -24,7 +24,6 @@ from srt.comparison.estimate_difference import (
 )
 from srt.estimation.options import Options
 from srt.estimation.registry import ESTIMATORS, automatic_estimator, find_estimator
-from srt.estimation.stated_measurements import refuse_stated_rates
 from srt.exceptions import DataError, InputError, SrtError
 from srt.presentation import Presented
 from srt.recording.atomic_file import atomic_write_text
@@ -46,9 +45,6 @@ if TYPE_CHECKING:
     from srt.sensor_errors import SensorErrors
 
 
-_WITHOUT_STATED_RATES: Final = ("ekf", "graph")
-
-
 def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str, str]]:
     """Estimators of this distribution that can run on this recording, and the reasons of the others.
 
@@ -66,8 +62,6 @@ def default_estimators(recording: Recording) -> tuple[tuple[str, ...], dict[str,
                 raise DataError(
                     "The closed form needs labelled sequences of Table 1 on a fixture, and this recording has none."
                 )
-            if name in _WITHOUT_STATED_RATES:
-                refuse_stated_rates(recording.sequences)
         except SrtError as error:
             left_out[name] = str(error)
         else:

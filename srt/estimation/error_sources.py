@@ -172,19 +172,20 @@ def unmodelled(data: PreparedRecording, rotation: float, force: float, rate: flo
 
 
 def by_drift(slope: Array, course: Array) -> Array:
-    """Effect of a bias that follows each of S courses in each of the three channels, shape (n, 3, 3 S).
+    """Effect of a bias that follows each of S courses in each of the three channels, shape (n, d, 3 S).
 
     Parameters
     ----------
-    slope : ndarray, shape (W, 3, 3) or (K, P, 3, 3)
+    slope : ndarray, shape (W, d, 3) or (K, P, d, 3)
         Derivatives by the biases in every window, or in the parts of every rotation.
     course : ndarray, shape (W, S) or (K, P, S)
         Bias in the same windows or parts.
     """
+    n, d, S = len(slope), slope.shape[-2], course.shape[-1]
     if slope.ndim == 3:
-        return np.asarray((slope[:, :, None] * course[:, None, :, None]).reshape(len(slope), 3, -1))
-    over_parts = slope.reshape(*slope.shape[:2], 9).swapaxes(1, 2) @ course
-    return np.asarray(over_parts.reshape(len(slope), 3, 3, -1).swapaxes(2, 3).reshape(len(slope), 3, -1))
+        return np.asarray((slope[:, :, None] * course[:, None, :, None]).reshape(n, d, 3 * S))
+    over_parts = slope.reshape(*slope.shape[:2], 3 * d).swapaxes(1, 2) @ course
+    return np.asarray(over_parts.reshape(n, d, 3, S).swapaxes(2, 3).reshape(n, d, 3 * S))
 
 
 def accel_drift(data: PreparedRecording, by_force: Array, floor: Array) -> Array:

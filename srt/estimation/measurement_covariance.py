@@ -204,7 +204,10 @@ def drift_form(
 ) -> Disturbance:
     """Drift of a triad in one form, for coefficients of 1-sigma ``sigma``: three draws for each function of it."""
     shape = data.drift_shapes[form]
-    return _following(slopes_of(measurements), sensor, sigma, (shape.windows, shape.parts))
+    found = _following(slopes_of(measurements), sensor, sigma, (shape.windows, shape.parts))
+    if sensor == "accel":
+        return found
+    return replace(found, stated=_drift_of_rated(measurements, data, sigma, shape.parts))
 
 
 def _following(by: Slopes, sensor: str, size: Array | float, course: tuple[Array, Array | None]) -> Disturbance:
@@ -235,7 +238,7 @@ def covariances(
 
 
 def _own_draw(blocks: Array) -> Array:
-    """Block-diagonal arrangement of (n, 3, m) blocks, so that each has its own m draws, shape (n, 3, n m)."""
+    """Block-diagonal arrangement of (n, d, m) blocks, so that each has its own m draws, shape (n, d, n m)."""
     n, rows, m = blocks.shape
     out = np.zeros((n, rows, n, m))
     out[np.arange(n), :, np.arange(n)] = blocks
@@ -245,12 +248,21 @@ def _own_draw(blocks: Array) -> Array:
 def _steady_rate_noise(measurements: SrtMeasurements, data: PreparedRecording) -> Array:
     """White noise and quantization of the mean rates that compare with a stated rate, shape (K, 2, 2 R)."""
     stated = measurements.stated
-    along = np.einsum("rha,ab->rhb", stated.spin_axes(measurements.gyro), measurements.gyro.inverse)
-    variance = np.sum(along**2 * sources.raw_rate_variance(data.noise, stated.duration_s), axis=2)
-    out = np.zeros((data.K, 2, *variance.shape))
-    for r, k in enumerate(stated.rated.tolist()):
-        out[k, [0, 1], r, [0, 1]] = np.sqrt(variance[r])
-    return out.reshape(data.K, 2, -1)
+    return _of_rated(measurements, data, _own_draw(np.sqrt(stated.rate_noise(data.noise, measurements.gyro))))
+
+
+def _of_rated(measurements: SrtMeasurements, data: PreparedRecording, effect: Array) -> Array:
+    """Effect on all sequences, shape (K, 2, S), of one on those at a stated rate, shape (R, 2, S)."""
+    out = np.zeros((data.K, 2, effect.shape[2]))
+    out[measurements.stated.rated] = effect
+    return out
+
+
+def _drift_of_rated(measurements: SrtMeasurements, data: PreparedRecording, size: Array | float, parts: Array) -> Array:
+    """Effect on stated rates of gyro biases of 1-sigma ``size`` that follow courses (K, P, S), shape (K, 2, 3 S)."""
+    stated = measurements.stated
+    slope = stated.by_parts(measurements.gyro) * size
+    return _of_rated(measurements, data, sources.by_drift(slope, parts[stated.rated]))
 
 
 def _stated_values(measurements: SrtMeasurements, data: PreparedRecording) -> dict[str, Disturbance]:
@@ -258,9 +270,8 @@ def _stated_values(measurements: SrtMeasurements, data: PreparedRecording) -> di
     out = {}
     stated, fixture = measurements.stated, data.recording.fixture
     if stated.rated.size:
-        rate = np.zeros((data.K, 2, 1))
-        rate[stated.rated, :, 0] = (stated.sigma * stated.stated)[:, None]
-        out["stated_rate"] = Disturbance(stated=rate)
+        rate = np.broadcast_to((stated.sigma * stated.stated)[:, None, None], (len(stated.rated), 2, 1))
+        out["stated_rate"] = Disturbance(stated=_of_rated(measurements, data, rate))
     if stated.directed and fixture is not None and data.nominal is not None:
         # Levelling and mounting have one draw per recording, the executed angles one per pose.
         to_body = measurements.U @ np.swapaxes(data.nominal, 1, 2)
@@ -276,16 +287,12 @@ def _stated_values(measurements: SrtMeasurements, data: PreparedRecording) -> di
 def _bias_instability(measurements: SrtMeasurements, data: PreparedRecording, by: Slopes, wander: Array) -> Disturbance:
     """Gyro bias instability as specified; otherwise independent biases of the sequences, of 1-sigma ``wander``."""
     stated = measurements.stated
-    axes = stated.spin_axes(measurements.gyro)
     if data.noise.gyro_flicker is not None:
-        by_axis = axes @ (by.angle * data.noise.gyro_flicker)
-        in_run = np.einsum("rhb,rn->rhnb", by_axis, data.drift.turns[stated.rated])
-        effect = np.zeros((data.K, 2, in_run.shape[2] * in_run.shape[3]))
-        effect[stated.rated] = in_run.reshape(*in_run.shape[:2], effect.shape[2])
+        effect = _drift_of_rated(measurements, data, data.noise.gyro_flicker, data.drift.parts)
         return replace(bias_drift(data, by, "gyro"), stated=effect)
     own = _own_draw(np.broadcast_to(by.angle * wander, (data.K, 3, 3)))
-    effect = np.zeros((data.K, 2, own.shape[2]))
-    effect[stated.rated] = axes @ own[stated.rated]
+    raw = _own_draw(np.broadcast_to(np.diag(wander), (data.K, 3, 3)))[stated.rated]
+    effect = _of_rated(measurements, data, stated.by_raw_rate(measurements.gyro) @ raw)
     return Disturbance(phi=_phi_per_rate(measurements) @ own, rate=own[measurements.window_sequence], stated=effect)
 
 

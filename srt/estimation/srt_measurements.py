@@ -160,7 +160,7 @@ class SrtProcessor:
         self.data, self.options = data, options
         self.integrated = np.zeros(W, dtype=np.bool_) if integrated is None else integrated
         self._g_sensitive = options.gyro_bias == MODE
-        self._stated = StatedMeasurements.of(data)
+        self.stated = StatedMeasurements.of(data)
         self._stream, self._force, self._weights = data.stream(self.integrated, with_force=self._g_sensitive)
         self._roles()
 
@@ -250,18 +250,18 @@ class SrtProcessor:
             stream, gyro, earth_rate, bias_offset=bias_offset, sample_noise_rad=sample, with_noise=with_noise
         )
         carried = self._carried_force(integrals, attitude, accel, force)
-        basis = self._basis(down, U)
+        basis, ends = self._basis(down, U), (force[data.start], force[data.end])
         window_C = np.where(self._is_end[:, None, None], integrals.C_end[self._sequence], np.eye(3))
         rest = rate - np.einsum("wab,wa->wb", window_C, earth_rate[self._sequence])
-        ends = force[data.start], force[data.end]
         # Δa_H = horizontal part of (â_End − â_Strt)  ([P] eq. 1)
-        horizontal, H = self._stated.replace(
+        horizontal, H = self.stated.replace(
             np.einsum("kia,ka->ki", basis, carried[:, 1] - carried[:, 0]),
             model.horizontal_jacobian(integrals, basis, *ends, accel),
             basis=basis,
             force=ends,
             earth_rate=earth_rate,
             triads=(gyro, accel),
+            g_sensitivity=np.zeros((3, 3)) if poses is None or g_sensitivity is None else g_sensitivity,
         )
         return SrtMeasurements(
             z=np.concatenate([horizontal.ravel(), self._down(force, down, window_C), self._pool @ rest]),
@@ -283,7 +283,7 @@ class SrtProcessor:
             U=self._orientation(integrals, force, U),
             integrated=self.integrated,
             nominal_vertical=nominal_vertical and data.nominal is not None,
-            stated=self._stated,
+            stated=self.stated,
             poses=poses,
         )
 
@@ -334,7 +334,7 @@ class SrtProcessor:
         axes = np.stack([first, np.einsum("kab,kb->ka", cross_matrix(down), first)], axis=1)
         if data.nominal is not None:
             axes[self._labelled] = U.T[self._horizontal]
-        if self._stated.directed:
+        if self.stated.directed:
             return np.asarray(axes)  # the nominal axes themselves: their inclination is the measurement
         out: Array = axes @ model.horizontal_projector(down)
         return out
@@ -373,7 +373,7 @@ class SrtProcessor:
         U includes the mounting error of the IMU on the table, so that ω̂e is free of it.
         """
         data = self.data
-        if data.nominal is None or self._stated.posed.all():
+        if data.nominal is None or self.stated.posed.all():
             return U  # without a rotation, no gyro axis shows on the table
         starts = force[data.start[self._labelled]]
         in_T, in_B = [data.nominal[self._labelled, 2]], [-starts / np.linalg.norm(starts, axis=1)[:, None]]

@@ -6,8 +6,8 @@ rate, this change shows many revolutions, modulo one. The two horizontal measure
 * pose: if no sequence of the recording rotates and a fixture states the vertical, the horizontal components of the
   pose's mean specific force along the nominal axes; otherwise the change between its halves in axes of the unit, which
   has no derivative;
-* stated rate Ω about an axis: in each half of the steady window ``|ω̂| − ω̂e·ω̂/|ω̂| − |Ω|``. The Earth rate along the
-  axis is constant while the unit turns about it, and the magnitude is free of mounting errors.
+* stated rate Ω about an axis: in each half of the steady window ``|ω̂| − ω̂e·ω̂/|ω̂| − |Ω|``
+  (:func:`srt.model.measurement_model.stated_rate_residual`). The magnitude is free of mounting errors.
 """
 
 from __future__ import annotations
@@ -17,29 +17,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srt.exceptions import DataError
+from srt.estimation.error_sources import raw_rate_variance
 from srt.model import measurement_model as model
+from srt.model.analytic_platform import equal_parts, parts_per_rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from srt.model.rotation_integrals import RotationIntegrals
     from srt.model.sensor_model import Triad
-    from srt.recording.recording import SequenceLabel
+    from srt.noise.noise_model import NoiseModel
     from srt.sequences.preparation import PreparedRecording
     from srt.types import Array, Indices, Mask
-
-
-def refuse_stated_rates(labels: Iterable[SequenceLabel]) -> None:
-    """Refuse labels that state a rate, for estimators that do not use it.
-
-    Raises
-    ------
-    DataError
-    """
-    rated = next((label for label in labels if label.rate is not None), None)
-    if rated is not None:
-        raise DataError(f"{rated.title} states a rate, which ekf and graph do not use: calibrate with least-squares.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +43,11 @@ class StatedMeasurements:
         Sequences at a stated rate.
     rate : ndarray, shape (R, 2, 3), rad/s
         Mean gyro reading over each half of the steady window.
+    force : ndarray, shape (R, 2, 3), m/s²
+        Mean accelerometer reading over each half.
     duration_s : ndarray, shape (R, 2)
+    shares : ndarray, shape (R, 2, P)
+        Shares of P equal parts of the rotation in each half.
     stated : ndarray, shape (R,), rad/s
         Magnitude of the stated rate.
     sigma : ndarray, shape (R,)
@@ -67,7 +58,9 @@ class StatedMeasurements:
     directed: bool
     rated: Indices
     rate: Array
+    force: Array
     duration_s: Array
+    shares: Array
     stated: Array
     sigma: Array
 
@@ -76,23 +69,30 @@ class StatedMeasurements:
         """Gather what the labels state, and the mean readings in the steady windows."""
         recording = data.recording
         factor = 1.0 if recording.kind == "rate" else 1.0 / recording.nominal_interval_s
-        rated, means, counts, stated, sigma = [], [], [], [], []
+        rated, means, edges, stated, sigma = [], [], [], [], []
         for k, label in enumerate(data.labels):
             if label.rate is None or label.steady_s is None or label.rate_sigma is None:
                 continue
             window = recording.window_indices(*label.steady_s)
-            halves = np.array_split(recording.gyro[window], 2)
+            halves = [np.array_split(samples[window], 2) for samples in (recording.gyro, recording.accel)]
             rated.append(k)
-            means.append([half.mean(axis=0) * factor for half in halves])
-            counts.append([len(half) for half in halves])
+            means.append([[half.mean(axis=0) * factor for half in sensor] for sensor in halves])
+            edges.append([window.start, window.start + len(halves[0][0]), window.stop])
             stated.append(abs(label.rate[1]))
             sigma.append(label.rate_sigma)
+        gyro, accel = np.array(means).reshape(-1, 2, 2, 3).swapaxes(0, 1)
+        half, at = np.array(edges).reshape(-1, 3, 1), np.array(rated, dtype=np.intp)
+        part = equal_parts(data.rotation[at], parts_per_rotation(data.K))[:, None]
+        overlap = np.minimum(half[:, 1:], part[..., 1:]) - np.maximum(half[:, :-1], part[..., :-1])
+        inside = np.maximum(overlap, 0)
         return cls(
             data.posed,
             bool(data.posed.all()) and data.nominal is not None,
-            np.array(rated, dtype=np.intp),
-            np.array(means).reshape(-1, 2, 3),
-            np.array(counts, dtype=np.float64).reshape(-1, 2) * recording.nominal_interval_s,
+            at,
+            gyro,
+            accel,
+            np.diff(half[..., 0], axis=1) * recording.nominal_interval_s,
+            inside / inside.sum(axis=2, keepdims=True),
             np.array(stated),
             np.array(sigma),
         )
@@ -104,13 +104,28 @@ class StatedMeasurements:
         out[self.rated] = True
         return out
 
-    def spin_axes(self, gyro: Triad) -> Array:
-        """Unit vectors of the compensated rates in the halves of the steady windows, shape (R, 2, 3)."""
-        rate = self._compensated(gyro)
-        return np.asarray(rate / np.linalg.norm(rate, axis=2, keepdims=True))
+    def compensated(self, gyro: Triad, raw_bias: Array | float = 0.0) -> Array:
+        """Compensated mean rates in the halves, less biases of the raw channels, shape (R, 2, 3), rad/s."""
+        return np.asarray(gyro.compensate((self.rate - raw_bias).reshape(-1, 3)).reshape(-1, 2, 3))
 
-    def _compensated(self, gyro: Triad) -> Array:
-        return gyro.compensate(self.rate.reshape(-1, 3)).reshape(-1, 2, 3)
+    def compensated_force(self, accel: Triad) -> Array:
+        """Compensated mean specific forces in the halves, shape (R, 2, 3), m/s²."""
+        return np.asarray(accel.compensate(self.force.reshape(-1, 3)).reshape(-1, 2, 3))
+
+    def by_raw_rate(self, gyro: Triad) -> Array:
+        """Derivative of the rate along the axis of the run by the raw channels, shape (R, 2, 3)."""
+        rate = self.compensated(gyro)
+        axes = rate / np.linalg.norm(rate, axis=2, keepdims=True)
+        return np.asarray(np.einsum("rha,rhab->rhb", axes, gyro.sensitivity(rate)))
+
+    def by_parts(self, gyro: Triad) -> Array:
+        """The same by biases of the raw channels in P equal parts of the rotation, shape (R, P, 2, 3)."""
+        return np.asarray(np.einsum("rhp,rhb->rphb", self.shares, self.by_raw_rate(gyro)))
+
+    def rate_noise(self, noise: NoiseModel, gyro: Triad) -> Array:
+        """Covariance by white noise and quantization, diagonal, shape (R, 2, 2), (rad/s)²."""
+        variance = np.sum(self.by_raw_rate(gyro) ** 2 * raw_rate_variance(noise, self.duration_s), axis=2)
+        return np.asarray(variance[:, :, None] * np.eye(2))
 
     def replace(
         self,
@@ -121,6 +136,7 @@ class StatedMeasurements:
         force: tuple[Array, Array],
         earth_rate: Array,
         triads: tuple[Triad, Triad],
+        g_sensitivity: Array,
     ) -> tuple[Array, Array]:
         """Horizontal measurements and their Jacobian with the rows of poses and of stated rates replaced.
 
@@ -135,6 +151,8 @@ class StatedMeasurements:
             ω̂e in B_Strt.
         triads : (Triad, Triad)
             Sensor models of gyros and accelerometers.
+        g_sensitivity : ndarray, shape (3, 3), rad/s per m/s²
+            Γ; zero where it is not estimated.
         """
         if not self.replaced.any():
             return horizontal, jacobian
@@ -145,11 +163,12 @@ class StatedMeasurements:
         if self.directed:
             horizontal = np.einsum("kia,ka->ki", basis, 0.5 * (force[0] + force[1]))
             jacobian = basis @ (0.5 * sum(model.force_error_jacobian(f, accel) for f in force))
-        rate, axes = self._compensated(gyro), self.spin_axes(gyro)
-        along = np.einsum("rha,ra->rh", axes, earth_rate[self.rated])
-        horizontal[self.rated] = np.linalg.norm(rate, axis=2) - along - self.stated[:, None]
+        rate = self.compensated(gyro, self.compensated_force(accel) @ g_sensitivity.T)
+        horizontal[self.rated], by_rate, _ = model.stated_rate_residual(
+            rate, earth_rate[self.rated, None], self.stated[:, None]
+        )
         by_errors = model.rate_error_jacobian(rate.reshape(-1, 3), gyro).reshape(-1, 2, 3, jacobian.shape[2])
-        jacobian[self.rated] = np.einsum("rha,rhap->rhp", axes, by_errors)
+        jacobian[self.rated] = np.einsum("rha,rhap->rhp", by_rate, by_errors)
         return horizontal, jacobian
 
     def change_of_force(self, basis: Array, integrals: RotationIntegrals, start: Array, end: Array) -> Array:

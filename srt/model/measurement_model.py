@@ -14,8 +14,9 @@ zero error, each triad's error is multiplied by D, the inverse slope of its sens
 
 Joint estimation treats the attitudes of the stationary windows as unknowns. Its measurements are the mean specific
 force and the mean rate of a window, and the rotation between two windows (:func:`specific_force_residual`,
-:func:`angular_rate_residual`, :func:`rotation_residual`, :func:`start_attitude_residual`). ``A`` takes B-components to
-the local level frame L (z down), which turns with the Earth. Attitude errors are small rotations of B, ``A exp(a×)``.
+:func:`angular_rate_residual`, :func:`rotation_residual`, :func:`stated_rate_residual`,
+:func:`start_attitude_residual`). ``A`` takes B-components to the local level frame L (z down), which turns with the
+Earth. Attitude errors are small rotations of B, ``A exp(a×)``.
 
 Closed form, least squares, Kalman filter and factor graph all take their Jacobians from this module.
 """
@@ -87,6 +88,20 @@ class RotationResidual(NamedTuple):
     by_start: Array
     by_end: Array
     by_rotation: Array
+    by_earth_rate: Array
+
+
+class StatedRateResidual(NamedTuple):
+    """Rates of runs on a rate table less the stated ones, with their derivatives.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (..., ), rad/s
+    by_rate, by_earth_rate : ndarray, shape (..., 3)
+    """
+
+    residual: Array
+    by_rate: Array
     by_earth_rate: Array
 
 
@@ -286,6 +301,47 @@ def rotation_residual(
     of_earth = np.eye(3) + 0.5 * cross_matrix(earth_angle)
     by_earth = left @ to_start @ of_earth * duration_s[:, None, None]
     return RotationResidual(residual, -left, right @ rotation, right, by_earth)
+
+
+def heading_residual(rotation: RotationResidual, start: Array) -> RotationResidual:
+    """Component about the vertical of rotation residuals and their derivatives, d = 1 in place of 3 components.
+
+    Parameters
+    ----------
+    rotation : RotationResidual
+    start : ndarray, shape (n, 3, 3)
+        Attitudes at the start, B to L.
+    """
+    down = start[:, 2:]
+    residual, by_start, *others = rotation
+    # e_zᵀ A exp(a×) r: the vertical in B_Strt turns with A.
+    by_start = down @ by_start + np.cross(residual[:, None], down)
+    return RotationResidual((down @ residual[:, :, None])[:, :, 0], by_start, *(down @ J for J in others))
+
+
+def stated_rate_residual(rate: Array, earth_rate: Array, stated: Array) -> StatedRateResidual:
+    """Residual of the rate of runs at a stated rate: ``|ω̂| − ω̂e·ω̂/|ω̂| − |Ω|``.
+
+    The Earth's rate along the axis of the run is constant while the unit turns about it; that across it averages out.
+
+    Parameters
+    ----------
+    rate : ndarray, shape (..., 3), rad/s
+        Compensated mean rate in B.
+    earth_rate : ndarray, shape (..., 3), rad/s
+        ω̂e in B_Strt.
+    stated : ndarray, shape (...), rad/s
+        Magnitude |Ω| of the stated rate.
+
+    Returns
+    -------
+    StatedRateResidual
+    """
+    size = np.linalg.norm(rate, axis=-1)
+    axis = rate / size[..., None]
+    along = np.sum(axis * earth_rate, axis=-1)
+    across = earth_rate - axis * along[..., None]
+    return StatedRateResidual(size - along - stated, axis - across / size[..., None], -axis)
 
 
 def start_attitude_residual(

@@ -12,11 +12,11 @@ from scipy.stats import chi2
 
 import sims
 import srt
-import srt.comparison.estimator_comparison
 from sims.scenarios.scenario import scenario_from_dict
-from srt.estimation.measurement_covariance import disturbances, project
+from srt.estimation.measurement_covariance import disturbances, drift_form, project
 from srt.estimation.options import Options
 from srt.estimation.srt_measurements import SrtProcessor
+from srt.noise.drift_forms import LINEAR
 from srt.recording.recording import Fixture
 from srt.sensor_errors import GROUP_SLICES, INDEX
 from srt.sequences.checked_preparation import prepare_checked
@@ -235,6 +235,30 @@ def test_directions_that_a_protocol_hardly_shows_do_not_keep_it_from_converging(
     assert np.all(np.isfinite(errors[GROUP_SLICES["gyro_scale"]]))
 
 
+def test_a_modelled_drift_acts_on_stated_rates():
+    """A linear drift of one gyro in the samples, and the column of its coefficient."""
+    recording = sims.simulate(scenario("rate-table", 1)).recording
+    step, axis = 1e-6, 2
+
+    def processed(gyro):
+        data = prepare_checked(replace(recording, gyro=gyro), recording.sequences, "linear")
+        return data, SrtProcessor(data, Options()).process(srt.SensorErrors(), with_noise=True)
+
+    data, measurements = processed(recording.gyro)
+    shape = data.drift_shapes[LINEAR].windows[:, 0]
+    middle = np.array([recording.time[a:b].mean() for a, b in data.windows.samples])
+    course = np.polyval(np.polyfit(middle, shape, 1), recording.time)
+    z = [processed(recording.gyro + sign * step * np.outer(course, np.eye(3)[axis]))[1].z for sign in (1.0, -1.0)]
+    column = project(measurements, data, drift_form(measurements, data, "gyro", LINEAR), np.zeros(3))[:, axis]
+    rows = (2 * measurements.stated.rated[:, None] + np.arange(2)).ravel()
+    # The part of the rotation in which the run begins or ends counts with its mean: half a part at most, in a half.
+    parts = data.drift.parts.shape[1]
+    run = np.ptp(course) / len(course) * np.diff(data.rotation).max()
+    tolerance = 0.5 * run / parts * (2.0 / parts)
+    np.testing.assert_allclose((z[0] - z[1])[rows] / (2.0 * step), column[rows], rtol=0, atol=tolerance)
+    assert np.abs(column[rows]).max() > 100.0 * tolerance
+
+
 def test_a_bias_acts_on_rotation_rest_and_stated_rate_alike():
     """A constant bias of one run in the samples: the column of that draw, signs of all its parts included."""
     recording = sims.simulate(scenario("rate-table", 1)).recording
@@ -264,21 +288,19 @@ def test_a_bias_acts_on_rotation_rest_and_stated_rate_alike():
         np.testing.assert_allclose(found[-3:], 2.0 * column[-3:], rtol=0, atol=0.05 * np.abs(column[-3:]).max())
 
 
-def test_joint_estimators_refuse_a_stated_rate_and_agree_on_poses():
-    """A comparison leaves them out; on poses all three have the same accelerometer errors, and no gyro scale."""
+@pytest.mark.parametrize("name", ["24-face-tumble", "six-face-tumble", "rate-table"])
+def test_joint_estimators_agree_on_poses_and_rates(name):
+    """The same parameters fixed, the same errors of the others, and no scale factor from the Earth's rate alone."""
     pytest.importorskip("gtsam")
-    rated = sims.simulate(scenario("rate-table", 1)).recording
-    with pytest.raises(srt.exceptions.DataError, match="states a rate, which ekf and graph do not use: calibrate with"):
-        srt.calibrate(rated, "graph", checks=False)
-    names, left_out = srt.comparison.estimator_comparison.default_estimators(rated)
-    assert names == ("least-squares",)
-    assert "states a rate" in left_out["ekf"]
-    poses = sims.simulate(scenario("24-face-tumble", 1)).recording
-    least, *joint = (srt.calibrate(poses, name, checks=False) for name in ("least-squares", "ekf", "graph"))
+    recording = sims.simulate(scenario(name, 1)).recording
+    least, *joint = (srt.calibrate(recording, name, checks=False) for name in ("least-squares", "ekf", "graph"))
     at = np.r_[GROUP_SLICES["accel_bias"], GROUP_SLICES["accel_scale"], GROUP_SLICES["accel_asymmetry"]]
+    at = at[least.observed[at]]
     for found in joint:
-        assert not found.observed[GROUP_SLICES["gyro_scale"]].any()
-        assert "add a rotation" in found.held["gyro_scale_x"]
+        np.testing.assert_array_equal(found.observed, least.observed)
         np.testing.assert_allclose(found.sigma[at], least.sigma[at], rtol=0.02)
         # Least squares uses the mean rate of all poses, the others the rate of each: 0.1 sigma of what it shows.
         assert np.all(np.abs(found.errors.vector - least.errors.vector)[at] < 0.1 * least.sigma[at])
+        if name != "rate-table":
+            assert not found.observed[GROUP_SLICES["gyro_scale"]].any()
+            assert "add a rotation" in found.held["gyro_scale_x"]

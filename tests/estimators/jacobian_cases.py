@@ -13,6 +13,8 @@ from accuracy_trials import large_errors
 from scipy.spatial.transform import Rotation
 
 import sims
+from sims.physics.free_motion import Placement, Turn, placed_motion
+from sims.physics.turn_profiles import trapezoid
 from srt.estimation.options import Options
 from srt.model.prior import Prior
 from srt.recording.recording import Fixture, ImuNoise, SequenceLabel, Site
@@ -88,6 +90,11 @@ class Variant:
     fixture_states: bool = True
     prior: bool = True
     instability: bool = False
+    rates: bool = False
+
+    @property
+    def motion(self) -> str:
+        return "rates" if self.rates else "free" if self.free else "table"
 
 
 VARIANTS = {
@@ -98,6 +105,8 @@ VARIANTS = {
     "no latitude": Variant(latitude=False, walk=False),
     "free": Variant(free=True),
     "drift": Variant(walk=False, instability=True),
+    "rates": Variant(free=True, rates=True),
+    "rates, drift": Variant(free=True, rates=True, walk=False, prior=False, instability=True),
 }
 
 
@@ -108,9 +117,36 @@ def errors_of(size):
     return SensorErrors(scale * np.random.default_rng(9).standard_normal(N_PARAMETERS))
 
 
+RUN_S, RAMP_S = 9.0, 0.5
+
+
+def rates_motion():
+    """Three runs of a rate table and a turn; the axes lie away from those of the sensors, and from the vertical."""
+    profile = trapezoid(RAMP_S / RUN_S)
+    axes = [np.array(v) / np.linalg.norm(v) for v in ([1.0, 0.3, -0.2], [-1.0, -0.3, 0.2], [0.2, 1.0, 0.3])]
+    runs = [(Turn(RATE * (RUN_S - RAMP_S) * axis, RUN_S, profile),) for axis in axes]
+    upright = [
+        exp(0.1 * np.ones(3)) @ Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0].as_matrix() for axis in axes
+    ]
+    placements = (
+        Placement(upright[0], DWELL_S, (runs[0], runs[1]), (DWELL_S, DWELL_S)),
+        Placement(upright[2], DWELL_S, (runs[2], (Turn(np.array([0.6, 0.3, -0.5]), 3.0),)), (DWELL_S, DWELL_S)),
+    )
+    motion, starts = placed_motion(placements, site=SITE, pause_s=1.0, settle_s=0.1, sample_rate_hz=HZ)
+    stated = [("x", RATE), ("x", -RATE), ("y", RATE)]
+    labels = [
+        SequenceLabel(*pair, rate=rate, rate_sigma=1e-4, steady_s=(start + RAMP_S, start + RUN_S - RAMP_S))
+        for pair, start, rate in zip(motion.windows, starts, stated, strict=False)
+    ]
+    return replace(motion, labels=(*labels, SequenceLabel(*motion.windows[3])))
+
+
 @cache
 def simulated_motions():
-    """A table run on a poor fixture, the body well away from the table, and turns by hand; no |·| stands at zero."""
+    """A table run on a poor fixture, the body well away from the table, turns by hand, and a rate table.
+
+    No |·| stands at zero.
+    """
     draw = sims.draw_fixture(
         np.random.default_rng(4),
         sims.table_sequences(TABLE),
@@ -140,7 +176,7 @@ def simulated_motions():
         settle_s=0.1,
         sample_rate_hz=HZ,
     )
-    return {True: free, False: table}
+    return {"free": free, "table": table, "rates": rates_motion()}
 
 
 @dataclass(frozen=True)
@@ -154,13 +190,14 @@ class Case:
 
 def make(motions, variant, size, noise=NOISE, off=True):
     """Problem and a point well away from its solution in all but the sensor errors, played back and linearised."""
-    motion = motions[variant.free]
+    motion = motions[variant.motion]
     errors = errors_of(size)
     site = SITE if variant.latitude else replace(SITE, latitude_rad=None)
     fixture = None if variant.free else Fixture(HEADING if variant.heading else None, 5e-3, 5e-3)
     recording = replace(sims.read_out(motion.stated_as(site=site), errors), noise=noise, fixture=fixture)
     if variant.free:
-        recording = recording.with_sequences(tuple(SequenceLabel(a, b) for a, b in motion.windows))
+        labels = motion.labels if variant.rates else [SequenceLabel(a, b) for a, b in motion.windows]
+        recording = recording.with_sequences(tuple(labels))
     # Of one bias per sequence, of one with the drift that is stated, and of one alone.
     mode = "per-sequence" if variant.walk else "auto" if variant.instability else "pooled"
     options = Options(gyro_bias=mode, fixture_states=variant.fixture_states, start=errors)
@@ -181,6 +218,7 @@ def make(motions, variant, size, noise=NOISE, off=True):
             gravity=1e-3 * variant.fixture_states,
             earth_rate=1e-5 * rng.standard_normal(state.earth_rate.shape) * unknown,
             attitude=state.attitude @ away(a, len(state.attitude), 12),
+            table_rate=0.7 * variant.rates,
         )
     prior = None
     if variant.prior:

@@ -50,10 +50,9 @@ def columns_of(case, built, key):
         return columns, np.eye(len(columns))
     if letter == "a":
         return part("attitude"), case.state.attitude[number].T
-    name = {"f": "base", "u": "mounting", "l": "non_orthogonality", "g": "gravity", "e": "earth_rate", "q": "edge"}[
-        letter
-    ]
-    columns = part(name, 1 if letter in "gl" else 3)
+    names = {"f": "base", "u": "mounting", "l": "non_orthogonality", "g": "gravity", "e": "earth_rate", "q": "edge"}
+    name = (names | {"t": "table_rate"})[letter]
+    columns = part(name, 1 if letter in "glt" else 3)
     return columns, np.eye(len(columns))
 
 
@@ -77,10 +76,8 @@ def measured_rows(built, rows, kind, number):
     """Rows of a measurement."""
     if kind == "window":
         return np.concatenate([rows["force"].index[number], rows["rate"].index[number]])
-    if kind in {"start", "end"}:
-        windows = [n for k, n, _ in built.measured if k == kind]
-        return rows[kind].index[windows.index(number)]
-    return rows[kind].index[number]
+    members = [n for k, n, _ in built.measured if k == kind]
+    return rows[kind].index[members.index(number)]
 
 
 def rows_of_factor(case, built, i):
@@ -98,6 +95,7 @@ def rows_of_factor(case, built, i):
     if letters == "a":
         return None
     kinds = {"f": "base", "u": "mounting", "l": "non_orthogonality", "g": "gravity", "q": "edge"}
+    kinds["t"] = "table_rate"
     kind = (kinds | {"e": f"earth_rate:{number}"}).get(letters)
     return rows["prior"].index[0] if kind is None else rows[kind].index[number if kind == "edge" else 0]
 

@@ -51,7 +51,7 @@ def unwhitened(system):
 
 
 STEPS = {"base": 1e-4, "mounting": 1e-4, "non_orthogonality": 1e-4, "gravity": 1e-3, "earth_rate": 1e-6}
-STEPS |= {"attitude": 1e-4, "bias": 1e-7}
+STEPS |= {"attitude": 1e-4, "bias": 1e-7, "table_rate": 1e-3}
 ERROR_STEPS = np.full(N_ERRORS, 1e-5)
 ERROR_STEPS[GROUP_SLICES["accel_bias"]] = 1e-4
 
@@ -82,9 +82,8 @@ def allowed(case, kind, name, shape):
     angle = RATE * seconds
     h = np.array([step_of(name, i) for i in range(shape[-1])])
     # Left when the residual turns with a vector of the size given, by the angle h.
-    turning = {"force": G, "rate": ω, "turn": 2.0, "start": 4.0, "end": 4.0, "base": 1.0, "mounting": 1.0}.get(
-        kind, 0.0
-    )
+    turning = {"force": G, "rate": ω, "turn": 2.0, "start": 4.0, "end": 4.0, "base": 1.0, "mounting": 1.0}
+    turning = (turning | {"heading": 2.0, "stated_rate": ω}).get(kind, 0.0)
     rounding = {"force": G * D_accel, "rate": 1e-2 * D, "turn": 10.0}.get(kind, 10.0) * 10.0 * EPS / h
     own = two_sided * (name == "bias" and case.joint.bias_walks)
     size = D * (seconds if name == "bias" else angle)
@@ -92,8 +91,11 @@ def allowed(case, kind, name, shape):
         "force": 3.0 * G * D_accel**4 * h**2,
         "rate": 3.0 * ω * D**4 * h**2 + D**2 * deviation + own,
         "turn": size * ((RATE / HZ) ** 2 / 12.0 + (h * size) ** 2) + (D**2 * deviation + own) * seconds,
+        "stated_rate": 3.0 * RATE * D**4 * h**2,
     }
     of_earth = {"turn": seconds * ((ω * seconds) ** 2 + (h * seconds) ** 2)}
+    for of_turn in (of_errors, of_earth):
+        of_turn["heading"] = of_turn["turn"]
     left = {"errors": of_errors, "bias": of_errors, "earth_rate": of_earth}.get(name, {}).get(kind, 0.0)
     if name in {"attitude", "base", "mounting", "non_orthogonality"}:
         left = turning * h**2
@@ -117,8 +119,10 @@ def test_system_against_played_back_differences(motions, variant, size):
         return unwhitened_residuals(linearise(joint, state, compensated, system.free, case.prior))
 
     seen = set()
-    for name in ("errors", "bias", *FIXTURE, "gravity", "earth_rate", "attitude"):
+    for name in ("errors", "bias", *FIXTURE, "gravity", "table_rate", "earth_rate", "attitude"):
         columns = system.of(name)
+        if not columns.size:
+            continue
         expected = {kind: np.empty((*r.shape, len(columns))) for kind, (r, _) in found.items()}
         for i, column in enumerate(columns.tolist()):
             delta = np.zeros(len(system.active))
@@ -138,6 +142,10 @@ def test_system_against_played_back_differences(motions, variant, size):
     if VARIANTS[variant].fixture_states and not VARIANTS[variant].free:
         assert {(kind, n) for kind in ("start", "end") for n in ("attitude", *FIXTURE)} <= seen
         assert {("force", "gravity"), ("gravity", "gravity"), *zip(FIXTURE, FIXTURE, strict=True)} <= seen
+    if VARIANTS[variant].rates:
+        names = "errors", "bias", "table_rate", "earth_rate", "attitude"
+        assert {("table_rate", "table_rate"), *(("stated_rate", name) for name in names)} <= seen
+        assert {("heading", name) for name in ("errors", "bias", "earth_rate", "attitude")} <= seen
     if VARIANTS[variant].prior:
         assert {("prior", "errors"), ("prior", "bias")} <= seen
     if VARIANTS[variant].walk:
@@ -202,7 +210,8 @@ def test_edge_columns_against_errors_in_the_samples(motions, variant, size):
 
 
 @pytest.mark.parametrize(
-    ("variant", "size"), [pytest.param("drift", "zero", marks=pytest.mark.slow), ("drift", "large")]
+    ("variant", "size"),
+    [pytest.param("drift", "zero", marks=pytest.mark.slow), ("drift", "large"), ("rates, drift", "large")],
 )
 def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monkeypatch):
     """Steps of the bias from window to part of a turn to window, of every draw, in the samples: the same covariance.
@@ -219,13 +228,14 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
     ends = analytic_platform.equal_parts(data.rotation, draws.parts.shape[1])
     spans = [*windows.tolist(), *np.stack([ends[:, :-1], ends[:, 1:]], axis=2).reshape(-1, 2).tolist()]
     values = np.concatenate([draws.windows, draws.parts.reshape(-1, draws.parts.shape[2])])
-    found, kinds = unwhitened(system), ("force", "rate", "turn")
+    found = unwhitened(system)
+    kinds = [kind for kind in ("force", "rate", "turn", "heading", "stated_rate") if kind in found]
     drift = np.concatenate([system.of(name) for name in system.columns if "drift" in name])
     prior = np.concatenate(
         [found[rows.kind][1].reshape(-1, len(system.active)) for rows in system.rows if "drift" in rows.kind]
     )
-    columns = np.concatenate([found[kind][1][..., drift] for kind in kinds])
-    columns = columns.reshape(-1, columns.shape[2]) @ np.linalg.inv(prior[:, drift])
+    columns = np.concatenate([found[kind][1][..., drift].reshape(-1, len(drift)) for kind in kinds])
+    columns = columns @ np.linalg.inv(prior[:, drift])
 
     def residuals(instability, sensor, axis):
         table = getattr(data.recording, sensor).copy()
@@ -233,7 +243,7 @@ def test_drift_columns_against_drift_in_the_samples(motions, variant, size, monk
             table[a:b, axis] += value
         other = open_joint_model(replace(data.recording, **{sensor: table}), joint.options)
         rows = unwhitened_residuals(linearise(other, case.state, other.compensate(case.state), system.free, case.prior))
-        return np.concatenate([rows[kind] for kind in kinds]).ravel()
+        return np.concatenate([rows[kind].ravel() for kind in kinds])
 
     effects = []
     for sensor, step in (("gyro", 1e-8), ("accel", 1e-6)):

@@ -58,6 +58,7 @@ _KINDS: Final = (
     ("end_down", "down at end", PURPLE, "v"),
     ("down", "down", VERMILION, "s"),
     ("force", "specific force", BLUE, "o"),
+    ("stated_rate", "stated rate", PURPLE, "v"),
     ("rate", "rate at rest", GREEN, "^"),
     ("turn", "rotation", VERMILION, "s"),
 )
