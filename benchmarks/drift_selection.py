@@ -1,6 +1,6 @@
 """Drift selected in recordings without drift: units of three grades on a 1 mrad fixture, bias instability as specified.
 
-``python benchmarks/drift_selection.py --units 300``: at most one recording in 10,000 may select a form by design.
+``python benchmarks/drift_selection.py --units 300``: at most one recording in 50,000 may select a form by design.
 """
 
 from __future__ import annotations

@@ -11,14 +11,14 @@ from srt.diagnosis.faults import FAULTS, RANK, STAGES, Effect
 if TYPE_CHECKING:
     from srt.diagnosis.evidence import Evidence
 
-FALSE_ALARM: Final = 4e-6
+FALSE_ALARM: Final = 3e-6
 """False-alarm probability of each statistical test in a recording.
 
-All checks together raise a finding in at most 1e-4 of the sound recordings: 17 tests at this probability make 7e-5
-(vibration; rotation in windows; lost samples; lags; oscillation, bumps, creep and noise of windows; settling; joined
-units; drift of scale factors; absent Earth rate, latitude, north; drift of bias; noise of gyros and of accelerometers),
-clipping 1.4e-5, spikes 5e-6 and repeated rows 6e-6. Tests of the options and of a
-calibration's drift come on top.
+All checks and the selection of a drift together raise a finding in at most 1e-4 of the sound recordings. 15 tests at
+this probability make 4.5e-5: lost samples; lags; oscillation, bumps, creep, noise of windows; settling; joined units;
+drift of scale factors; absent Earth rate, latitude, north; drift of bias; noise of gyros and of accelerometers. The
+drift in a calibration adds 2e-5, clipping 1.4e-5, vibration and rotation in windows 8e-6, repeated rows 6e-6 and spikes
+5e-6. Tests of the options come on top.
 """
 
 

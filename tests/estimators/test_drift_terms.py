@@ -115,7 +115,7 @@ def test_filter_is_the_block_solution_with_drift():
 
 @pytest.mark.parametrize("units", [3, pytest.param(30, marks=pytest.mark.slow)])
 def test_recordings_without_drift_are_not_changed(units):
-    """Units with bias instability as specified: by design one of 10,000 selects a drift."""
+    """Units with bias instability as specified: by design at most one of 50,000 selects a drift."""
     for seed in range(units):
         grade = ("navigation", "tactical", "industrial")[seed % 3]
         recording, _ = noisy_recording(200 + seed, grade, sample_rate_hz=20.0, instability=True)
