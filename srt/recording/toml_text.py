@@ -6,6 +6,8 @@ import re
 import tomllib
 from typing import TYPE_CHECKING, Any, Final
 
+from srt.recording.bounded_file import read_bounded
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -25,13 +27,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     OSError
-        A file that cannot be read.
+        A file that cannot be read, or is too large.
     ValueError
-        A file that is not TOML, or exceeds the bounds; the message is a clause that says why.
+        A file that is not TOML, or has keys that are too long; the message is a clause that says why.
     """
-    if path.stat().st_size > MAX_BYTES:
-        raise ValueError(f"it is larger than {MAX_BYTES >> 20} MB")
-    data = path.read_bytes()
+    data = read_bounded(path, MAX_BYTES)
     long_key = _LONG_KEY.search(data)
     if long_key is not None:
         line = data.count(b"\n", 0, long_key.start()) + 1

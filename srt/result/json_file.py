@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from srt.exceptions import InputError
 from srt.recording.atomic_file import atomic_write_text
+from srt.recording.bounded_file import read_bounded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -74,8 +75,7 @@ def load_json_file(
         If the file cannot be read, is no JSON, is not complete, is not accepted, or differs from its digest.
     """
     try:
-        with open(path, encoding="utf-8") as file:  # noqa: PTH123 - any path-like is welcome
-            document = parse_json(file.read())
+        document = parse_json(read_bounded(path).decode("utf-8"))
     except OSError as error:
         raise InputError(f"The {noun} {path} cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from srt.recording.import_options import ImportOptions
 from srt.recording.imported_samples import to_recording
 from srt.recording.importer_registry import import_file
 from srt.recording.samples import ACCEL_COLUMNS, GYRO_COLUMNS, read_samples
+from srt.reports.certificate import load_acceptance_limits
+from srt.reports.certificate.calibration_file import load_calibration_file
 
 QUICK_S = 5.0
 """Time limit of a refusal, s, on a machine that others use; the slowest takes half a second alone."""
@@ -115,6 +118,12 @@ def test_json_nested_deep(tmp_path, read, opening):
     path = tmp_path / "nested.json"
     path.write_text(opening * 200_000)
     assert "is not valid JSON" in refusal(read, path)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device without an end")
+@pytest.mark.parametrize("read", [srt.load_calibration, load_truth, load_acceptance_limits, load_calibration_file])
+def test_a_device_without_an_end_is_read_to_the_bound(read):
+    assert "is larger than" in refusal(read, Path("/dev/full"))
 
 
 @pytest.mark.parametrize("where", ["header", "row"])

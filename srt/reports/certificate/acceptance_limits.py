@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from srt.exceptions import InputError, clipped, did_you_mean
+from srt.recording.toml_text import read_toml
 from srt.sensor_errors import DISPLAY_FACTORS, DISPLAY_UNITS, GROUP_SLICES, INDEX, N_PARAMETERS, NAMES
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def load_acceptance_limits(path: Path) -> AcceptanceLimits:
         A file that cannot be read, an unknown key, a wrong unit, or a limit that is no positive number.
     """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = read_toml(path)
     except OSError as error:
         raise InputError(f"The limits {path} cannot be read: {error.strerror}.") from None
     except (ValueError, RecursionError) as error:

@@ -17,6 +17,7 @@ import numpy as np
 
 from srt.exceptions import InputError, clipped
 from srt.model.sensor_model import outside_model
+from srt.recording.bounded_file import read_bounded
 from srt.result.calibration import Calibration, load_calibration
 from srt.result.json_file import json_text
 from srt.result.verdict import USABLE
@@ -98,7 +99,7 @@ def load_calibration_file(path: Path, *, trust: bool = False) -> CalibrationFile
         each other.
     """
     try:
-        data = path.read_bytes()
+        data = read_bounded(path)
         calibration = load_calibration(path, trust=True)
         document = json.loads(data, parse_constant=_number, parse_float=_number, parse_int=_number)
     except OSError as error:
