@@ -203,7 +203,7 @@ def rounding(triad, v):
 
 
 @given(triads(), vectors)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_compensate_inverts_read(triad, v):
     found = triad.compensate(triad.read(v))
     assert np.all(np.linalg.norm(found - v, axis=1) <= rounding(triad, v))

@@ -116,12 +116,13 @@ def test_an_index_that_is_read_again_and_again_is_refused(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])
-def test_a_bomb_in_a_bag_is_refused(tmp_path, compression):
-    """A chunk that grows to 640 MiB."""
+def test_a_bomb_in_a_bag_is_refused(tmp_path, monkeypatch, compression):
+    """A chunk that grows to 192 MiB, where 64 MiB are allowed."""
+    monkeypatch.setattr(child_process, "MEMORY_ALLOWANCE", 64 << 20)
     ff.write_bag1(tmp_path / "a.bag", {"/imu": (STAMPS, VALUES, "")}, compression)
     data = (tmp_path / "a.bag").read_bytes()
     library = importlib.import_module({"bz2": "bz2", "lz4": "lz4.frame"}[compression])
-    bomb = library.compress(bytes(640 << 20)) if compression == "lz4" else 10 * library.compress(bytes(64 << 20))
+    bomb = library.compress(bytes(192 << 20)) if compression == "lz4" else 3 * library.compress(bytes(64 << 20))
     place = data.index(f"compression={compression}".encode())
     place += len(f"compression={compression}")
     # The header's last field is the size; after it stands the length of the chunk's data.

@@ -118,7 +118,7 @@ def test_any_float_reads_back_to_the_last_bit(samples_format, data):
         assert samples.column(name).tobytes() == again.column(name).tobytes()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     latitude=st.floats(-90.0, 90.0),
     heading=st.floats(-360.0, 360.0),

@@ -69,7 +69,7 @@ def rounding(triad, v, dt=1.0):
 
 
 @given(calibrations(), vectors, vectors)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_apply_after_reading_is_the_identity(calibration, rate, force):
     for dt in (None, 0.01):
         scale = 1.0 if dt is None else dt
@@ -85,7 +85,7 @@ def test_apply_after_reading_is_the_identity(calibration, rate, force):
 
 
 @given(calibrations(), vectors, vectors, st.sampled_from(["mars", "table"]), st.sampled_from([None, 0.01]))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_one_sample_is_the_array_to_the_last_bit(calibration, gyro, accel, frame, dt):
     applier = Applier(calibration, frame=frame, block=4)
     whole = applier.apply(gyro, accel, dt=dt)
@@ -343,14 +343,14 @@ def test_covariance_of_a_sample_is_that_of_drawn_calibrations(unit, frame, dt):
         np.array([[1.0, 5.0, -9.0], [9.0, 1, 3]]) * scale,
     )
     rng = np.random.default_rng(6)
-    draws = rng.multivariate_normal(unit.errors.vector, unit.covariance, 1000, method="cholesky")
+    draws = rng.multivariate_normal(unit.errors.vector, unit.covariance, 400, method="cholesky")
     values = [np.hstack(Applier(calibrated(d), frame=frame, block=2).apply(gyro, accel, dt=dt)) for d in draws]
     found = Applier(unit, frame=frame).sample_covariance(gyro, accel, dt=dt)
     assert found.shape == (2, 6, 6)
     for i in range(2):
         expected = np.cov(np.array(values)[:, i].T)
         sigma = np.sqrt(np.diag(expected))
-        # 168 numbers of the four cases, 1 % in all: 4.1 standard errors, √(2/1000) of a variance.
+        # 168 numbers of the four cases, 1 % in all: 4.1 standard errors, √(2/400) of a variance.
         assert np.abs((found[i] - expected) / np.outer(sigma, sigma)).max() < 4.1 * math.sqrt(2.0 / len(draws))
     single = Applier(unit, frame=frame).sample_covariance(gyro[1], accel[1], dt=dt)
     np.testing.assert_allclose(single, found[1], rtol=1e-12)

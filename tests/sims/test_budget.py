@@ -75,7 +75,7 @@ def assert_predicted(plan, units, chosen, *, estimator="closed-form", modelled=0
 
 def test_predicted_sigma_is_that_of_simulated_units():
     noise, chosen = SOURCES["white"]
-    assert_predicted(scenario(noise=noise), 25, chosen)
+    assert_predicted(scenario(noise=noise), 12, chosen)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from fixture_study import EFFICIENT, ESTIMATORS, Cell, CellResult, UnitResult, m
 
 def test_the_limits_of_a_cell_are_met():
     pytest.importorskip("gtsam")
-    (result,) = study([Cell("navigation", 3.0, 0.05, "skipped")], 6, 4000, 1)
+    (result,) = study([Cell("navigation", 3.0, 0.05, "skipped")], 3, 4000, 1)
     assert not list(result.failures(3 * len(EFFICIENT) + 1))
     assert len(result.row()) == 4 + len(ESTIMATORS)
 

@@ -15,6 +15,7 @@ from srt.recording.atomic_file import atomic_write_bytes
 
 try:
     from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
     from matplotlib.lines import Line2D
@@ -139,5 +140,8 @@ def save_figure(figure: Figure, path: str | PathLike[str]) -> None:
     # Without a date, the same result makes the same file.
     undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     # In memory first: matplotlib leaves the file of a PDF open that cannot be written.
-    figure.savefig(drawn, format=suffix.lstrip("."), metadata=undated.get(suffix))
+    if suffix == ".png":  # the same file in one drawing; savefig draws once more for the layout alone
+        FigureCanvasAgg(figure).print_png(drawn)  # type: ignore[no-untyped-call]
+    else:
+        figure.savefig(drawn, format=suffix.lstrip("."), metadata=undated.get(suffix))
     atomic_write_bytes(path, drawn.getvalue())
