@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from srt.result.calibration import Calibration
 from srt.sensor_errors import GROUP_SLICES, N_PARAMETERS, SensorErrors
 from srt.stacks.gtsam_factor import ErrorVariable, preintegrated_factor
-from srt.stacks.preintegration import preintegrate
+from srt.stacks.preintegration import PreintegratedReadings, preintegrate
 
 G = np.array([0.0, 0.0, -9.8])
 DT, SUB, KEYFRAME_S, DURATION_S, FIXES_S = 0.01, 10, 1.0, 120.0, 90.0
@@ -114,8 +114,7 @@ def estimate(
     weight: float,
     true: Truth,
     unit: Calibration,
-    gyro: np.ndarray,
-    accel: np.ndarray,
+    preintegrated: list[PreintegratedReadings],
     z_true: np.ndarray,
     fixes: np.ndarray,
     start: gtsam.Pose3,
@@ -123,7 +122,7 @@ def estimate(
     """Solve the graph of one mode."""
     variable = ErrorVariable(unit)
     step = round(KEYFRAME_S / DT)
-    count = len(gyro) // step
+    count = len(preintegrated)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(gtsam.PriorFactorPose3(X(0), start, gtsam.noiseModel.Diagonal.Sigmas(START_SIGMA)))
     graph.add(gtsam.PriorFactorVector(V(0), true.velocity[0], gtsam.noiseModel.Isotropic.Sigma(3, 0.05)))
@@ -133,9 +132,7 @@ def estimate(
     values.insert(X(0), start)
     values.insert(V(0), v)
     values.insert(ERRORS(0), np.zeros(variable.size))
-    for k in range(count):
-        part = slice(k * step, (k + 1) * step)
-        summed = preintegrate(unit, gyro[part], accel[part], DT)
+    for k, summed in enumerate(preintegrated):
         keys = X(k), V(k), X(k + 1), V(k + 1), ERRORS(0)
         graph.add(preintegrated_factor(keys, summed, variable, G))
         T = summed.duration_s
@@ -191,7 +188,9 @@ def run(rng: np.random.Generator, true: Truth, modes: dict[str, float] = MODES) 
     offset = START_SIGMA * rng.standard_normal(6)
     exact = gtsam.Pose3(gtsam.Rot3(true.attitude[0]), true.position[0])
     start = exact.retract(offset)
-    given = true, unit, gyro, accel, z_true, fixes, start
+    parts = [slice(k, k + step) for k in range(0, len(gyro) // step * step, step)]
+    preintegrated = [preintegrate(unit, gyro[part], accel[part], DT) for part in parts]
+    given = true, unit, preintegrated, z_true, fixes, start
     return {name: estimate(weight, *given) for name, weight in modes.items()}
 
 

@@ -129,8 +129,8 @@ def preintegrate(
         rotation=after[-1],
         velocity=V[-1],
         position=P[-1],
-        jacobian=np.einsum("nij,njk->ik", G, by_errors),
-        covariance=np.einsum("nij,jk,nlk->il", G, noise, G),
+        jacobian=np.tensordot(G, by_errors, axes=([0, 2], [0, 1])),
+        covariance=np.tensordot(G @ noise, G, axes=([0, 2], [0, 2])),
         duration_s=n * dt,
         errors=at,
     )

@@ -182,6 +182,7 @@ def test_an_absent_jinja2_says_what_to_install(lab, tmp_path, monkeypatch, capfd
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_an_edited_calibration_needs_trust(lab, tmp_path, capfd):
     """A scale factor that the sensor model allows, and a covariance that fits: only the digest tells."""
     document = json.loads((lab / "new.json").read_text())

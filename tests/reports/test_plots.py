@@ -114,7 +114,9 @@ def test_it_is_1200_pixels_wide_at_least(tmp_path):
 
 @pytest.mark.parametrize(("suffix", "magic"), [(".pdf", b"%PDF"), (".svg", b"<?xml")])
 def test_files_by_their_ending(tmp_path, suffix, magic):
-    save_figure(calibration_figure(calibration()), tmp_path / f"x{suffix}")
+    figure = calibration_figure(calibration())
+    figure.set_layout_engine("none")  # the arrangement of the parts is the same in every format
+    save_figure(figure, tmp_path / f"x{suffix}")
     assert (tmp_path / f"x{suffix}").read_bytes().startswith(magic)
     assert len(list(tmp_path.iterdir())) == 1
 
