@@ -1,4 +1,4 @@
-"""Every example runs, and the README shows what the examples are and print."""
+"""The example runs, and the README shows what the examples are and print."""
 
 import os
 import re
@@ -6,10 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
-EXAMPLES = [ROOT / "examples" / "quickstart.py"]  # the navigation example has tests of its own
+EXAMPLES = ["examples/quickstart.py"]  # the navigation example has tests of its own
 
 
 def run(example, folder):
@@ -24,16 +22,12 @@ def run(example, folder):
     ).stdout
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda p: p.name)
-def test_example_runs(example, tmp_path):
-    assert run(example, tmp_path)
-
-
 def test_readme_shows_the_quickstart_and_its_output(tmp_path):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = re.search(r"<!-- example: (\S+) -->\n```python\n(.*?)```", readme, re.DOTALL)
     printed = re.search(r"<!-- output -->\n```\n(.*?)```", readme, re.DOTALL)
     assert shown
+    assert [shown[1]] == EXAMPLES
     assert printed
     source = (ROOT / shown[1]).read_text(encoding="utf-8")
     assert shown[2] in source

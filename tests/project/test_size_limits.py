@@ -15,9 +15,17 @@ LARGEST_FUNCTION = 60
 """Lines from ``def`` to the end without the docstring: about one screen."""
 
 
+def statements(node):
+    """All statements of a node; functions are nowhere else."""
+    for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for child in getattr(node, name, ()):
+            yield child
+            yield from statements(child)
+
+
 def function_lines(source):
     """Name, line and number of lines without the docstring of every function of a source text."""
-    for node in ast.walk(ast.parse(source)):
+    for node in statements(ast.parse(source)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             lines = node.end_lineno - node.lineno + 1
             first = node.body[0]

@@ -97,7 +97,7 @@ def test_a_followed_test_tells_each_sequence_once_and_the_repetition_that_helps(
     recording = whole.recording
     followed = FollowedTest(targets={"gyro_scale_x": 1e-7})
     lines = []
-    for time in np.linspace(20.0, float(recording.time[-1]), 25):
+    for time in np.linspace(20.0, float(recording.time[-1]), 13):
         lines += followed.take(truncated(recording, time))
     done = [line for line, urgent in lines if line.startswith("sequence ")]
     assert [line.split()[1] for line in done] == list(SEQUENCES)
