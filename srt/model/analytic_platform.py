@@ -113,13 +113,17 @@ class _ErrorSums:
         F = None if stream.F is None else stream.F[a:b]
         if F is not None:
             V *= F
+        weighted = flat * V[6] if self._parts is not None or self._noise is not None else flat
+        squared = weighted if F is None or self._noise is None else weighted * F
         if self._parts is not None:
-            self._parts.add(flat * V[6], a)
+            self._parts.add(weighted, a)
         for k in sequences:
             s, e = max(int(stream.starts[k]) - a, 0), min(int(stream.starts[k + 1]) - a, m)
             self._sums[k] += flat[:, s:e] @ V[:, s:e].T
             if self._noise is not None:
-                self._noise[k] += _outer(X[:, :, s:e], dt[s:e] if F is None else dt[s:e] * F[s:e] ** 2)
+                # All products of two elements in one multiplication; those of the same column are needed.
+                products = (squared[:, s:e] @ flat[:, s:e].T).reshape(3, 3, 3, 3)
+                self._noise[k] += np.einsum("abcb->acb", products)
             s, e = max(int(stream.rotation[k, 0]) - a, 0), min(int(stream.rotation[k, 1]) - a, m)
             if e > s:
                 self._angle[k] += theta[:, s:e].sum(axis=1)
@@ -187,15 +191,10 @@ class _PartSums:
 
     def add(self, values: Array, first: int) -> None:
         """Add samples, (9, m), from number ``first`` on."""
-        # Running sums, because a part of a very short rotation may hold no sample.
-        running = np.zeros((9, values.shape[1] + 1))
-        np.cumsum(values, axis=1, out=running[:, 1:])
-        self.sums += np.diff(running[:, np.clip(self._edges - first, 0, values.shape[1])], axis=1)
-
-
-def _outer(X: Array, weight: Array) -> Array:
-    """Weighted sums over samples of the outer product of every column of X (3, 3, n), as [a, c, column]."""
-    return np.stack([(X[:, c] * weight) @ X[:, c].T for c in range(3)], axis=2)
+        edges = np.clip(self._edges - first, 0, values.shape[1])
+        some = np.flatnonzero(edges[1:] > edges[:-1])  # a part of a very short rotation may hold no sample
+        if some.size:
+            self.sums[:, some] += np.add.reduceat(values[:, : edges[-1]], edges[some], axis=1)
 
 
 def _integrands(theta: Array, dt: Array, velocity: Array | None) -> Array:

@@ -201,7 +201,9 @@ def _apply(D: Array, v: Array) -> Array:
     """D v for one matrix (3, 3) or one per sample (3, 3, n)."""
     if D.ndim == 2:
         return D @ v
-    out: Array = np.einsum("abn,bn->an", D, v)
+    out: Array = D[:, 0] * v[0]
+    out += D[:, 1] * v[1]
+    out += D[:, 2] * v[2]
     return out
 
 

@@ -46,13 +46,11 @@ def from_rotation_vector(phi: Array) -> Quaternions:
 
 def multiply(p: Quaternions, q: Quaternions) -> Quaternions:
     """Hamilton product p ∘ q of arrays of shape (2, n) (or broadcastable)."""
-    out = np.empty(np.broadcast_shapes(p.shape, q.shape), dtype=np.complex128)
     # SU(2): (a, b)(c, d) = (a c - b d*, a d + b c*)
-    conjugate = np.conj(q)
-    np.multiply(p[0], q[0], out=out[0])
-    out[0] -= p[1] * conjugate[1]
-    np.multiply(p[0], q[1], out=out[1])
-    out[1] += p[1] * conjugate[0]
+    out: Quaternions = p[0] * q
+    crossed = p[1] * np.conj(q[::-1])
+    out[0] -= crossed[0]
+    out[1] += crossed[1]
     return out
 
 
@@ -81,17 +79,25 @@ def prefix_product(q: Quaternions) -> Quaternions:
 
 def to_matrix(q: Quaternions) -> Array:
     """Direction cosine matrices, shape (3, 3, n), body to reference, normalised."""
-    w, z, y, x = q.real[0].copy(), -q.imag[0], -q.real[1], -q.imag[1]
-    # Rounding changes the norm by about 1e-16 per level of the product tree; the division normalises it in one pass.
-    two = 2.0 / (w * w + x * x + y * y + z * z)
-    xs, ys, zs = x * two, y * two, z * two
-    wx, wy, wz = w * xs, w * ys, w * zs
-    xx, yy, zz = x * xs, y * ys, z * zs
-    xy, xz, yz = x * ys, x * zs, y * zs
+    # Products of a = w - iz and b = -y - ix: Re a² = w² - z², Im a² = -2 wz, ..., two complex elements at a time.
+    a, b = q
+    aa, bb, ab = a * a, b * b, a * b
+    mixed = np.conj(b)
+    mixed *= a
+    norm_a, norm_b = a.real**2 + a.imag**2, b.real**2 + b.imag**2
     C = np.empty((3, 3, q.shape[1]))
-    C[0, 0], C[0, 1], C[0, 2] = 1.0 - (yy + zz), xy - wz, xz + wy
-    C[1, 0], C[1, 1], C[1, 2] = xy + wz, 1.0 - (xx + zz), yz - wx
-    C[2, 0], C[2, 1], C[2, 2] = xz - wy, yz + wx, 1.0 - (xx + yy)
+    np.subtract(aa.real, bb.real, out=C[0, 0])
+    np.add(aa.imag, bb.imag, out=C[0, 1])
+    np.multiply(ab.real, -2.0, out=C[0, 2])
+    np.subtract(bb.imag, aa.imag, out=C[1, 0])
+    np.add(aa.real, bb.real, out=C[1, 1])
+    np.multiply(ab.imag, 2.0, out=C[1, 2])
+    np.multiply(mixed.real, 2.0, out=C[2, 0])
+    np.multiply(mixed.imag, 2.0, out=C[2, 1])
+    np.subtract(norm_a, norm_b, out=C[2, 2])
+    # Rounding changes the norm by about 1e-16 per level of the product tree; the division normalises it in one pass.
+    norm_a += norm_b
+    C /= norm_a
     return C
 
 
