@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 from srt.noise.bias_instability import correlation_times, flicker_covariance
 from srt.planning.information import N_ROWS, equilibrated_inverse
 from srt.planning.selection import power_mean
-from srt.planning.timetable import move_times, window_borders
+from srt.planning.timetable import window_borders
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,11 +52,7 @@ class ExchangeSearch:
     def borders(self, which: Indices, windows_s: Array) -> Array:
         """Start and end of both windows of every sequence, shape (n, 4), s."""
         between = self.criterion.signatures.between_windows_s[which]
-        return window_borders(windows_s, between, self._moves(which))
-
-    def _moves(self, which: Indices) -> list[float]:
-        signatures = self.criterion.signatures
-        return move_times([signatures.candidates[k] for k in which.tolist()], signatures.fixture)
+        return window_borders(windows_s, between, self.criterion.signatures.moves_s(which))
 
     def ratio(self, which: Indices, windows_s: Array) -> float:
         """Power mean of sigma over target: close to the largest, but differentiable where several are as large."""
@@ -84,20 +80,22 @@ class ExchangeSearch:
 
     def filled(self, which: Indices, windows_s: Array) -> Array | None:
         """Windows scaled by one factor so that the test fills its time; None if they do not fit."""
-        budget = (
-            self.total_s - float(self.criterion.signatures.between_windows_s[which].sum()) - sum(self._moves(which))
-        )
-        return self.criterion.filled(windows_s, budget)
+        signatures = self.criterion.signatures
+        between = signatures.between_windows_s[which].sum() + signatures.moves_s(which).sum()
+        return self.criterion.filled(windows_s, self.total_s - float(between))
 
     def improved(
         self, which: Indices, windows_s: Array, progress: Callable[[], None] | None = None
     ) -> tuple[Indices, Array]:
         """Exchange sequences one by one while the largest sigma over target decreases."""
         now, offer = self.ratio(which, windows_s), self._offer(which, windows_s)
+        tried = 0
         for _ in range(_MOST_PASSES):
             before = now
             for i in range(len(which)):
-                begun = now
+                if tried == len(which):  # every place, since the last exchange
+                    break
+                begun, tried = now, tried + 1
                 for k, windows in offer.shortlist(i):
                     if k == which[i]:
                         continue
@@ -112,7 +110,7 @@ class ExchangeSearch:
                     if value < now * (1.0 - _LEAST_GAIN):
                         which, windows_s, now = trial, full, value
                 if now < begun:
-                    offer = self._offer(which, windows_s)
+                    offer, tried = self._offer(which, windows_s), 0
             if progress is not None:
                 progress()
             if now > before * (1.0 - 2.0 * _LEAST_GAIN):

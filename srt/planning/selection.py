@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from scipy.optimize import minimize
 
-from srt.planning.information import equilibrated_inverse
+from srt.planning.information import equilibrated_inverse, inverse_diagonals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,8 +29,6 @@ _STEP: Final = 1e-3
 """Relative step of a window length for the derivative of its information: the error of a central difference is 1e-6."""
 _LEAST_GAIN: Final = 1e-5
 """Decrease of the logarithm of the criterion in a pass below which the search ends."""
-_BISECTIONS: Final = 60
-"""Bisections for a common factor of windows: to rounding, from any start."""
 
 
 def power_mean(values: Array, power: float) -> Array:
@@ -95,8 +93,8 @@ class AccuracyCriterion:
 
     def variances(self, M: Array) -> Array:
         """Variance over squared target, shape (..., q)."""
-        raw = np.einsum("...aa->...a", equilibrated_inverse(M))[..., self.targets] + self.floor
-        return np.asarray(self.correction * raw)
+        raw = inverse_diagonals(M.reshape(-1, *M.shape[-2:])).reshape(M.shape[:-1])
+        return np.asarray(self.correction * (raw[..., self.targets] + self.floor))
 
     def ratio(self, which: Indices, windows_s: Array) -> float:
         """Largest sigma over target."""
@@ -187,13 +185,10 @@ def _filled(windows: Array, budget_s: float, low: float, high: float) -> Array:
         return np.full(len(windows), low)
     if budget_s >= high * len(windows):
         return np.full(len(windows), high)
-    smallest, largest = 0.0, high / windows.min()
-    for _ in range(_BISECTIONS):
-        factor = 0.5 * (smallest + largest)
-        smallest, largest = (
-            (factor, largest) if np.clip(factor * windows, low, high).sum() < budget_s else (smallest, factor)
-        )
-    return np.clip(smallest * windows, low, high)
+    # The sum is linear in the factor between those at which a window reaches a limit.
+    factors = np.sort(np.concatenate([low / windows, high / windows]))
+    sums = np.clip(factors[:, None] * windows, low, high).sum(axis=1)
+    return np.asarray(np.clip(np.interp(budget_s, sums, factors) * windows, low, high))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -364,7 +359,7 @@ class _Search:
         g, X = np.diag(inverse)[self.criterion.targets] + self.criterion.floor, inverse[:, self.criterion.targets]
         wanted = self.criterion.correction * g
         weight = self.criterion.correction * (wanted / wanted.max()) ** (self.power - 1.0) / wanted.max()
-        gain = np.einsum("kab,ab->k", self.information[level[0]], (X * weight) @ X.T)
+        gain = self.information[level[0]].reshape(len(self.pool_windows), -1) @ ((X * weight) @ X.T).ravel()
         return np.union1d(np.argsort(-gain)[:_PROMISING], np.argsort(-gain / self.cost[level[0]])[:_PROMISING]).astype(
             np.intp
         )
