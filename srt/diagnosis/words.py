@@ -337,11 +337,7 @@ def _stuck_bit(counts: Array) -> int | None:
     words = np.rint(counts)
     if float(np.abs(counts - words).max()) > _WHOLE or float(np.abs(words).max()) >= 2.0**_BITS:
         return None
-    whole = np.unique(words.astype(np.int64))
-    for bit in range(_BITS):
-        passed = np.unique(whole >> bit)
-        if len(passed) < _PASSED:
-            break
-        if np.all(passed & 1):
-            return bit
-    return None
+    whole = words.astype(np.int64)
+    common = int(np.bitwise_and.reduce(whole))
+    bit = (common & -common).bit_length() - 1
+    return bit if 0 <= bit < _BITS and len(np.unique(whole >> bit)) >= _PASSED else None

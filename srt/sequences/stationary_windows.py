@@ -186,16 +186,17 @@ def _still_outward(
     n, tremor = 1, np.ones(6)
     while n <= min(len(index), max(1, round(_LONGEST_SUM_S / recording.nominal_interval_s))):
         if 4 * n <= len(beside):  # tremor of a hand: sums vary more than those of independent readings
-            tremor = np.maximum(tremor, np.mean((within[n:] - within[:-n]) ** 2, axis=0) / n)
+            change = within[n:] - within[:-n]
+            tremor = np.maximum(tremor, np.einsum("nc,nc->c", change, change) / (len(change) * n))
         if n > 1:
             tremor = np.maximum(tremor, spread)
         # The factor (1 + n/N) is the uncertainty of the core's mean.
         limit = _SIGMAS * np.sqrt(n * tremor * (1.0 + n / len(beside)) + n**2 * wander)
-        beyond = np.any(np.abs(total[n:] - total[:-n]) > limit, axis=1)
+        beyond = (np.abs(total[n:] - total[:-n]) > limit).any(axis=1)
         if beyond.any():
-            found = int(np.argmax(beyond)) + n - 1
-            if found < best:
-                best, kept = found, max(0, found - 2 * (n - 1))
+            # Longer sums that end later do not shorten the window.
+            best = int(np.argmax(beyond)) + n - 1
+            kept, total = max(0, best - 2 * (n - 1)), total[: best + 1]
         n *= 2
     # The sample next to the motion may contain its first or last moment, below the detection limit.
     while 0 < kept < len(index) and np.any(np.abs(deviation[kept - 1, :3]) > _DOUBTFUL):
