@@ -7,7 +7,6 @@ and imported on first use.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 from importlib import import_module
 from typing import Any, Final
 
@@ -72,6 +71,8 @@ class Presented:
         return text
 
     def _repr_html_(self) -> str:
+        from html import escape  # on use: notebooks alone need it
+
         own = _presentation(self)
         page: str = f"<pre>{escape(repr(self))}</pre>" if own is None or own.html is None else present(self, "html")
         return page

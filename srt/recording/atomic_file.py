@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
-import secrets
-import socket
 import zlib
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -24,7 +23,7 @@ _LEFTOVER: Final = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.tmp(\.\w+
 
 @cache
 def _machine() -> str:
-    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+    return f"{zlib.crc32(platform.node().encode()):08x}"
 
 
 def remove_leftovers(folder: Path) -> None:
@@ -76,7 +75,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     # A symbolic link remains, and its target is replaced.
     target = Path(os.path.realpath(path))
     _remove_leftovers_once(target.parent)
-    mark = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
+    mark = f"{_machine()}-{os.getpid()}-{os.urandom(4).hex()}"
     temporary = target.with_name(f".{target.stem}.{mark}.tmp{target.suffix}")
     try:
         yield temporary
