@@ -282,10 +282,11 @@ class _Search:
 
     def _level(self, cost: Array) -> tuple[Indices, Array]:
         """Interval of factors in which costs, shape (factors, n), reach the time, and the fraction of that interval."""
-        level = np.clip((cost <= self.total_s).sum(axis=0) - 1, 0, len(_FACTORS) - 2)
+        # Costs do not decrease with the factor: the last interval that begins within the time, else the first.
+        level = (cost[1:-1] <= self.total_s).sum(axis=0)
         n = np.arange(cost.shape[1])
         low, high = cost[level, n], cost[level + 1, n]
-        share = np.clip((self.total_s - low) / np.maximum(high - low, 1e-9), 0.0, 1.0)
+        share = np.minimum(np.maximum((self.total_s - low) / np.maximum(high - low, 1e-9), 0.0), 1.0)
         return level, np.where(cost[0] <= self.total_s, share, np.nan)
 
     def values(self, cost: Array, information: Array, added: Indices | None = None) -> Array:
@@ -308,8 +309,7 @@ class _Search:
                 M += (1.0 - part) * self.information[at, k] + part * self.information[at + 1, k]
             g = self.criterion.variances(self.criterion.prior + M)
             largest = g.max(axis=1)
-            mean = np.mean((g / largest[:, None]) ** self.power, axis=1)
-            out[fits] = np.log(largest) + np.log(mean) / self.power
+            out[fits] = np.log(largest) + np.log(((g / largest[:, None]) ** self.power).mean(axis=1)) / self.power
         return out
 
     def run(self, start: Indices) -> Indices | None:
