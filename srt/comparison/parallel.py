@@ -139,6 +139,26 @@ def one_thread(extra: str) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _ended_managers_are_silent() -> Iterator[None]:
+    """Keep a manager of worker processes that were killed on purpose from printing a traceback.
+
+    Interrupted while it waits for a result, joblib kills the workers and drops their tasks while the manager's thread
+    still hands tasks out: the thread ends with a KeyError, which nobody can act on.
+    """
+    before = threading.excepthook
+
+    def hook(args: threading.ExceptHookArgs) -> None:
+        if not getattr(getattr(args.thread, "executor_flags", None), "kill_workers", False):
+            before(args)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before
+
+
 def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: int) -> Iterator[R]:
     try:
         from joblib import Parallel, delayed, parallel_config
@@ -147,7 +167,7 @@ def _on_this_machine(call: Callable[[Any], R], tasks: Iterable[Any], workers: in
         raise MissingExtraError("joblib", "campaign", "Running in several processes") from error
     given_up = threading.Event()
     wanted = (task for task in tasks if not given_up.is_set())
-    with parallel_config(backend="loky", inner_max_num_threads=1):
+    with _ended_managers_are_silent(), parallel_config(backend="loky", inner_max_num_threads=1):
         parallel = Parallel(
             n_jobs=workers, return_as="generator_unordered", batch_size=1, pre_dispatch=_AHEAD * workers
         )

@@ -4,10 +4,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from sims.robustness.run import run_campaign
 from sims.robustness.trial import OUTCOMES, run_trial, score
 from sims.scenarios.scenario import load_scenario
 from sims.scenarios.simulation import simulate
-from srt.comparison.parallel import Engine
+from srt.comparison.parallel import Engine, _ended_managers_are_silent
 from srt.constants import DEG
 from srt.exceptions import DataError, InputError
 from srt.sensor_errors import GROUP_SLICES, NAMES, SensorErrors
@@ -452,3 +454,21 @@ def die(_):
 def test_a_worker_that_dies_is_said():
     with pytest.raises(DataError, match="what finished before is kept"):
         list(Engine(2).run(die, range(4)))
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_a_manager_of_killed_workers_ends_without_a_traceback(killed, monkeypatch):
+    """An interruption prints one sentence; what ends another thread is still told."""
+    told = []
+    monkeypatch.setattr(threading, "excepthook", told.append)
+
+    def fail():
+        raise KeyError(5)
+
+    with _ended_managers_are_silent():
+        thread = threading.Thread(target=fail)
+        thread.executor_flags = SimpleNamespace(kill_workers=killed)
+        thread.start()
+        thread.join()
+    assert len(told) == (not killed)
+    assert threading.excepthook == told.append
