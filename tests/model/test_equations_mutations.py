@@ -265,26 +265,40 @@ def poses_hold(model):
 
 
 def turns_hold(model):
-    """The turn between two poses as gyros sense it, and its derivatives where it does not fit them."""
+    """The turn between two poses, and its part about the vertical, as gyros sense it; derivatives elsewhere."""
     T, earth = np.array([TURN_S]), EARTH_NED[None]
-    start, end = WINDOWS[:1], WINDOWS[1:]
     off_start, off_end = ELSEWHERE[:1], ELSEWHERE[1:]
 
-    def residual(s=0.0, e=0.0, c=0.0, ω=0.0):
+    def found(s=0.0, e=0.0, c=0.0, ω=0.0):
         C = turned_by(np.zeros(3) - c) @ TURNED[None]
         s, e = (turned_by(np.zeros(3) + v) for v in (s, e))
-        return model.rotation_residual(C, off_start @ s, off_end @ e, earth + ω, T)[0]
+        return model.rotation_residual(C, off_start @ s, off_end @ e, earth + ω, T), off_start @ s
 
-    _, by_start, by_end, by_turned, by_earth = model.rotation_residual(TURNED[None], off_start, off_end, earth, T)
     # The left Jacobian of the Earth's turn is taken to first order: (ω_e T)² / 6 of the derivative is left out. What
     # multiplies it, the inverse Jacobian of a residual below 1 rad, and the next order are below 1.5 together.
-    neglected = TURN_S * (np.linalg.norm(EARTH_NED) * TURN_S) ** 2 / 6.0
+    neglected = 1.5 * TURN_S * (np.linalg.norm(EARTH_NED) * TURN_S) ** 2 / 6.0
+    held = close(model.rotation_residual(TURNED[None], WINDOWS[:1], WINDOWS[1:], earth, T)[0], 0.0, 1e-11)
+    for part in (lambda whole, _: whole, model.heading_residual):
+        _, *by = part(*found())
+        for name, J in zip("secω", by, strict=True):
+            expected = derivative(lambda v, name=name, part=part: part(*found(**{name: v}))[0])
+            held = held and close(J, expected, NUMERICAL + neglected * (name == "ω"))
+    return held and close(part(*found())[0], off_start[0, 2] @ found()[0][0][0], 1e-15)
+
+
+def stated_rates_hold(model):
+    """A unit that turns at the stated rate, and about the same axis with the Earth; derivatives away from it."""
+    axis, stated = np.array([0.6, -0.48, 0.64]), 0.5
+    executed = (stated + EARTH_NED @ axis) * axis
+    _, by_rate, by_earth = model.stated_rate_residual(OMEGA[0], EARTH_NED, stated)
     return (
-        close(model.rotation_residual(TURNED[None], start, end, earth, T)[0], 0.0, 1e-11)
-        and close(by_start, derivative(lambda v: residual(s=v)), NUMERICAL)
-        and close(by_end, derivative(lambda v: residual(e=v)), NUMERICAL)
-        and close(by_turned, derivative(lambda v: residual(c=v)), NUMERICAL)
-        and close(by_earth, derivative(lambda v: residual(ω=v)), 1.5 * neglected + NUMERICAL)
+        close(model.stated_rate_residual(executed, EARTH_NED, stated)[0], 0.0, 1e-15)
+        and close(
+            by_rate, derivative(lambda v: model.stated_rate_residual(OMEGA[0] + v, EARTH_NED, stated)[0]), NUMERICAL
+        )
+        and close(
+            by_earth, derivative(lambda v: model.stated_rate_residual(OMEGA[0], EARTH_NED + v, stated)[0]), NUMERICAL
+        )
     )
 
 
@@ -345,6 +359,7 @@ def holds(simulated, model=measurement_model, integrals=rotation_integrals, clos
         and model_holds(model)
         and poses_hold(model)
         and turns_hold(model)
+        and stated_rates_hold(model)
         and starts_hold(model)
         and table_1_holds(model, integrals, simulated("held"), 0.0)
         and table_1_holds(model, integrals, simulated("integrated"), WINDOW_S)
