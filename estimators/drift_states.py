@@ -9,7 +9,7 @@ has states x at the start and white unknowns u of unit variance. Its effects on 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -166,3 +166,32 @@ def drift_states(
     transition = np.linalg.solve(Gamma, np.concatenate([-phi, -B, unit], axis=2))
     states, noises = ({name: a[at[0][:, None], at[1]] for name, at in places.items()} for a in (by_state, L))
     return DriftStates({name: at[0] for name, at in places.items()}, states, noises, transition)
+
+
+WINDOW_ROWS: Final = {"force": slice(0, 3), "rate": slice(3, 6)}
+"""Rows of force and rate in a measurement of both, of the kind "window"."""
+
+
+def combined(drift: Mapping[str, DriftStates]) -> DriftStates:
+    """Drift of both triads, or of the one that has any, as one process; force and rate of a window are one kind.
+
+    States, white unknowns and transitions are those of the triads one after the other.
+    """
+    X, U = (sum(sizes) for sizes in ([of.states for of in drift.values()], [of.unknowns for of in drift.values()]))
+    steps: dict[str, Indices] = {}
+    by_state: dict[str, Array] = {}
+    by_noise: dict[str, Array] = {}
+    transition = np.zeros((max((len(of.transition) for of in drift.values()), default=0), X, X + U + X))
+    x = u = 0
+    for of in drift.values():
+        states, unknowns = np.arange(x, x + of.states), np.arange(u, u + of.unknowns)
+        for name, step in of.steps.items():
+            kind, rows = ("window", WINDOW_ROWS[name]) if name in WINDOW_ROWS else (name, slice(None))
+            steps[kind] = step
+            d = 6 if kind == "window" else of.by_state[name].shape[1]
+            by_state.setdefault(kind, np.zeros((len(step), d, X)))[:, rows, states] = of.by_state[name]
+            by_noise.setdefault(kind, np.zeros((len(step), d, U)))[:, rows, unknowns] = of.by_noise[name]
+        columns = np.concatenate([states, X + unknowns, X + U + states])
+        transition[:, states[:, None], columns] = of.transition
+        x, u = x + of.states, u + of.unknowns
+    return DriftStates(steps, by_state, by_noise, transition)

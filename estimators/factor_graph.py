@@ -11,7 +11,7 @@ Variables:
 - ``e``: unknown part of the Earth's rate in each level frame;
 - ``a``: attitude in each stationary window;
 - ``q``: quantization error at each window edge;
-- ``d``, ``n``; ``c``, ``m``: states and white unknowns of the bias instability of gyros and accelerometers, by step;
+- ``d``, ``n``: states and white unknowns of the bias instability of all sensors, by step;
 - ``s``: correction to the coefficients of the modelled drift;
 - ``t``: correction to the error of the rate table, in sigmas.
 """
@@ -24,9 +24,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, D, E, F, G, L, M, N, Q, S, T, U, X
+from gtsam.symbol_shorthand import A, B, D, E, F, G, L, N, Q, S, T, U, X
 
 from estimators import factors
+from estimators.drift_states import combined
 from estimators.linear_system import N_ERRORS, total
 from estimators.linearisation import (
     fixed_headings,
@@ -40,16 +41,13 @@ from srt.sensor_errors import N_PARAMETERS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from estimators.drift_states import DriftStates
     from estimators.joint_model import JointModel
     from estimators.joint_state import CompensatedData, JointState
     from srt.model.prior import Prior
     from srt.types import Array, Indices, Mask
 
 
-DRIFT_KEYS: Final = {"gyro": (D, N), "accel": (C, M)}
-"""Variables of the states and of the white unknowns of the bias instability, by sensor."""
-_LOCAL: Final = "aqnmdc"
+_LOCAL: Final = "aqnd"
 """Variables of one step, in the order of their elimination."""
 _HEADING_SIGMA: Final = 1e-8
 """Standard deviation of a fixed heading, rad; its effect via the Earth's rate is far below any noise."""
@@ -96,6 +94,8 @@ class FactorGraph:
         """Kind, number and sequence of each measurement factor. These factors are the first in the graph."""
         self.last_step: dict[int, int] = {}
         """Last step in time that measures each variable."""
+        self.drift = combined(compensated.drift)
+        """Bias instability of gyros and accelerometers as one process: half the variables and Jacobians for gtsam."""
         self._variables()
         self._linear_variables()
         self._windows()
@@ -171,8 +171,8 @@ class FactorGraph:
         joint = self.joint
         for number in range(self.compensated.edges.unknowns):
             self.values.insert(Q(number), np.zeros(3))
-        for sensor, drift in self.compensated.drift.items():
-            for key, size in zip(DRIFT_KEYS[sensor], (drift.states, drift.unknowns), strict=True):
+        if self.compensated.drift:
+            for key, size in ((D, self.drift.states), (N, self.drift.unknowns)):
                 for step in range(joint.data.K):
                     self.values.insert(key(step), np.zeros(size))
         if joint.drift.size:
@@ -204,13 +204,12 @@ class FactorGraph:
         """Linear term of the modelled drift."""
         return [(int(S(0)), jacobian)] if self.joint.drift.size else []
 
-    def _drift(self, sensor: str, kind: str, number: int) -> list[tuple[int, Array]]:
-        """Linear terms of the bias instability of a sensor in a measurement, if specified."""
-        drift = self.compensated.drift.get(sensor)
-        if drift is None:
+    def _drift(self, kind: str, number: int, sign: float = 1.0) -> list[tuple[int, Array]]:
+        """Linear terms of the bias instability in a measurement, if specified."""
+        if kind not in self.drift.steps:
             return []
-        step, effects = int(drift.steps[kind][number]), (drift.by_state[kind], drift.by_noise[kind])
-        return [(int(key(step)), J[number]) for key, J in zip(DRIFT_KEYS[sensor], effects, strict=True)]
+        step, effects = int(self.drift.steps[kind][number]), (self.drift.by_state[kind], self.drift.by_noise[kind])
+        return [(int(key(step)), sign * J[number]) for key, J in zip((D, N), effects, strict=True)]
 
     def _edges(self, kind: str, number: int) -> list[tuple[int, Array]]:
         """Linear terms of the errors at window edges that a window or rotation shares."""
@@ -237,8 +236,7 @@ class FactorGraph:
         for w in range(len(T)):
             jacobian = -np.concatenate([compensated.force_jacobian[w], compensated.rate_jacobian[w]])
             linear = self._linear(jacobian, int(joint.window_sequence[w]))
-            linear += [(key, -np.concatenate([J, np.zeros_like(J)])) for key, J in self._drift("accel", "force", w)]
-            linear += [(key, -np.concatenate([np.zeros_like(J), J])) for key, J in self._drift("gyro", "rate", w)]
+            linear += self._drift("window", w, -1.0)
             linear += self._forms(-np.concatenate([compensated.drift_form[kind][w] for kind in ("force", "rate")]))
             linear += [(key, -np.concatenate([np.zeros((3, 3)), J])) for key, J in self._edges("rate", w)]
             owner = int(joint.window_sequence[w])
@@ -267,7 +265,7 @@ class FactorGraph:
             )
             self.kinds.append(rotations)
             for i, k in enumerate(members.tolist()):
-                linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("gyro", "turn", k)
+                linear = self._linear(compensated.rotation_jacobian[k], k) + self._drift("turn", k)
                 linear += self._forms(compensated.drift_form["turn"][k])
                 linear += self._edges("turn", k)
                 terms = factors.ErrorFunction(linear, rotations.keys(i), partial(rotations.at, i), scaled=True)
@@ -286,7 +284,7 @@ class FactorGraph:
         self.kinds.append(kind)
         for r, k in enumerate(runs.sequences.tolist()):
             linear = self._linear(-runs.jacobian[r], k)
-            linear += [(key, -J) for key, J in self._drift("gyro", "stated_rate", r)]
+            linear += self._drift("stated_rate", r, -1.0)
             linear += self._forms(-compensated.drift_form["stated_rate"][r])
             linear.append((int(T(0)), runs.by_table_rate[r]))
             self._add("stated_rate", k, k, noise[r], factors.ErrorFunction(linear, kind.keys(r), partial(kind.at, r)))
@@ -337,8 +335,8 @@ class FactorGraph:
         unit = isotropic(3, 1.0)
         for number in range(self.compensated.edges.unknowns):
             graph.add(gtsam.PriorFactorVector(Q(number), np.zeros(3), unit))
-        for sensor, drift in self.compensated.drift.items():
-            self._drift_chain(sensor, drift)
+        if self.compensated.drift:
+            self._drift_chain()
         if self.compensated.stated.sequences.size:
             graph.add(gtsam.PriorFactorVector(T(0), np.full(1, -self.state.table_rate), isotropic(1, 1.0)))
         if joint.drift.size:
@@ -353,17 +351,16 @@ class FactorGraph:
         if prior is not None:
             self._error_prior(prior)
 
-    def _drift_chain(self, sensor: str, drift: DriftStates) -> None:
+    def _drift_chain(self) -> None:
         """Add the distribution of the states at the start, that of the white unknowns, and the transitions."""
-        state, unknown = DRIFT_KEYS[sensor]
-        X, U, K = drift.states, drift.unknowns, self.joint.data.K
+        X, U, K = self.drift.states, self.drift.unknowns, self.joint.data.K
         white, unit = gtsam.noiseModel.Unit.Create(X), gtsam.noiseModel.Unit.Create(U)
-        self.graph.add(gtsam.PriorFactorVector(state(0), np.zeros(X), white))
+        self.graph.add(gtsam.PriorFactorVector(D(0), np.zeros(X), white))
         for i in range(K):
-            self.graph.add(gtsam.PriorFactorVector(unknown(i), np.zeros(U), unit))
-        for i, coefficients in enumerate(drift.transition):
-            now = state(i), coefficients[:, :X], unknown(i), coefficients[:, X : X + U]
-            linear = gtsam.JacobianFactor(*now, state(i + 1), coefficients[:, X + U :], np.zeros(X), white)
+            self.graph.add(gtsam.PriorFactorVector(N(i), np.zeros(U), unit))
+        for i, coefficients in enumerate(self.drift.transition):
+            now = D(i), coefficients[:, :X], N(i), coefficients[:, X : X + U]
+            linear = gtsam.JacobianFactor(*now, D(i + 1), coefficients[:, X + U :], np.zeros(X), white)
             self.graph.add(gtsam.LinearContainerFactor(linear, self.values))
 
     def _error_prior(self, prior: Prior) -> None:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, F, G, L, Q, S, T, U, X
+from gtsam.symbol_shorthand import A, D, F, G, L, N, Q, S, T, U, X
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
-from estimators.factor_graph import DRIFT_KEYS, FactorGraph
+from estimators.factor_graph import FactorGraph
 from estimators.iteration import default_prior, run
 from estimators.recording_opening import open_joint_model
 from estimators.solver import JointSolver, LinearSolution
@@ -50,12 +50,10 @@ _OUTLIER_PROBABILITY: Final = 0.05
 """Probability that the residuals of a sequence without outliers exceed the scale of its loss."""
 _SETTLED_WEIGHT: Final = 1e-3
 """The weights have converged if none changes by more than this."""
-_STEPS: Final = {"squared": 8, "huber": 30, "cauchy": 30}
-"""Largest number of relinearisations per iteration; reweighting converges linearly and needs more."""
-_NEAR: Final = 1e-5
-"""Correction (SI units) below which the attitudes are relinearised without new compensation of the data."""
+_STEPS: Final = {"squared": 1, "huber": 30, "cauchy": 30}
+"""Largest number of relinearisations per iteration: squares wait for data compensated anew, weights converge first."""
 _SETTLED_SIGMAS: Final = 1e-3
-"""The relinearisation has converged if the correction, in sigmas, is below this."""
+"""The reweighting has converged if the correction, in sigmas, is below this."""
 _ATTITUDE_ROWS: Final = 6.0
 """Degrees of freedom used by the two attitudes of a sequence."""
 _LEAST_FREEDOM: Final = 3.0
@@ -122,7 +120,7 @@ class GraphSolver(JointSolver):
         return self.calls >= len(self.stages)
 
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Relinearise the attitudes and update the weights until both converge; runs when the errors are close."""
+        """Solve once; with a robust loss, relinearise and update the weights until both converge."""
         loss = self.stages[min(self.calls, len(self.stages) - 1)]
         self.calls += 1
         prior = default_prior() if self.prior is None and self.observability_pending else self.prior
@@ -130,7 +128,7 @@ class GraphSolver(JointSolver):
         built = FactorGraph(joint, state, system.compensated, system.free, prior=prior)
         values, solution = built.values, None
         for i in range(_STEPS[loss]):
-            if i and loss != "squared":
+            if i:
                 built = FactorGraph(joint, state, system.compensated, system.free, prior=prior, weights=weights)
             try:
                 with built.evaluated(values):
@@ -142,10 +140,9 @@ class GraphSolver(JointSolver):
             before = weights
             if loss != "squared":
                 weights = sequence_weights(built, values, loss)
-            far = loss == "squared" and np.abs(step).max(initial=0.0) > _NEAR
             settled = np.all(np.abs(step) <= _SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance)))
             # The first weights were set before any residuals were known.
-            if far or ((i or loss == "squared") and settled and np.abs(weights - before).max() < _SETTLED_WEIGHT):
+            if i and settled and np.abs(weights - before).max() < _SETTLED_WEIGHT:
                 break
         assert solution is not None
         self.measured = [(kind, number, float(weights[k])) for kind, number, k in built.measured]
@@ -158,7 +155,7 @@ class GraphSolver(JointSolver):
             columns = _columns_of(built, system, key)
             selection[:, at : at + len(columns)] = E[:, columns]
             at += len(columns)
-        return LinearSolution(state, system, delta, E @ delta, selection @ solution.covariance @ selection.T)
+        return LinearSolution(delta, E @ delta, selection @ solution.covariance @ selection.T)
 
     def restart(self) -> None:
         """Restart with the first loss."""
@@ -238,10 +235,13 @@ def _columns(built: FactorGraph, system: LinearSystem, values: Any) -> Array:
         delta[system.columns["drift_form"]] = values.atVector(S(0))
     if built.compensated.stated.sequences.size:
         delta[system.columns["table_rate"]] = values.atVector(T(0))
-    for sensor in built.compensated.drift:
-        for symbol, name in zip(DRIFT_KEYS[sensor], (f"{sensor}_drift", f"{sensor}_drift_noise"), strict=True):
-            by_step = [values.atVector(symbol(step)) for step in range(joint.data.K)]
-            delta[system.columns[name]] = np.concatenate(by_step)
+    at = dict.fromkeys((D, N), 0)
+    for sensor, drift in built.compensated.drift.items():
+        sizes = (f"{sensor}_drift", drift.states), (f"{sensor}_drift_noise", drift.unknowns)
+        for symbol, (name, size) in zip((D, N), sizes, strict=True):
+            own = slice(at[symbol], at[symbol] + size)
+            delta[system.columns[name]] = np.concatenate([values.atVector(symbol(k))[own] for k in range(joint.data.K)])
+            at[symbol] += size
     edges = system.of("edge").reshape(-1, 3)
     for number in range(len(edges)):
         delta[edges[number]] = values.atVector(Q(number))

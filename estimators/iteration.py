@@ -23,7 +23,7 @@ from estimators.drift_terms import DriftTerms, search, shows_instability
 from estimators.elimination_steps import global_columns
 from estimators.initial_attitudes import initial_attitudes
 from estimators.joint_state import NO_ERRORS
-from estimators.linear_system import N_ERRORS
+from estimators.linear_system import N_ERRORS, total
 from estimators.linearisation import linearise
 from estimators.residual_analysis import contradictions, unmodelled_noise
 from estimators.solution_analysis import (
@@ -47,7 +47,7 @@ from srt.estimation.iteration import CONVERGED_CORRECTION, CONVERGED_SIGMAS
 from srt.estimation.move_checks import contradicting_move
 from srt.estimation.observability import OBSERVED_BELOW, admission_sigma, admit
 from srt.model.prior import Prior
-from srt.model.rotations import rotation_matrix
+from srt.model.rotations import rotation_matrix, rotation_vector
 from srt.model.sensor_model import outside_model
 from srt.noise.drift_forms import WALK
 from srt.sensor_errors import NAMES, SensorErrors
@@ -163,8 +163,12 @@ def iterate(
         sigma = np.sqrt(np.maximum(np.diag(iteration.covariance), 0.0))
         if joint.tie_ends(sigma):
             continue
-        if np.all(np.abs(correction) <= np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)) and (
-            solver.settled and (observability_known or solver.prior is not None)
+        negligible = np.maximum(converged[0] * PARAMETER_UNITS, converged[1] * sigma)
+        if (
+            np.all(np.abs(correction) <= negligible)
+            and _neglected_tilt(state, iteration.state) <= converged[1] * _least_tilt_sigma(joint, compensated)
+            and solver.settled
+            and (observability_known or solver.prior is not None)
         ):
             iteration.status, iteration.message = "converged", f"Converged after {len(corrections)} iterations."
             break
@@ -175,6 +179,24 @@ def iterate(
             "(largest component: ratios, rad; accelerometer bias in g)."
         )
     return iteration
+
+
+def _neglected_tilt(before: JointState, after: JointState) -> float:
+    """Largest tilt that the linearisation of the attitudes left out in the last correction, rad.
+
+    It is the product of tilt and heading, which for milliradians exceeds the noise of the accelerometers; a change of
+    heading alone leaves nothing out.
+    """
+    assert before.attitude is not None
+    assert after.attitude is not None
+    turned = rotation_vector(after.attitude @ np.swapaxes(before.attitude, 1, 2))
+    return float(np.max(np.hypot(turned[:, 0], turned[:, 1]) * np.linalg.norm(turned, axis=1)))
+
+
+def _least_tilt_sigma(joint: JointModel, compensated: CompensatedData) -> float:
+    """Smallest standard deviation of the tilt that the mean force of a window shows, rad."""
+    variance = np.einsum("waa->wa", total(compensated.force_noise))
+    return float(np.sqrt(variance.min())) / joint.data.gravity
 
 
 def _compensate(
@@ -226,8 +248,8 @@ def _correct(
     iteration.corrections.append(size)
     if progress is not None:
         progress(len(iteration.corrections), size)
-    iteration.state = apply_correction(solved.state, solved.system, delta)
-    iteration.linearisation_point, iteration.system = solved.state, solved.system
+    iteration.state = apply_correction(state, system, delta)
+    iteration.linearisation_point, iteration.system = state, system
     iteration.compensated, iteration.covariance = system.compensated, solved.covariance
     reason = outside_model(iteration.state.errors)
     if reason is not None:

@@ -21,9 +21,7 @@ from scipy.special import chdtrc
 
 from estimators.accuracy_targets import targets_met
 from estimators.elimination_steps import global_columns
-from estimators.iteration import apply_correction
-from estimators.linear_system import FIXTURE, N_ERRORS, attitude_columns
-from estimators.linearisation import linearise
+from estimators.linear_system import FIXTURE, N_ERRORS
 from estimators.nuisance_elimination import eliminate_nuisances, smoothed
 from estimators.solver import JointSolver, LinearSolution
 from estimators.square_root_filter import SquareRootFilter
@@ -39,17 +37,6 @@ if TYPE_CHECKING:
     from srt.types import Array, Indices
 
 
-_PASSES: Final = 8
-"""Largest number of passes per iteration, each with relinearised attitudes."""
-_NEAR: Final = 1e-5
-"""Correction (SI units) below which the attitudes are relinearised without new compensation of the data."""
-_SMALL_ANGLE_RAD: Final = 1e-6
-"""Correction of the attitudes below which relinearising them changes no measurement.
-
-Its square is 1e-12 rad or g, a millionth of the noise of a window of a navigation-grade unit.
-"""
-_SETTLED_SIGMAS: Final = 1e-3
-"""The relinearisation has converged if the correction, in sigmas, is below this."""
 _MEAN: Final = 3
 """Number of states of the mean gyro bias of the sequences so far, if the bias is a random walk."""
 
@@ -248,26 +235,10 @@ class KalmanSolver(JointSolver):
         self.last: FilterRun | None = None
 
     def solve(self, joint: JointModel, system: LinearSystem, state: JointState) -> LinearSolution:
-        """Run the filter; near the solution, repeat it with relinearised attitudes until these converge.
-
-        The product of a heading and a tilt of milliradians exceeds the accelerometer noise, so that the linearisation
-        point of the attitudes matters. Relinearising them needs no new compensation of the data.
-        """
+        """Run the filter over all sequences."""
         found = run_filter(joint, system, state, self.prior, self.form)
-        for _ in range(_PASSES - 1):
-            attitude = found.delta[system.columns["attitude"]]
-            # Far: the data are compensated anew. Close: the square of the angles is below any noise.
-            if np.abs(found.correction).max() > _NEAR or np.abs(attitude).max(initial=0.0) < _SMALL_ANGLE_RAD:
-                break
-            better = apply_correction(state, system, np.where(attitude_columns(system), found.delta, 0.0))
-            again = linearise(joint, better, system.compensated, system.free)
-            before, found = found, run_filter(joint, again, better, self.prior, self.form)
-            state, system = better, again
-            sigma = np.sqrt(np.diag(found.covariance))
-            if np.all(np.abs(found.correction - before.correction) <= _SETTLED_SIGMAS * sigma):
-                break
         self.last = found
-        return LinearSolution(state, system, found.delta, found.correction, found.covariance)
+        return LinearSolution(found.delta, found.correction, found.covariance)
 
     def diagnostics(self, joint: JointModel) -> dict[str, Any]:
         """Innovations and standard deviations by sequence."""

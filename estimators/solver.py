@@ -23,10 +23,6 @@ class LinearSolution:
 
     Attributes
     ----------
-    state : JointState
-        State that the correction applies to: the linearisation point, or one with relinearised attitudes.
-    system : LinearSystem
-        Linearised about ``state``.
     delta : ndarray, shape (n,)
         Correction of all columns.
     correction : ndarray, shape (27,)
@@ -35,8 +31,6 @@ class LinearSolution:
         Covariance of the reported parameters.
     """
 
-    state: JointState
-    system: LinearSystem
     delta: Array
     correction: Array
     covariance: Array

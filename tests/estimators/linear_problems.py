@@ -41,7 +41,7 @@ class SolveStep(JointSolver):
         rows = system if self.prior is None else linearise(joint, state, system.compensated, system.free, self.prior)
         solution, E = solve(rows), system.parameter_map()
         spread = E @ solution.root
-        return LinearSolution(state, system, solution.delta, E @ solution.delta, spread @ spread.T)
+        return LinearSolution(solution.delta, E @ solution.delta, spread @ spread.T)
 
 
 @dataclass(frozen=True)

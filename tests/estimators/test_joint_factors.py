@@ -29,9 +29,8 @@ def motions():
     return simulated_motions()
 
 
-DRIFT_COLUMNS = {"d": "gyro_drift", "n": "gyro_drift_noise", "c": "accel_drift", "m": "accel_drift_noise"}
-DRIFT_ROWS = {"d": "gyro_drift_start", "n": "gyro_drift_noise", "dnd": "gyro_drift_step"}
-DRIFT_ROWS |= {"c": "accel_drift_start", "m": "accel_drift_noise", "cmc": "accel_drift_step"}
+DRIFT_COLUMNS = {"d": "drift", "n": "drift_noise"}
+DRIFT_ROWS = {"d": "drift_start", "n": "drift_noise", "dnd": "drift_step"}
 
 
 def columns_of(case, built, key):
@@ -46,7 +45,8 @@ def columns_of(case, built, key):
     if letter == "b":
         return part("bias")[built.axes], np.eye(len(built.axes))
     if letter in DRIFT_COLUMNS:
-        columns = system.of(DRIFT_COLUMNS[letter]).reshape(case.joint.data.K, -1)[number]
+        sensors = [system.of(f"{sensor}_{DRIFT_COLUMNS[letter]}") for sensor in system.compensated.drift]
+        columns = np.concatenate([of.reshape(case.joint.data.K, -1)[number] for of in sensors])
         return columns, np.eye(len(columns))
     if letter == "a":
         return part("attitude"), case.state.attitude[number].T
@@ -88,7 +88,8 @@ def rows_of_factor(case, built, i):
     keys = built.graph.at(i).keys()
     letters, number = "".join(chr(gtsam.symbolChr(k)) for k in keys), gtsam.symbolIndex(keys[0])
     if letters in DRIFT_ROWS:
-        return rows[DRIFT_ROWS[letters]].index[number]
+        kinds = [f"{sensor}_{DRIFT_ROWS[letters]}" for sensor in case.system.compensated.drift]
+        return np.concatenate([rows[kind].index[number] for kind in kinds])
     if letters == "bb":
         order = case.joint.order.tolist()
         return rows["walk"].index[order.index(number)]

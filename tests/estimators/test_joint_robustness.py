@@ -117,7 +117,7 @@ def test_the_optimum_does_not_depend_on_the_start_where_mars_is_rotated_from_the
             sample_rate_hz=100.0,
             fixture_draw=accuracy_trials.fixture_errors(rng, 5e-3),
             stated_fixture=Fixture(0.0, 5e-3, 5e-3),
-            U=rotation(0.1 * np.array([0.6, -0.48, 0.64])),
+            U=rotation(0.2 * np.array([0.6, -0.48, 0.64])),
         )
         # Noise is stated, at its smallest value: what the windows show of it depends on the start, too.
         cases.append((replace(read_out(motion, truth), noise=ImuNoise(gyro_noise=1e-10, accel_noise=1e-8)), truth))
