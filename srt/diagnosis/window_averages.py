@@ -32,10 +32,12 @@ ACCEL: Final = slice(3, 6)
 """Columns of the sensors."""
 MAD: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-_RESOLUTION_WINDOWS: Final = 6
-"""Windows from which the quantization step is taken."""
+_SOME_WINDOWS: Final = 6
+"""Windows from which quantization step and autocorrelation are taken."""
+_ENOUGH_HEADS: Final = 4
+"""Samples of each of these windows for the autocorrelation, over those of the longest start."""
 _RESOLUTION_SAMPLES: Final = 200
-"""Samples of each of these windows."""
+"""Samples of each of these windows for the quantization step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +66,8 @@ class WindowAverages:
         Samples of the starts, ascending.
     head_power : ndarray, shape (V, H, 6)
         Variance of the start of the window about its own mean: a later tilt is no oscillation.
+    head_freedom : ndarray, shape (H, 2)
+        Degrees of freedom of the mean of that variance over the axes of gyros and of accelerometers.
     least_variance : ndarray, shape (6,)
         Variance of a sample by quantization and rounding alone.
     block_doubt : ndarray, shape (6,)
@@ -80,6 +84,7 @@ class WindowAverages:
     late_variance: Array
     heads: Indices
     head_power: Array
+    head_freedom: Array
     least_variance: Array
     block_doubt: Array
 
@@ -141,14 +146,37 @@ def window_averages(evidence: Evidence) -> WindowAverages | None:
         late_variance=late,
         heads=heads,
         head_power=power,
+        head_freedom=_freedom(evidence, samples[chosen], heads),
         least_variance=np.maximum(floor, 0.5 * resolution) ** 2,
         block_doubt=coarse,
     )
 
 
+def _freedom(evidence: Evidence, samples: Indices, heads: Indices) -> Array:
+    """Degrees of freedom of the mean of the variances of three axes over the starts of a window, shape (H, 2).
+
+    The variance of n white values has n. With autocorrelations ρ(k), as behind a filter, its own variance is
+    1 + 2 Σ (1 − k/n) ρ(k)² times that (Bartlett's formula). The median over windows: a disturbance is in few of them.
+    """
+    some = samples[:: max(1, len(samples) // _SOME_WINDOWS)]
+    sums = np.empty((len(some), len(heads), 2))
+    for v, (a, b) in enumerate(some.tolist()):
+        part = slice(max(a + (b - a) // 2, b - _ENOUGH_HEADS * int(heads[-1])), b)
+        x = np.hstack([evidence.recording.gyro[part], evidence.recording.accel[part]])
+        n = len(x)
+        spectrum = np.fft.rfft(x - x.mean(axis=0), 2 * n, axis=0)
+        covariance = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n, axis=0)[:n]
+        rho = covariance[1:] / np.maximum(covariance[0], np.finfo(float).tiny)
+        lag_samples = np.arange(1, n)[:, None]
+        # Its square has the mean (n − k) / n² where the values are white.
+        square = (rho**2 - (n - lag_samples) / n**2).reshape(n - 1, 2, 3).mean(axis=2)
+        sums[v] = np.maximum(1.0 - lag_samples.T / heads[:, None], 0.0) @ square
+    return np.asarray(3.0 * heads[:, None] / (1.0 + 2.0 * np.maximum(np.median(sums, axis=0), 0.0)))
+
+
 def _resolution(evidence: Evidence, samples: Indices, pulses: Mask) -> Array:
     """Smallest step between stationary readings as a rate, shape (6,); at least one pulse for channels that count."""
-    some = samples[:: max(1, len(samples) // _RESOLUTION_WINDOWS)]
+    some = samples[:: max(1, len(samples) // _SOME_WINDOWS)]
     steps = np.zeros((len(some), 6))
     for v, (a, b) in enumerate(some.tolist()):
         part = slice(a, min(b, a + _RESOLUTION_SAMPLES))

@@ -135,10 +135,9 @@ def _oscillation(averages: WindowAverages, by_gyros: bool) -> tuple[Mask, Array]
     )
     ratio = averages.head_power / noise[:, None]
     by_sensor = np.stack([ratio[:, :, GYRO].mean(axis=2), ratio[:, :, ACCEL].mean(axis=2)], axis=2)
-    freedom = 3.0 * averages.heads
-    probability = FALSE_ALARM / max(1, by_sensor.size)
-    limit = np.maximum(_LEAST_POWER, chdtri(freedom, probability) / freedom)
-    loud = by_sensor > limit[:, None]
+    freedom = averages.head_freedom
+    limit = np.maximum(_LEAST_POWER, chdtri(freedom, FALSE_ALARM / by_sensor.size) / freedom)
+    loud = by_sensor > limit
     told = loud.any(axis=2) if by_gyros else loud[:, :, 1]
     return np.asarray(told), np.asarray(by_sensor.max(axis=1, initial=0.0))
 

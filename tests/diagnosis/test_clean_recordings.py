@@ -38,6 +38,7 @@ def case(seed, number, *, slow=True):
         case(20261303, 950),  # spikes: corrected pulses
         case(20261303, 1676, slow=False),  # wrapped: single pulses at rest
         case(20261302, 555, slow=False),  # creep: residuals that a robust fit passes through
+        case(20262700, 1295, slow=False),  # oscillation: power of filtered readings, which are correlated
         case(20262301, 823, slow=False),  # a bit stuck: poses alone, in few places of the range
     ],
 )

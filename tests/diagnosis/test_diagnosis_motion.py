@@ -15,16 +15,18 @@ import recorded_sets
 from diagnosing import grades_and_faults
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter1d
 
 import sims.faults.execution  # noqa: F401 - registers its injections
-import srt.diagnosis.sequences
-import srt.diagnosis.window_disturbances  # noqa: F401 - registers its checks
+import srt.diagnosis.sequences  # noqa: F401 - registers its checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.sequences import TABLE_1
+from srt.diagnosis import window_disturbances
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import sort_by_cause, stage_checks
 from srt.diagnosis.rotation_readings import cross, robust_fit, rotation_angles
 from srt.diagnosis.sensor_synchronisation import time_offset
+from srt.diagnosis.window_averages import window_averages
 from srt.estimation.options import Options
 from srt.exceptions import InputError
 from srt.recording.recording import Fixture, Recording, SequenceLabel, Site
@@ -215,6 +217,25 @@ def test_ringing_is_told_in_all_windows_that_have_it():
     finding = named("unsettled", "tactical-fog")
     assert finding.details["count"] == 33  # nothing was turned before the first window
     assert finding.details["amplitude"].endswith("mrad/s")
+
+
+@pytest.mark.parametrize("width", [1, 3, 6])
+def test_noise_of_filtered_outputs_is_no_oscillation(width, monkeypatch):
+    """A moving average correlates neighbouring readings: the power of a start scatters more than that of white noise.
+
+    At a false-alarm probability of 10 % for all windows of a recording, and without the least ratio of the powers.
+    """
+    probability, draws = 0.1, 20
+    monkeypatch.setattr(window_disturbances, "FALSE_ALARM", probability)
+    monkeypatch.setattr(window_disturbances, "_LEAST_POWER", 0.0)
+    rng = np.random.default_rng((SEED, width))
+    recording = case("tactical-fog").changed(recording={"sample_rate_hz": 50.0}).recording
+    count = 0
+    for _ in range(draws):
+        gyro, accel = uniform_filter1d(rng.standard_normal((2, *recording.gyro.shape)), width, axis=1)
+        averages = window_averages(Labelled(replace(recording, gyro=gyro, accel=accel)))
+        count += window_disturbances._oscillation(averages, by_gyros=True)[0].any()
+    assert count <= draws * probability + 3.5 * math.sqrt(draws * probability * (1.0 - probability))
 
 
 @pytest.mark.parametrize("grade", GRADES)
