@@ -204,6 +204,8 @@ def _spectra(x: Array) -> tuple[Array, Array]:
         sides.append((total[..., np.maximum(last, first)] - total[..., first]) / np.maximum(last - first, 1))
     level = np.maximum(*sides)
     ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0.0)
+    if n % 2 == 0:
+        ratio[..., -1] = 0.0  # half the sampling rate: one degree of freedom, and no phase
     return power.sum(axis=-2), ratio.max(axis=-2)
 
 

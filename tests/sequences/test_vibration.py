@@ -60,6 +60,15 @@ def test_a_bin_of_white_noise_stands_out_as_rarely_as_stated():
     assert binom.ppf(1e-4, tested.size, 3.0 * single) / 2.0 < above < 2.0 * binom.isf(1e-4, tested.size, 3.0 * single)
 
 
+@pytest.mark.parametrize("n", [63, 64])
+def test_the_highest_bins_stand_out_no_more_often_than_stated(n):
+    """Bins whose neighbours are mirrored, and half the sampling rate where n is even."""
+    windows, p, m = 20_000, 1e-2, float(lines._NEIGHBOURS)
+    x = np.random.default_rng((20261123, n)).standard_normal((windows, n, 3))
+    above = np.count_nonzero(lines._spectra(x)[1] > m * ((p / 3.0) ** (-1.0 / m) - 1.0), axis=0)[lines._LOWEST :]
+    assert above.max() <= binom.isf(0.01 / len(above), windows, p)
+
+
 @pytest.mark.parametrize("windows", [4, 34, 200])
 def test_the_limit_gives_the_false_alarm_probability(windows):
     """Of all bins and both sensors: more than half of the windows above the limit, by the binomial distribution."""
