@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from srt.diagnosis.evidence import Evidence
     from srt.diagnosis.findings import Finding
-    from srt.types import Array, Mask
+    from srt.types import Array, Indices, Mask
 
 
 _LEAST_POWER: Final = 2.0
@@ -256,15 +256,17 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     """Find the window with the fastest steady tilt, and its rate in rad/s; None if there is none.
 
     The accelerometers measure the drift of the vertical, the gyros a rate beyond bias, g-sensitivity and Earth rate.
-    Both scatter over the windows, bias instability included. Their mean must be significant, the accelerometers alone
-    plausible, and the two must agree.
+    Both scatter over the windows: bias instability alike in all, noise more in a shorter window. Their mean must be
+    significant, the accelerometers alone plausible, and the two must agree.
     """
     _, accel, bias = raw_triads(evidence)
     V = len(averages.window)
     force, slope = np.empty((V, 3)), np.empty((V, 3))
+    moment = np.empty(V)
     for v, means in averages.groups:
         count = means.shape[1]
         time = averages.step_s * (np.arange(count) - 0.5 * (count - 1))
+        moment[v] = time @ time
         force[v] = means[:, :, ACCEL].mean(axis=1)
         slope[v] = np.einsum("b,gbc->gc", time / (time @ time), means[:, :, ACCEL])
     up = invert_readings(accel, force - bias)
@@ -283,7 +285,8 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
     freedom = max(4.0, _MAD_EFFICIENCY * by_gyro[tell].size)
     sigma = block_sigma(averages)
     noisier = np.maximum(1.0, (sigma / np.median(sigma, axis=0)).max(axis=1))
-    a, g = (np.maximum(MAD * float(np.median(np.abs(x))), 1e-12) ** 2 * noisier**2 for x in (by_accel, by_gyro[tell]))
+    a = noisier**2 * _scatter(by_accel, moment, np.arange(V))
+    g = noisier**2 * _scatter(by_gyro, averages.blocks.astype(np.float64), tell)
     both = (by_accel / a[:, None] + by_gyro / g[:, None]) / (1.0 / a + 1.0 / g)[:, None]
     size2 = np.sum(both**2, axis=1)
 
@@ -301,6 +304,16 @@ def _creep(evidence: Evidence, averages: WindowAverages, done: Mask) -> tuple[in
         return None
     fastest = int(np.argmax(np.where(creeps, size2, 0.0)))
     return fastest, float(np.sqrt(size2[fastest]))
+
+
+def _scatter(values: Array, information: Array, tell: Indices) -> Array:
+    """Variance of the values (V, 2) of each window, robust over the windows that tell it, shape (V,).
+
+    The larger one of a variance that all windows share and of one that is inversely proportional to their information.
+    """
+    shares = np.stack([np.ones(len(values)), information / information.max()])
+    each = [np.median(np.abs(np.sqrt(share[tell, None]) * values[tell])) ** 2 / share for share in shares]
+    return np.asarray(np.maximum(MAD**2 * np.maximum(*each), 1e-24))
 
 
 def _horizontal(up: Array) -> Array:

@@ -21,6 +21,8 @@ import sims.faults.execution  # noqa: F401 - registers its injections
 import srt.diagnosis.sequences  # noqa: F401 - registers its checks
 from sims.faults.injection import GRADES, INJECTIONS, Case
 from sims.physics.sequences import TABLE_1
+from sims.scenarios.scenario import scenario_from_dict
+from sims.scenarios.simulation import simulate
 from srt.diagnosis import window_disturbances
 from srt.diagnosis.evidence import Evidence
 from srt.diagnosis.findings import sort_by_cause, stage_checks
@@ -253,6 +255,30 @@ def test_a_step_that_the_accelerometers_deny_is_no_bump():
     gyro = recording.gyro.copy()
     gyro[rows, 1] += 1e-3 / (rows.stop - rows.start)
     assert "bump" not in [f.fault for f in findings(replace(recording, gyro=gyro))]
+
+
+def test_noise_of_a_window_shorter_than_the_others_is_no_creep(monkeypatch):
+    """White noise in windows of 2 to 90 s, at a false-alarm probability of 10 % for all windows of a recording."""
+    probability, draws = 0.1, 20
+    monkeypatch.setattr(window_disturbances, "FALSE_ALARM", probability)
+    scenario = {
+        "seed": 0,
+        "imu": {"from": "perfect"},
+        "site": {"from": "latitude-45"},
+        "protocol": {"from": "7-positions"},
+    }
+    scenario |= {"recording": {"sample_rate_hz": 50.0, "kind": "rate"}}
+    recording = simulate(scenario_from_dict(scenario)).recording
+    rng = np.random.default_rng((SEED, 7))
+    count = 0
+    for _ in range(draws):
+        gyro, accel = (
+            values + 1e-4 * rng.standard_normal(values.shape) for values in (recording.gyro, recording.accel)
+        )
+        evidence = Labelled(replace(recording, gyro=gyro, accel=accel))
+        averages = window_averages(evidence)
+        count += window_disturbances._creep(evidence, averages, np.zeros(len(averages.window), bool)) is not None
+    assert count <= draws * probability + 3.5 * math.sqrt(draws * probability * (1.0 - probability))
 
 
 @pytest.mark.parametrize("grade", ["navigation-rlg", "tactical-fog"])
