@@ -16,6 +16,7 @@ from srt.exceptions import DataError
 from srt.sequences.manoeuvres import end_attitude
 from srt.sequences.preparation import nominal_attitude, prepare
 from srt.sequences.recognition import labelled, recognise
+from srt.sequences.stationary_windows import find_turns
 
 if TYPE_CHECKING:
     from srt.recording.recording import Recording, SequenceLabel
@@ -31,7 +32,7 @@ class Evidence:
     Parameters
     ----------
     recording : Recording
-        Without labels, the recognised sequences replace them.
+        Without labels, the recognised sequences or the free rotations found replace them.
     options : Options, optional
         Options of the calibration ``result``.
     result : Calibration, optional
@@ -85,7 +86,14 @@ class Evidence:
         """Labels of the recording, else of the recognised sequences or free rotations; may be empty."""
         if self.has_labels:
             return self.recording.sequences
-        return () if self.recognition is None else self.recognition.labels
+        if self.recognition is None:
+            return ()
+        if self.recording.fixture is not None or not self.recognition.by_chance:
+            return self.recognition.labels
+        try:
+            return find_turns(self.recording)
+        except DataError:
+            return ()
 
     @property
     def _with_labels(self) -> Recording:

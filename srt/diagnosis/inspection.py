@@ -110,9 +110,7 @@ def declared_units(path: str | PathLike[str]) -> dict[str, str]:
 
 
 def _is_free(recording: Recording, recognition: Recognition) -> bool:
-    """True if the recording holds free rotations: without a fixture, a few may match sequences by chance."""
-    named = sum(turn.sequence is not None for turn in recognition.turns)
-    return recording.fixture is None and 2 * named <= len(recognition.turns)
+    return recording.fixture is None and recognition.by_chance
 
 
 def _summary(recording: Recording, recognition: Recognition) -> str:

@@ -47,6 +47,8 @@ _MOVED: Final = 0.25
 """Noise of a sample in pulses, above which a steady input does not repeat: 50 equal readings have p = 1e-7."""
 _BESIDE_PULSES: Final = 10
 """Samples on either side of a run that tell the rate before and after it."""
+_IN_WINDOW: Final = 0.9
+"""Share of a run in a window, from which it is one of this window."""
 _GOES_ON: Final = 0.9
 """Share of the other sensor's rows that repeat, above which that sensor is frozen, too."""
 
@@ -110,10 +112,10 @@ def _at_extreme(evidence: Evidence, which: int, run: RepeatRun) -> bool:
 
 
 def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
-    """True for pulses of one channel that are as many before and after a run as in it.
+    """True for pulses of one channel that are as many before and after a run as in it, or fill its window.
 
     A steady input near a whole number of pulses for each sample repeats for any time, unless noise moves it: no length
-    tells a freeze from it.
+    tells a freeze from it. A run in one window, whose edges are known to some samples, is compared with it alone.
     """
     channel, data = which - _FIRST_CHANNEL, evidence.data
     noise = evidence.recording.noise
@@ -127,7 +129,11 @@ def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
     column = (recording.gyro, recording.accel)[channel // 3][:, channel % 3]
     step = pulse if recording.kind == "increment" else pulse / evidence.dt
     last = run.first + run.count + 1
-    beside = column[max(0, run.first - _BESIDE_PULSES) : run.first], column[last : last + _BESIDE_PULSES]
+    windows = data.windows.samples
+    common = np.minimum(windows[:, 1], last) - np.maximum(windows[:, 0], run.first)
+    within = windows[common >= _IN_WINDOW * (last - run.first)]
+    a, b = within[0].tolist() if len(within) else (0, len(column))
+    beside = column[max(a, run.first - _BESIDE_PULSES) : run.first], column[last : min(b, last + _BESIDE_PULSES)]
     value = float(column[run.first])
     return all(abs(float(part.mean()) - value) < step for part in beside if len(part))
 

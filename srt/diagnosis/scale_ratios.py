@@ -71,6 +71,10 @@ _RELATION_SIGMA: Final = 0.02
 """Standard deviation of the logarithm of an axis by the rotation of gravity: motion by hand, and misalignment."""
 _AGREE: Final = 0.2
 """Logarithm of the ratio within which labels and the rotation of gravity agree; a factor of two is 0.69."""
+_FEWEST_POSES: Final = 9
+"""Poses from which scale factors and biases of three accelerometers are told, with three to spare."""
+_LEAST_SPREAD: Final = 0.1
+"""Smallest singular value of such a fit over the root of the number of poses; of poses all around it is 0.37."""
 _UNSEEN: Final = np.full(3, np.nan)
 UNKNOWN: Final = ScaleRatios(float("nan"), _UNSEEN, float("nan"))
 """Ratios of a triad of which the data tell nothing."""
@@ -127,7 +131,7 @@ def _by_labels(evidence: Evidence) -> ScaleRatios:
 
 @computed_once
 def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of stationary specific force and gravity; by axis if the stated poses span space."""
+    """Ratios of stationary specific force and gravity; by axis if the poses span space, stated or many."""
     turns = manoeuvre_readings(evidence)
     if turns is None or len(turns.force) == 0:
         return UNKNOWN
@@ -138,10 +142,34 @@ def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
         return ScaleRatios(typical, _UNSEEN, math.inf)
     fit = None if evidence.data is None else accel_fit(evidence)
     if fit is None or fit.rank < 3:
+        by_magnitude = _by_magnitude(turns.force / gravity)
+        if by_magnitude is not None:
+            return by_magnitude
         return ScaleRatios(typical, _UNSEEN, _MAD * float(np.median(np.abs(np.log(ratio / typical)))))
     axes = np.linalg.norm(fit.matrix, axis=1)
     off = np.median(np.abs(fit.residual), axis=0) / (gravity * typical)
     return ScaleRatios(typical, axes, _MAD * float(off.max()))
+
+
+def _by_magnitude(force: Array) -> ScaleRatios | None:
+    """Ratios of an ellipsoid with axes along those of the sensors, fitted to specific forces (n, 3) over gravity.
+
+    None with too few poses, or with poses that leave its axes open.
+    """
+    size = float(np.median(np.linalg.norm(force, axis=1)))
+    design = np.hstack([(force / size) ** 2, force / size])
+    if len(force) < _FEWEST_POSES or np.linalg.svd(design, compute_uv=False)[-1] < _LEAST_SPREAD * math.sqrt(
+        len(force)
+    ):
+        return None
+    square, slope = np.split(np.linalg.lstsq(design, np.ones(len(force)), rcond=None)[0], 2)
+    if not np.all(square > 0.0):
+        return None
+    # Σ a (f − b)² = 1 + Σ a b² with b = −slope / 2a.
+    level = 1.0 + 0.25 * float(np.sum(slope**2 / square))
+    off = 0.5 * (design @ np.concatenate([square, slope]) - 1.0) / level
+    axes = size * np.sqrt(level / square)
+    return ScaleRatios(float(np.median(axes)), axes, _MAD * float(np.median(np.abs(off))))
 
 
 def stationary_force_scatter(evidence: Evidence) -> float:

@@ -134,6 +134,11 @@ class Recognition:
         return tuple(name for name in SEQUENCES if self.ids.count(name) > 1)
 
     @property
+    def by_chance(self) -> bool:
+        """True if so few turns are of sequences that free rotations match as many by chance."""
+        return 2 * sum(turn.sequence is not None for turn in self.turns) <= len(self.turns)
+
+    @property
     def axis_renaming(self) -> str:
         """Axis names that match the sequences, as "the gyro axes are read as x,-y,z"; empty if the given ones do."""
         said = [

@@ -39,6 +39,8 @@ def case(seed, number, *, slow=True):
         case(20261303, 1676, slow=False),  # wrapped: single pulses at rest
         case(20261302, 555, slow=False),  # creep: residuals that a robust fit passes through
         case(20262700, 1295, slow=False),  # oscillation: power of filtered readings, which are correlated
+        case(20262900, 2430),  # noise of gyros: windows of two sequences that free rotations match by chance
+        case(20262910, 106, slow=False),  # axis stuck: no pulse in a whole window
         case(20262800, 1879),  # creep: a window of 5 s among those of 30 and 90 s
         case(20262301, 823, slow=False),  # a bit stuck: poses alone, in few places of the range
     ],
