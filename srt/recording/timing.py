@@ -30,6 +30,9 @@ _BURST_SAMPLES = 32  # largest burst of samples that a host stamps at once
 _MANY_GAPS = 0.05  # fraction of long steps above which they are rounding, not gaps
 _FEW_STEPS = 100  # number of steps up to which rounding and gaps cannot be told apart
 _ROUNDING_UNITS = 0.6  # largest deviation of rounded stamps, in units of their last digit: 0.5, and 0.1 for the fit
+_TICK_ERROR = 0.01  # largest distance of steps from whole ticks, in ticks, by rounding
+_TICK_SHARE = 0.1  # least distance of the interval from whole ticks, in ticks: a burst then shows all delays
+_CLOCK_ROUNDS = 3  # rounds of gaps and of the interval between them
 _RATE_MISMATCH = 0.2  # relative; MEMS oscillators deviate by up to 10 %, so more is a wrong number in the file
 
 
@@ -86,11 +89,17 @@ def sample_timing(time: Array, sample_rate_hz: float | None = None) -> SampleTim
         resolution = stamp_resolution(time)
         fewer = np.flatnonzero(steps > max(GAP_STEPS * typical, typical + 1.01 * resolution)) + 1
         slope, deviation = _common_line(time, fewer, typical)
-        if deviation <= _ROUNDING_UNITS * resolution:
+        if deviation <= _ROUNDING_UNITS * resolution and fewer.size <= _MANY_GAPS * steps.size:
             return SampleTiming(slope, slope, _read_only(fewer))
+        coarse = _coarse_clock(time, steps)
+        if coarse is not None:
+            return coarse
     slope, deviation = _common_line(time, gaps, typical)
     if deviation <= ROUNDING_FRACTION * slope or deviation <= _ROUNDING_UNITS * stamp_resolution(time):
         return SampleTiming(slope, slope, _read_only(gaps))
+    coarse = _coarse_clock(time, steps)
+    if coarse is not None:
+        return coarse
     interval_s = np.empty(time.size)
     interval_s[1:] = steps
     interval_s[0] = slope
@@ -135,6 +144,14 @@ def _gaps_at_known_interval(time: Array, steps: Array, interval: float) -> Indic
     A host stamps samples in bursts; the long step before a burst is compensated by the short steps in it.
     """
     late = np.flatnonzero(steps > GAP_STEPS * interval) + 1
+    return _lasting_delays(time, late, interval, (GAP_STEPS - 1.0) * interval)
+
+
+def _lasting_delays(time: Array, late: Indices, interval: float, least_s: float) -> Indices:
+    """Late stamps of which all in the burst from there on are later than all in the burst before, by a time at least.
+
+    Beside one of a coarse clock a sample may be told twice, which makes a piece of one sample.
+    """
     if late.size == 0:
         return late
     before = np.full(late.size, -np.inf)
@@ -144,8 +161,27 @@ def _gaps_at_known_interval(time: Array, steps: Array, interval: float) -> Indic
         np.maximum(before, time[i] - i * interval, out=before)
         i = np.minimum(late + k, time.size - 1)
         np.minimum(after, time[i] - i * interval, out=after)
-    lasting: Indices = late[after - before > (GAP_STEPS - 1.0) * interval]
+    lasting: Indices = late[after - before > least_s]
     return lasting
+
+
+def _coarse_clock(time: Array, steps: Array) -> SampleTiming | None:
+    """Timing of even samples with stamps of a coarse clock, as 4 or 8 ms for 5 ms; None if they are no such ones.
+
+    The stamps are late by up to one tick. All of that shows within a burst if the interval is no multiple of the tick;
+    from a gap on, the stamps are later by another interval.
+    """
+    tick = float(steps.min())
+    if np.abs(steps / tick - np.rint(steps / tick)).max() > _TICK_ERROR or steps.size <= _BURST_SAMPLES:
+        return None
+    # Most pieces of this length have no gap.
+    interval = float(np.median(time[_BURST_SAMPLES:] - time[:-_BURST_SAMPLES])) / _BURST_SAMPLES
+    if abs(interval / tick - round(interval / tick)) < _TICK_SHARE:
+        return None
+    for _ in range(_CLOCK_ROUNDS):
+        gaps = _lasting_delays(time, np.flatnonzero(steps > interval) + 1, interval, 0.5 * interval - tick)
+        interval, deviation = _common_line(time, gaps, interval)
+    return SampleTiming(interval, interval, _read_only(gaps)) if deviation <= _ROUNDING_UNITS * tick else None
 
 
 def _check_rate(time: Array, steps: Array, gaps: Indices, sample_rate_hz: float) -> None:

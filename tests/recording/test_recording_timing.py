@@ -145,3 +145,32 @@ def test_timing_is_found_once_and_only_when_asked_for(monkeypatch):
     assert recording.interval_s == recording.nominal_interval_s == pytest.approx(0.01)
     assert recording.gaps.size == 0
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize("interval_ms", [5.0, 4.6, 7.3])
+def test_stamps_of_a_clock_of_4_ms(interval_ms):
+    """An autopilot's log: steps of whole ticks. Each lost sample and gap is found, and the interval to 1e-5."""
+    rng, interval = np.random.default_rng(int(10 * interval_ms)), 1e-3 * interval_ms
+    true = interval * np.arange(1, 40_001)
+    keep = rng.random(true.size) > 1.0 / 400.0
+    keep[[0, -1]] = True
+    for at in rng.uniform(0.0, true[-1], 7):
+        keep[(true > at) & (true < at + rng.uniform(0.05, 0.5))] = False
+    timing = sample_timing(np.round(true[keep] / 0.004) * 0.004)
+    lost = np.flatnonzero(np.diff(np.flatnonzero(keep)) > 1) + 1
+    # A slope through pieces of some hundred samples, each with stamps late by 4 ms / sqrt(12) at random.
+    assert timing.nominal_interval_s == pytest.approx(interval, rel=1e-4)
+    assert np.ndim(timing.interval_s) == 0
+    # Beside a lost sample or the first one, some may be told twice: within ten samples all delays have occurred.
+    assert set(lost) <= set(timing.gaps)
+    beside = np.abs(timing.gaps[:, None] - np.append(lost, 0)).min(axis=1)
+    assert beside.max() <= 10
+
+
+def test_samples_lost_at_random_are_no_coarse_clock():
+    """A quarter of the samples of 4 ms are lost: the interval is 4 ms, and each step of 8 ms or more is a gap."""
+    rng = np.random.default_rng(2)
+    time = 0.004 * np.flatnonzero(rng.random(20_000) > 0.25)
+    timing = sample_timing(time)
+    assert timing.nominal_interval_s == pytest.approx(0.004)
+    np.testing.assert_array_equal(timing.gaps, np.flatnonzero(np.diff(time) > 0.006) + 1)
