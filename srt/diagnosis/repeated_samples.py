@@ -47,8 +47,10 @@ _MOVED: Final = 0.25
 """Noise of a sample in pulses, above which a steady input does not repeat: 50 equal readings have p = 1e-7."""
 _BESIDE_PULSES: Final = 10
 """Samples on either side of a run that tell the rate before and after it."""
-_IN_WINDOW: Final = 0.9
-"""Share of a run in a window, from which it is one of this window."""
+_IN_PART: Final = 0.9
+"""Share of a run in a window or rotation, from which it is one of this part."""
+_STEADY: Final = 1.5
+"""Pulses by which a steady rate differs from one sample to the next at most: one, and rounding."""
 _GOES_ON: Final = 0.9
 """Share of the other sensor's rows that repeat, above which that sensor is frozen, too."""
 
@@ -103,19 +105,23 @@ def repeated_runs(evidence: Evidence) -> list[list[RepeatRun]]:
 
 
 def _at_extreme(evidence: Evidence, which: int, run: RepeatRun) -> bool:
-    """True for a run of one channel at its largest or smallest reading."""
-    channel = which - _FIRST_CHANNEL
-    if channel < 0:
+    """True for a run of one channel, or of all of a triad, at its largest or smallest reading."""
+    if which == 0:
         return False
-    column = (evidence.recording.gyro, evidence.recording.accel)[channel // 3][:, channel % 3]
-    return bool(column[run.first] in (column.min(), column.max()))
+    channel = which - _FIRST_CHANNEL
+    sensor, axes = (which - 1, slice(None)) if channel < 0 else (channel // 3, slice(channel % 3, channel % 3 + 1))
+    columns = (evidence.recording.gyro, evidence.recording.accel)[sensor][:, axes]
+    held = columns[run.first]
+    return bool(np.all((held == columns.min(axis=0)) | (held == columns.max(axis=0))))
 
 
 def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
-    """True for pulses of one channel that are as many before and after a run as in it, or fill its window.
+    """True for pulses of one channel that are as many before and after a run as in it, or fill its window or rotation.
 
     A steady input near a whole number of pulses for each sample repeats for any time, unless noise moves it: no length
-    tells a freeze from it. A run in one window, whose edges are known to some samples, is compared with it alone.
+    tells a freeze from it. A run in one window or rotation, whose edges are known to some samples, is compared with it
+    alone. Where the rate changes from a run on, it does so by no more than from the next sample on; a freeze ends with
+    a jump.
     """
     channel, data = which - _FIRST_CHANNEL, evidence.data
     noise = evidence.recording.noise
@@ -130,12 +136,21 @@ def _goes_on(evidence: Evidence, which: int, run: RepeatRun) -> bool:
     step = pulse if recording.kind == "increment" else pulse / evidence.dt
     last = run.first + run.count + 1
     windows = data.windows.samples
-    common = np.minimum(windows[:, 1], last) - np.maximum(windows[:, 0], run.first)
-    within = windows[common >= _IN_WINDOW * (last - run.first)]
+    parts = np.concatenate([windows, np.stack([windows[data.start, 1], windows[data.end, 0]], axis=1)])
+    common = np.minimum(parts[:, 1], last) - np.maximum(parts[:, 0], run.first)
+    within = parts[common >= _IN_PART * (last - run.first)]
     a, b = within[0].tolist() if len(within) else (0, len(column))
-    beside = column[max(a, run.first - _BESIDE_PULSES) : run.first], column[last : min(b, last + _BESIDE_PULSES)]
-    value = float(column[run.first])
-    return all(abs(float(part.mean()) - value) < step for part in beside if len(part))
+    value, most = float(column[run.first]), _STEADY * step
+    for part in (
+        column[max(a, run.first - _BESIDE_PULSES) : run.first][::-1],
+        column[last : min(b, last + _BESIDE_PULSES)],
+    ):
+        changes = np.abs(np.diff(part[:2], prepend=value))
+        # The median: an edge may lie within a sample.
+        steady = len(part) == 0 or abs(float(np.median(part)) - value) < most
+        if not (steady or (len(changes) == 2 and changes[0] <= changes[1] + most)):
+            return False
+    return True
 
 
 def _ordinary(longest: Indices) -> float:

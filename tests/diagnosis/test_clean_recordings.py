@@ -41,6 +41,8 @@ def case(seed, number, *, slow=True):
         case(20262700, 1295, slow=False),  # oscillation: power of filtered readings, which are correlated
         case(20262900, 2430),  # noise of gyros: windows of two sequences that free rotations match by chance
         case(20262910, 106, slow=False),  # axis stuck: no pulse in a whole window
+        case(20262920, 818),  # axis stuck: a rotation at a whole number of pulses for each sample
+        case(20262920, 1735, slow=False),  # axis stuck: filtered pulses until the rotation slows down
         case(20262800, 1879),  # creep: a window of 5 s among those of 30 and 90 s
         case(20262301, 823, slow=False),  # a bit stuck: poses alone, in few places of the range
     ],
