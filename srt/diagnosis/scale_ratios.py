@@ -131,11 +131,16 @@ def _by_labels(evidence: Evidence) -> ScaleRatios:
 
 @computed_once
 def accel_scale_ratios(evidence: Evidence) -> ScaleRatios:
-    """Ratios of stationary specific force and gravity; by axis if the poses span space, stated or many."""
+    """Ratios of stationary specific force and gravity; by axis if the poses span space, stated or many.
+
+    Without a stationary window, that of all readings: motion by hand leaves them near gravity.
+    """
     turns = manoeuvre_readings(evidence)
-    if turns is None or len(turns.force) == 0:
-        return UNKNOWN
     gravity = evidence.recording.site.gravity_m_s2
+    if turns is None or len(turns.force) == 0:
+        sizes = np.linalg.norm(evidence.force, axis=1) / gravity
+        low, typical, high = np.quantile(sizes[sizes > 0.0], (0.25, 0.5, 0.75)) if np.any(sizes > 0.0) else (0, 0, 0)
+        return ScaleRatios(float(typical), _UNSEEN, 0.5 * math.log(high / low)) if low > 0.0 else UNKNOWN
     ratio = np.linalg.norm(turns.force, axis=1) / gravity
     typical = float(np.median(ratio))
     if not np.all(ratio > 0.0):

@@ -216,6 +216,12 @@ def _of_one_triad(evidence: Evidence, sensor: Sensor, scales: ScaleRatios) -> It
         for d, unit in near:
             if d < _MATCH:
                 yield cause("unit", unit.fault, math.log(unit.factor), _fields(evidence, sensor, scales, unit))
+    count = round(1.0 / scales.typical)
+    # Thinned without a rotation to tell it: the interval is longer than that of an IMU, and its share is not.
+    if sensor == "accel" and not rates and count >= 2 and USUAL_S[0] <= evidence.dt / count <= USUAL_S[1] < evidence.dt:
+        alone: dict[str, Any] = {"increments_thinned": {"count": count, "ratio": scales.typical}}
+        shift = _shifts(sensor, math.log(scales.typical))
+        yield ScaleCause(("increments_thinned",), *shift, prior=_PRIORS["thinned"], details=alone)
     power = _power_of_two(scales)
     clipped = _clipped(evidence, sensor)
     if power is not None and not (power < 1.0 and _mostly_clipped(evidence, clipped)):

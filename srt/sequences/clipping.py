@@ -254,9 +254,13 @@ def _is_limit(channel: Array, levels: tuple[float, float, float], triad: Array, 
     below = extreme - channel[close]
     at = close[below == 0.0]
     held = at[:-2][at[2:] - at[:-2] == 2]
+    others = np.delete(triad, axis, axis=1)
+    # An axis that is clipped, too, shows no noise.
+    shows = (others[held + 1] > others.min(axis=0)) & (others[held + 1] < others.max(axis=0))
+    held = held[shows.any(axis=1)]
     if held.size:
-        roughness = np.abs(triad[held + 2] - 2.0 * triad[held + 1] + triad[held])
-        noisy = float(np.mean(np.any(np.delete(roughness, axis, axis=1) > smooth, axis=1))) > _MOSTLY_NOISY
+        roughness = np.abs(others[held + 2] - 2.0 * others[held + 1] + others[held])
+        noisy = float(np.mean(np.any(roughness > smooth, axis=1))) > _MOSTLY_NOISY
         if not noisy or _longest_run(channel == extreme) >= _fewest_in_a_row(channel, extreme):
             return noisy
     # Pulses that were corrected repeat a reading with those of the other axes: such rows count once.
