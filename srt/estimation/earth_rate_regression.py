@@ -28,7 +28,9 @@ class EarthRateRegression:
     rate : ndarray, shape (K, 3, S), rad/s
         Unknown Earth rate per unit draw, in each B_Strt.
     on_rest_rate : ndarray, shape (W, 3, S), rad/s
-        The same in each window, in B.
+        The same in each window, in B, less the g-sensitivity that it causes.
+    on_phi : ndarray, shape (K, 3, S), rad
+        Effect on φ in B_Strt, that of this g-sensitivity included.
     gain : ndarray, shape (S, W, 3), s/rad
     sigma : ndarray, shape (S,)
         Standard deviation of the estimate by the noise of the rates, in units of the prior sigma.
@@ -42,6 +44,7 @@ class EarthRateRegression:
 
     rate: Array
     on_rest_rate: Array
+    on_phi: Array
     gain: Array
     sigma: Array
     components: int
@@ -52,10 +55,10 @@ class EarthRateRegression:
         """Estimates, shape (S, n), from rates at rest, shape (W, 3, n), rad/s."""
         return np.asarray(np.einsum("swa,wan->sn", self.gain, rest_rate))
 
-    def after(self, rate: Array, weight_s: Array) -> tuple[Array, Array]:
+    def after(self, rate: Array) -> tuple[Array, Array]:
         """Disturbances of the rates at rest less their fit, shape (W, 3, n), and the effect on φ, shape (K, 3, n)."""
         draws = self.fit(rate)
-        return rate - self.on_rest_rate @ draws, -weight_s[:, None, None] * (self.rate @ draws)
+        return rate - self.on_rest_rate @ draws, -self.on_phi @ draws
 
     def after_correction(self, correction: Array) -> Array:
         """Estimate after a correction of the sensor errors, shape (S,), no larger than the Earth rate itself.
@@ -67,12 +70,14 @@ class EarthRateRegression:
         return np.asarray((parts * np.minimum(1.0, np.sqrt(self.components) / size)).ravel())
 
 
-def earth_rate_regression(rate: Array, on_rest_rate: Array, sigma: Array, components: int) -> EarthRateRegression:
+def earth_rate_regression(
+    rate: Array, on_rest_rate: Array, on_phi: Array, sigma: Array, components: int
+) -> EarthRateRegression:
     """Regression of the rates at rest on a common bias and the unknown Earth rate.
 
     Parameters
     ----------
-    rate, on_rest_rate : ndarray, shape (K, 3, S) and (W, 3, S), rad/s
+    rate, on_rest_rate, on_phi : ndarray, shape (K, 3, S), (W, 3, S) and (K, 3, S)
     sigma : ndarray, shape (W, 3), rad/s
         1-sigma of the rate of each window: noise and bias variation.
     components : int
@@ -86,7 +91,8 @@ def earth_rate_regression(rate: Array, on_rest_rate: Array, sigma: Array, compon
     P = np.linalg.inv(A.T @ A + prior)[3:]
     gain = (P @ A.T).reshape(S, W, 3) / sigma
     own = np.sqrt(np.diag(P[:, 3:]))
-    return EarthRateRegression(rate, on_rest_rate, gain, own, components, np.zeros(S), np.zeros((S, N_PARAMETERS)))
+    none, fixed = np.zeros(S), np.zeros((S, N_PARAMETERS))
+    return EarthRateRegression(rate, on_rest_rate, on_phi, gain, own, components, none, fixed)
 
 
 def with_earth_rate_regression(
@@ -113,10 +119,13 @@ def with_earth_rate_regression(
     if not n:
         return measurements
     rate = unknown_earth_rate_draws(measurements, data)
-    seen = np.einsum("wab,was->wbs", measurements.window_attitude, rate[measurements.window_sequence])
-    regression = earth_rate_regression(rate, seen, np.sqrt(window_rate_variance(measurements, data) + wander**2), n)
+    raw = np.einsum("wab,was->wbs", measurements.window_attitude, rate[measurements.window_sequence])
+    # The rates at rest are those after their regression on specific force: both regressions together are one.
+    seen, by_g_sensitivity = measurements.after_g_sensitivity(raw)
     phi = measurements.integrals.weight_s[:, None, None] * rate
-    on_z = project(measurements, data, Disturbance(phi=phi, rate=seen), bias_gain)
+    sigma = np.sqrt(window_rate_variance(measurements, data) + wander**2)
+    regression = earth_rate_regression(rate, seen, phi + by_g_sensitivity, sigma, n)
+    on_z = project(measurements, data, Disturbance(phi=phi, rate=raw), bias_gain)
     by_errors = regression.fit(model.rate_error_jacobian(measurements.rate, measurements.gyro))
     used = np.zeros(rate.shape[2]) if draws is None else draws
     present = regression.fit((measurements.rest_rate + seen @ used)[:, :, None])[:, 0]
@@ -124,6 +133,6 @@ def with_earth_rate_regression(
         measurements,
         z=measurements.z - on_z @ (present - used),
         H=measurements.H - on_z @ by_errors,
-        rest_rate=measurements.rest_rate - seen @ (present - used),
+        rest_rate=measurements.rest_rate - raw @ (present - used),
         earth_rate_regression=replace(regression, draws=present, by_errors=by_errors),
     )

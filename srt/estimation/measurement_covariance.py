@@ -70,7 +70,7 @@ def project(measurements: SrtMeasurements, data: PreparedRecording, source: Dist
     if source.rate is not None:
         rate, by_regressions = measurements.after_g_sensitivity(source.rate)
         if measurements.earth_rate_regression is not None:
-            rate, by_earth_rate = measurements.earth_rate_regression.after(rate, measurements.integrals.weight_s)
+            rate, by_earth_rate = measurements.earth_rate_regression.after(rate)
             by_regressions = by_regressions + by_earth_rate
         rest = np.tensordot(measurements.pool, rate, 1)
         own = np.tensordot(measurements.share, rate, 1) - rest

@@ -144,13 +144,16 @@ def test_the_graph_is_at_the_minimum_that_brute_force_finds(white):
 
 
 @pytest.mark.parametrize("units", [5, pytest.param(100, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_errors_agree_with_their_sigmas(name, units):
-    """NEES of all parameters that a rate table shows, and of the gyro scale factors alone: 3.5 standard errors."""
+@pytest.mark.parametrize(("name", "bias"), [*((name, "auto") for name in ESTIMATORS), ("least-squares", "g-sensitive")])
+def test_errors_agree_with_their_sigmas(name, bias, units):
+    """NEES of all parameters that a rate table shows, and of the gyro scale factors alone: 3.5 standard errors.
+
+    Least squares estimates the unknown Earth rate of every pose and the g-sensitivity from the same rates at rest.
+    """
     every, scale = [], []
     for seed in range(units):
         simulation = one_unit(9100 + seed)
-        found = srt.calibrate(simulation.recording, name, **EXACT)
+        found = srt.calibrate(simulation.recording, name, **EXACT, gyro_bias=bias)
         assert found.status == "partial", found.message
         off, P = off_truth(found, simulation), found.covariance[np.ix_(SHOWN, SHOWN)]
         every.append(float(off @ np.linalg.solve(P, off)))
@@ -188,7 +191,7 @@ def test_drift_and_g_sensitivity_act_on_the_mean_rates():
     assert np.abs(J[..., :9]).max() > G / 2.0
 
 
-@pytest.mark.parametrize("name", ["ekf", "graph"])
+@pytest.mark.parametrize("name", ESTIMATORS)
 def test_g_sensitivity_does_not_enter_the_scale_factors(name):
     """50 °/h/g along the axes of all runs are 140 ppm of the stated rate."""
     simulation = simulated(1, noise={"gyro_g_sensitivity_deg_per_h_per_g": 50.0})
