@@ -1,4 +1,4 @@
-"""Faults of the execution of a test: labels, sequences, stationary windows and rotations."""
+"""Faults in the execution of a test: labels, sequences, stationary windows and rotations."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 _IDS: Final = tuple(TABLE_1)
 _VIBRATION_HZ: Final = 23.0
-"""Frequency of a machine at 1400 rotations a minute."""
+"""Frequency of the vibration, Hz: about that of a machine at 1400 revolutions per minute."""
 _VIBRATION_M_S2_PER_URAD: Final = 3e3 * MICRO_G / 5.0
-"""Linear vibration that accompanies the angular one."""
+"""Amplitude of the linear vibration over that of the angular vibration, m/s² per µrad: 3 mg at 5 µrad."""
 
 
 # --- sequences and labels --------------------------------------------------------------------------------------------
@@ -38,9 +38,9 @@ _VIBRATION_M_S2_PER_URAD: Final = 3e3 * MICRO_G / 5.0
 
 @injection("labels_shifted", 2.0, "s")
 def labels_shifted(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Labels from another clock than that of the samples, with a difference of ``severity``; the moves are recorded.
+    """The labels are late or early by ``severity``, as their clock is not that of the samples; the moves are recorded.
 
-    Labels cannot be outside the samples: windows are cut at the ends of the recording.
+    A window that would end outside the samples is cut at the end of the recording.
     """
     recording = case.changed(schedule={"moves": "recorded"}).recording
     shift = float(rng.choice([-1.0, 1.0])) * severity
@@ -60,7 +60,7 @@ def labels_shifted(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("labels_exchanged", 2.0, "sequences")
 def labels_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Some sequences are executed in another order, but labelled in the planned order."""
+    """Some sequences exchange their places in the test, but the labels keep the planned order."""
     count = max(2, round(severity))
     places = rng.choice(len(_IDS), count, replace=False)
     order = list(_IDS)
@@ -71,7 +71,7 @@ def labels_exchanged(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @injection("wrong_direction", 1.0, "sequences")
 def wrong_direction(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """All turns of a sequence are executed in the opposite direction."""
+    """All rotations of some sequences are executed in the opposite sense."""
     turned = rng.choice(_IDS, max(1, round(severity)), replace=False).tolist()
     custom = [
         {
@@ -88,7 +88,7 @@ def wrong_direction(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 @injection("wrong_angle", 2.0, "°")
 def wrong_angle(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One turn of one sequence has a wrong angle, because a stop is misplaced or the index is one tooth too far."""
+    """One rotation of one sequence has a wrong angle, as with a misplaced stop or an indexing table off by a tooth."""
     run = case.simulation
     assert run.fixture_draw is not None
     number = int(rng.integers(len(_IDS)))
@@ -113,14 +113,14 @@ def wrong_angle(case: Case, severity: float, rng: np.random.Generator) -> Record
 
 @injection("sequence_missing", 1.0, "sequences")
 def sequence_missing(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Sequences are not executed."""
+    """Some sequences are omitted from the test."""
     left_out = rng.choice(_IDS, max(1, round(severity)), replace=False).tolist()
     return case.changed(schedule={"sequences": tuple(name for name in _IDS if name not in left_out)}).recording
 
 
 @injection("sequence_repeated", 1.0, "sequences")
 def sequence_repeated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Sequences are repeated, immediately or at the end of the test."""
+    """Some sequences are executed a second time, immediately or at the end of the test."""
     order = list(_IDS)
     for name in rng.choice(_IDS, max(1, round(severity)), replace=False).tolist():
         order.insert(order.index(name) if rng.random() < 0.5 else len(order), name)
@@ -129,7 +129,10 @@ def sequence_repeated(case: Case, severity: float, rng: np.random.Generator) -> 
 
 @injection("window_short", 0.2, "of the planned length")
 def window_short(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One stationary window is too short: the turn begins too early, or the recording stops too early."""
+    """One stationary window is too short: the rotation begins too early, or the recording of the sequence too late.
+
+    An end window is too short if the recording of the sequence stops too early.
+    """
     recording = case.recording
     number, at_end = int(rng.integers(len(_IDS))), bool(rng.integers(2))
     label = recording.sequences[number]
@@ -150,7 +153,7 @@ def window_short(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 
 def _labelled(recording: Recording, ids: tuple[str, ...]) -> Recording:
-    """The same windows, labelled with the names of a list."""
+    """Recording with the same windows, labelled with other names."""
     return recording.with_sequences(
         tuple(
             replace(label, id=name, down=None, along_outer=None, rotations=())
@@ -159,12 +162,12 @@ def _labelled(recording: Recording, ids: tuple[str, ...]) -> Recording:
     )
 
 
-# --- stillness -------------------------------------------------------------------------------------------------------
+# --- stationary windows ----------------------------------------------------------------------------------------------
 
 
 @injection("unsettled", 0.5, "mrad")
 def unsettled(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A soft fixture oscillates after every turn; the settling time is only 0.2 s."""
+    """A soft fixture oscillates after every rotation; the test waits only 0.2 s before the window."""
     ringing = {
         "settling_amplitude_mrad": severity,
         "settling_frequency_hz": float(rng.uniform(4.0, 12.0)),
@@ -175,7 +178,7 @@ def unsettled(case: Case, severity: float, rng: np.random.Generator) -> Recordin
 
 @injection("bump", 1.0, "mrad")
 def bump(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A knock makes the unit slip in its clamp within 0.1 to 0.3 s."""
+    """A knock makes the unit slip in its clamp; the slip takes 0.1 to 0.3 s."""
     motion = case.simulation.motion
     (a, b), _ = _window(motion, rng)
     duration = float(rng.uniform(0.1, 0.3))
@@ -190,7 +193,7 @@ def bump(case: Case, severity: float, rng: np.random.Generator) -> Recording:
     "µrad/s",
 )
 def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit tilts under gravity at constant rate during one window, as in a loose clamp."""
+    """The unit tilts under gravity at a constant rate during one window, as in a loose clamp."""
     motion = case.simulation.motion
     (a, b), force = _window(motion, rng)
     axis = np.cross(force, rng.standard_normal(3))
@@ -200,7 +203,7 @@ def creep(case: Case, severity: float, rng: np.random.Generator) -> Recording:
 
 @injection("vibration", 5.0, "µrad at 23 Hz, and 3 mg")
 def vibration(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A machine shakes the table throughout the test: by an angle of ``severity``, and linearly in proportion to it."""
+    """A machine shakes the table during the whole test: by an angle of ``severity``, and linearly in proportion."""
     angle, force = (x / np.linalg.norm(x) for x in rng.standard_normal((2, 3)))
     motion = disturbances.vibrating(
         case.simulation.motion,
@@ -214,14 +217,14 @@ def vibration(case: Case, severity: float, rng: np.random.Generator) -> Recordin
 
 @injection("noisy_window", 3.0, "times the noise")
 def noisy_window(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A fan or a lorry shakes the bench in one window."""
+    """The noise of one window is ``severity`` times larger, as a fan or a passing lorry shakes the bench."""
     run = case.simulation
     window, _ = _window(run.motion, rng)
     return disturbances.noisier_window(run.recording, window, severity, run.imu.gyro_noise, run.imu.accel_noise, rng)
 
 
 def _window(motion: TrueMotion, rng: np.random.Generator) -> tuple[tuple[float, float], Array]:
-    """One of the still windows, and the specific force in it (m/s², B)."""
+    """One of the stationary windows, drawn at random, and the mean specific force in it (m/s², B)."""
     windows = [window for pair in motion.windows for window in pair]
     a, b = windows[int(rng.integers(len(windows)))]
     rows = (motion.time > a + 0.5 * motion.interval) & (motion.time < b + 0.5 * motion.interval)
@@ -231,10 +234,11 @@ def _window(motion: TrueMotion, rng: np.random.Generator) -> tuple[tuple[float, 
 def slipped(
     motion: TrueMotion, start_s: float, duration_s: float, vector: Array, *, steady: bool = False
 ) -> TrueMotion:
-    """True motion with a slip: B rotates by a vector within a time, smoothly or at constant rate, and remains so.
+    """True motion with a slip: B rotates by ``vector`` in ``duration_s``, and keeps the new attitude.
 
-    The undisturbed attitude C becomes C·Exp(s v), s from 0 to 1: v·ds/dt is added to the rate, and vectors are rotated
-    by Exp(-s v). The slip persists to the end of the gapless piece, as the unit is clamped again between sequences.
+    The rotation is smooth, or at a constant rate if ``steady``. The undisturbed attitude C becomes C·Exp(s v) with s
+    from 0 to 1: v·ds/dt is added to the rate, and vectors in B are rotated by Exp(-s v). The slip lasts until the next
+    gap, as the unit is clamped again between sequences.
     """
     dt = motion.interval
     first = int(np.searchsorted(motion.time, start_s + 0.5 * dt))
@@ -256,12 +260,12 @@ def slipped(
     return replace(motion, angle=angle, angle_abs=angle_abs, velocity=velocity, velocity_abs=velocity_abs)
 
 
-# --- turns -----------------------------------------------------------------------------------------------------------
+# --- rotations -------------------------------------------------------------------------------------------------------
 
 
 @injection("sensor_time_offset", 5.0, "ms")
 def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The accelerometers are sampled or filtered later or earlier than the gyros, but have the same time stamps."""
+    """The accelerometer readings are later or earlier than the gyro readings, but have the same time stamps."""
     motion = case.simulation.motion
     late = float(rng.choice([-1.0, 1.0])) * severity * 1e-3
     velocity, velocity_abs = (_late(motion, x, late, range(3)) for x in (motion.velocity, motion.velocity_abs))
@@ -269,12 +273,12 @@ def sensor_time_offset(case: Case, severity: float, rng: np.random.Generator) ->
 
 
 def _late(motion: TrueMotion, increments: Array, late_s: float, axes: Iterable[int]) -> Array:
-    """Increments of some axes as they are sampled later; the samples keep their time stamps."""
+    """Increments with some axes delayed by ``late_s``; the samples keep their time stamps."""
     out = increments.copy()
     for piece in np.split(np.arange(len(increments)), motion.piece_starts[1:]):
         edges = np.arange(len(piece) + 1) * motion.interval
         at = np.clip(edges - late_s, 0.0, edges[-1])
-        # The unit is at rest before and after: readings outside the piece equal those at its ends.
+        # The unit is at rest before and after the piece: there, readings equal those at its ends.
         outside = np.diff(at) < (1.0 - 1e-9) * motion.interval
         ends = np.where(np.arange(len(piece)) < len(piece) // 2, piece[0], piece[-1])
         for axis in axes:
@@ -286,7 +290,7 @@ def _late(motion: TrueMotion, increments: Array, late_s: float, axes: Iterable[i
 
 @injection("gyro_axis_delayed", 5.0, "ms")
 def gyro_axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One gyro has a filter of its own, or is converted after the others."""
+    """One gyro is later or earlier than the others, as with another filter or a multiplexed converter."""
     motion = case.simulation.motion
     late, axis = float(rng.choice([-1.0, 1.0])) * severity * 1e-3, int(rng.integers(3))
     angle, angle_abs = (_late(motion, x, late, [axis]) for x in (motion.angle, motion.angle_abs))
@@ -295,7 +299,7 @@ def gyro_axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> 
 
 @injection("accel_axis_delayed", 5.0, "ms")
 def accel_axis_delayed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One accelerometer has a filter of its own, or is converted after the others."""
+    """One accelerometer is later or earlier than the others, as with another filter or a multiplexed converter."""
     motion = case.simulation.motion
     late, axis = float(rng.choice([-1.0, 1.0])) * severity * 1e-3, int(rng.integers(3))
     velocity, velocity_abs = (_late(motion, x, late, [axis]) for x in (motion.velocity, motion.velocity_abs))
@@ -304,10 +308,10 @@ def accel_axis_delayed(case: Case, severity: float, rng: np.random.Generator) ->
 
 @injection("samples_lost", 0.05, "s")
 def samples_lost(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The logger drops samples in a turn and continues its time stamps without a gap.
+    """The logger drops samples in a rotation, but its time stamps have no gap.
 
-    The time stamps of the rest of the sequence are too early, and so is the label of its end window. The turn is about
-    a horizontal axis: about the vertical, the loss does not affect the specific force and is equivalent to a turn by
+    The later time stamps of the sequence are too early, and so is the label of its end window. The rotation is about a
+    horizontal axis: about the vertical, a loss does not change the specific force and is equivalent to a rotation by
     another angle.
     """
     run = case.simulation
@@ -338,7 +342,7 @@ def samples_lost(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 
 def _read(case: Case, motion: TrueMotion, rng: np.random.Generator) -> Recording:
-    """Read out another motion with the unit of a case."""
+    """Recording of another motion by the unit of a case."""
     run = case.simulation
     stated: dict[str, Any] = {name: getattr(run.scenario.recording, name) for name in ("kind", "state_noise", "serial")}
     recording = read_out(motion, run.truth, run.imu, rng, **stated)

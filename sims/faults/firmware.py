@@ -1,4 +1,4 @@
-"""Faults of firmware and converters: high-pass filters, gravity removed, and words of one polarity."""
+"""Faults of firmware and converters: high-pass filters, gravity removed, words without sign, dead bands, stuck bits."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 
 def _high_passed(values: Array, interval_s: float, time_s: float) -> Array:
-    """Readings less their low-passed value, sample by sample, from the first reading on."""
+    """Readings behind a first-order high-pass filter, whose output starts at zero."""
     keep = math.exp(-interval_s / time_s)
     return np.asarray(values - lfilter([1.0 - keep], [1.0, -keep], values, axis=0, zi=keep * values[:1])[0])
 
 
 @injection("gyro_high_passed", 20.0, "s")
 def gyro_high_passed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The offset of the gyros is tracked with one time constant."""
+    """The firmware tracks the offset of the gyros and subtracts it: a high-pass filter with one time constant."""
     recording = case.recording
     time_s = severity * float(rng.uniform(0.8, 1.2))
     return replace(recording, gyro=_high_passed(recording.gyro, recording.nominal_interval_s, time_s))
@@ -34,7 +34,7 @@ def gyro_high_passed(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @injection("gravity_removed", 1.0, "")
 def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit subtracts low-passed specific force."""
+    """The unit subtracts the low-pass filtered specific force as an estimate of gravity."""
     recording = case.recording
     time_s = float(rng.uniform(0.2, 1.0))
     return replace(recording, accel=_high_passed(recording.accel, recording.nominal_interval_s, time_s))
@@ -66,7 +66,7 @@ def accel_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 @injection("bit_stuck", 6.0, "bit")
 def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A bus of 16 bits holds one line of one axis high."""
+    """One bit of one axis is always set, as when a line of a 16-bit bus is stuck at high."""
     sensor, axis = str(rng.choice(["gyro", "accel"])), int(rng.integers(3))
     values = getattr(case.recording, sensor).copy()
     lsb = float(np.abs(values).max()) / 2.0**14

@@ -1,7 +1,8 @@
-"""Faults of other loggers, buses and operators, in forms that the catalogue does not list one by one.
+"""Faults of loggers, buses and sensors in forms other than those of the catalogue.
 
-They were written from the behaviour of real loggers, without knowledge of the checks. Each names the faults of the
-catalogue that describe it. Several have none: they are harmless, or nothing in the catalogue describes them.
+They were written from the behaviour of real loggers, without knowledge of the checks. Each variant states the faults of
+the catalogue that are correct findings for it. Some variants state none: they are harmless, or the catalogue has no
+fault for them.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ if TYPE_CHECKING:
 
 _G: Final = STANDARD_GRAVITY_M_S2
 _BITS: Final = 15
-"""Bits of a signed word of 16 bits, without the sign."""
+"""Bits of a signed 16-bit word, without the sign bit."""
 
 
 # --- helpers ---------------------------------------------------------------------------------------------------------
 
 
 def _unit(recording: Recording) -> float:
-    """Value of a rate of 1 in a sample."""
+    """Factor from rates to the stored values: 1 for rates, the interval in s for increments."""
     return recording.nominal_interval_s if recording.kind == "increment" else 1.0
 
 
@@ -48,18 +49,18 @@ def _sign(rng: np.random.Generator) -> float:
 
 
 def _kept(recording: Recording, rows: Indices) -> Recording:
-    """Recording of some of its samples, with their stamps."""
+    """Recording with only some of its samples, which keep their time stamps."""
     return replace(recording, time=recording.time[rows], gyro=recording.gyro[rows], accel=recording.accel[rows])
 
 
 def _turning(recording: Recording, rng: np.random.Generator) -> slice:
-    """Rotation of a sequence drawn at random."""
+    """Samples of the rotation of a sequence drawn at random."""
     label = recording.sequences[int(rng.integers(len(recording.sequences)))]
     return recording.window_indices(label.start_static_s[1], label.end_static_s[0])
 
 
 def _from_here(recording: Recording, rng: np.random.Generator) -> slice:
-    """All samples after a random sequence among those in the middle of the test."""
+    """All samples after a sequence drawn at random from the middle half of the test."""
     count = len(recording.sequences)
     label = recording.sequences[int(rng.integers(count // 4, 3 * count // 4))]
     return slice(recording.window_indices(*label.end_static_s).stop, len(recording.time))
@@ -70,7 +71,7 @@ def _from_here(recording: Recording, rng: np.random.Generator) -> slice:
 
 @variant("clock fast", 1.05, "times", "sample_rate")
 def clock_fast(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The clock of the logger runs fast or slow, as an oscillator of another frequency is fitted."""
+    """The clock of the logger runs fast or slow, because its oscillator has another frequency than assumed."""
     factor = severity ** _sign(rng)
     return restamped(case.recording, lambda time: time * factor)
 
@@ -85,7 +86,7 @@ def clock_warming_up(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @variant("stamps of milliseconds", 8.0, "ms", "stamp_jitter", "time_repeats")
 def stamps_of_milliseconds(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The logger stamps on arrival, with a tick of some milliseconds."""
+    """The logger stamps each sample on arrival, with a clock that ticks every few milliseconds."""
     recording, tick = case.recording, 1e-3 * severity
     late = rng.uniform(0.0, tick)
     return replace(recording, time=np.floor((recording.time + late) / tick) * tick)
@@ -93,7 +94,7 @@ def stamps_of_milliseconds(case: Case, severity: float, rng: np.random.Generator
 
 @variant("stamps by packet", 8.0, "samples", "time_repeats")
 def stamps_by_packet(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """All samples of a packet have the stamp of its arrival."""
+    """All samples of a packet have the time of its arrival as their stamp."""
     size = max(2, round(severity))
     rows = np.arange(len(case.recording.time))
     last = np.minimum((rows + int(rng.integers(size))) // size * size + size - 1, rows[-1])
@@ -102,7 +103,7 @@ def stamps_by_packet(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @variant("stamps of single precision", 2.0e5, "s since switch-on", "time_repeats", "stamp_jitter")
 def stamps_of_single_precision(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Stamps are stored in single precision, long after switch-on."""
+    """Stamps in seconds since switch-on are stored in single precision, which rounds large values coarsely."""
     offset = severity * rng.uniform(1.0, 1.5)
     recording = restamped(case.recording, lambda time: time + offset)
     return replace(recording, time=recording.time.astype(np.float32).astype(float))
@@ -110,7 +111,7 @@ def stamps_of_single_precision(case: Case, severity: float, rng: np.random.Gener
 
 @variant("clock set by GPS", 18.0, "s", "gap_in_sequence")
 def clock_set_by_gps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The clock is set forward in a sequence, without a lost sample; the labels have the clock as it was."""
+    """The clock is set forward during a sequence; no sample is lost, and the labels keep the old clock."""
     time = case.recording.time.copy()
     time[somewhere(case.recording, rng, 1).start :] += severity
     return replace(case.recording, time=time)
@@ -118,7 +119,7 @@ def clock_set_by_gps(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @variant("counter overflow", 65.536, "s", "time_backwards")
 def counter_overflow(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The counter of the stamps overflows and starts at zero again."""
+    """The counter of the time stamps overflows and starts again at zero."""
     start = rng.uniform(0.0, severity)
     return replace(case.recording, time=(case.recording.time + start) % severity)
 
@@ -132,7 +133,7 @@ def stamps_in_minutes(case: Case, severity: float, rng: np.random.Generator) -> 
 
 @variant("nominal rate of a chip", 1.04, "times", "sample_rate")
 def nominal_rate_of_a_chip(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Stamps are counted with the nominal output rate, from which chips deviate by some percent."""
+    """Stamps are computed from the nominal output rate; the true rate of the chip differs by some per cent."""
     factor = 1.0 / severity if rng.random() < 0.5 else severity
     return restamped(case.recording, lambda time: time * factor)
 
@@ -142,13 +143,16 @@ def nominal_rate_of_a_chip(case: Case, severity: float, rng: np.random.Generator
 
 @variant("samples dropped, stamps closed up", 40.0, "samples", "samples_lost")
 def samples_dropped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The bus loses single samples in rotations; stamps are counted, and the last ones are missing at the end."""
+    """The bus loses single samples in rotations; stamps follow from a count of samples, so they show no gap.
+
+    The stamps after each loss are too early, and the recording ends too early.
+    """
     recording = case.changed(schedule={"moves": "recorded"}).recording
     keep = np.ones(len(recording.time), dtype=bool)
     for _ in range(round(severity)):
         part = _turning(recording, rng)
         keep[int(rng.integers(part.start, part.stop))] = False
-    # The labels come from the same counter: they move with the samples.
+    # The labels come from the same counter as the stamps: they shift with the samples.
     stamps = recording.time[: int(keep.sum())]
     moved = np.interp(recording.time, recording.time[keep], stamps)
 
@@ -162,7 +166,7 @@ def samples_dropped(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 @variant("samples dropped with their stamps", 60.0, "samples", "gap_in_sequence")
 def samples_dropped_with_stamps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The bus loses single samples here and there, and their stamps tell it."""
+    """The bus loses single samples with their stamps, so that the stamps show the gaps."""
     keep = np.ones(len(case.recording.time), dtype=bool)
     for _ in range(round(severity)):
         keep[somewhere(case.recording, rng, 1)] = False
@@ -181,7 +185,7 @@ def samples_dropped_with_stamps(case: Case, severity: float, rng: np.random.Gene
     "samples_interpolated",
 )
 def gap_bridged(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A tool fills a gap at the beginning or end of a rotation by straight lines."""
+    """A tool fills a gap at the beginning or end of a rotation by linear interpolation."""
     recording = case.recording
     part = _turning(recording, rng)
     edge = part.start if rng.random() < 0.5 else part.stop
@@ -197,7 +201,7 @@ def gap_bridged(case: Case, severity: float, rng: np.random.Generator) -> Record
 
 @variant("block sent twice", 0.5, "s", "samples_duplicated", "samples_stuck", "samples_lost", "spikes")
 def block_sent_twice(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A block of samples takes the place of the following block, in a rotation."""
+    """In a rotation, a block of samples is repeated in place of the following block."""
     recording = case.recording
     part = _turning(recording, rng)
     size = min(max(2, round(severity / recording.nominal_interval_s)), (part.stop - part.start) // 2)
@@ -210,7 +214,7 @@ def block_sent_twice(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @variant("last value held at a lost sample", 60.0, "samples", "samples_duplicated", "samples_lost")
 def last_value_held(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The logger repeats the previous sample where one is lost."""
+    """The logger repeats the previous sample in place of a lost one."""
     source = np.arange(len(case.recording.time))
     for _ in range(round(severity)):
         row = somewhere(case.recording, rng, 1).start
@@ -220,7 +224,7 @@ def last_value_held(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 @variant("zeros at lost samples", 8.0, "samples", "spikes", "samples_stuck")
 def zeros_at_lost_samples(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The logger writes zeros in all channels where a sample is lost."""
+    """The logger writes zeros in all channels in place of a lost sample."""
     gyro, accel = case.recording.gyro.copy(), case.recording.accel.copy()
     for _ in range(max(1, round(severity))):
         row = somewhere(case.recording, rng, 1)
@@ -230,7 +234,7 @@ def zeros_at_lost_samples(case: Case, severity: float, rng: np.random.Generator)
 
 @variant("-9999 at lost samples", 4.0, "samples", "spikes")
 def sentinels_at_lost_samples(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The logger writes a number that no sensor outputs where a sample is lost."""
+    """The logger writes an impossible number in place of the readings of a lost sample, in one triad."""
     sensor = _sensor(rng)
     values = getattr(case.recording, sensor).copy()
     for _ in range(max(1, round(severity))):
@@ -240,7 +244,7 @@ def sentinels_at_lost_samples(case: Case, severity: float, rng: np.random.Genera
 
 @variant("neighbouring samples exchanged", 40.0, "samples", "spikes")
 def neighbours_exchanged(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Two samples arrive in the wrong order, and are stamped by number."""
+    """Two neighbouring samples arrive in the wrong order; the stamps follow from the count of samples."""
     order = np.arange(len(case.recording.time))
     for _ in range(round(severity)):
         row = somewhere(case.recording, rng, 2).start
@@ -250,7 +254,7 @@ def neighbours_exchanged(case: Case, severity: float, rng: np.random.Generator) 
 
 @variant("every second increment dropped", 2.0, "-", "increments_thinned", "samples_lost")
 def increments_decimated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Increments are thinned out in place of being summed: angles and velocities are too small by the factor."""
+    """One of ``severity`` increments is kept, instead of their sum: angles and velocities are too small by that."""
     recording = case.recording
     if recording.kind == "rate":
         step = recording.nominal_interval_s
@@ -263,7 +267,7 @@ def increments_decimated(case: Case, severity: float, rng: np.random.Generator) 
 
 
 def _word(recording: Recording, sensor: str, counts: float) -> tuple[Array, float]:
-    """Readings in counts of a word, of which the largest reading takes ``counts``, and the value of one."""
+    """Readings as whole numbers, scaled so that the largest is ``counts``, and the value of one count."""
     values = getattr(recording, sensor)
     lsb = float(np.abs(values).max()) / counts
     return np.round(values / lsb), lsb
@@ -279,7 +283,7 @@ def unsigned_words(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @variant("sign bit and magnitude", 1.0, "", "gyro_wrapped", "accel_wrapped")
 def sign_and_magnitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Words of two's complement are read as sign and magnitude."""
+    """Words in two's complement are read as words of sign and magnitude."""
     sensor = _sensor(rng)
     words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
     return _changed(case.recording, sensor, lsb * np.where(words < 0.0, -(2.0**_BITS + words), words))
@@ -308,7 +312,7 @@ def bit_stuck(case: Case, severity: float, rng: np.random.Generator) -> Recordin
 
 @variant("low bits lost", 64.0, "times", "gyro_noise", "accel_noise")
 def low_bits_lost(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Words are shifted right, without rounding, to fit a shorter message."""
+    """The low bits of the words are cut off without rounding, to fit a shorter message."""
     sensor = _sensor(rng)
     words, lsb = _word(case.recording, sensor, 0.9 * 2.0**_BITS)
     return _changed(case.recording, sensor, lsb * severity * np.floor(words / severity))
@@ -316,7 +320,7 @@ def low_bits_lost(case: Case, severity: float, rng: np.random.Generator) -> Reco
 
 @variant("one axis of another range", 2.0, "-", "gyro_lsb", "accel_lsb")
 def one_axis_of_another_range(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The range of one axis is set otherwise than that of the others."""
+    """One axis has another measuring range than the other two."""
     sensor = _sensor(rng)
     values = getattr(case.recording, sensor).copy()
     values[:, int(rng.integers(3))] *= severity ** _sign(rng)
@@ -325,7 +329,7 @@ def one_axis_of_another_range(case: Case, severity: float, rng: np.random.Genera
 
 @variant("range switched in the test", 2.0, "times", "gyro_lsb", "accel_lsb", "units_joined")
 def range_switched(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit changes its range and the logger keeps the old count value, from some sequence on."""
+    """From one sequence on, the unit uses another measuring range, but the logger keeps the old count value."""
     sensor = _sensor(rng)
     values = getattr(case.recording, sensor).copy()
     values[_from_here(case.recording, rng)] *= severity ** _sign(rng)
@@ -345,14 +349,14 @@ def one_axis_in_degrees(case: Case, severity: float, rng: np.random.Generator) -
 
 @variant("accelerometers limited below 1 g", 0.004, "of gravity", "accel_clipped")
 def limited_below_gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The converter of the accelerometers ends just below gravity."""
+    """The accelerometers saturate just below 1 g."""
     limit = (1.0 - severity * rng.uniform(0.9, 1.1)) * _G * _unit(case.recording)
     return replace(case.recording, accel=np.clip(case.recording.accel, -limit, limit))
 
 
 @variant("one accelerometer limited", 0.004, "of gravity", "accel_clipped")
 def one_accelerometer_limited(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The converter of one accelerometer ends just below gravity, on one side."""
+    """One accelerometer saturates just below 1 g, for one sign only."""
     limit, axis = (1.0 - severity * rng.uniform(0.9, 1.1)) * _G * _unit(case.recording), int(rng.integers(3))
     accel = case.recording.accel.copy()
     accel[:, axis] = np.minimum(accel[:, axis], limit) if rng.random() < 0.5 else np.maximum(accel[:, axis], -limit)
@@ -361,7 +365,7 @@ def one_accelerometer_limited(case: Case, severity: float, rng: np.random.Genera
 
 @variant("negative readings cut off", 1.0, "", "gyro_one_polarity", "accel_one_polarity")
 def negative_cut_off(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A converter of one polarity reads zero for all negative values of an axis."""
+    """The converter of one axis has no negative values: it reads zero instead."""
     sensor = _sensor(rng)
     values, axis = getattr(case.recording, sensor).copy(), int(rng.integers(3))
     values[:, axis] = np.maximum(values[:, axis], 0.0)
@@ -370,7 +374,7 @@ def negative_cut_off(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @variant("gyros held below the rate of the table", 0.05, "of the rate", "gyro_clipped")
 def gyros_held(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The output of the gyros ends below the rate of the table, far inside the stated range."""
+    """The gyros saturate just below the rate of the table, far below the stated range."""
     limit = (1.0 - severity * rng.uniform(0.9, 1.1)) * _unit(case.recording)
     return replace(case.recording, gyro=np.clip(case.recording.gyro, -limit, limit))
 
@@ -380,7 +384,7 @@ def gyros_held(case: Case, severity: float, rng: np.random.Generator) -> Recordi
 
 @variant("gyros high-passed", 30.0, "s", "gyro_high_passed")
 def gyros_high_passed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The firmware tracks the offset of the gyros with a time constant, rotations included."""
+    """The firmware tracks the offset of the gyros with one time constant, also during rotations, and subtracts it."""
     recording = case.recording
     decay = math.exp(-recording.nominal_interval_s / (severity * rng.uniform(0.8, 1.2)))
     slow = lfilter([1.0 - decay], [1.0, -decay], recording.gyro, axis=0, zi=decay * recording.gyro[:1])[0]
@@ -389,7 +393,7 @@ def gyros_high_passed(case: Case, severity: float, rng: np.random.Generator) -> 
 
 @variant("earth rate removed", 1.0, "", "earth_rate_absent")
 def earth_rate_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The firmware subtracts the mean of every rest of more than a second, as soon as it has ended."""
+    """The firmware subtracts the mean gyro reading of each stationary window, from that window until the next one."""
     recording = case.recording
     gyro, before = recording.gyro.copy(), np.zeros(3)
     for label in recording.sequences:
@@ -405,7 +409,7 @@ def earth_rate_removed(case: Case, severity: float, rng: np.random.Generator) ->
 
 @variant("gravity removed", 1.0, "", "gravity_removed")
 def gravity_removed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit outputs linear acceleration: what its filter takes for gravity is subtracted."""
+    """The unit outputs linear acceleration: it subtracts the low-pass filtered specific force as gravity."""
     recording = case.recording
     decay = math.exp(-recording.nominal_interval_s / rng.uniform(0.2, 0.5))
     slow = lfilter([1.0 - decay], [1.0, -decay], recording.accel, axis=0, zi=decay * recording.accel[:1])[0]
@@ -431,7 +435,7 @@ def gyros_low_passed(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @variant("offset subtracted twice", 0.02, "rad/s")
 def offset_subtracted_twice(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """An offset is subtracted that the unit removes itself: a large constant bias, which calibration finds."""
+    """The logger subtracts an offset that the unit has already removed: a large constant bias, which is no fault."""
     offset = severity * _unit(case.recording) * rng.uniform(-1.0, 1.0, 3)
     return replace(case.recording, gyro=case.recording.gyro - offset)
 
@@ -441,7 +445,7 @@ def offset_subtracted_twice(case: Case, severity: float, rng: np.random.Generato
 
 @variant("accelerometer bias steps", 5000.0, "ug", "accel_bias_drift", "units_joined")
 def accel_bias_steps(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The bias of one accelerometer changes between two sequences, after a knock."""
+    """The bias of one accelerometer changes between two sequences, as after a knock."""
     accel = case.recording.accel.copy()
     accel[_from_here(case.recording, rng), int(rng.integers(3))] += (
         _sign(rng) * severity * MICRO_G * _unit(case.recording)

@@ -1,6 +1,6 @@
-"""Faults of operators, mountings, labels and sites that the catalogue does not list one by one, and pairs of faults.
+"""Faults of operators, mountings, labels and sites in forms other than those of the catalogue, and pairs of faults.
 
-They were written without knowledge of the checks, as those of ``sims.faults.foreign_loggers``.
+They were written without knowledge of the checks, like the variants of ``sims.faults.foreign_loggers``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _sign(rng: np.random.Generator) -> float:
 
 
 def _relabelled(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
-    """Recording with the labels on another clock."""
+    """Recording with the times of its labels transformed by ``clock``."""
 
     def moved(label: SequenceLabel) -> SequenceLabel:
         first, second = (clock(np.array(at)) for at in (label.start_static_s, label.end_static_s))
@@ -53,7 +53,7 @@ def _turned(recording: Recording, gyro: Rotation | None, accel: Rotation | None)
 
 @variant("labels of a fast clock", 0.02, "of the rate", "labels_shifted", "sample_rate")
 def labels_of_a_fast_clock(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The labels come from a clock that runs fast or slow against that of the samples."""
+    """The clock of the labels runs faster or slower than that of the samples."""
     first, sign = case.recording.time[0], _sign(rng)
     return _relabelled(
         case.changed(schedule={"moves": "recorded"}).recording,
@@ -63,7 +63,7 @@ def labels_of_a_fast_clock(case: Case, severity: float, rng: np.random.Generator
 
 @variant("windows reach into the rotations", 0.5, "s", "labels_shifted", "noisy_window", "unsettled")
 def windows_too_long(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The operator's windows begin before the rest and end after it, by as much as he is slow."""
+    """The start window of each label ends too late and the end window begins too early: both include rotation."""
     slow = severity * rng.uniform(0.9, 1.1)
 
     def longer(label: SequenceLabel) -> SequenceLabel:
@@ -75,7 +75,7 @@ def windows_too_long(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @variant("labels of the next sequences", 1.0, "sequences", "labels_exchanged", "labels_shifted", "wrong_direction")
 def labels_of_the_next(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One sequence was left out of the list, and all names from there on are those of the following sequences."""
+    """One sequence is missing in the list of labels, so that each later sequence has the name of the next one."""
     labels = case.recording.sequences
     names = [label.id for label in labels]
     left_out = int(rng.integers(2, len(names) - 3))
@@ -88,7 +88,7 @@ def labels_of_the_next(case: Case, severity: float, rng: np.random.Generator) ->
 
 @variant("time of the labels from the start", 400.0, "s", "labels_shifted")
 def labels_from_the_start(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Samples are stamped from switch-on, and labels count from the start of the recording."""
+    """The stamps of the samples count from switch-on, the labels from the start of the recording."""
     late = severity * rng.uniform(0.9, 1.1)
     recording = case.changed(schedule={"moves": "recorded"}).recording
     return replace(recording, time=recording.time + late)
@@ -99,21 +99,21 @@ def labels_from_the_start(case: Case, severity: float, rng: np.random.Generator)
 
 @variant("mounted at 45 deg", 45.0, "deg", "frame_turned")
 def mounted_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit stands askew on the table."""
+    """The unit is mounted on the table with a rotation by 45° about one axis."""
     turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
     return _turned(case.recording, turn, turn)
 
 
 @variant("sensors askew in their housing", 3.0, "deg")
 def sensors_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Both triads are turned by a few degrees in the housing."""
+    """Both triads are rotated together in the housing, by up to ``severity`` degrees about each axis."""
     turn = Rotation.from_rotvec(severity * DEG * rng.uniform(-1.0, 1.0, 3))
     return _turned(case.recording, turn, turn)
 
 
 @variant("accelerometer board askew", 30.0, "deg", "frames_disagree")
 def accelerometer_board_askew(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The accelerometers are turned against the gyros."""
+    """The accelerometers are rotated relative to the gyros, about one axis."""
     turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))])
     return _turned(case.recording, None, turn)
 
@@ -126,7 +126,7 @@ def mounted_anew(case: Case, severity: float, rng: np.random.Generator) -> Recor
     label = recording.sequences[int(rng.integers(count // 4, 3 * count // 4))]
     rows = slice(recording.window_indices(*label.end_static_s).stop, len(recording.time))
     turn = Rotation.from_rotvec(_sign(rng) * severity * DEG * np.eye(3)[int(rng.integers(3))]).as_matrix() - np.eye(3)
-    # The motion turns, and the sensors stay as they are in their case.
+    # The motion in case axes is rotated; the sensor matrices in case axes stay the same.
     motion, factor = simulation.motion, 1.0 if recording.kind == "increment" else 1.0 / simulation.motion.interval
     gyro, accel = recording.gyro.copy(), recording.accel.copy()
     gyro[rows] += factor * motion.angle[rows] @ (gyro_matrix(simulation.truth) @ turn).T
@@ -136,14 +136,14 @@ def mounted_anew(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 @variant("east, north, up for north, east, down", 1.0, "", "frame_turned")
 def east_north_up(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Both triads in axes that point right, forward and up, where front, right and down are expected."""
+    """Both triads use axes right, forward and up, where forward, right and down are expected."""
     axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return replace(case.recording, gyro=case.recording.gyro @ axes.T, accel=case.recording.accel @ axes.T)
 
 
 @variant("two axes reversed", 1.0, "", "frame_turned", "frames_disagree")
 def two_axes_reversed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Two columns of one triad, or of both, have the reversed sign."""
+    """Two columns of one triad, or of both, have the wrong sign."""
     signs = -np.ones(3)
     signs[int(rng.integers(3))] = 1.0
     gyro, accel = ((True, True), (True, False), (False, True))[int(rng.integers(3))]
@@ -157,7 +157,7 @@ def two_axes_reversed(case: Case, severity: float, rng: np.random.Generator) -> 
 
 @variant("columns one further", 1.0, "", "gyro_axes_swapped", "frames_disagree", "frame_turned")
 def columns_one_further(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The columns of one triad are read in cyclic order."""
+    """The columns of one triad are shifted cyclically by one or two places."""
     sensor, step = str(rng.choice(["gyro", "accel"])), int(rng.integers(1, 3))
     values = np.roll(getattr(case.recording, sensor), step, axis=1)
     return replace(case.recording, gyro=values) if sensor == "gyro" else replace(case.recording, accel=values)
@@ -185,13 +185,13 @@ def longitude_for_latitude(case: Case, severity: float, rng: np.random.Generator
 
 @variant("gravity of another country", 0.04, "m/s^2", "gravity")
 def gravity_of_another_country(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Gravity at the equator or near a pole."""
+    """The stated gravity is that of a place much nearer to the equator or to a pole."""
     return _sited(case, gravity_m_s2=case.recording.site.gravity_m_s2 + _sign(rng) * severity)
 
 
 @variant("table faces the other way", 180.0, "deg", "north")
 def table_faces_the_other_way(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The heading of the table is that of its back, or of a magnetic compass beside iron."""
+    """The stated heading is wrong by half a turn, as if it were that of the opposite axis of the table."""
     fixture = case.recording.fixture
     assert fixture is not None
     assert fixture.heading_rad is not None
@@ -217,7 +217,7 @@ PAIRS: Final = (
     ("latitude", "accel_stuck"),
     ("gyro_clipped", "north"),
 )
-"""Pairs of the catalogue; the second is put into the recording that has the first."""
+"""Pairs of faults of the catalogue; the second fault is put into the recording that has the first one."""
 
 
 def _pair(first: str, second: str) -> None:
@@ -225,7 +225,7 @@ def _pair(first: str, second: str) -> None:
         f"{first} and {second}", 1.0, "times the stated ones", *INJECTIONS[first].causes, *INJECTIONS[second].causes
     )
     def pair(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        """Put two faults into one recording; what is refused at construction is refused here."""
+        """Put two faults into one recording; raises InputError if the construction detects one of them."""
         one, other = INJECTIONS[first], INJECTIONS[second]
         faulty = one.apply(case, _scaled(first, case.grade, severity), rng)
         later = FaultyCase(case.grade, case.seed, case.changes, faulty)
@@ -233,7 +233,11 @@ def _pair(first: str, second: str) -> None:
 
 
 def _scaled(fault: str, grade: str, share: float) -> float:
-    """Stated severity of a fault, or for a factor the power of it; the best grade with one stands in for another."""
+    """Stated severity of a fault, scaled by ``share``: a factor is raised to that power.
+
+    A grade without a stated severity gets that of the best grade that has one. Severities that are counts or have no
+    unit are not scaled.
+    """
     injection = INJECTIONS[fault]
     stated = injection.severity.get(grade, next(iter(injection.severity.values())))
     if injection.unit in ("", "-", "Hz", "samples", "sequences", "columns") or injection.unit.startswith("counts"):

@@ -1,7 +1,7 @@
 """Injection of single faults of a stated severity into simulated recordings, to test the diagnosis.
 
-Each injection models what happens on a bench, independent of the checks that detect it. Injections register in the
-modules ``sims.faults.logger``, ``sims.faults.execution`` and ``sims.faults.site_and_drift``.
+Each injection models the physical cause of a fault, independently of the check that detects the fault. The modules
+``sims.faults.logger``, ``sims.faults.execution`` and ``sims.faults.site_and_drift`` register injections when imported.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Case:
 
     @cached_property
     def scenario(self) -> Scenario:
-        """Scenario with labels, 100 Hz, dwells of 10 s and 1 rad/s; increments for grades that output increments."""
+        """Scenario with labels, 100 Hz, windows of 10 s, rotations at 1 rad/s; increments for the two best grades."""
         increments = self.grade in ("navigation-rlg", "tactical-fog")
         values: dict[str, dict[str, Any]] = {
             "imu": {"from": self.grade},
@@ -60,7 +60,7 @@ class Case:
 
     @cached_property
     def simulation(self) -> Simulation:
-        """Simulated run with its truth and motion."""
+        """Simulation with true sensor errors and true motion."""
         return simulate(self.scenario)
 
     @property
@@ -69,7 +69,7 @@ class Case:
         return self.simulation.recording
 
     def changed(self, **sections: Mapping[str, Any]) -> Case:
-        """Case with the same unit in another test."""
+        """Case with the same unit and changes of the test, by section as in ``changes``."""
         merged = {name: dict(keys) for name, keys in self.changes.items()}
         for name, keys in sections.items():
             merged[name] = {**merged.get(name, {}), **keys}
@@ -88,16 +88,18 @@ class Injection:
     fault : str
         Name in the catalogue of faults.
     apply : callable
-        Function of a case, a severity and a generator that returns the recording with the fault. It may raise
-        InputError where the construction of the recording detects the fault.
+        Function of a case, a severity and a random generator; returns the recording with the fault. It raises
+        InputError if the construction of the recording detects the fault.
     severity : mapping of str to float
-        Stated severity by grade; the fault is not detectable in an absent grade.
+        Stated severity by grade. In a grade that is not a key, the fault is not detectable.
     unit : str
         Unit of the severity.
     options : Options or None
         Options of the calibration, for a fault in the options.
     unseen : mapping of str to str
-        Reason why the fault is not detectable in a grade.
+        Reasons why the fault is not detectable, by grade.
+    causes : tuple of str
+        Names of the catalogue that are correct findings.
     """
 
     fault: str
@@ -109,18 +111,19 @@ class Injection:
     causes: tuple[str, ...] = ()
 
     def recording(self, case: Case, severity: float | None = None) -> Recording:
-        """Recording of a case with the fault; the random numbers depend on the seed of the case and the fault."""
+        """Recording of a case with the fault; the random numbers depend on the seed of the case and on the fault."""
         rng = np.random.default_rng([case.seed, *self.fault.encode()])
         return self.apply(case, self.severity[case.grade] if severity is None else severity, rng)
 
 
 @dataclass(frozen=True)
 class FaultyCase(Case):
-    """Case whose recording has a fault already, to inject a second one.
+    """Case whose recording already has a fault, to inject a second one.
 
     Attributes
     ----------
     faulty : Recording or None
+        Recording with the first fault.
     """
 
     faulty: Recording | None = None
@@ -133,9 +136,9 @@ class FaultyCase(Case):
 
 
 INJECTIONS: Final[dict[str, Injection]] = {}
-"""One injection of each fault of the catalogue."""
+"""Injections by fault of the catalogue, one for each fault."""
 VARIANTS: Final[dict[str, Injection]] = {}
-"""Further injections, whose names are not those of the catalogue: faults in another form, and pairs of faults."""
+"""Further injections by name: faults in a form other than that of the catalogue, and pairs of faults."""
 
 
 def injection(
@@ -147,9 +150,10 @@ def injection(
     unseen: Mapping[str, str] | None = None,
     also: tuple[str, ...] = (),
 ) -> Callable[[Apply], Apply]:
-    """Register the injection of a fault; a single severity applies to all grades in which it is detectable.
+    """Register the injection of a fault; a single severity applies to all grades in which the fault is detectable.
 
-    ``also`` are other names of the catalogue that describe smaller severities: half a wrong unit is no unit.
+    ``also`` are further correct findings, for smaller severities: a factor of 2 is a wrong count value, but a factor of
+    1.5 is not.
     """
     missing = dict(unseen or {})
     by_grade = severity if isinstance(severity, Mapping) else dict.fromkeys(GRADES, severity)
@@ -157,7 +161,7 @@ def injection(
 
     def register(apply: Apply) -> Apply:
         if fault in INJECTIONS:
-            raise InputError(f"The fault {fault!r} is injected in two ways: keep one.")
+            raise InputError(f"The fault {fault!r} has two injections, but one is expected: remove one of them.")
         INJECTIONS[fault] = Injection(fault, apply, by_grade, unit, options, missing, (fault, *also))
         return apply
 
@@ -165,11 +169,11 @@ def injection(
 
 
 def variant(kind: str, severity: float, unit: str, *causes: str) -> Callable[[Apply], Apply]:
-    """Register a further injection; ``causes`` are the names of the catalogue that are right for it."""
+    """Register a further injection; ``causes`` are the names of the catalogue that are correct findings for it."""
 
     def register(apply: Apply) -> Apply:
         if kind in VARIANTS or kind in INJECTIONS:
-            raise InputError(f"The kind {kind!r} is injected in two ways: keep one.")
+            raise InputError(f"The name {kind!r} has two injections, but one is expected: rename one of them.")
         VARIANTS[kind] = Injection(kind, apply, dict.fromkeys(GRADES, severity), unit, causes=causes)
         return apply
 

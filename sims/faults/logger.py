@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 import sims.faults.firmware
-import sims.faults.units_and_axes  # noqa: F401 - register their injections
+import sims.faults.units_and_axes  # noqa: F401 - these modules register their injections on import
 from sims.faults.injection import GRADES, injection
 from sims.physics.imu import read_out
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 
 _EDGE: Final = 5
-"""Number of undisturbed samples at both ends of a sequence."""
+"""Number of undisturbed samples at each end of a sequence."""
 
 
 # --- helpers ---------------------------------------------------------------------------------------------------------
 
 
 def somewhere(recording: Recording, rng: np.random.Generator, count: int) -> slice:
-    """Consecutive samples of a sequence drawn at random, in its windows or its rotation."""
+    """Consecutive samples at a random place in the windows or the rotation of a random sequence."""
     label = recording.sequences[int(rng.integers(len(recording.sequences)))]
     first = recording.window_indices(*label.start_static_s).start + _EDGE
     last = recording.window_indices(*label.end_static_s).stop - _EDGE
@@ -50,7 +50,7 @@ def _with(recording: Recording, sensor: str, values: Array) -> Recording:
 
 
 def restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recording:
-    """Recording with samples and labels on another clock."""
+    """Recording with the times of its samples and labels transformed by ``clock``."""
 
     def moved(label: SequenceLabel) -> SequenceLabel:
         first, second = clock(np.array(label.start_static_s)), clock(np.array(label.end_static_s))
@@ -64,12 +64,12 @@ def restamped(recording: Recording, clock: Callable[[Array], Array]) -> Recordin
     return replace(recording, time=clock(recording.time), sequences=labels)
 
 
-# --- refused by the recording------------------------------------------------------------------------------------------
+# --- faults that the construction of a recording detects -------------------------------------------------------------
 
 
 @injection("not_finite", 1.0, "samples")
 def not_finite(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Readings are NaN, as a parser could not read them, or infinite, because of a division by zero."""
+    """Readings are NaN, as after a failed conversion of text, or infinite, as after a division by zero."""
     recording = case.recording
     sensor = str(rng.choice(["gyro", "accel"]))
     values = getattr(recording, sensor).copy()
@@ -89,7 +89,7 @@ def time_backwards(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("time_repeats", 1.0, "samples")
 def time_repeats(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Consecutive samples have the same time stamp."""
+    """Some consecutive samples have the same time stamp."""
     recording = case.recording
     time = recording.time.copy()
     rows = somewhere(recording, rng, max(1, round(severity)))
@@ -109,14 +109,14 @@ def rate_contradicts_stamps(case: Case, severity: float, rng: np.random.Generato
 
 @injection("time_unit", 1e3, "times", also=("sample_rate",))
 def time_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit of the time stamps is ``severity`` times smaller or larger than declared; labels have the same clock."""
+    """The unit of the stamps is ``severity`` times smaller or larger than declared; the labels have the same unit."""
     factor = severity ** float(rng.choice([-1.0, 1.0]))
     return restamped(case.recording, lambda time: factor * time)
 
 
 @injection("stamp_jitter", 0.1, "intervals (rms)")
 def stamp_jitter(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The host time-stamps samples with random errors."""
+    """The time stamps, set by the host, have random errors."""
     recording = case.recording
     late = np.clip(severity * rng.standard_normal(len(recording.time)), -0.49, 0.49)
     return replace(recording, time=recording.time + recording.nominal_interval_s * late)
@@ -124,11 +124,11 @@ def stamp_jitter(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 @injection("clock_drift", 0.02, "of the interval")
 def clock_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The clock of the logger approaches its final rate after switch-on."""
+    """After switch-on, the clock of the logger approaches its final rate exponentially."""
     recording, sign = case.recording, float(rng.choice((-1.0, 1.0)))
     first, span = recording.time[0], recording.time[-1] - recording.time[0]
     slow = span * float(rng.uniform(0.3, 1.0))
-    # Normalised: the interval changes by the severity from the first sample to the last.
+    # Scaled so that the relative change of the interval from the first sample to the last is the severity.
     size = sign * severity / -math.expm1(-span / slow)
     return restamped(recording, lambda time: time + size * slow * np.expm1(-(time - first) / slow))
 
@@ -148,7 +148,7 @@ def gap_in_sequence(case: Case, severity: float, rng: np.random.Generator) -> Re
 def _dead(sensor: str) -> None:
     @injection(f"{sensor}_channel_dead", 1.0, "columns")
     def dead(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        """Columns are constant: zero, or the last value before a disconnection."""
+        """Some columns are constant: zero, or the value before a disconnection."""
         recording = case.recording
         values = getattr(recording, sensor).copy()
         for axis in rng.choice(3, max(1, min(3, round(severity))), replace=False):
@@ -162,7 +162,7 @@ _dead("accel")
 
 @injection("columns_repeat", 1.0, "")
 def columns_repeat(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A column is named twice in the mapping, in one sensor or across both."""
+    """The mapping of the columns names one column twice, in one triad or in both."""
     recording = case.recording
     columns = np.hstack([recording.gyro, recording.accel])
     source, target = rng.choice(6, 2, replace=False)
@@ -191,20 +191,23 @@ def _stuck(fault: str, sensors: tuple[str, ...], severity: float | dict[str, flo
 
 
 _stuck("samples_stuck", ("gyro", "accel"), 0.5)
-# Laser gyros output few pulses at rest and regular ones in a turn: equal consecutive readings are normal.
+# Laser gyros output few pulses at rest and evenly spaced pulses in a rotation: equal consecutive readings are normal.
 _stuck("gyro_stuck", ("gyro",), dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=True)))
 _stuck("accel_stuck", ("accel",), 0.5)
 
 
 _REPEATING_PULSES: Final = (
-    "Pulses of laser gyros repeat in all six channels by themselves, once in fifty samples: what is told of repeated "
-    "samples there is the spikes and the lost angle in the rotations."
+    "With the pulses of laser gyros, one of fifty samples repeats the previous one in all six channels by chance. "
+    "Duplicated samples are therefore found only in rotations, as spikes or as an attitude error."
 )
 
 
 @injection("samples_duplicated", 24.0, "samples", unseen={GRADES[0]: _REPEATING_PULSES})
 def samples_duplicated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The logger sends its buffer twice: in place of the next sample, or before it, all later stamps being moved."""
+    """The logger writes samples twice, either in place of the next sample or as an additional sample.
+
+    An additional sample delays all later stamps by one interval.
+    """
     recording, dt = case.recording, case.recording.nominal_interval_s
     rows = np.array([somewhere(recording, rng, 1).start for _ in range(max(1, round(severity)))])
     if rng.random() < 0.5:
@@ -241,8 +244,8 @@ def _axis_stuck(fault: str, sensor: str, severity: dict[str, float], unseen: dic
 
 
 _PULSES: Final = (
-    "Pulses of one laser gyro repeat for seconds where its axis does not turn, or turns steadily: most such freezes "
-    "are not named, and neither is the rotation that they spoil."
+    "The pulse count of a laser gyro repeats for seconds while its axis is at rest or rotates steadily. Most freezes "
+    "of one axis cannot be distinguished from this, and neither can the rotation error that they cause."
 )
 _axis_stuck("gyro_axis_stuck", "gyro", dict.fromkeys(GRADES[1:], 0.5), {GRADES[0]: _PULSES})
 _axis_stuck("accel_axis_stuck", "accel", dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), strict=True)), {})
@@ -251,7 +254,7 @@ _axis_stuck("accel_axis_stuck", "accel", dict(zip(GRADES, (2.0, 0.5, 0.5, 0.5), 
 def _wrapped(fault: str, sensor: str, share: float) -> None:
     @injection(fault, share, "of the largest reading")
     def wrapped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-        """One triad is stored in signed words too short for its readings."""
+        """One triad is stored in signed words that are too short for its largest readings, which wrap around."""
         values = getattr(case.recording, sensor)
         half = severity * float(np.abs(values).max()) * rng.uniform(0.95, 1.05)
         return _with(case.recording, sensor, (values + half) % (2.0 * half) - half)
@@ -272,7 +275,7 @@ def gyro_dead_band(case: Case, severity: float, rng: np.random.Generator) -> Rec
 
 @injection("spikes", 0.05, "of the range")
 def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One to three readings of a channel have a transmission error of ``severity`` times its range."""
+    """One to three readings of a channel have a transmission error of ``severity`` times the range of the sensor."""
     recording, imu = case.recording, case.simulation.imu
     sensor = str(rng.choice(["gyro", "accel"]))
     limit = imu.gyro_range if sensor == "gyro" else imu.accel_range
@@ -288,7 +291,7 @@ def spikes(case: Case, severity: float, rng: np.random.Generator) -> Recording:
 
 @injection("gyro_clipped", 1.2, "times")
 def gyro_clipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The table turns at ``severity`` times the gyros' range."""
+    """The table rotates at ``severity`` times the range of the gyros, which saturate."""
     simulation = case.simulation
     schedule = simulation.scenario.schedule
     assert schedule is not None
@@ -298,7 +301,7 @@ def gyro_clipped(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 @injection("accel_clipped", 1.5, "times")
 def accel_clipped(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Shock: half a sine of 60 ms along one axis, with a peak of ``severity`` times the accelerometers' range."""
+    """A shock along one axis: a half sine of 60 ms, with a peak of ``severity`` times the accelerometers' range."""
     simulation = case.simulation
     motion, limit = simulation.motion, simulation.imu.accel_range
     rows = somewhere(case.recording, rng, _samples(case.recording, 0.06))
@@ -312,7 +315,7 @@ def accel_clipped(case: Case, severity: float, rng: np.random.Generator) -> Reco
 
 @injection("samples_interpolated", 0.4, "s")
 def samples_interpolated(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """A tool fills a gap in a sequence by straight lines between the samples beside it."""
+    """A tool fills a gap in a sequence by linear interpolation between the samples before and after it."""
     recording = case.recording
     rows = somewhere(recording, rng, round(severity / recording.nominal_interval_s))
     gyro, accel = recording.gyro.copy(), recording.accel.copy()

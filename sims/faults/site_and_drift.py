@@ -1,4 +1,4 @@
-"""Faults of the stated site, of the temperature, and of the unit's drift, noise and asymmetry."""
+"""Faults of the stated site and of the temperature, and drift, noise and scale-factor asymmetry of the unit."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ if TYPE_CHECKING:
 
 
 _ANOMALY_M_S2: Final = 5e-4
-"""Gravity anomaly, 1 sigma, m/s²: the uncertainty of normal gravity."""
+"""Standard deviation of a gravity anomaly, m/s²: the uncertainty of normal gravity."""
 _HEIGHT_M: Final = 200.0
-"""Largest height of the other place, m."""
+"""Largest height above sea level of the place whose latitude is stated, m."""
 
 _NO_LATITUDE = (
-    "A g-sensitivity of 180 °/h/g hides the vertical part of the Earth's rate, and the flicker of the bias (20 °/h) "
-    "leaves ±6 °/h on the horizontal part, which is 0 to 15 °/h whatever the latitude."
+    "A g-sensitivity of 180 °/h/g masks the vertical component of the Earth rate. With a bias instability of 20 °/h, "
+    "the sigma of the horizontal component is 6 °/h, but the component itself is only 0 to 15 °/h at any latitude."
 )
 _NO_NORTH = (
-    "The flicker of the bias (20 °/h) leaves ±6 °/h on the horizontal part of the Earth's rate: even south taken for "
-    "north changes it by 21 °/h, which is 3.3 sigma of the 7 that it takes."
+    "With a bias instability of 20 °/h, the sigma of the horizontal component of the Earth rate is 6 °/h. Even a "
+    "heading that is wrong by 180° changes this component by only 21 °/h, which is 3.3 sigma; detection needs 7 sigma."
 )
 
 
 @injection("gravity", 0.025, "m/s²")
 def gravity(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Gravity of another place, or with a wrong digit."""
+    """The stated gravity is that of another place, or has a wrong digit."""
     site = case.recording.site
     stated = site.gravity_m_s2 + severity * _sign(rng)
     return replace(case.recording, site=replace(site, gravity_m_s2=stated))
 
 
 @injection(
-    "earth_rate_absent", 1.0, "", unseen={"consumer-mems": _NO_LATITUDE.replace("whatever the latitude", "by latitude")}
+    "earth_rate_absent", 1.0, "", unseen={"consumer-mems": _NO_LATITUDE.replace("at any latitude", "by latitude")}
 )
 def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit sets its gyro readings to zero in every stationary window, and keeps this offset until the next one."""
+    """The unit subtracts the mean gyro reading of each stationary window, from that window until the next one."""
     recording = case.recording
     gyro = recording.gyro.copy()
     spans = [span for s in recording.sequences for span in (s.start_static_s, s.end_static_s)]
@@ -65,7 +65,7 @@ def earth_rate_absent(case: Case, severity: float, rng: np.random.Generator) -> 
     unseen={"consumer-mems": _NO_LATITUDE},
 )
 def latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Latitude of another place, with the tabulated gravity of that place."""
+    """The stated latitude and gravity are those of another place."""
     true = case.scenario.site.latitude_deg
     stated = true + severity * _sign(rng)
     if abs(stated) > 90.0:
@@ -84,7 +84,7 @@ def latitude(case: Case, severity: float, rng: np.random.Generator) -> Recording
     unseen={"consumer-mems": _NO_NORTH},
 )
 def north(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Heading from a magnetic compass, or of the wrong axis of the table."""
+    """The stated heading is that of a magnetic compass, or that of the wrong axis of the table."""
     fixture = case.recording.fixture
     assert fixture is not None
     assert fixture.heading_rad is not None
@@ -93,7 +93,7 @@ def north(case: Case, severity: float, rng: np.random.Generator) -> Recording:
 
 
 def _temperatures(case: Case, start_c: float, rise_c: float, rng: np.random.Generator) -> Array:
-    """Temperature of the board, which approaches its final value; resolution 1/16 °C."""
+    """Temperature of the circuit board, °C: approaches its final value exponentially; the resolution is 1/16 °C."""
     time = case.recording.time - case.recording.time[0]
     slowness = rng.uniform(0.3, 1.5) * time[-1]
     shape = np.expm1(-time / slowness) / np.expm1(-time[-1] / slowness)
@@ -104,7 +104,7 @@ def _temperatures(case: Case, start_c: float, rise_c: float, rng: np.random.Gene
 
 @injection("temperature_unit", 45.0, "°C, in K or °F")
 def temperature_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Temperature in K or °F instead of °C."""
+    """The temperature is in K or °F instead of °C."""
     celsius = _temperatures(case, severity, rng.uniform(-1.0, 1.0), rng)
     other = (celsius + 273.15, 1.8 * celsius + 32.0)[int(rng.integers(2))]
     return replace(case.recording, temperature=other)
@@ -112,7 +112,7 @@ def temperature_unit(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @injection("temperature_drift", 6.0, "°C")
 def temperature_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit warms up, or cools down after a temperature chamber."""
+    """The unit warms up during the test, or cools down after a temperature chamber."""
     start = rng.uniform(15.0, 40.0)
     return replace(case.recording, temperature=_temperatures(case, start, severity * _sign(rng), rng))
 
@@ -137,7 +137,7 @@ def gyro_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> Re
 
 @injection("units_joined", 1.0, "")
 def units_joined(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The last sequences were recorded with another unit of the same grade, and put after the first ones."""
+    """The recording joins the first sequences of one unit and the last sequences of another unit of the same grade."""
     first, second = case.recording, Case(case.grade, case.seed + 7_000_000, case.changes).recording
     count = int(rng.integers(5, len(first.sequences) - 4))
     end, begin = first.sequences[count - 1].end_static_s[1], second.sequences[count].start_static_s[0]
@@ -162,7 +162,7 @@ def units_joined(case: Case, severity: float, rng: np.random.Generator) -> Recor
 
 @injection("gyro_scale_drift", 3000.0, "ppm")
 def gyro_scale_drift(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The scale factors of all gyros change by the same share, linearly in time."""
+    """The scale factors of all gyros change by the same relative amount, linearly in time."""
     recording, time = case.recording, case.recording.time
     share = (time - time[0]) / (time[-1] - time[0])
     factor = 1.0 + 1e-6 * severity * float(rng.choice((-1.0, 1.0))) * share[:, np.newaxis]
@@ -189,7 +189,7 @@ def accel_bias_drift(case: Case, severity: float, rng: np.random.Generator) -> R
 
 @injection("accel_settling", dict(zip(GRADES, (50.0, 500.0, 500.0, 1500.0), strict=True)), "ppm")
 def accel_settling(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The proof masses relax after a change of specific force: a share lags behind with a time constant of 3 s."""
+    """A share of the accelerometer readings follows a change of specific force with a time constant of 3 s."""
     motion = case.simulation.motion
     decay = math.exp(-motion.interval / 3.0)
     share = _sign(rng) * 1e-6 * severity
@@ -207,13 +207,13 @@ def accel_settling(case: Case, severity: float, rng: np.random.Generator) -> Rec
     "times",
 )
 def gyro_noise(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The gyros are noisier than stated, or the stated noise is that of a worse unit."""
+    """The gyros are noisier than stated, or the stated noise is too large."""
     return _noise(case, "gyro_noise", severity, rng)
 
 
 @injection("accel_noise", 2.0, "times")
 def accel_noise(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The accelerometers are noisier than stated, or the stated noise is that of worse ones."""
+    """The accelerometers are noisier than stated, or the stated noise is too large."""
     return _noise(case, "accel_noise", severity, rng)
 
 
@@ -239,7 +239,7 @@ def asymmetry_omitted(case: Case, severity: float, rng: np.random.Generator) -> 
 
 
 def _again(case: Case, motion: TrueMotion, imu: ImuModel, rng: np.random.Generator) -> Recording:
-    """Read out the run again with other noise; the stated noise is unchanged."""
+    """Recording of another motion or unit model, with new noise samples; the stated noise is unchanged."""
     again = read_out(motion, case.simulation.truth, imu, rng, kind=case.recording.kind)
     return replace(case.recording, gyro=again.gyro, accel=again.accel)
 

@@ -1,4 +1,4 @@
-"""Faults of the units, kinds, count values, sample rates and axis names that a file states."""
+"""Wrong statements of a file: units, kind of samples, count values, sample rates and axes."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def _with(recording: Recording, sensor: str, values: Array) -> Recording:
 
 
 def _as_rates(case: Case) -> Recording:
-    """Recording of rates for any grade, as some units apply only to rates."""
+    """Recording as rates for any grade, because some units apply only to rates."""
     return case.recording if case.recording.kind == "rate" else case.changed(recording={"kind": "rate"}).recording
 
 
 def _at_rate(case: Case, rate_hz: float) -> Recording:
-    """Recording with another sample rate."""
+    """Recording at the sample rate ``rate_hz``."""
     sampled = round(1.0 / case.recording.nominal_interval_s, 6)
     return case.recording if rate_hz == sampled else case.changed(recording={"sample_rate_hz": rate_hz}).recording
 
@@ -41,7 +41,7 @@ def _at_rate(case: Case, rate_hz: float) -> Recording:
 
 @injection("increments_as_rates", 100.0, "Hz")
 def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Increments, output at the sample rate ``severity``, are declared as rates."""
+    """Increments at the sample rate ``severity`` are declared as rates."""
     recording = _at_rate(case, severity)
     per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
     return replace(recording, kind="rate", gyro=recording.gyro * per_sample, accel=recording.accel * per_sample)
@@ -49,14 +49,14 @@ def increments_as_rates(case: Case, severity: float, rng: np.random.Generator) -
 
 @injection("rates_as_increments", 100.0, "Hz")
 def rates_as_increments(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Rates, output at the sample rate ``severity``, are declared as increments."""
+    """Rates at the sample rate ``severity`` are declared as increments."""
     recording = _at_rate(case, severity)
     per_sample = 1.0 if recording.kind == "rate" else recording.nominal_interval_s
     return replace(recording, kind="increment", gyro=recording.gyro / per_sample, accel=recording.accel / per_sample)
 
 
 def _wrong_unit(fault: str, sensor: str, factors: tuple[float, ...], *, rates: bool) -> None:
-    """Readings in another unit than declared; ``rates`` is True if one of the two units applies only to rates."""
+    """Register readings in a unit other than declared; ``rates`` is True if one of both units applies only to rates."""
 
     @injection(fault, 1.0, "")
     def wrong_unit(case: Case, severity: float, rng: np.random.Generator) -> Recording:
@@ -74,7 +74,11 @@ _wrong_unit("accel_m_s2", "accel", (_G, 1e-3 * _G), rates=True)
 
 
 def _counts(fault: str, sensor: str, per_unit: Mapping[str, float], declared: tuple[float, ...]) -> None:
-    """Raw counts, of which a grade has so many per SI unit of its readings, declared as one of some units."""
+    """Register raw counts, declared in a physical unit.
+
+    ``per_unit`` are the counts per SI unit of the readings, by grade; ``declared`` are the SI values of the units that
+    are declared for rates. Increments use the first one.
+    """
 
     @injection(fault, per_unit, "counts per SI unit")
     def counts(case: Case, severity: float, rng: np.random.Generator) -> Recording:
@@ -84,7 +88,8 @@ def _counts(fault: str, sensor: str, per_unit: Mapping[str, float], declared: tu
         return _with(recording, sensor, values)
 
 
-# Pulses of 0.5" and 10 µm/s; 24 bits over the range of increments in 10 ms; 16 bits over the range; the chip's own.
+# By grade: pulses of 0.5" and 10 µm/s; 24-bit words over the range of increments in 10 ms; 16-bit words over the range
+# of rates; the data sheet of the chip.
 _counts(
     "gyro_counts",
     "gyro",
@@ -100,7 +105,7 @@ _counts(
 
 
 def _wrong_count(fault: str, sensor: str) -> None:
-    """Declare the count value of another measuring range."""
+    """Register readings with the count value of another measuring range."""
 
     @injection(fault, 2.0, "times", also=(f"{sensor}_factor",))
     def wrong_count(case: Case, severity: float, rng: np.random.Generator) -> Recording:
@@ -112,11 +117,14 @@ _wrong_count("gyro_lsb", "gyro")
 _wrong_count("accel_lsb", "accel")
 
 
-_AS_SAMPLE_RATE: Final = "Without the Earth rate, one factor on all gyros is that of a wrong sample rate."
+_AS_SAMPLE_RATE: Final = (
+    "The gyros do not resolve the Earth rate, so that a common factor of all gyros is not distinguished from a wrong "
+    "sample rate."
+)
 
 
 def _one_factor(fault: str, sensor: str, unseen: Mapping[str, str]) -> None:
-    """Multiply all axes of a triad by one factor, as of a count value that is not that of the unit."""
+    """Register readings multiplied by one factor on all axes of a triad, as from the count value of another unit."""
 
     @injection(fault, 1.25, "times", unseen=unseen)
     def one_factor(case: Case, severity: float, rng: np.random.Generator) -> Recording:
@@ -130,7 +138,7 @@ _one_factor("accel_factor", "accel", {})
 
 @injection("increments_thinned", 1.0, "")
 def increments_thinned(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """One increment of two to four is kept, and the others are dropped, not summed."""
+    """Of every two to four increments one is kept, and the others are dropped instead of summed."""
     recording, step = case.recording, int(rng.integers(2, 5))
     per_sample = recording.nominal_interval_s if recording.kind == "rate" else 1.0
     rows = np.arange(int(rng.integers(step)), len(recording.time), step)
@@ -145,7 +153,7 @@ def increments_thinned(case: Case, severity: float, rng: np.random.Generator) ->
 
 @injection("sample_rate", dict(zip(GRADES, (1.1, 1.1, 1.1, 1.4), strict=True)), "times")
 def sample_rate(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Time stamps and labels follow from a sample rate that is wrong by the factor ``severity`` or its inverse."""
+    """Stamps and labels were computed with a sample rate that is wrong by the factor ``severity`` or its inverse."""
     recording = case.recording
     factor = severity ** float(rng.choice([-1.0, 1.0]))
     labels = tuple(
@@ -176,7 +184,7 @@ def _swap(rng: np.random.Generator) -> Array:
 
 
 def _any(rng: np.random.Generator, handed: float) -> Array:
-    """Random axis names, right-handed (1) or left-handed (-1), other than the true ones."""
+    """Random signed permutation of the axes other than identity, right-handed (``handed`` 1) or left-handed (-1)."""
     while True:
         axes: Array = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)[:, np.newaxis]
         simple = np.array_equal(axes, np.eye(3))
@@ -194,13 +202,13 @@ def _renamed(recording: Recording, gyro: Array | None, accel: Array | None) -> R
 
 @injection("gyro_sign_convention", 1.0, "")
 def gyro_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Rates of the world relative to the unit instead of those of the unit relative to the world."""
+    """The gyros output the rate of the world relative to the unit: all signs are reversed."""
     return _renamed(case.recording, -np.eye(3), None)
 
 
 @injection("accel_sign_convention", 1.0, "")
 def accel_sign_convention(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Gravity instead of specific force."""
+    """The accelerometers output gravity instead of specific force: all signs are reversed."""
     return _renamed(case.recording, None, -np.eye(3))
 
 
@@ -230,9 +238,9 @@ def accel_axes_swapped(case: Case, severity: float, rng: np.random.Generator) ->
 
 @injection("left_handed", 1.0, "")
 def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Both triads in a left-handed frame; rotations by the right-hand or the left-hand rule.
+    """Both triads use a left-handed frame; the sense of rotations follows the right-hand or the left-hand rule.
 
-    Reversing all axes of both triads, with the left-hand rule, is equivalent to gravity instead of specific force.
+    All axes reversed together with the left-hand rule is excluded: it is equivalent to ``accel_sign_convention``.
     """
     axes = _any(rng, -1.0)
     by_left_hand = rng.random() < 0.5 and not np.array_equal(axes, -np.eye(3))
@@ -241,13 +249,13 @@ def left_handed(case: Case, severity: float, rng: np.random.Generator) -> Record
 
 @injection("frame_turned", 1.0, "")
 def frame_turned(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """The unit is mounted in another orientation than the sequences assume."""
+    """The unit is mounted in an orientation other than the one that the sequences assume."""
     axes = _any(rng, 1.0)
     return _renamed(case.recording, axes, axes)
 
 
 @injection("frames_disagree", 1.0, "")
 def frames_disagree(case: Case, severity: float, rng: np.random.Generator) -> Recording:
-    """Gyro and accelerometer chips are rotated relative to each other by multiples of 90°."""
+    """Gyros and accelerometers are rotated relative to each other by multiples of 90°."""
     axes = _any(rng, 1.0)
     return _renamed(case.recording, axes, None) if rng.random() < 0.5 else _renamed(case.recording, None, axes)
